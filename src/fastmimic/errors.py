@@ -1,0 +1,46 @@
+"""What a user can get wrong.
+
+Every message says what was found, what was expected, where, and what to do. The command line prints it in
+one line and exits with status 2; anything else that reaches the user is a bug.
+"""
+
+import difflib
+from collections.abc import Iterable
+
+
+class FastMimicError(Exception):
+    """Base of all errors that a user can cause and mend."""
+
+
+class RobotError(FastMimicError):
+    """A robot description that this project cannot use."""
+
+
+class ClipError(FastMimicError):
+    """A motion file or clip that cannot be read or used."""
+
+
+class MotionError(FastMimicError):
+    """A robot reference motion that is malformed or does not fit."""
+
+
+class ConfigError(FastMimicError):
+    """A setting out of its range, or two that contradict each other."""
+
+
+class DataError(FastMimicError):
+    """Public data that could not be fetched or verified."""
+
+
+class OutputError(FastMimicError):
+    """A place that cannot be written to, or that holds something else."""
+
+
+class CheckpointError(FastMimicError):
+    """A checkpoint that is damaged or belongs to another problem."""
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """Returns `; did you mean 'a' or 'b'?` for the closest of `names`, or an empty string."""
+    close = difflib.get_close_matches(name, list(names), n=3, cutoff=0.5)
+    return f"; did you mean {' or '.join(repr(c) for c in close)}?" if close else ""

@@ -1,0 +1,175 @@
+"""`Motion`: the reference that a robot follows, and its file."""
+
+import json
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.errors import MotionError
+from fastmimic.files import replace_file
+
+FORMAT_VERSION: Final = 1
+
+_ARRAYS: Final = {  # name -> trailing shape
+    "root_pos_w": (3,),
+    "root_quat_wxyz": (4,),
+    "joint_pos": (12,),
+    "joint_vel": (12,),
+    "foot_pos_b": (4, 3),
+    "contact": (4,),
+    "root_lin_vel_w": (3,),
+    "root_ang_vel_w": (3,),
+}
+_DEMONSTRATION: Final = "demonstration_"
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A robot reference at a fixed rate. Immutable: its arrays are read-only.
+
+    Samples cover [0, T): sample t would repeat sample 0 moved by `cycle`.
+
+    Attributes:
+        rate_hz: samples a second.
+        root_pos_w: (t, 3) base position, world, m.
+        root_quat_wxyz: (t, 4) base orientation, body → world.
+        joint_pos: (t, 12) rad.
+        joint_vel: (t, 12) rad/s.
+        foot_pos_b: (t, 4, 3) centres of the foot spheres in the body frame, m.
+        contact: (t, 4) bool, True in stance.
+        root_lin_vel_w: (t, 3) base velocity, world, m/s.
+        root_ang_vel_w: (t, 3) base angular velocity, world, rad/s.
+        cycle: (dx, dy, dyaw) of one period in sample 0's heading frame, m and rad; None if not periodic.
+        meta: provenance, JSON-serialisable: `name`, `robot`, `source`, `licence`, `retarget`, `dmp`, ….
+        demonstration: the motion that an optimised one is scored against; None for a demonstration itself.
+    """
+
+    rate_hz: float
+    root_pos_w: NDArray[np.float64]
+    root_quat_wxyz: NDArray[np.float64]
+    joint_pos: NDArray[np.float64]
+    joint_vel: NDArray[np.float64]
+    foot_pos_b: NDArray[np.float64]
+    contact: NDArray[np.bool_]
+    root_lin_vel_w: NDArray[np.float64]
+    root_ang_vel_w: NDArray[np.float64]
+    cycle: NDArray[np.float64] | None = None
+    meta: dict[str, Any] = field(default_factory=dict)
+    demonstration: "Motion | None" = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise MotionError(f"rate_hz must be positive, found {self.rate_hz}")
+        n = len(self.root_pos_w)
+        if n < 2:
+            raise MotionError(f"a motion needs at least 2 samples, found {n}")
+        for name, tail in _ARRAYS.items():
+            dtype = np.bool_ if name == "contact" else np.float64
+            array = np.array(getattr(self, name), dtype=dtype)
+            if array.shape != (n, *tail):
+                raise MotionError(f"{name} has shape {array.shape}; expected {(n, *tail)}")
+            if not np.all(np.isfinite(array)):
+                sample = int(np.argwhere(~np.isfinite(array))[0][0])
+                raise MotionError(f"{name} is not finite at sample {sample}")
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        norm = np.linalg.norm(self.root_quat_wxyz, axis=1)
+        if np.any(np.abs(norm - 1) > 1e-6):
+            sample = int(np.argmax(np.abs(norm - 1)))
+            raise MotionError(f"root_quat_wxyz is not a unit quaternion at sample {sample} (norm {norm[sample]:.4g})")
+        if self.cycle is not None:
+            cycle = np.array(self.cycle, dtype=np.float64)
+            if cycle.shape != (3,) or not np.all(np.isfinite(cycle)):
+                raise MotionError(f"cycle must be three finite numbers (dx, dy, dyaw), found {self.cycle}")
+            cycle.flags.writeable = False
+            object.__setattr__(self, "cycle", cycle)
+
+    @property
+    def n_samples(self) -> int:
+        return len(self.root_pos_w)
+
+    @property
+    def dt(self) -> float:
+        """Time between samples, s."""
+        return 1.0 / self.rate_hz
+
+    @property
+    def period_s(self) -> float:
+        """Duration covered by the samples (one cycle if periodic), s."""
+        return self.n_samples / self.rate_hz
+
+    @property
+    def name(self) -> str:
+        return str(self.meta.get("name", "motion"))
+
+    @property
+    def target(self) -> "Motion":
+        """The motion that this one is scored against: its demonstration, or itself."""
+        return self.demonstration if self.demonstration is not None else self
+
+    def save(self, path: str | Path) -> None:
+        """Writes an `.npz` without pickles; an existing file is replaced only once the new one is whole.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        arrays: dict[str, Any] = _to_arrays(self)
+        if self.demonstration is not None:
+            arrays |= {_DEMONSTRATION + k: v for k, v in _to_arrays(self.demonstration).items()}
+        replace_file(path, lambda file: np.savez_compressed(file, **arrays))
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Motion":
+        """Reads what `save` wrote.
+
+        Raises:
+            MotionError: the file is missing, damaged, or not a motion.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {key: file[key] for key in file.files}
+        except FileNotFoundError:
+            raise MotionError(f"{path}: no such file") from None
+        except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
+            raise MotionError(f"{path}: not a readable .npz motion ({error})") from None
+        version = arrays.get("format_version")
+        if version is None:
+            raise MotionError(f"{path}: an .npz without 'format_version'; not a FastMimic motion")
+        if version.size != 1 or int(version) != FORMAT_VERSION:
+            raise MotionError(f"{path}: format version {version}; this release reads version {FORMAT_VERSION}")
+        try:
+            demonstration = None
+            if any(key.startswith(_DEMONSTRATION) for key in arrays):
+                n = len(_DEMONSTRATION)
+                demonstration = _from_arrays(
+                    {k[n:]: v for k, v in arrays.items() if k.startswith(_DEMONSTRATION)}
+                )
+            return _from_arrays(arrays, demonstration)
+        except KeyError as error:
+            raise MotionError(f"{path}: array {error} is missing") from None
+        except (MotionError, ValueError, TypeError) as error:
+            raise MotionError(f"{path}: {error}") from None
+
+
+def _to_arrays(motion: Motion) -> dict[str, Any]:
+    return {
+        "format_version": np.int64(FORMAT_VERSION),
+        "rate_hz": np.float64(motion.rate_hz),
+        **{name: getattr(motion, name) for name in _ARRAYS},
+        "cycle": np.zeros(0) if motion.cycle is None else motion.cycle,
+        "meta_json": np.str_(json.dumps(motion.meta, sort_keys=True)),
+    }
+
+
+def _from_arrays(arrays: dict[str, Any], demonstration: Motion | None = None) -> Motion:
+    return Motion(
+        rate_hz=float(arrays["rate_hz"]),
+        **{name: arrays[name] for name in _ARRAYS},
+        cycle=arrays["cycle"] if arrays["cycle"].size else None,
+        meta=json.loads(str(arrays["meta_json"])),
+        demonstration=demonstration,
+    )

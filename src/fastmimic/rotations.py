@@ -1,0 +1,98 @@
+"""Rotations as unit quaternions (w, x, y, z), body → world, over arrays with any leading shape."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def quat_multiply(a: Array, b: Array) -> Array:
+    """Hamilton product a ⊗ b (apply b, then a); (..., 4) each."""
+    w1, x1, y1, z1 = np.moveaxis(np.asarray(a, dtype=np.float64), -1, 0)
+    w2, x2, y2, z2 = np.moveaxis(np.asarray(b, dtype=np.float64), -1, 0)
+    return np.stack(
+        [
+            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
+            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
+        ],
+        axis=-1,
+    )
+
+
+def quat_conjugate(q: Array) -> Array:
+    """Inverse of a unit quaternion, (..., 4)."""
+    return np.asarray(q) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def quat_rotate(q: Array, v: Array) -> Array:
+    """Rotates v (..., 3) by q (..., 4): body → world if q is body → world."""
+    q, v = np.asarray(q), np.asarray(v)
+    t = 2 * np.cross(q[..., 1:], v)
+    return v + q[..., :1] * t + np.cross(q[..., 1:], t)
+
+
+def quat_rotate_inverse(q: Array, v: Array) -> Array:
+    """Rotates v (..., 3) by the inverse of q (..., 4): world → body."""
+    return quat_rotate(quat_conjugate(q), v)
+
+
+def quat_from_yaw(yaw: Array | float) -> Array:
+    """Rotation by `yaw` (...) rad about world z, (..., 4)."""
+    half = np.asarray(yaw, dtype=np.float64) / 2
+    zero = np.zeros_like(half)
+    return np.stack([np.cos(half), zero, zero, np.sin(half)], axis=-1)
+
+
+def quat_from_rotvec(rotvec: Array) -> Array:
+    """Rotation vector (..., 3), rad → quaternion (..., 4)."""
+    rotvec = np.asarray(rotvec, dtype=np.float64)
+    angle = np.linalg.norm(rotvec, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(angle / 2), 0.5 * np.sinc(angle / (2 * np.pi)) * rotvec], axis=-1)
+
+
+def rotvec_from_quat(q: Array) -> Array:
+    """Quaternion (..., 4) → the shortest rotation vector (..., 3), rad."""
+    q = np.where(q[..., :1] < 0, -q, q)
+    s = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(s, q[..., :1])
+    factor = np.where(s > 1e-9, angle / np.where(s > 1e-9, s, 1.0), 2.0)
+    return q[..., 1:] * factor
+
+
+def yaw_from_quat(q: Array) -> Array:
+    """Heading: angle of the body's x axis in the world's horizontal plane, (...), rad in (-π, π]."""
+    w, x, y, z = np.moveaxis(np.asarray(q), -1, 0)
+    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def matrix_from_quat(q: Array) -> Array:
+    """Quaternion (..., 4) → rotation matrix (..., 3, 3)."""
+    eye = np.broadcast_to(np.eye(3), (*np.shape(q)[:-1], 3, 3))
+    return np.swapaxes(quat_rotate(np.asarray(q)[..., None, :], eye), -1, -2)
+
+
+def quat_from_matrix(matrix: Array) -> Array:
+    """Rotation matrix (..., 3, 3) → quaternion (..., 4) with w ≥ 0."""
+    from scipy.spatial.transform import Rotation  # heavy to import, used only while preparing motions
+
+    flat = np.asarray(matrix).reshape(-1, 3, 3)
+    xyzw = Rotation.from_matrix(flat).as_quat()
+    wxyz = np.concatenate([xyzw[:, 3:], xyzw[:, :3]], axis=1)
+    wxyz = np.where(wxyz[:, :1] < 0, -wxyz, wxyz)
+    return wxyz.reshape(*np.shape(matrix)[:-2], 4)
+
+
+def quat_continuous(q: Array) -> Array:
+    """Flips signs so that consecutive quaternions (t, 4) lie in the same hemisphere."""
+    q = np.array(q, dtype=np.float64)
+    flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0, -1.0, 1.0))
+    q[1:] *= flips[:, None]
+    return q
+
+
+def rotate_planar(angle: Array | float, xy: Array) -> Array:
+    """Rotates (..., 2) by `angle` (...) rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c * xy[..., 0] - s * xy[..., 1], s * xy[..., 0] + c * xy[..., 1]], axis=-1)
