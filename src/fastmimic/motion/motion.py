@@ -2,6 +2,7 @@
 
 import json
 import zipfile
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -25,6 +26,12 @@ _ARRAYS: Final = {  # name -> trailing shape
     "root_ang_vel_w": (3,),
 }
 _DEMONSTRATION: Final = "demonstration_"
+_UNREADABLE: Final = (
+    *(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error),
+    RuntimeError,  # zipfile: encrypted, or compressed in a way that it does not know
+    TypeError,  # a lone .npy
+)
+"""What NumPy and zipfile raise for a damaged archive."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +141,7 @@ class Motion:
                 arrays = {key: file[key] for key in file.files}
         except FileNotFoundError:
             raise MotionError(f"{path}: no such file") from None
-        except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
+        except _UNREADABLE as error:
             raise MotionError(f"{path}: not a readable .npz motion ({error})") from None
         version = arrays.get("format_version")
         if version is None:

@@ -1,0 +1,9 @@
+"""Rhythmic movement primitives: fit a cyclic motion, reconstruct it, modulate it."""
+
+from fastmimic.primitive.coordinates import FOOT_Z, NAMES
+from fastmimic.primitive.integrator import DmpIntegrator
+from fastmimic.primitive.motion_dmp import MotionDmp
+from fastmimic.primitive.reach import FootTable
+from fastmimic.primitive.rhythmic import RhythmicDmp
+
+__all__ = ["FOOT_Z", "NAMES", "DmpIntegrator", "FootTable", "MotionDmp", "RhythmicDmp"]

@@ -4,7 +4,7 @@ Nothing about a robot is written in code. Legs are recognised by the geometry of
 anyone's MJCF of a twelve-joint quadruped works.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -37,7 +37,7 @@ class Robot:
 
     Attributes:
         name: the model's name.
-        xml: its MJCF, complete, so that a robot can be sent to another process.
+        xml: its MJCF as text.
         mass: total, kg.
         inertia_b: (3, 3) of the whole robot in its home pose about its centre of mass, body axes, kg·m².
         com_b: (3,) centre of mass in the home pose, body frame, m.
@@ -55,7 +55,9 @@ class Robot:
         home_height: base height in the home pose, m.
         trunk_mass, trunk_com_b: of the body that carries the legs.
         link_mass: (4, 3); link_com: (4, 3, 3) and link_inertia: (4, 3, 3, 3) in each link's frame.
-        joint_names, foot_geoms: names (or indices) of the model's elements in the common order.
+        joint_names, foot_geoms: names of the model's elements in the common order.
+        assumed: what the model does not say and was assumed, as sentences.
+        base_spec: the specification that all this was read from; see `spec()`.
     """
 
     name: str
@@ -85,6 +87,15 @@ class Robot:
     joint_names: tuple[str, ...]
     foot_geoms: tuple[str, ...]
     assumed: tuple[str, ...] = ()
+    base_spec: "mujoco.MjSpec | None" = field(default=None, repr=False)
+
+    def spec(self) -> "mujoco.MjSpec":
+        """A fresh copy of the robot's MuJoCo specification, to build a scene from.
+
+        `xml` is for people and files: MuJoCo rounds the numbers that it writes.
+        """
+        assert self.base_spec is not None
+        return self.base_spec.copy()
 
     @property
     def thigh_length(self) -> float:
@@ -148,6 +159,7 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
     import mujoco
 
     try:
+        _name_spheres(spec)
         model = spec.compile()
         xml = spec.to_xml()
     except (ValueError, RuntimeError) as error:
@@ -193,8 +205,9 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
         link_com=np.array([[link[1] for link in row] for row in links]),
         link_inertia=np.array([[link[2] for link in row] for row in links]),
         joint_names=tuple(model.joint(j).name for j in joints),
-        foot_geoms=tuple(model.geom(leg.foot).name or str(leg.foot) for leg in legs),
+        foot_geoms=tuple(model.geom(leg.foot).name for leg in legs),
         assumed=assumed,
+        base_spec=spec,
     )
 
 
@@ -209,6 +222,15 @@ class _Leg:
     knee_sign: float
     foot: int
     foot_radius: float
+
+
+def _name_spheres(spec: "mujoco.MjSpec") -> None:
+    """Gives unnamed spheres a name, because feet are addressed by name in every scene built from the model."""
+    import mujoco
+
+    for i, geom in enumerate(spec.geoms):
+        if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE and not geom.name:
+            geom.name = f"sphere_{i}"
 
 
 def _one_line(error: Exception) -> str:

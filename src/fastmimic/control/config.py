@@ -1,0 +1,222 @@
+"""The controller's parameters: one set for all motions and all robots.
+
+Gains act on accelerations and angles, so they do not depend on the robot's mass or size; forces and thresholds
+are given as multiples of the robot's weight.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.errors import ConfigError, did_you_mean
+
+Vector6 = tuple[float, float, float, float, float, float]
+Vector3 = tuple[float, float, float]
+
+ADAPTATIONS: Final = ("off", "paper", "full")
+PLANNERS: Final = ("schedule", "full")
+
+
+@dataclass(frozen=True)
+class GaitConfig:
+    """Which leg stands and which swings (paper, §III-B1).
+
+    Attributes:
+        planner: "full" for the state machine over schedule and measured contact, "schedule" for the schedule alone.
+        contact_threshold: normal force above which a foot counts as loaded, fraction of the weight.
+        min_switch_time: least time between two switches of a leg, s.
+        early_takeoff_time: time without load after which a standing leg counts as lifted off, s.
+    """
+
+    planner: Literal["schedule", "full"] = "full"
+    contact_threshold: float = 0.08
+    min_switch_time: float = 0.1
+    early_takeoff_time: float = 0.04
+
+
+@dataclass(frozen=True)
+class StanceConfig:
+    """Forces of the standing legs (paper, eq. 1 and 2). Axes: x, y, z, roll, pitch, yaw in the heading frame.
+
+    Attributes:
+        position_gain: k_p, 1/s².
+        velocity_gain: k_d, 1/s.
+        reference_acceleration: factor on the reference's own acceleration in ẍ_des; 0 in the paper.
+        acceleration_limit: bound on each component of ẍ_des, m/s² and rad/s².
+        acceleration_weight: diagonal of Q.
+        force_weight: diagonal of R, 1/N² relative to Q.
+        friction: μ that the controller assumes.
+        min_force, max_force: of each standing foot, multiples of the weight.
+        adaptation: low-gain joint feedback towards where the foot will be: "full" with the turning of the body,
+            "paper" without it (eq. 2), "off".
+        joint_stiffness, joint_damping: of that feedback, N·m/rad and N·m·s/rad.
+        leg_dynamics: add the torques that carry and accelerate the leg itself.
+    """
+
+    position_gain: Vector6 = (10.0, 10.0, 40.0, 360.0, 360.0, 390.0)
+    velocity_gain: Vector6 = (33.0, 33.0, 30.0, 93.0, 93.0, 68.0)
+    reference_acceleration: float = 1.0
+    acceleration_limit: Vector6 = (10.0, 10.0, 15.0, 60.0, 60.0, 60.0)
+    acceleration_weight: Vector6 = (1.0, 1.0, 1.0, 10.0, 10.0, 1.0)
+    force_weight: float = 1e-4
+    friction: float = 0.6
+    min_force: float = 0.02
+    max_force: float = 3.0
+    adaptation: Literal["off", "paper", "full"] = "full"
+    joint_stiffness: float = 30.0
+    joint_damping: float = 1.0
+    leg_dynamics: bool = True
+
+
+@dataclass(frozen=True)
+class SwingConfig:
+    """Feet in the air (paper, eq. 3).
+
+    Attributes:
+        velocity_feedback: K, s.
+        joint_stiffness, joint_damping: N·m/rad and N·m·s/rad.
+        leg_dynamics: feed-forward of the leg's inverse dynamics along the reference.
+        level: follow the reference foot relative to gravity and the ground (1) or to the trunk as it happens to be
+            inclined (0); the paper's form is 0.
+        liftoff_blend_time: time over which the foot's offset from the reference at lift-off fades, s.
+    """
+
+    velocity_feedback: float = 0.03
+    joint_stiffness: float = 71.0
+    joint_damping: float = 3.0
+    leg_dynamics: bool = True
+    level: float = 1.0
+    liftoff_blend_time: float = 0.05
+
+
+@dataclass(frozen=True)
+class ControllerConfig:
+    """All parameters of the controller.
+
+    Attributes:
+        rate_hz: control steps a second.
+        joint_margin: distance from the joint limits that commanded positions keep, rad.
+    """
+
+    name: str = "default"
+    rate_hz: float = 500.0
+    joint_margin: float = 0.01
+    gait: GaitConfig = dataclasses.field(default_factory=GaitConfig)
+    stance: StanceConfig = dataclasses.field(default_factory=StanceConfig)
+    swing: SwingConfig = dataclasses.field(default_factory=SwingConfig)
+
+    def __post_init__(self) -> None:
+        checks = (
+            (self.rate_hz > 0, "rate_hz must be positive"),
+            (self.gait.planner in PLANNERS, f"gait.planner must be one of {', '.join(PLANNERS)}"),
+            (self.gait.min_switch_time >= 0, "gait.min_switch_time must not be negative"),
+            (self.stance.adaptation in ADAPTATIONS, f"stance.adaptation must be one of {', '.join(ADAPTATIONS)}"),
+            (self.stance.friction > 0, "stance.friction must be positive"),
+            (self.stance.force_weight > 0, "stance.force_weight must be positive"),
+            (0 <= self.stance.min_force < self.stance.max_force, "stance.min_force must be in [0, max_force)"),
+            (min(self.stance.acceleration_weight) >= 0, "stance.acceleration_weight must not be negative"),
+            (self.swing.liftoff_blend_time >= 0, "swing.liftoff_blend_time must not be negative"),
+        )
+        for ok, message in checks:
+            if not ok:
+                raise ConfigError(f"controller configuration '{self.name}': {message}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Nested plain values, JSON-serialisable."""
+        return dataclasses.asdict(self)
+
+
+def default_config() -> ControllerConfig:
+    """The full controller with the project's gains."""
+    return ControllerConfig()
+
+
+def paper_config() -> ControllerConfig:
+    """The paper's form: no feed-forward of accelerations or leg dynamics, eq. 2 and 3 as printed."""
+    return ControllerConfig(
+        name="paper",
+        stance=StanceConfig(reference_acceleration=0.0, adaptation="paper", leg_dynamics=False),
+        swing=SwingConfig(leg_dynamics=False, level=0.0, liftoff_blend_time=0.0),
+    )
+
+
+CONFIGS: Final = {"default": default_config, "paper": paper_config}
+
+
+def controller_config(name: str) -> ControllerConfig:
+    """Returns the configuration of that name; raises `ConfigError` if there is none."""
+    if name not in CONFIGS:
+        raise ConfigError(f"unknown configuration '{name}'; there are {', '.join(CONFIGS)}{did_you_mean(name, CONFIGS)}")
+    return CONFIGS[name]()
+
+
+_DTYPE = np.dtype(
+    [
+        ("dt", "f8"),
+        ("joint_margin", "f8"),
+        ("planner_full", "i8"),
+        ("contact_threshold", "f8"),
+        ("min_switch_time", "f8"),
+        ("early_takeoff_time", "f8"),
+        ("kp", "f8", (6,)),
+        ("kd", "f8", (6,)),
+        ("reference_acceleration", "f8"),
+        ("acceleration_limit", "f8", (6,)),
+        ("q_weight", "f8", (6,)),
+        ("r_weight", "f8"),
+        ("mu", "f8"),
+        ("min_force", "f8"),
+        ("max_force", "f8"),
+        ("adaptation", "i8"),
+        ("stance_kp", "f8"),
+        ("stance_kd", "f8"),
+        ("stance_dynamics", "f8"),
+        ("velocity_feedback", "f8"),
+        ("swing_kp", "f8"),
+        ("swing_kd", "f8"),
+        ("swing_dynamics", "f8"),
+        ("level", "f8"),
+        ("blend_time", "f8"),
+    ],
+    align=True,
+)
+
+
+def pack_config(config: ControllerConfig, weight: float) -> NDArray[Any]:
+    """The configuration as a structured array of one record, for the kernels.
+
+    Args:
+        config: the parameters.
+        weight: the robot's weight, N.
+    """
+    gait, stance, swing = config.gait, config.stance, config.swing
+    record = np.zeros(1, _DTYPE)
+    record["dt"] = 1.0 / config.rate_hz
+    record["joint_margin"] = config.joint_margin
+    record["planner_full"] = gait.planner == "full"
+    record["contact_threshold"] = gait.contact_threshold * weight
+    record["min_switch_time"] = gait.min_switch_time
+    record["early_takeoff_time"] = gait.early_takeoff_time
+    record["kp"] = stance.position_gain
+    record["kd"] = stance.velocity_gain
+    record["reference_acceleration"] = stance.reference_acceleration
+    record["acceleration_limit"] = stance.acceleration_limit
+    record["q_weight"] = stance.acceleration_weight
+    record["r_weight"] = stance.force_weight
+    record["mu"] = stance.friction
+    record["min_force"] = stance.min_force * weight
+    record["max_force"] = stance.max_force * weight
+    record["adaptation"] = ADAPTATIONS.index(stance.adaptation)
+    record["stance_kp"] = stance.joint_stiffness
+    record["stance_kd"] = stance.joint_damping
+    record["stance_dynamics"] = float(stance.leg_dynamics)
+    record["velocity_feedback"] = swing.velocity_feedback
+    record["swing_kp"] = swing.joint_stiffness
+    record["swing_kd"] = swing.joint_damping
+    record["swing_dynamics"] = float(swing.leg_dynamics)
+    record["level"] = swing.level
+    record["blend_time"] = swing.liftoff_blend_time
+    return record

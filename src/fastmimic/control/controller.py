@@ -1,0 +1,433 @@
+"""The controller: from the robots' states and references to joint commands, all robots in one compiled call.
+
+Gait planner → stance forces and adaptation → swing → joint commands (paper, §III-B).
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.config import ControllerConfig, default_config, pack_config
+from fastmimic.control.daqp import make_workspace
+from fastmimic.control.gait import plan_leg
+from fastmimic.control.reference import stack_tables
+from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, invert_symmetric_3x3, stance_forces
+from fastmimic.control.state import COMMAND, MEMORY, pack_model
+from fastmimic.conventions import GRAVITY
+from fastmimic.errors import ConfigError
+from fastmimic.jit import inlined, kernel
+from fastmimic.motion.motion import Motion
+from fastmimic.robot.dynamics import leg_inverse_dynamics, leg_mass_moment
+from fastmimic.robot.kinematics import leg_forward, leg_inverse, leg_jacobian
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+_DAMPING_AFTER_FAILURE: Final = 5.0  # N·m·s/rad on standing legs once the QP has failed for too long
+
+
+SCRATCH: Final = np.dtype(
+    [
+        ("rotation", "f8", (3, 3)),  # body → heading frame
+        ("reference_rotation", "f8", (3, 3)),  # reference's body → robot's heading frame
+        ("inertia", "f8", (3, 3)),
+        ("inverse_inertia", "f8", (3, 3)),
+        ("arms", "f8", (4, 3)),  # feet from the CoM, heading frame
+        ("feet", "f8", (4, 3)),  # body frame
+        ("desired", "f8", (6,)),
+        ("columns", "f8", (12, 6)),
+        ("jacobian", "f8", (3, 3)),
+        ("vectors", "f8", (8, 3)),
+        ("torque", "f8", (3,)),
+    ],
+    align=True,
+)
+"""Work memory of the kernel, so that it allocates nothing. One record for each thread."""
+
+
+@inlined
+def quat_to_matrix(q: Array, out: Array) -> None:
+    """Rotation matrix of the unit quaternion (w, x, y, z)."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    out[0, 0], out[0, 1], out[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    out[1, 0], out[1, 1], out[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+@inlined
+def turn_rows(c: float, s: float, m: Array) -> None:
+    """Rz(θ) m in place, with (c, s) the cosine and sine of θ."""
+    for j in range(3):
+        m0, m1 = m[0, j], m[1, j]
+        m[0, j], m[1, j] = c * m0 - s * m1, s * m0 + c * m1
+
+
+@inlined
+def rotation_error(a: Array, b: Array, out: Array) -> None:
+    """Rotation vector of A Bᵀ: what turns b into a, in their common frame."""
+    x = y = z = trace = 0.0
+    for k in range(3):
+        x += a[2, k] * b[1, k] - a[1, k] * b[2, k]
+        y += a[0, k] * b[2, k] - a[2, k] * b[0, k]
+        z += a[1, k] * b[0, k] - a[0, k] * b[1, k]
+        trace += a[0, k] * b[0, k] + a[1, k] * b[1, k] + a[2, k] * b[2, k]
+    sine = 0.5 * np.sqrt(x * x + y * y + z * z)
+    angle = np.arctan2(sine, 0.5 * (trace - 1.0))
+    factor = 0.5 if sine < 1e-9 else 0.5 * angle / sine
+    out[0], out[1], out[2] = factor * x, factor * y, factor * z
+
+
+@inlined
+def times(m: Array, v: Array, out: Array) -> None:
+    """m v for a 3 × 3 matrix."""
+    for i in range(3):
+        out[i] = m[i, 0] * v[0] + m[i, 1] * v[1] + m[i, 2] * v[2]
+
+
+@inlined
+def transposed_times(m: Array, v: Array, out: Array) -> None:
+    """mᵀ v for a 3 × 3 matrix."""
+    for i in range(3):
+        out[i] = m[0, i] * v[0] + m[1, i] * v[1] + m[2, i] * v[2]
+
+
+@inlined
+def _desired_acceleration(config: Any, error: Array, velocity_error: Array, feedforward: Array, out: Array, at: int) -> None:
+    """k_p e + k_d ė + feed-forward, clipped, into out[at:at + 3]."""
+    for i in range(3):
+        a = config.kp[at + i] * error[i] + config.kd[at + i] * velocity_error[i]
+        a += config.reference_acceleration * feedforward[i]
+        limit = config.acceleration_limit[at + i]
+        out[at + i] = min(max(a, -limit), limit)
+
+
+@inlined
+def _heading_vector(c: float, s: float, v: Array, out: Array) -> None:
+    """Rz(−ψ) v with (c, s) of ψ."""
+    out[0], out[1], out[2] = c * v[0] + s * v[1], -s * v[0] + c * v[1], v[2]
+
+
+@kernel
+def control_step(
+    config: Any,
+    model: Any,
+    tables: Any,
+    clocks: Any,
+    observations: Any,
+    memories: Any,
+    commands: Any,
+    qp: Any,
+    scratch: Any,
+) -> None:
+    """Computes the commands of all robots; robot i follows table min(i, k − 1) at its clock."""
+    for i in range(observations.shape[0]):
+        table = tables[min(i, tables.shape[0] - 1)]
+        _control_robot(
+            config[0], model[0], table, clocks[i], observations[i], memories[i], commands[i], qp[0], scratch[0]
+        )
+
+
+@kernel
+def _control_robot(
+    config: Any, model: Any, table: Any, clock: Any, obs: Any, memory: Any, command: Any, qp: Any, scratch: Any
+) -> None:
+    ref = table[clock.sample]
+    rotation, reference_rotation, feet = scratch.rotation, scratch.reference_rotation, scratch.feet
+    vectors = scratch.vectors
+    # heading frame of the robot; the reference turned into it
+    quat_to_matrix(obs.root_quat, rotation)
+    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
+    c, s = np.cos(yaw), np.sin(yaw)
+    turn_rows(c, -s, rotation)
+    quat_to_matrix(ref.root_quat, reference_rotation)
+    delta = clock.origin[2] - yaw
+    cd, sd = np.cos(delta), np.sin(delta)
+    turn_rows(cd, sd, reference_rotation)
+
+    error, velocity_error, feedforward = vectors[0], vectors[1], vectors[2]
+    v_ref, w_ref, v, w = vectors[3], vectors[4], vectors[5], vectors[6]
+    _heading_vector(cd, -sd, ref.lin_vel, v_ref)
+    _heading_vector(cd, -sd, ref.ang_vel, w_ref)
+    _heading_vector(c, s, obs.lin_vel, v)
+    _heading_vector(c, s, obs.ang_vel, w)
+    co, so = np.cos(clock.origin[2]), np.sin(clock.origin[2])
+    x = clock.origin[0] + co * ref.root_pos[0] - so * ref.root_pos[1] - obs.root_pos[0]
+    y = clock.origin[1] + so * ref.root_pos[0] + co * ref.root_pos[1] - obs.root_pos[1]
+    error[0], error[1], error[2] = c * x + s * y, -s * x + c * y, ref.root_pos[2] - obs.root_pos[2]
+    height_error = error[2]
+    for k in range(3):
+        velocity_error[k] = v_ref[k] - v[k]
+    _heading_vector(cd, -sd, ref.lin_acc, feedforward)
+    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 0)
+    rotation_error(reference_rotation, rotation, error)
+    for k in range(3):
+        velocity_error[k] = w_ref[k] - w[k]
+    _heading_vector(cd, -sd, ref.ang_acc, feedforward)
+    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 3)
+
+    # body-frame velocities, of the reference in its own body frame
+    v_ref_b, w_ref_b, v_b = vectors[0], vectors[1], vectors[2]
+    transposed_times(reference_rotation, v_ref, v_ref_b)
+    transposed_times(reference_rotation, w_ref, w_ref_b)
+    transposed_times(rotation, v, v_b)
+    _feet_and_com(model, obs, rotation, feet, scratch.arms, vectors[7])
+    _heading_inertia(model.inertia, rotation, scratch.inertia)
+    invert_symmetric_3x3(scratch.inertia, scratch.inverse_inertia)
+    for leg in range(4):
+        lifted = plan_leg(config, memory, leg, ref.contact[leg] == 1, obs.foot_force[leg, 2])
+        if lifted:
+            _swing_target(config, ref, rotation, reference_rotation, height_error, leg, vectors[7])
+            for k in range(3):
+                memory.liftoff_offset[leg, k] = feet[leg, k] - vectors[7][k]
+    solved = stance_forces(
+        config, model.mass, scratch.inverse_inertia, scratch.arms, scratch.desired, memory, qp, scratch.columns
+    )
+
+    # acceleration of the base minus gravity, and turning, for the legs' own dynamics (body frame)
+    feedforward = vectors[3]
+    for k in range(3):
+        vectors[7][k] = scratch.desired[k] + (GRAVITY if k == 2 else 0.0)
+    transposed_times(rotation, vectors[7], feedforward)
+    transposed_times(rotation, w, vectors[4])
+    for leg in range(4):
+        if memory.stance[leg] == 1:
+            _stance_leg(config, model, obs, memory, command, scratch, leg, v_ref_b, w_ref_b, solved)
+        else:
+            _swing_leg(config, model, obs, ref, memory, command, scratch, leg, v_ref_b, v_b, height_error)
+        _leg_dynamics(config, model, obs, ref, memory, command, scratch, leg)
+        for j in range(3 * leg, 3 * leg + 3):
+            lower, upper = model.lower[j] + config.joint_margin, model.upper[j] - config.joint_margin
+            command.joint_pos[j] = min(max(command.joint_pos[j], lower), upper)
+            limit = model.torque_limit[j]
+            command.torque[j] = min(max(command.torque[j], -limit), limit)
+
+
+@inlined
+def _feet_and_com(model: Any, obs: Any, rotation: Array, feet: Array, arms: Array, com: Array) -> None:
+    """Feet in the body frame, and their lever arms from the centre of mass in the heading frame."""
+    com[0], com[1], com[2] = model.trunk_moment[0], model.trunk_moment[1], model.trunk_moment[2]
+    for leg in range(4):
+        q = obs.joint_pos[3 * leg : 3 * leg + 3]
+        feet[leg, 0], feet[leg, 1], feet[leg, 2] = leg_forward(model.geometry[leg], q[0], q[1], q[2])
+        m0, m1, m2 = leg_mass_moment(model.geometry[leg], model.link_mass[leg], model.link_com[leg], q)
+        com[0] += m0
+        com[1] += m1
+        com[2] += m2
+    for k in range(3):
+        com[k] /= model.mass
+    for leg in range(4):
+        x, y, z = feet[leg, 0] - com[0], feet[leg, 1] - com[1], feet[leg, 2] - com[2]
+        for k in range(3):
+            arms[leg, k] = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z
+        arms[leg, 2] -= model.foot_radius  # the ground is felt under the centre of the foot sphere
+
+
+@inlined
+def _heading_inertia(inertia: Array, rotation: Array, out: Array) -> None:
+    """R I Rᵀ."""
+    for i in range(3):
+        for j in range(i + 1):
+            total = 0.0
+            for a in range(3):
+                for b in range(3):
+                    total += rotation[i, a] * inertia[a, b] * rotation[j, b]
+            out[i, j] = total
+            out[j, i] = total
+
+
+@inlined
+def _swing_target(
+    config: Any, ref: Any, rotation: Array, reference_rotation: Array, height_error: float, leg: int, out: Array
+) -> None:
+    """Reference foot in the robot's body frame, levelled to gravity and ground by the factor `config.level`."""
+    x, y, z = ref.foot_pos[leg, 0], ref.foot_pos[leg, 1], ref.foot_pos[leg, 2]
+    hx = reference_rotation[0, 0] * x + reference_rotation[0, 1] * y + reference_rotation[0, 2] * z
+    hy = reference_rotation[1, 0] * x + reference_rotation[1, 1] * y + reference_rotation[1, 2] * z
+    hz = reference_rotation[2, 0] * x + reference_rotation[2, 1] * y + reference_rotation[2, 2] * z
+    # a yaw error is not the swing foot's to make up for
+    yaw = np.arctan2(reference_rotation[1, 0], reference_rotation[0, 0])
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    hx, hy = cy * hx + sy * hy, -sy * hx + cy * hy
+    hz += height_error
+    lx = rotation[0, 0] * hx + rotation[1, 0] * hy + rotation[2, 0] * hz
+    ly = rotation[0, 1] * hx + rotation[1, 1] * hy + rotation[2, 1] * hz
+    lz = rotation[0, 2] * hx + rotation[1, 2] * hy + rotation[2, 2] * hz
+    out[0] = x + config.level * (lx - x)
+    out[1] = y + config.level * (ly - y)
+    out[2] = z + config.level * (lz - z)
+
+
+@inlined
+def _swing_leg(
+    config: Any,
+    model: Any,
+    obs: Any,
+    ref: Any,
+    memory: Any,
+    command: Any,
+    scratch: Any,
+    leg: int,
+    v_ref_b: Array,
+    v_b: Array,
+    height_error: float,
+) -> None:
+    """Paper, eq. 3: reference foot minus K (v̄ − v), by inverse kinematics and joint feedback."""
+    target = scratch.vectors[7]
+    _swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
+    for k in range(2):
+        target[k] -= config.velocity_feedback * (v_ref_b[k] - v_b[k])
+    if memory.since_switch[leg] < config.blend_time:
+        left = 1.0 - memory.since_switch[leg] / config.blend_time
+        fade = left * left * (3.0 - 2.0 * left)
+        for k in range(3):
+            target[k] += fade * memory.liftoff_offset[leg, k]
+    a, h, k, _ = leg_inverse(model.geometry[leg], target[0], target[1], target[2])
+    j = 3 * leg
+    command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
+    for j in range(3 * leg, 3 * leg + 3):
+        command.joint_vel[j] = ref.joint_vel[j]
+        command.stiffness[j] = config.swing_kp
+        command.damping[j] = config.swing_kd
+        command.torque[j] = 0.0
+
+
+@inlined
+def _stance_leg(
+    config: Any,
+    model: Any,
+    obs: Any,
+    memory: Any,
+    command: Any,
+    scratch: Any,
+    leg: int,
+    v_ref_b: Array,
+    w_ref_b: Array,
+    solved: bool,
+) -> None:
+    """τ = −Jᵀ Rᵀ f, and low-gain feedback towards where the foot will be (paper, eq. 2)."""
+    j, foot = 3 * leg, scratch.feet[leg]
+    q = obs.joint_pos[j : j + 3]
+    leg_jacobian(model.geometry[leg], q[0], q[1], q[2], scratch.jacobian)
+    force_b = scratch.vectors[7]
+    transposed_times(scratch.rotation, memory.force[leg], force_b)
+    transposed_times(scratch.jacobian, force_b, scratch.torque)
+    stiffness, damping = 0.0, 0.0
+    if not solved and memory.force[leg, 2] == 0.0:
+        damping = _DAMPING_AFTER_FAILURE
+    a, h, k = q[0], q[1], q[2]
+    if config.adaptation > 0:
+        stiffness, damping = config.stance_kp, max(damping, config.stance_kd)
+        turning = 1.0 if config.adaptation == 2 else 0.0
+        dx = v_ref_b[0] + turning * (w_ref_b[1] * foot[2] - w_ref_b[2] * foot[1])
+        dy = v_ref_b[1] + turning * (w_ref_b[2] * foot[0] - w_ref_b[0] * foot[2])
+        dz = v_ref_b[2] + turning * (w_ref_b[0] * foot[1] - w_ref_b[1] * foot[0])
+        dt = config.dt
+        a, h, k, _ = leg_inverse(model.geometry[leg], foot[0] - dx * dt, foot[1] - dy * dt, foot[2] - dz * dt)
+    command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
+    for i in range(3):
+        command.joint_vel[j + i] = (command.joint_pos[j + i] - q[i]) / config.dt
+        command.stiffness[j + i] = stiffness
+        command.damping[j + i] = damping
+        command.torque[j + i] = -scratch.torque[i]
+
+
+@inlined
+def _leg_dynamics(
+    config: Any, model: Any, obs: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int
+) -> None:
+    """Adds the torques that carry and move the leg itself along the reference."""
+    weight = config.stance_dynamics if memory.stance[leg] == 1 else config.swing_dynamics
+    if weight == 0.0:
+        return
+    part = slice(3 * leg, 3 * leg + 3)
+    leg_inverse_dynamics(
+        model.geometry[leg],
+        model.link_mass[leg],
+        model.link_com[leg],
+        model.link_inertia[leg],
+        obs.joint_pos[part],
+        obs.joint_vel[part],
+        ref.joint_acc[part],
+        scratch.vectors[4],
+        scratch.vectors[3],
+        scratch.torque,
+    )
+    for i in range(3):
+        j = 3 * leg + i
+        command.torque[j] += weight * (scratch.torque[i] + model.armature[j] * ref.joint_acc[j])
+
+
+class Controller:
+    """n robots under one configuration, each following a reference of the same length.
+
+    Not to be shared between threads: it owns the kernels' work arrays.
+    """
+
+    def __init__(
+        self,
+        robot: "Robot",
+        motions: Sequence[Motion],
+        n: int,
+        config: ControllerConfig | None = None,
+    ) -> None:
+        """
+        Args:
+            robot: the robot.
+            motions: one reference for all robots, or one for each.
+            n: number of robots.
+            config: parameters; the default configuration if None.
+
+        Raises:
+            ConfigError: the references' rate is not the controller's, or there are neither 1 nor n of them.
+            MotionError: the references differ in length.
+        """
+        self.config = config if config is not None else default_config()
+        if len(motions) not in (1, n):
+            raise ConfigError(f"{n} robots need 1 or {n} references, found {len(motions)}")
+        for motion in motions:
+            if abs(motion.rate_hz - self.config.rate_hz) > 1e-9:
+                raise ConfigError(
+                    f"motion '{motion.name}' has {motion.rate_hz:g} samples a second and the controller runs at"
+                    f" {self.config.rate_hz:g} Hz; retarget the clip with that rate"
+                )
+        self.tables = stack_tables(motions)
+        self.memory = np.zeros(n, MEMORY)
+        self.command = np.zeros(n, COMMAND)
+        self._model = pack_model(robot)
+        self._config = pack_config(self.config, robot.mass * GRAVITY)
+        self._qp = make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS)
+        self._scratch = np.zeros(1, SCRATCH)
+
+    def reset(self, sample: NDArray[np.int64]) -> None:
+        """Starts each robot in the leg states that its reference wants at `sample` (n,)."""
+        self.memory[...] = np.zeros((), MEMORY)
+        rows = np.minimum(np.arange(len(self.memory)), len(self.tables) - 1)
+        self.memory["stance"] = self.tables["contact"][rows, sample]
+        self.memory["since_switch"] = 1e3
+
+    def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
+        """Commands for the next control step.
+
+        Args:
+            observation: (n,) of `OBSERVATION`.
+            clocks: (n,) of `CLOCK`.
+
+        Returns:
+            (n,) of `COMMAND`; overwritten by the next call.
+        """
+        control_step(
+            self._config,
+            self._model,
+            self.tables,
+            clocks,
+            observation,
+            self.memory,
+            self.command,
+            self._qp,
+            self._scratch,
+        )
+        return self.command

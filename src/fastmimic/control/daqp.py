@@ -1,0 +1,145 @@
+"""DAQP's C function, callable from compiled code (Arnström, Bemporad, Axehill 2022).
+
+    min ½ xᵀHx + fᵀx   subject to   lower ≤ (x[:ms], A x) ≤ upper
+
+The wheel's extension module exports the C interface. Its symbols are made known to LLVM and declared as an external
+function, so that kernels which call it can be cached. The structs' layout is checked once by solving a known problem; if
+that fails (another build of DAQP), the Python function is called instead, slower but with the same results.
+"""
+
+import ctypes
+import functools
+from typing import Any, Final
+
+import numpy as np
+from numba import config as numba_config
+from numba import objmode, types
+from numpy.typing import NDArray
+
+from fastmimic.jit import kernel
+
+Array = NDArray[np.float64]
+
+OPTIMAL: Final = 1
+INFINITY: Final = 1e30
+_SETTINGS_BYTES: Final = 1024  # more than the struct needs in any release
+
+
+def make_workspace(n_max: int, m_max: int) -> NDArray[Any]:
+    """Memory of one problem with up to n_max variables and m_max constraints, simple bounds included.
+
+    Not to be shared between threads.
+
+    Returns:
+        One record with `hessian` (the n × n matrix H, row-major in its first n² entries), `gradient` f, `rows` of A (n
+        entries each), `upper` and `lower` (first of the simple bounds, then of the rows), the solution `x` and its
+        multipliers `dual`, and DAQP's structs, which point to them.
+    """
+    workspace = np.zeros(
+        1,
+        np.dtype(
+            [
+                ("hessian", "f8", (n_max * n_max,)),
+                ("gradient", "f8", (n_max,)),
+                ("rows", "f8", (m_max * n_max,)),
+                ("upper", "f8", (m_max,)),
+                ("lower", "f8", (m_max,)),
+                ("x", "f8", (n_max,)),
+                ("dual", "f8", (m_max,)),
+                ("problem", "i4", (20,)),
+                ("result", "i4", (32,)),
+                ("settings", "u1", (_SETTINGS_BYTES,)),
+                ("sense", "i4", (m_max,)),
+            ],
+            align=True,
+        ),
+    )
+
+    def address(name: str) -> int:
+        return int(workspace[name].ctypes.data)
+
+    # struct DAQPProblem {int n, m, ms; double *H, *f, *A, *bupper, *blower; int *sense, *break_points; int nh, type;}
+    fields = ("hessian", "gradient", "rows", "upper", "lower", "sense")
+    workspace["problem"][0].view(np.int64)[2:8] = [address(name) for name in fields]
+    # struct DAQPResult {double *x, *lam, fval, soft_slack; int exitflag, iter, nodes; double solve_time, setup_time;}
+    workspace["result"][0].view(np.int64)[:2] = [address("x"), address("dual")]
+    library = _library()
+    if library is not None:
+        library.daqp_default_settings(ctypes.c_void_p(address("settings")))
+    return workspace
+
+
+@functools.cache
+def _library() -> Any:
+    """The extension module as a C library, its symbols known to LLVM; None if it does not export them."""
+    import daqp
+    from llvmlite import binding
+
+    try:
+        library = ctypes.CDLL(daqp.__file__)
+        _ = library.daqp_quadprog, library.daqp_default_settings
+        binding.load_library_permanently(daqp.__file__)
+    except (OSError, AttributeError, RuntimeError):
+        return None
+    return library
+
+
+_quadprog = types.ExternalFunction("daqp_quadprog", types.void(types.voidptr, types.voidptr, types.voidptr))
+
+
+def _solve_python(n: int, m: int, ms: int, hessian: Array, gradient: Array, rows: Array, upper: Array, lower: Array, x: Array) -> int:
+    import daqp
+
+    solution, _, flag, _ = daqp.solve(
+        hessian[: n * n].reshape(n, n).copy(),
+        gradient[:n].copy(),
+        rows[: (m - ms) * n].reshape(m - ms, n).copy(),
+        upper[:m].copy(),
+        lower[:m].copy(),
+        np.zeros(m, np.intc),
+    )
+    x[:n] = solution
+    return int(flag)
+
+
+@kernel
+def _solve_native(w: Any, n: int, m: int, ms: int) -> int:
+    w.problem[0], w.problem[1], w.problem[2] = n, m, ms
+    w.sense[:m] = 0
+    _quadprog(w.result.ctypes, w.problem.ctypes, w.settings.ctypes)
+    return w.result[8]
+
+
+@kernel
+def _solve_object(w: Any, n: int, m: int, ms: int) -> int:
+    with objmode(flag="int64"):
+        flag = _solve_python(n, m, ms, w.hessian, w.gradient, w.rows, w.upper, w.lower, w.x)
+    return flag
+
+
+def _solve_plain(w: Any, n: int, m: int, ms: int) -> int:
+    return _solve_python(n, m, ms, w.hessian, w.gradient, w.rows, w.upper, w.lower, w.x)
+
+
+def _native_works() -> bool:
+    """Solves min ½|x|² − (3, 1)·x subject to x₀ ≤ 1 and x₀ + x₁ ≤ 1.5, whose solution is (1, 0.5)."""
+    if _library() is None:
+        return False
+    workspace = make_workspace(2, 2)
+    w = workspace[0]
+    w["hessian"][:4] = (1, 0, 0, 1)
+    w["gradient"][:2] = (-3, -1)
+    w["rows"][:2] = (1, 1)
+    w["upper"][:2], w["lower"][:2] = (1.0, 1.5), -INFINITY
+    flag = _solve_native(workspace[0], 2, 2, 1)
+    return flag == OPTIMAL and bool(np.allclose(w["x"], (1.0, 0.5), atol=1e-9))
+
+
+def _choose() -> Any:
+    if numba_config.DISABLE_JIT:
+        return _solve_plain
+    return _solve_native if _native_works() else _solve_object
+
+
+solve_qp = _choose()
+"""solve_qp(workspace, n, m, ms) → exit flag, `OPTIMAL` if solved; the solution is in `workspace.x[:n]`."""

@@ -1,0 +1,62 @@
+"""Gait planner: each leg's state machine over schedule and measured contact (paper, §III-B1 and its figure).
+
+A leg leaves stance when the schedule says so (take-off), or when it has lost its load for a while although it should stand
+(early take-off). It enters stance when the schedule says so (touch-down), or when it meets the ground while it
+should swing (early touch-down). Two switches of a leg are at least `min_switch_time` apart.
+"""
+
+from typing import Any
+
+from fastmimic.jit import inlined
+
+
+@inlined
+def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, force_z: float) -> bool:
+    """Advances one leg's state machine by one control step.
+
+    Args:
+        config: packed controller configuration.
+        memory: the robot's `MEMORY` record, changed in place.
+        leg: index.
+        wanted: stance according to the schedule.
+        force_z: measured vertical ground force, N.
+
+    Returns:
+        True if the leg has just lifted off.
+    """
+    loaded = force_z > config.contact_threshold
+    memory.since_switch[leg] += config.dt
+    memory.unloaded_time[leg] = 0.0 if loaded else memory.unloaded_time[leg] + config.dt
+    if config.planner_full == 0:
+        lifted = memory.stance[leg] == 1 and not wanted
+        memory.stance[leg] = 1 if wanted else 0
+        return lifted
+    may_switch = memory.since_switch[leg] >= config.min_switch_time
+    if memory.stance[leg] == 1:
+        if loaded:
+            memory.was_loaded[leg] = 1
+        lost = memory.was_loaded[leg] == 1 and memory.unloaded_time[leg] >= config.early_takeoff_time
+        if wanted:
+            memory.early[leg] = 0
+            leave = lost
+        else:
+            # after an early touch-down the leg stands until the schedule agrees, unless it comes free again
+            leave = lost or memory.early[leg] == 0
+        if leave and may_switch:
+            _switch(memory, leg, 0)
+            return True
+    elif may_switch and (wanted or loaded):
+        if not wanted:
+            memory.early[leg] = 1
+            memory.early_touchdowns += 1
+        _switch(memory, leg, 1)
+    return False
+
+
+@inlined
+def _switch(memory: Any, leg: int, stance: int) -> None:
+    memory.stance[leg] = stance
+    memory.since_switch[leg] = 0.0
+    memory.was_loaded[leg] = 0
+    if stance == 0:
+        memory.early[leg] = 0

@@ -1,0 +1,131 @@
+"""Stance: ground forces that accelerate the body as wanted (paper, eq. 1; Di Carlo et al. 2018).
+
+All vectors are in the heading frame: the world frame turned by the robot's yaw, so that gains keep their meaning in turns.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.daqp import INFINITY, OPTIMAL, solve_qp
+from fastmimic.conventions import GRAVITY
+from fastmimic.jit import inlined, kernel
+
+Array = NDArray[np.float64]
+
+MAX_VARIABLES = 12
+MAX_CONSTRAINTS = 4 + 16
+_HOLD_STEPS = 10  # control steps for which the last forces are held when the QP fails
+
+
+@inlined
+def invert_symmetric_3x3(a: Array, out: Array) -> None:
+    """Inverse of a symmetric positive definite 3 × 3 matrix."""
+    c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[1, 2]
+    c01 = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
+    c02 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
+    det = a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02
+    out[0, 0], out[0, 1], out[0, 2] = c00 / det, c01 / det, c02 / det
+    out[1, 0], out[1, 1] = c01 / det, (a[0, 0] * a[2, 2] - a[0, 2] * a[0, 2]) / det
+    out[1, 2] = (a[0, 1] * a[0, 2] - a[0, 0] * a[1, 2]) / det
+    out[2, 0], out[2, 1] = out[0, 2], out[1, 2]
+    out[2, 2] = (a[0, 0] * a[1, 1] - a[0, 1] * a[0, 1]) / det
+
+
+@inlined
+def _column(inverse_inertia: Array, arm: Array, axis: int, mass: float, out: Array) -> None:
+    """Acceleration (6,) of the body by a unit force along `axis` at `arm` from the centre of mass."""
+    out[0], out[1], out[2] = 0.0, 0.0, 0.0
+    out[axis] = 1.0 / mass
+    if axis == 0:
+        m0, m1, m2 = 0.0, arm[2], -arm[1]
+    elif axis == 1:
+        m0, m1, m2 = -arm[2], 0.0, arm[0]
+    else:
+        m0, m1, m2 = arm[1], -arm[0], 0.0
+    for i in range(3):
+        out[3 + i] = inverse_inertia[i, 0] * m0 + inverse_inertia[i, 1] * m1 + inverse_inertia[i, 2] * m2
+
+
+@kernel
+def stance_forces(
+    config: Any, mass: float, inverse_inertia: Array, arms: Array, desired: Array, memory: Any, qp: Any, columns: Array
+) -> bool:
+    """Solves for the forces of the legs whose state is stance; the result is in `memory.force`.
+
+    min ‖A f − g̃ − ẍ_des‖²_Q + ‖f‖²_R,  |f_x|, |f_y| ≤ μ f_z,  f_min ≤ f_z ≤ f_max;  f = 0 in swing.
+
+    The variables are the z forces of the k standing legs, then their x and y forces, so that the bounds on f_z are
+    DAQP's simple bounds.
+
+    Args:
+        config: packed controller configuration.
+        mass: kg.
+        inverse_inertia: (3, 3) of the whole robot, heading frame.
+        arms: (4, 3) feet relative to the centre of mass, heading frame, m.
+        desired: (6,) ẍ_des, heading frame.
+        memory: the robot's `MEMORY` record.
+        qp: workspace.
+        columns: (12, 6) scratch.
+
+    Returns:
+        False if the solver failed; the last forces are then held for a few steps and dropped afterwards.
+    """
+    k = 0
+    for leg in range(4):
+        if memory.stance[leg] == 1:
+            k += 1
+    if k == 0:
+        memory.force[:, :] = 0.0
+        memory.failed_in_a_row = 0
+        return True
+    n, index = 3 * k, 0
+    for leg in range(4):
+        if memory.stance[leg] == 0:
+            continue
+        _column(inverse_inertia, arms[leg], 2, mass, columns[index])
+        _column(inverse_inertia, arms[leg], 0, mass, columns[k + 2 * index])
+        _column(inverse_inertia, arms[leg], 1, mass, columns[k + 2 * index + 1])
+        index += 1
+    for i in range(n):
+        gradient = 0.0
+        for r in range(6):
+            target = desired[r] + (GRAVITY if r == 2 else 0.0)
+            gradient -= columns[i, r] * config.q_weight[r] * target
+        qp.gradient[i] = gradient
+        for j in range(i + 1):
+            h = config.r_weight if i == j else 0.0
+            for r in range(6):
+                h += columns[i, r] * config.q_weight[r] * columns[j, r]
+            qp.hessian[i * n + j] = h
+            qp.hessian[j * n + i] = h
+    for i in range(k):
+        qp.lower[i], qp.upper[i] = config.min_force, config.max_force
+    row = 0
+    qp.rows[: 4 * k * n] = 0.0
+    for i in range(k):
+        for side in range(2):
+            for sign in (-1.0, 1.0):  # sign · f_side − μ f_z ≤ 0
+                qp.rows[row * n + i] = -config.mu
+                qp.rows[row * n + k + 2 * i + side] = sign
+                qp.upper[k + row], qp.lower[k + row] = 0.0, -INFINITY
+                row += 1
+    if solve_qp(qp, n, k + row, k) != OPTIMAL:
+        memory.qp_failures += 1
+        memory.failed_in_a_row += 1
+        for leg in range(4):
+            if memory.stance[leg] == 0 or memory.failed_in_a_row > _HOLD_STEPS:
+                memory.force[leg, :] = 0.0
+        return False
+    memory.failed_in_a_row = 0
+    index = 0
+    for leg in range(4):
+        if memory.stance[leg] == 0:
+            memory.force[leg, :] = 0.0
+            continue
+        memory.force[leg, 0] = qp.x[k + 2 * index]
+        memory.force[leg, 1] = qp.x[k + 2 * index + 1]
+        memory.force[leg, 2] = qp.x[index]
+        index += 1
+    return True

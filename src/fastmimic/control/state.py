@@ -1,0 +1,91 @@
+"""What the controller is told, remembers and returns, as arrays that kernels and drivers share."""
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+OBSERVATION: Final = np.dtype(
+    [
+        ("root_pos", "f8", (3,)),
+        ("root_quat", "f8", (4,)),
+        ("lin_vel", "f8", (3,)),
+        ("ang_vel", "f8", (3,)),
+        ("joint_pos", "f8", (12,)),
+        ("joint_vel", "f8", (12,)),
+        ("foot_force", "f8", (4, 3)),
+        ("other_contact", "f8"),
+    ],
+    align=True,
+)
+"""One robot's state: base pose and velocities in the world frame, joints, ground force on each foot (world frame, N),
+and the number of contacts of anything but the feet with the ground."""
+
+COMMAND: Final = np.dtype(
+    [
+        ("joint_pos", "f8", (12,)),
+        ("joint_vel", "f8", (12,)),
+        ("stiffness", "f8", (12,)),
+        ("damping", "f8", (12,)),
+        ("torque", "f8", (12,)),
+    ],
+    align=True,
+)
+"""One robot's command: the motors apply torque + stiffness (joint_pos − q) + damping (joint_vel − dq)."""
+
+MEMORY: Final = np.dtype(
+    [
+        ("stance", "i8", (4,)),
+        ("early", "i8", (4,)),
+        ("was_loaded", "i8", (4,)),
+        ("since_switch", "f8", (4,)),
+        ("unloaded_time", "f8", (4,)),
+        ("liftoff_offset", "f8", (4, 3)),
+        ("force", "f8", (4, 3)),
+        ("qp_failures", "i8"),
+        ("failed_in_a_row", "i8"),
+        ("early_touchdowns", "i8"),
+    ],
+    align=True,
+)
+"""What the controller remembers of one robot: each leg's state (stance 1, swing 0), timers, last forces (heading frame)."""
+
+MODEL: Final = np.dtype(
+    [
+        ("geometry", "f8", (4, 12)),
+        ("mass", "f8"),
+        ("inertia", "f8", (3, 3)),
+        ("trunk_moment", "f8", (3,)),
+        ("link_mass", "f8", (4, 3)),
+        ("link_com", "f8", (4, 3, 3)),
+        ("link_inertia", "f8", (4, 3, 3, 3)),
+        ("armature", "f8", (12,)),
+        ("lower", "f8", (12,)),
+        ("upper", "f8", (12,)),
+        ("torque_limit", "f8", (12,)),
+        ("foot_radius", "f8"),
+    ],
+    align=True,
+)
+"""The robot as the controller's model knows it."""
+
+
+def pack_model(robot: "Robot") -> NDArray[Any]:
+    """A robot as a structured array of one `MODEL` record."""
+    record = np.zeros(1, MODEL)
+    record["geometry"] = robot.geometry.rows
+    record["mass"] = robot.mass
+    record["inertia"] = robot.inertia_b
+    record["trunk_moment"] = robot.trunk_mass * robot.trunk_com_b
+    record["link_mass"] = robot.link_mass
+    record["link_com"] = robot.link_com
+    record["link_inertia"] = robot.link_inertia
+    record["armature"] = robot.armature
+    record["lower"] = robot.joint_lower
+    record["upper"] = robot.joint_upper
+    record["torque_limit"] = robot.torque_limit
+    record["foot_radius"] = robot.foot_radius
+    return record

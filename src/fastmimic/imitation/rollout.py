@@ -1,0 +1,349 @@
+"""The closed loop: robots in simulation under the controller, scored against the demonstration."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.control.controller import Controller
+from fastmimic.control.reference import advance_clocks, make_clocks, place_clocks, reference_table, world_root
+from fastmimic.control.state import COMMAND, OBSERVATION
+from fastmimic.conventions import GRAVITY
+from fastmimic.errors import ConfigError
+from fastmimic.imitation.reward import TALLY, TERMS, WEIGHTS, score_step
+from fastmimic.motion.motion import Motion
+from fastmimic.robot.kinematics import foot_positions
+from fastmimic.rotations import quat_rotate, quat_rotate_inverse, rotate_planar
+from fastmimic.simulation.mujoco_sim import MujocoSimulation
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+JOINT_NOISE: Final = 0.05  # rad, of perturbed starts
+VELOCITY_NOISE: Final = 0.1  # m/s
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """How n episodes begin.
+
+    Attributes:
+        sample: (n,) index into the motion.
+        joint_offset: (n, 12) rad, added to the demonstration's joints.
+        velocity_offset: (n, 3) m/s, added to its base velocity, world frame.
+    """
+
+    sample: NDArray[np.int64]
+    joint_offset: Array
+    velocity_offset: Array
+
+    @property
+    def n(self) -> int:
+        return len(self.sample)
+
+    def part(self, rows: slice) -> "Start":
+        """Some of the episodes."""
+        return Start(self.sample[rows], self.joint_offset[rows], self.velocity_offset[rows])
+
+
+def nominal_start(n: int) -> Start:
+    """n episodes from the motion's start, unperturbed."""
+    return Start(np.zeros(n, np.int64), np.zeros((n, 12)), np.zeros((n, 3)))
+
+
+def perturbed_start(n: int, n_samples: int, rng: np.random.Generator) -> Start:
+    """n episodes: the first from the start, unperturbed; the others at a random phase, joints and velocity perturbed."""
+    start = nominal_start(n)
+    for i in range(1, n):
+        start.sample[i] = rng.integers(n_samples)
+        start.joint_offset[i] = rng.uniform(-JOINT_NOISE, JOINT_NOISE, 12)
+        start.velocity_offset[i] = rng.uniform(-VELOCITY_NOISE, VELOCITY_NOISE, 3)
+    return start
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Everything of n episodes over t control steps; rows after a fall repeat nothing: see `Summary.steps`.
+
+    Attributes:
+        rate_hz: control steps a second.
+        observation: (n, t) of `OBSERVATION`, the state after each step.
+        command: (n, t) of `COMMAND`, what led to it.
+        stance: (n, t, 4) bool, the gait planner's leg states.
+        wanted: (n, t, 4) bool, the schedule.
+        force: (n, t, 4, 3) forces that the stance QP asked for, heading frame, N.
+        terms: (n, t, 5) the reward's terms in the order of `TERMS`; 0 after a fall.
+        demonstration: (n, t) of `SAMPLE`, the demonstration in force, its root and feet in the world and body frame.
+    """
+
+    rate_hz: float
+    observation: NDArray[Any]
+    command: NDArray[Any]
+    stance: NDArray[np.bool_]
+    wanted: NDArray[np.bool_]
+    force: Array
+    terms: Array
+    demonstration: NDArray[Any]
+
+    @property
+    def reward(self) -> Array:
+        """(n, t) reward per step."""
+        return self.terms @ np.array(WEIGHTS)
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """Results of n episodes.
+
+    Attributes:
+        reward: (n,) mean over the whole episode, steps after a fall count 0.
+        terms: (n, 5) means of the reward's terms, likewise.
+        fell: (n,) bool.
+        steps: (n,) control steps until the fall or the end.
+        duration_s: length of an episode, s.
+        drift: (n,) m/s that the synchronisation of the reference hides.
+        clearance: (n, 4) mean over the swings of each foot's greatest height above the ground, m; NaN without swings.
+        slip: (n, 4) mean path of a loaded foot in a stance, m.
+        early_contacts: (n,) touch-downs before their time, per second.
+        foot_rmse: (n, 4, 3) against the demonstration, body frame, until the fall, m.
+        qp_failures: (n,) steps at which the stance QP failed.
+        log: the whole course, if it was asked for.
+    """
+
+    reward: Array
+    terms: Array
+    fell: NDArray[np.bool_]
+    steps: NDArray[np.int64]
+    duration_s: float
+    drift: Array
+    clearance: Array
+    slip: Array
+    early_contacts: Array
+    foot_rmse: Array
+    qp_failures: NDArray[np.int64]
+    log: Log | None = None
+
+    def components(self, episode: int) -> dict[str, float]:
+        """The reward's terms of one episode by name."""
+        return {name: float(value) for name, value in zip(TERMS, self.terms[episode], strict=True)}
+
+
+class ClosedLoop:
+    """n robots, their controller and the scoring, reusable for many rollouts. One thread at a time."""
+
+    def __init__(
+        self,
+        robot: "Robot",
+        demonstration: Motion,
+        n: int,
+        config: ControllerConfig | None = None,
+        *,
+        threads: int = 1,
+    ) -> None:
+        """
+        Raises:
+            ConfigError: the motion is for another robot or another rate.
+        """
+        config = config if config is not None else default_config()
+        of = demonstration.meta.get("robot")
+        if of is not None and of != robot.name:
+            raise ConfigError(f"motion '{demonstration.name}' is for robot '{of}', not for '{robot.name}'")
+        self.robot = robot
+        self.demonstration = demonstration
+        self.n = n
+        self.controller = Controller(robot, [demonstration], n, config)
+        self.simulation = MujocoSimulation(robot, n, control_rate_hz=config.rate_hz, threads=threads)
+        self._table = reference_table(demonstration)
+        self._clocks = make_clocks(demonstration, n)
+        self._tallies = np.zeros(n, TALLY)
+        self._work = np.zeros((2, 3, 3))
+        self._threshold = config.gait.contact_threshold * robot.mass * GRAVITY
+
+    def run(
+        self, references: Sequence[Motion] | NDArray[Any] | None, start: Start, steps: int, *, log: bool = False
+    ) -> Rollout:
+        """Runs one episode with each robot.
+
+        Args:
+            references: what the controller follows: motions or tables (k, t) of `SAMPLE`, one or n; None for the demonstration.
+            start: of n episodes.
+            steps: control steps.
+            log: whether to keep the whole course.
+        """
+        self._reset(references, start)
+        controller, simulation, clocks, tallies = self.controller, self.simulation, self._clocks, self._tallies
+        geometry = self.robot.geometry.rows
+        recorder = _Recorder(self, steps) if log else None
+        observation = simulation.observation
+        for step in range(steps):
+            commands = controller.step(observation, clocks)
+            observation = simulation.step(commands)
+            advance_clocks(clocks, controller.tables, observation["root_pos"])
+            score_step(
+                geometry,
+                self.robot.foot_radius,
+                self._threshold,
+                self._table,
+                clocks,
+                observation,
+                tallies,
+                self._work,
+            )
+            if recorder is not None:
+                recorder.add(step)
+            if step % 64 == 63 and tallies["fallen"].all() and recorder is None:
+                break
+        return self._result(steps, recorder.log() if recorder is not None else None)
+
+    def _reset(self, references: Sequence[Motion] | NDArray[Any] | None, start: Start) -> None:
+        if start.n != self.n:
+            raise ConfigError(f"this loop holds {self.n} robots; {start.n} starts were given")
+        demo = self.demonstration
+        if references is None:
+            self.controller.tables = self._table[None]
+        elif isinstance(references, np.ndarray):
+            self.controller.tables = references
+        else:
+            self.controller.tables = np.stack([reference_table(m) for m in references])
+        pose = np.zeros((self.n, 3))
+        place_clocks(self._clocks, start.sample, self._table, pose)
+        position, quat = world_root(self._table, start.sample, self._clocks["origin"])
+        yaw = self._clocks["origin"][:, 2]
+        joints = demo.joint_pos[start.sample] + start.joint_offset
+        joints = np.clip(joints, self.robot.joint_lower, self.robot.joint_upper)
+        position[:, 2] += _lift_to_ground(self.robot, position, quat, joints)
+        velocity = np.array(self._table["lin_vel"][start.sample])
+        turning = np.array(self._table["ang_vel"][start.sample])
+        velocity[:, :2] = rotate_planar(yaw, velocity[:, :2])
+        turning[:, :2] = rotate_planar(yaw, turning[:, :2])
+        self.simulation.reset(
+            position,
+            quat,
+            joints,
+            velocity + start.velocity_offset,
+            quat_rotate_inverse(quat, turning),
+            demo.joint_vel[start.sample],
+        )
+        self.controller.reset(start.sample)
+        self._tallies[...] = np.zeros((), TALLY)
+
+    def _result(self, steps: int, log: Log | None) -> Rollout:
+        t, rate = self._tallies, self.controller.config.rate_hz
+        lived = np.maximum(t["steps"], 1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            clearance = t["clearance_sum"] / t["swings"]
+            slip = t["slip"] / np.maximum(t["stances"], 1)
+        return Rollout(
+            reward=t["reward_sum"] / steps,
+            terms=t["terms"] / steps,
+            fell=t["fallen"].astype(bool),
+            steps=t["steps"].copy(),
+            duration_s=steps / rate,
+            drift=self._clocks["jump"] / (lived / rate),
+            clearance=clearance,
+            slip=slip,
+            early_contacts=self.controller.memory["early_touchdowns"] / (lived / rate),
+            foot_rmse=np.sqrt(t["foot_error_sq"] / lived[:, None, None]),
+            qp_failures=self.controller.memory["qp_failures"].copy(),
+            log=log,
+        )
+
+
+class _Recorder:
+    """Copies what passes through the loop into arrays."""
+
+    def __init__(self, loop: ClosedLoop, steps: int) -> None:
+        n = loop.n
+        self._loop = loop
+        self._observation = np.zeros((n, steps), OBSERVATION)
+        self._command = np.zeros((n, steps), COMMAND)
+        self._stance = np.zeros((n, steps, 4), np.bool_)
+        self._force = np.zeros((n, steps, 4, 3))
+        self._terms = np.zeros((n, steps, 5))
+        self._sample = np.zeros((n, steps), np.int64)
+        self._origin = np.zeros((n, steps, 3))
+
+    def add(self, step: int) -> None:
+        loop = self._loop
+        self._observation[:, step] = loop.simulation.observation
+        self._command[:, step] = loop.controller.command
+        self._stance[:, step] = loop.controller.memory["stance"]
+        self._force[:, step] = loop.controller.memory["force"]
+        alive = loop._tallies["fallen"] == 0
+        self._terms[alive, step] = loop._tallies["reward"][alive]
+        self._sample[:, step] = loop._clocks["sample"]
+        self._origin[:, step] = loop._clocks["origin"]
+
+    def log(self) -> Log:
+        table = self._loop._table
+        demonstration = table[self._sample]
+        position, quat = world_root(table, self._sample, self._origin)
+        demonstration["root_pos"], demonstration["root_quat"] = position, quat
+        for name in ("lin_vel", "ang_vel", "lin_acc", "ang_acc"):
+            vector = demonstration[name]
+            vector[..., :2] = rotate_planar(self._origin[..., 2], vector[..., :2])
+        return Log(
+            rate_hz=self._loop.controller.config.rate_hz,
+            observation=self._observation,
+            command=self._command,
+            stance=self._stance,
+            wanted=demonstration["contact"].astype(bool),
+            force=self._force,
+            terms=self._terms,
+            demonstration=demonstration,
+        )
+
+
+def _lift_to_ground(robot: "Robot", position: Array, quat: Array, joints: Array) -> Array:
+    """How far to raise each base (n,) so that no foot starts below the ground, m."""
+    feet = position[:, None] + quat_rotate(quat[:, None], foot_positions(robot, joints))
+    return np.maximum(0.0, robot.foot_radius - feet[..., 2].min(axis=1))
+
+
+def swing_clearance(motion: Motion, foot_radius: float) -> Array:
+    """Mean over the swings of each foot's greatest height above the ground in a reference, (4,) m; NaN without swings."""
+    feet = motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
+    height = feet[..., 2] - foot_radius
+    out = np.full(4, np.nan)
+    for leg in range(4):
+        swing = ~motion.contact[:, leg]
+        if not swing.any() or swing.all():
+            continue
+        first = int(np.flatnonzero(motion.contact[:, leg])[0])  # start in a stance, so that no swing is cut in two
+        swing, h = np.roll(swing, -first), np.roll(height[:, leg], -first)
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], swing.view(np.int8), [0]])))
+        out[leg] = np.mean([h[a:b].max() for a, b in edges.reshape(-1, 2)])
+    return out
+
+
+def run_episodes(
+    robot: "Robot",
+    motion: Motion,
+    *,
+    references: Sequence[Motion] | None = None,
+    start: Start | None = None,
+    duration_s: float = 10.0,
+    config: ControllerConfig | None = None,
+    log: bool = False,
+) -> Rollout:
+    """Runs episodes of a motion once; the demonstration it is scored against is `motion.target`.
+
+    Args:
+        robot: the robot.
+        motion: what the controller follows, unless `references` are given.
+        references: one reference for each episode.
+        start: of the episodes; one from the motion's start if None.
+        duration_s: length of an episode, s.
+        config: the controller's.
+        log: whether to keep the whole course.
+    """
+    start = start if start is not None else nominal_start(1)
+    loop = ClosedLoop(robot, motion.target, start.n, config)
+    steps = max(1, math.ceil(duration_s * loop.controller.config.rate_hz - 1e-9))
+    return loop.run(list(references) if references is not None else [motion], start, steps, log=log)

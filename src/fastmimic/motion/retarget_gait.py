@@ -1,0 +1,183 @@
+"""Contacts that a robot can follow: what thresholds and soft paws blur is made a clean gait again."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fastmimic.motion.contacts import Stance, Stances, contact_mask, stances_of, swings_of
+
+PAIRINGS: Final = {"diagonal": ((0, 3), (1, 2)), "lateral": ((0, 2), (1, 3)), "transverse": ((0, 1), (2, 3))}
+"""Legs that move together in a trot, a pace and a bound, as indices into FR, FL, RR, RL."""
+
+
+@dataclass(frozen=True)
+class GaitConfig:
+    """How contacts are made consistent.
+
+    Attributes:
+        same_stance: two stances of a pair's legs count as one when they share at least this part of their union.
+        flight_s: moments without any foot on the ground that are shorter than this are closed. Two edges, each known to about a
+            frame and a half of a 60 Hz recording, cannot tell a shorter flight from none.
+        swing_s: a swing lasts at least this long; a motor needs the time.
+    """
+
+    same_stance: float = 0.62
+    flight_s: float = 0.08
+    swing_s: float = 0.12
+
+
+@dataclass(frozen=True)
+class GaitChanges:
+    """What `make_consistent` did to the contacts.
+
+    Attributes:
+        pairing: name of the pairs whose legs were given common times, or None.
+        common_duty: whether left and right were given one duty factor.
+        closed_flights: number of short moments without support that were closed.
+        widened_swings: number of swings that were too short and were made longer.
+    """
+
+    pairing: str | None
+    common_duty: bool
+    closed_flights: int
+    widened_swings: int
+
+
+def make_consistent(
+    stances: Stances, n: int, rate_hz: float, periodic: bool, straight: bool, config: GaitConfig
+) -> tuple[Stances, GaitChanges]:
+    """Cleans detected contacts by one rule for every gait.
+
+    1. Legs that land and lift off together (a trot's diagonals, a pace's sides) get their common mean times: thresholds
+       see a hind foot, which rolls over its toes, land later and leave earlier than the front foot of its pair.
+    2. In a straight cycle with one stance a leg, left and right (all four legs of a paired gait) get one duty
+       factor, each stance about its own middle.
+    3. Very short swings are widened; short moments without any support are closed half way from both sides.
+
+    Args:
+        stances: as detected.
+        n: samples.
+        rate_hz: of the samples.
+        periodic: whether sample n repeats sample 0.
+        straight: whether the motion is a gait straight ahead.
+        config: thresholds.
+    """
+    pairing = _find_pairing(stances, n, config.same_stance)
+    if pairing is not None:
+        stances = _share_times(stances, pairing, n, config.same_stance)
+    common = periodic and straight and all(len(leg) == 1 and leg[0].duration < n for leg in stances)
+    if common:
+        stances = _common_duty(stances, n, pairing is not None)
+    stances, widened = _widen_swings(stances, n, round(config.swing_s * rate_hz), periodic)
+    stances, closed = _close_flights(stances, n, round(config.flight_s * rate_hz), periodic)
+    return stances, GaitChanges(pairing, common, closed, widened)
+
+
+def _overlap(a: Stance, b: Stance, n: int) -> tuple[float, int]:
+    """Part of their union that two stances share, best over shifting `b` by whole cycles, and that shift."""
+    best = (0.0, 0)
+    for shift in (-n, 0, n):
+        start, end = b.touch_down + shift, b.lift_off + shift
+        shared = min(a.lift_off, end) - max(a.touch_down, start)
+        union = max(a.lift_off, end) - min(a.touch_down, start)
+        best = max(best, (shared / union, shift))
+    return best
+
+
+def _partners(a: list[Stance], b: list[Stance], n: int, least: float) -> list[tuple[int, int, int]]:
+    """(index in a, index in b, shift of b) of the stances that are the same but for noise."""
+    pairs = []
+    for i, stance in enumerate(a):
+        share, j, shift = max((*_overlap(stance, other, n)[:1], j, _overlap(stance, other, n)[1]) for j, other in enumerate(b))
+        if share >= least:
+            pairs.append((i, j, shift))
+    return pairs
+
+
+def _find_pairing(stances: Stances, n: int, least: float) -> str | None:
+    """The pairing that most stances agree with, if that is at least four in five; standing still is none."""
+    if any(not leg or leg[0].duration >= n for leg in stances):
+        return None
+    total = sum(len(leg) for leg in stances) / 2
+    scores = {
+        name: sum(
+            _overlap(stances[a][i], stances[b][j], n)[0]
+            for a, b in pairs
+            for i, j, _ in _partners(stances[a], stances[b], n, least)
+        )
+        / total
+        for name, pairs in PAIRINGS.items()
+    }
+    name = max(scores, key=lambda key: scores[key])
+    return name if scores[name] >= 0.8 * least else None
+
+
+def _share_times(stances: Stances, pairing: str, n: int, least: float) -> Stances:
+    result = [list(leg) for leg in stances]
+    for a, b in PAIRINGS[pairing]:
+        for i, j, shift in _partners(stances[a], stances[b], n, least):
+            x, y = stances[a][i], stances[b][j]
+            start = round((x.touch_down + y.touch_down + shift) / 2)
+            end = round((x.lift_off + y.lift_off + shift) / 2)
+            result[a][i] = _from_zero(Stance(start, end), n)
+            result[b][j] = _from_zero(Stance(start, end), n)
+    return [sorted(leg) for leg in result]
+
+
+def _from_zero(stance: Stance, n: int) -> Stance:
+    """The same stance of a cycle with its touch-down in [0, n); in a recording nothing lies outside."""
+    shift = stance.touch_down // n * n
+    return Stance(stance.touch_down - shift, stance.lift_off - shift)
+
+
+def _common_duty(stances: Stances, n: int, paired: bool) -> Stances:
+    result = [list(leg) for leg in stances]
+    for group in ((0, 1, 2, 3),) if paired else ((0, 1), (2, 3)):
+        duration = round(float(np.mean([stances[leg][0].duration for leg in group])))
+        for leg in group:
+            start = round((sum(stances[leg][0]) - duration) / 2)
+            result[leg] = [_from_zero(Stance(start, start + duration), n)]
+    return result
+
+
+def _widen_swings(stances: Stances, n: int, shortest: int, periodic: bool) -> tuple[Stances, int]:
+    """Takes what a short swing lacks from the stances on both sides of it."""
+    widened = 0
+    result = [list(leg) for leg in stances]
+    for leg, spans in enumerate(stances):
+        for lift_off, touch_down in swings_of(spans, n, periodic):
+            lack = shortest - (touch_down - lift_off)
+            if lack > 0 and (periodic or (lift_off > 0 and touch_down < n)):
+                moved = _moved(result[leg], lift_off, lift_off - lack // 2, touch_down, touch_down + lack - lack // 2, n)
+                if all(span.duration > shortest // 2 for span in moved):
+                    result[leg] = sorted(_from_zero(span, n) for span in moved)
+                    widened += 1
+    return result, widened
+
+
+def _close_flights(stances: Stances, n: int, longest: int, periodic: bool) -> tuple[Stances, int]:
+    supported = contact_mask(stances, n).any(axis=1)
+    if supported.all() or not supported.any():
+        return stances, 0
+    closed = 0
+    for start, end in stances_of(~supported, periodic):
+        if end - start <= longest and (periodic or (start > 0 and end < n)):
+            middle = (start + end) // 2
+            stances = [
+                sorted(_from_zero(s, n) for s in _moved(leg, start, middle, end, middle, n)) for leg in stances
+            ]
+            closed += 1
+    return stances, closed
+
+
+def _moved(
+    spans: list[Stance], lift_off: int, new_lift_off: int, touch_down: int, new_touch_down: int, n: int
+) -> list[Stance]:
+    """One leg's stances with those that end at `lift_off` or begin at `touch_down` (modulo n) moved."""
+    result = []
+    for start, end in spans:
+        begin = start + new_touch_down - touch_down if (start - touch_down) % n == 0 else start
+        finish = end + new_lift_off - lift_off if (end - lift_off) % n == 0 else end
+        result.append(Stance(begin, finish))
+    return result

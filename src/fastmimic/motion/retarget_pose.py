@@ -1,0 +1,124 @@
+"""From trunk and foot paths to the joints: base height, inverse kinematics, limits, velocities."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.motion.retarget_cycle import Track
+from fastmimic.motion.retarget_signal import differentiate, pad_open
+from fastmimic.robot import Robot
+from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
+from fastmimic.rotations import (
+    quat_conjugate,
+    quat_continuous,
+    quat_from_rotvec,
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate_inverse,
+)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """The robot's configuration, sample by sample, within its joint limits.
+
+    Attributes:
+        root_pos_w: (t, 3) m.
+        root_quat_wxyz: (t, 4).
+        joint_pos: (t, 12) rad.
+        foot_pos_b: (t, 4, 3) m, of those joints.
+        unreachable: (t, 4) samples in which a leg was too short or too long.
+        limited: (t, 12) samples in which a joint was held at its limit.
+        lowered_m: how much the base was lowered for reach.
+    """
+
+    root_pos_w: Array
+    root_quat_wxyz: Array
+    joint_pos: Array
+    foot_pos_b: Array
+    unreachable: NDArray[np.bool_]
+    limited: NDArray[np.bool_]
+    lowered_m: float
+
+
+def trunk_quaternion(heading: Array, tilt: Array) -> Array:
+    """Orientation (t, 4) from heading (t,), then pitch, then roll about the body's x; `tilt` (t, 2) is roll, pitch."""
+    zero = np.zeros_like(heading)
+    roll = quat_from_rotvec(np.stack([tilt[:, 0], zero, zero], axis=-1))
+    pitch = quat_from_rotvec(np.stack([zero, tilt[:, 1], zero], axis=-1))
+    return quat_multiply(quat_from_yaw(heading), quat_multiply(pitch, roll))
+
+
+def solve_pose(
+    robot: Robot, track: Track, feet_w: Array, height: float, max_lowering: float, margin_rad: float
+) -> Pose:
+    """Inverse kinematics; the base is lowered, constantly, as far as the legs need to reach every foothold.
+
+    Args:
+        robot: limits and geometry.
+        track: the trunk.
+        feet_w: (t, 4, 3) centres of the feet, world, m.
+        height: mean height of the base, m.
+        max_lowering: m.
+        margin_rad: kept to the joint limits.
+    """
+    quat = trunk_quaternion(track.heading, track.tilt)
+    lower, upper = robot.joint_lower + margin_rad, robot.joint_upper - margin_rad
+    best: tuple[float, float] | None = None
+    for lowering in np.arange(0.0, max_lowering + 1e-9, 0.005):
+        q, reachable = _joints(robot, track, quat, feet_w, height - lowering)
+        violation = float(np.sum(np.maximum(lower - q, 0) + np.maximum(q - upper, 0)) + np.sum(~reachable))
+        if best is None or violation < best[0]:
+            best = (violation, float(lowering))
+        if violation == 0:
+            break
+    assert best is not None
+    q, reachable = _joints(robot, track, quat, feet_w, height - best[1])
+    joints = np.clip(q, lower, upper)
+    return Pose(
+        root_pos_w=_root(track, height - best[1]),
+        root_quat_wxyz=quat_continuous(quat),
+        joint_pos=joints,
+        foot_pos_b=foot_positions(robot, joints),
+        unreachable=~reachable,
+        limited=joints != q,
+        lowered_m=best[1],
+    )
+
+
+def _root(track: Track, height: float) -> Array:
+    z = track.root_z - track.root_z.mean() + height
+    return np.concatenate([track.root_xy, z[:, None]], axis=1)
+
+
+def _joints(
+    robot: Robot, track: Track, quat: Array, feet_w: Array, height: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    foot_b = quat_rotate_inverse(quat[:, None], feet_w - _root(track, height)[:, None])
+    return inverse_kinematics(robot, foot_b)
+
+
+def joint_velocity(joint_pos: Array, rate_hz: float, periodic: bool) -> Array:
+    """(t, 12) rad/s."""
+    return differentiate(_pad(joint_pos, periodic), 1.0 / rate_hz)
+
+
+def root_velocity(pose: Pose, track: Track, rate_hz: float) -> tuple[Array, Array]:
+    """Linear and angular velocity of the base, (t, 3) each, world, m/s and rad/s."""
+    position = _pad(pose.root_pos_w, track.cycle is not None)
+    quat = _pad(pose.root_quat_wxyz, track.cycle is not None)
+    if track.cycle is not None:
+        turn = quat_from_yaw(track.cycle[2])
+        for rows, cycles in ((slice(0, 2), -1), (slice(-2, None), 1)):
+            position[rows, :2] = track.moved(position[rows, :2], cycles)
+            quat[rows] = quat_multiply(turn if cycles > 0 else quat_conjugate(turn), quat[rows])
+    quat = quat_continuous(quat)
+    rate = quat_multiply(differentiate(quat, 1.0 / rate_hz), quat_conjugate(quat[2:-2]))
+    return differentiate(position, 1.0 / rate_hz), 2.0 * rate[:, 1:]
+
+
+def _pad(values: Array, periodic: bool) -> Array:
+    return np.concatenate([values[-2:], values, values[:2]]) if periodic else pad_open(values)

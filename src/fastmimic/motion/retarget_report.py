@@ -1,0 +1,157 @@
+"""What retargeting changed: the figures by which a user can judge whether the result is still the animal's motion."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from fastmimic.conventions import JOINTS_PER_LEG, LEGS
+
+Four = tuple[float, float, float, float]
+
+MAX_SPEED_CHANGE: Final = 0.03
+MAX_YAW_CHANGE_DEG: Final = 2.0
+MIN_CLEARANCE_SHARE: Final = 0.8
+MAX_DUTY_CHANGE: Final = 0.1
+MAX_SLIP_M: Final = 1e-3
+MAX_CLOSURE_M: Final = 1e-3
+MAX_CLOSURE_DEG: Final = 0.1
+
+
+@dataclass(frozen=True)
+class Bound:
+    """One of the bounds within which the result counts as the animal's motion.
+
+    Attributes:
+        name: what is bounded.
+        value: found.
+        limit: allowed.
+        met: whether it holds.
+        reason: why not, or what explains the value; empty if there is nothing to say.
+    """
+
+    name: str
+    value: float
+    limit: float
+    met: bool
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class RetargetReport:
+    """Retargeting of one clip, before (the scaled animal) and after (the robot's motion). Legs FR, FL, RR, RL.
+
+    Attributes:
+        scale: animal's to robot's size.
+        is_cycle: whether the motion repeats, and `cycle_reason` how that was decided.
+        cycle_reason: see above.
+        period_before_s, period_after_s: resampled to a whole number of control steps.
+        slip_before_m, slip_after_m: largest horizontal motion of each foot within a stance.
+        closure_before_m, closure_after_m: largest distance of a foot or the root from where the cycle ends; 0 if not a cycle.
+        closure_before_deg, closure_after_deg: the same for the trunk's orientation.
+        duty_before, duty_after: share of the time in stance.
+        stances: number of stances of each leg.
+        pairing: pairs of legs that were given common times, or None.
+        common_duty: whether left and right were given one duty factor.
+        closed_flights, widened_swings: how many moments without support were closed and short swings made longer.
+        support_share: share of the time with 0, 1, 2, 3 and 4 feet on the ground.
+        speed_before_m_per_s, speed_after_m_per_s: mean horizontal speed of the root; before is scale × animal.
+        yaw_before_deg, yaw_after_deg: heading change over the motion (one cycle).
+        clearance_before_m, clearance_after_m: mean height of each leg's swings above its stance; before is scale × animal.
+        foot_path_rms_m: change of each foot's path in the world by planting.
+        foot_offset_m: constant shift of the feet against the hips: front and rear along x, front and rear outwards.
+        base_height_m, lowered_m: mean height of the base, and how much of its lowering was for reach.
+        unreachable: samples in which a leg could not reach, of `samples`.
+        joint_limited: samples in which a joint was held at its limit, for abduction, hip and knee.
+        samples: of the motion.
+        joint_speed_peak, joint_speed_limit: abduction, hip, knee, rad/s.
+        smoothed_legs: times that a leg's swings were smoothed further to keep joint speed.
+        heading_aligned_deg: by how much the trunk was turned into the direction of travel.
+        bounds: what the result is held to.
+    """
+
+    scale: float
+    is_cycle: bool
+    cycle_reason: str
+    period_before_s: float
+    period_after_s: float
+    slip_before_m: Four
+    slip_after_m: Four
+    closure_before_m: float
+    closure_after_m: float
+    closure_before_deg: float
+    closure_after_deg: float
+    duty_before: Four
+    duty_after: Four
+    stances: tuple[int, int, int, int]
+    pairing: str | None
+    common_duty: bool
+    closed_flights: int
+    widened_swings: int
+    support_share: tuple[float, float, float, float, float]
+    speed_before_m_per_s: float
+    speed_after_m_per_s: float
+    yaw_before_deg: float
+    yaw_after_deg: float
+    clearance_before_m: Four
+    clearance_after_m: Four
+    foot_path_rms_m: Four
+    foot_offset_m: Four
+    base_height_m: float
+    lowered_m: float
+    unreachable: tuple[int, int, int, int]
+    joint_limited: tuple[int, int, int]
+    samples: int
+    joint_speed_peak: tuple[float, float, float]
+    joint_speed_limit: tuple[float, float, float]
+    smoothed_legs: tuple[int, int, int, int]
+    heading_aligned_deg: float
+    bounds: tuple[Bound, ...]
+
+    @property
+    def all_met(self) -> bool:
+        """Whether every bound holds."""
+        return all(bound.met for bound in self.bounds)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The report as plain JSON types."""
+        return _plain(asdict(self))
+
+    def lines(self) -> list[str]:
+        """The report for a human."""
+        legs = " ".join(f"{leg:>6}" for leg in LEGS)
+        speeds = ", ".join(
+            f"{name} {peak:.1f} of {limit:.0f}"
+            for name, peak, limit in zip(JOINTS_PER_LEG, self.joint_speed_peak, self.joint_speed_limit, strict=True)
+        )
+        lines = [
+            f"scale {self.scale:.3f}; {self.cycle_reason}; period {self.period_before_s:.4f} → {self.period_after_s:.4f} s",
+            f"speed {self.speed_before_m_per_s:.3f} → {self.speed_after_m_per_s:.3f} m/s;"
+            f" yaw {self.yaw_before_deg:.1f} → {self.yaw_after_deg:.1f}°; heading aligned by {self.heading_aligned_deg:.1f}°",
+            f"closure {1e3 * self.closure_before_m:.1f} → {1e3 * self.closure_after_m:.2f} mm,"
+            f" {self.closure_before_deg:.2f} → {self.closure_after_deg:.3f}°",
+            f"{'':24}{legs}",
+            _row("slip in stance, mm", self.slip_before_m, self.slip_after_m, 1e3, 1),
+            _row("duty factor", self.duty_before, self.duty_after, 1, 2),
+            _row("swing clearance, mm", self.clearance_before_m, self.clearance_after_m, 1e3, 0),
+            _row("foot path RMS, mm", None, self.foot_path_rms_m, 1e3, 0),
+            "support: "
+            + ", ".join(f"{feet} feet {100 * share:.0f} %" for feet, share in enumerate(self.support_share) if share > 0),
+            f"base height {self.base_height_m:.3f} m (lowered {1e3 * self.lowered_m:.0f} mm for reach); joint speeds {speeds} rad/s;"
+            f" clamps: reach {sum(self.unreachable)}, joint limits {sum(self.joint_limited)} of {self.samples} samples",
+        ]
+        for bound in self.bounds:
+            why = f" ({bound.reason})" if bound.reason else ""
+            lines.append(f"{'ok ' if bound.met else 'NOT MET'} {bound.name}: {bound.value:.3g} of {bound.limit:.3g}{why}")
+        return lines
+
+
+def _row(title: str, before: Four | None, after: Four, factor: float, digits: int) -> str:
+    first = "" if before is None else " ".join(f"{factor * value:6.{digits}f}" for value in before) + "  →"
+    return f"{title:24}{first}" + " ".join(f"{factor * value:6.{digits}f}" for value in after)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value

@@ -1,0 +1,76 @@
+"""Frames of a recording as smooth functions of time: band-limited, resampled to the control rate, differentiated.
+
+Everything goes through the Fourier series of one period, so that a cycle closes in position, velocity and
+acceleration by construction. A recording that is not a cycle is taken, after its end-to-end line is removed, as
+half of an odd periodic signal (a sine series): value and slope are kept at both ends.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_FILTER_ORDER = 4
+
+
+def resample_periodic(samples: Array, rate_hz: float, n_out: int, cutoff_hz: float) -> Array:
+    """Low-passed samples of one period on a new grid.
+
+    Args:
+        samples: (n, ...) at times i / rate_hz, covering one period n / rate_hz.
+        rate_hz: of the samples.
+        n_out: number of samples of the result, evenly over the period.
+        cutoff_hz: half-power frequency of the zero-phase filter (Butterworth, fourth order, forwards and backwards).
+
+    Returns:
+        (n_out, ...).
+    """
+    n = len(samples)
+    spectrum = np.fft.rfft(samples, axis=0)
+    frequency = np.fft.rfftfreq(n, 1.0 / rate_hz)
+    gain = 1.0 / (1.0 + (frequency / cutoff_hz) ** (2 * _FILTER_ORDER))
+    if n % 2 == 0:
+        gain[-1] = 0.0  # the phase of the Nyquist component is not known
+    spectrum = spectrum * gain.reshape(-1, *[1] * (samples.ndim - 1))
+    return np.fft.irfft(spectrum[: n_out // 2 + 1], n=n_out, axis=0) * (n_out / n)
+
+
+def resample_open(samples: Array, rate_hz: float, n_out: int, cutoff_hz: float) -> Array:
+    """Like `resample_periodic` for a recording that is not a cycle: n frames cover (n − 1) / rate_hz."""
+    n = len(samples)
+    shape = (-1, *[1] * (samples.ndim - 1))
+    line = samples[0] + (samples[-1] - samples[0]) * (np.arange(n) / (n - 1)).reshape(shape)
+    rest = samples - line
+    odd = np.concatenate([rest, -rest[-2:0:-1]])
+    smooth = resample_periodic(odd, rate_hz, 2 * n_out, cutoff_hz)[:n_out]
+    return smooth + samples[0] + (samples[-1] - samples[0]) * (np.arange(n_out) / n_out).reshape(shape)
+
+
+def extrapolate_next(samples: Array) -> Array:
+    """The frame after the last one of a cycle: its step is the mean of the steps before and after the seam."""
+    return samples[-1] + 0.5 * ((samples[-1] - samples[-2]) + (samples[1] - samples[0]))
+
+
+def close(samples: Array) -> tuple[Array, Array]:
+    """Removes what keeps (n, ...) frames from repeating, spread evenly over the cycle; returns also the error removed."""
+    error = extrapolate_next(samples) - samples[0]
+    share = (np.arange(len(samples)) / len(samples) - 0.5).reshape(-1, *[1] * (samples.ndim - 1))
+    return samples - share * error, error
+
+
+def differentiate(padded: Array, dt: float) -> Array:
+    """Fourth-order central differences; `padded` (t + 4, ...) has two extra samples at each end; returns (t, ...)."""
+    return (padded[:-4] - 8 * padded[1:-3] + 8 * padded[3:-1] - padded[4:]) / (12 * dt)
+
+
+def pad_open(values: Array) -> Array:
+    """Two more samples at each end of (t, ...), extrapolated quadratically."""
+
+    def beyond(a: Array, b: Array, c: Array) -> Array:
+        return 3 * a - 3 * b + c
+
+    front1 = beyond(values[0], values[1], values[2])
+    front2 = beyond(front1, values[0], values[1])
+    back1 = beyond(values[-1], values[-2], values[-3])
+    back2 = beyond(back1, values[-1], values[-2])
+    return np.concatenate([[front2, front1], values, [back1, back2]])

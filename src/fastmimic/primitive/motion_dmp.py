@@ -1,0 +1,175 @@
+"""The 24 rhythmic DMPs of a motion, and the motions that they make."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.errors import MotionError, did_you_mean
+from fastmimic.motion.motion import Motion
+from fastmimic.primitive.coordinates import (
+    FEET,
+    FOOT_Z,
+    GROUPS,
+    NAMES,
+    phases,
+    root_from_coordinates,
+    to_coordinates,
+    twist_of,
+)
+from fastmimic.primitive.reach import FootTable, foot_table
+from fastmimic.primitive.rhythmic import N_BASIS, RhythmicDmp
+from fastmimic.primitive.twist import PlanarTwist
+from fastmimic.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class MotionDmp:
+    """Rhythmic DMPs fitted to a cyclic motion: root pose 6, root velocity 6, feet in the body frame 12.
+
+    Attributes:
+        fitted: the motion they were fitted to.
+        robot: whose legs carry the feet.
+        rhythmic: the DMPs, dimensions in the order of `names`.
+        twist: the planar motion of a cycle, removed before fitting and put back afterwards.
+        fit_rms: root-mean-square fit error of each group of dimensions, in the unit that its name ends with.
+    """
+
+    fitted: Motion
+    robot: Robot
+    rhythmic: RhythmicDmp
+    twist: PlanarTwist
+    fit_rms: dict[str, float]
+
+    @classmethod
+    def fit(cls, motion: Motion, robot: Robot, n_basis: int = N_BASIS) -> "MotionDmp":
+        """Fits the 24 DMPs of a cyclic motion.
+
+        Raises:
+            MotionError: the motion is not cyclic, or its trunk points straight up or down.
+        """
+        twist = twist_of(motion)
+        samples = to_coordinates(motion, twist)
+        rhythmic = RhythmicDmp.fit(samples, motion.period_s, n_basis)
+        error = rhythmic.position(phases(motion.n_samples)) - samples
+        rms = {name: float(np.sqrt(np.mean(error[:, group] ** 2))) for name, group in GROUPS.items()}
+        return cls(motion, robot, rhythmic, twist, rms)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the 24 dimensions are: `root_x`, …, `RL_foot_z`."""
+        return NAMES
+
+    @property
+    def goal(self) -> Array:
+        """(24,) fitted baselines g, a copy: m, rad, m/s, rad/s."""
+        return self.rhythmic.goal.copy()
+
+    @property
+    def amplitude(self) -> Array:
+        """(24,) amplitudes a of the unmodulated motion: ones."""
+        return np.ones(len(NAMES))
+
+    def index(self, name: str) -> int:
+        """Position of a dimension in `names`.
+
+        Raises:
+            MotionError: no such dimension.
+        """
+        if name not in NAMES:
+            raise MotionError(f"no DMP is called '{name}'{did_you_mean(name, NAMES)}")
+        return NAMES.index(name)
+
+    def motion(self, goal: Array | None = None, amplitude: Array | None = None) -> Motion:
+        """The reference with modulated baselines and amplitudes, at the fitted motion's rate.
+
+        Joints come from inverse kinematics, contacts from the fitted motion. Feet out of reach are brought
+        back and counted in `meta["dmp"]`. The result carries the fitted motion's demonstration, since that is
+        what it is to be scored against.
+
+        Args:
+            goal: (24,) baselines g; None keeps the fitted ones.
+            amplitude: (24,) amplitudes a; None is 1.
+
+        Raises:
+            MotionError: a parameter array of another shape, or with a value that is not finite.
+        """
+        goal = _parameters("goal", self.goal if goal is None else goal, (len(NAMES),))
+        amplitude = _parameters(
+            "amplitude", self.amplitude if amplitude is None else amplitude, (len(NAMES),)
+        )
+        y = goal + amplitude * self._shape
+        position, quat, lin_vel, ang_vel = root_from_coordinates(y, self.twist, self.fitted.period_s)
+        if quat[0] @ self.fitted.root_quat_wxyz[0] < 0:  # the same of the two quaternions of a rotation
+            quat = -quat
+        table = foot_table(self.robot, y[None, :, FEET].reshape(1, -1, 4, 3), self.fitted.rate_hz)
+        return Motion(
+            rate_hz=self.fitted.rate_hz,
+            root_pos_w=position,
+            root_quat_wxyz=quat,
+            joint_pos=table.joint_pos[0],
+            joint_vel=table.joint_vel[0],
+            foot_pos_b=table.foot_pos_b[0],
+            contact=self.fitted.contact,
+            root_lin_vel_w=lin_vel,
+            root_ang_vel_w=ang_vel,
+            cycle=self.fitted.cycle,
+            meta={**self.fitted.meta, "dmp": self._record(goal, amplitude, table)},
+            demonstration=self.fitted.target,
+        )
+
+    def foot_table(self, goal_z: Array, amplitude_z: Array) -> FootTable:
+        """Feet and joints of n candidates that differ in the feet's height, for the optimiser.
+
+        Args:
+            goal_z: (n, 4) baselines of the four feet's z, body frame, m.
+            amplitude_z: (n, 4) their amplitudes.
+
+        Returns:
+            As `FootTable`: feet (n, t, 4, 3), joints (n, t, 12), and what was out of reach.
+
+        Raises:
+            MotionError: arrays of another shape, or with a value that is not finite.
+        """
+        n = len(np.atleast_2d(goal_z))
+        goal_z = _parameters("goal_z", goal_z, (n, 4))
+        amplitude_z = _parameters("amplitude_z", amplitude_z, (n, 4))
+        shape = self._shape[:, FEET].reshape(-1, 4, 3)
+        feet = np.repeat((self.rhythmic.goal[FEET].reshape(4, 3) + shape)[None], n, axis=0)
+        feet[..., 2] = goal_z[:, None] + amplitude_z[:, None] * shape[..., 2]
+        return foot_table(self.robot, feet, self.fitted.rate_hz)
+
+    @cached_property
+    def _shape(self) -> Array:
+        """s (t, 24) at the fitted motion's samples."""
+        return self.rhythmic.shape(phases(self.fitted.n_samples))
+
+    def _record(self, goal: Array, amplitude: Array, table: FootTable) -> dict[str, Any]:
+        return {
+            "n_basis": self.rhythmic.n_basis,
+            "width": self.rhythmic.width,
+            "alpha": self.rhythmic.alpha,
+            "fit_rms": dict(self.fit_rms),
+            "names": list(NAMES),
+            "goal": goal.tolist(),
+            "amplitude": amplitude.tolist(),
+            "fitted_goal": self.rhythmic.goal.tolist(),
+            "foot_samples_out_of_reach": table.n_shifted[0].tolist(),
+            "foot_shift_to_reach_m": table.shift_m[0].tolist(),
+        }
+
+
+def _parameters(name: str, values: Array, shape: tuple[int, ...]) -> Array:
+    array = np.array(values, dtype=np.float64)
+    if array.shape != shape:
+        raise MotionError(f"{name} has shape {array.shape}; expected {shape}")
+    if not np.all(np.isfinite(array)):
+        raise MotionError(f"{name} holds a value that is not finite")
+    return array
+
+
+__all__ = ["FOOT_Z", "NAMES", "MotionDmp"]

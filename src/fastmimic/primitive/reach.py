@@ -1,0 +1,99 @@
+"""Feet that a modulation asks for, brought back to what the legs reach, with their joints."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.jit import inlined, kernel
+from fastmimic.robot.kinematics import leg_forward, leg_inverse
+from fastmimic.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+class FootTable(NamedTuple):
+    """Feet and joints of n cycles of t samples.
+
+    Attributes:
+        foot_pos_b: (n, t, 4, 3) feet that the legs reach, body frame, m.
+        joint_pos: (n, t, 12) within the joints' ranges, rad.
+        joint_vel: (n, t, 12) periodic central differences of `joint_pos`, rad/s.
+        shift_m: (n, 4) how far the farthest-moved sample of each foot had to be moved to be reached, m.
+        n_shifted: (n, 4) samples of each foot that had to be moved (by more than 0.01 mm).
+    """
+
+    foot_pos_b: Array
+    joint_pos: Array
+    joint_vel: Array
+    shift_m: Array
+    n_shifted: NDArray[np.int64]
+
+
+def foot_table(robot: Robot, foot_pos_b: Array, rate_hz: float) -> FootTable:
+    """Joints of n periodic cycles of foot positions, all in one compiled call.
+
+    A foot out of reach (leg too short, or the knee at its limit) is replaced by the nearest one on the same
+    line from the hip; if abduction or hip hit their limits, by the one that the limited joints give.
+
+    Args:
+        robot: the robot.
+        foot_pos_b: (n, t, 4, 3) wanted feet, body frame, m.
+        rate_hz: samples a second.
+    """
+    feet = np.array(foot_pos_b, dtype=np.float64, order="C")
+    n, t = feet.shape[:2]
+    joint_pos, joint_vel = np.empty((n, t, 12)), np.empty((n, t, 12))
+    shift, count = np.zeros((n, 4)), np.zeros((n, 4), dtype=np.int64)
+    limits = np.stack([robot.joint_lower, robot.joint_upper])
+    _reach(robot.geometry.rows, limits, feet, joint_pos, shift, count)
+    _differentiate(joint_pos, rate_hz, joint_vel)
+    return FootTable(feet, joint_pos, joint_vel, shift, count)
+
+
+@inlined
+def _limited(value: float, lower: float, upper: float) -> float:
+    return lower if value < lower else (upper if value > upper else value)
+
+
+@inlined
+def _hip_to_foot_angle(g: Array, knee: float) -> float:
+    """Angle from the thigh to the line hip → foot, in the leg's plane."""
+    lt, lc = np.hypot(g[6], g[7]), np.hypot(g[8], g[9])
+    bend = knee - np.arctan2(-g[6], -g[7]) + np.arctan2(-g[8], -g[9])
+    return np.arctan2(lc * np.sin(bend), lt + lc * np.cos(bend))
+
+
+@kernel
+def _reach(rows: Array, limits: Array, feet: Array, q: Array, shift: Array, count: NDArray[np.int64]) -> None:
+    """Joints `q` of `feet` (changed in place where not reached)."""
+    lower, upper = limits[0], limits[1]
+    for n in range(feet.shape[0]):
+        for t in range(feet.shape[1]):
+            for leg in range(4):
+                g, j = rows[leg], 3 * leg
+                p = feet[n, t, leg]
+                a, h, k, ok = leg_inverse(g, p[0], p[1], p[2])
+                knee = _limited(k, lower[j + 2], upper[j + 2])
+                if knee != k:  # keep the direction from hip to foot
+                    h += _hip_to_foot_angle(g, k) - _hip_to_foot_angle(g, knee)
+                q[n, t, j] = _limited(a, lower[j], upper[j])
+                q[n, t, j + 1] = _limited(h, lower[j + 1], upper[j + 1])
+                q[n, t, j + 2] = knee
+                if not ok or knee != k or q[n, t, j] != a or q[n, t, j + 1] != h:
+                    x, y, z = leg_forward(g, q[n, t, j], q[n, t, j + 1], knee)
+                    moved = np.sqrt((x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2)
+                    p[0], p[1], p[2] = x, y, z
+                    shift[n, leg] = max(shift[n, leg], moved)
+                    count[n, leg] += moved > 1e-5
+
+
+@kernel
+def _differentiate(q: Array, rate_hz: float, out: Array) -> None:
+    """Periodic central differences along axis 1."""
+    samples = q.shape[1]
+    for n in range(q.shape[0]):
+        for t in range(samples):
+            following, previous = (t + 1) % samples, (t - 1) % samples
+            for j in range(q.shape[2]):
+                out[n, t, j] = (q[n, following, j] - q[n, previous, j]) * (0.5 * rate_hz)

@@ -1,0 +1,113 @@
+"""Drawing MuJoCo scenes into memory, with a display or without one.
+
+MuJoCo's own `Renderer` takes the OpenGL backend that `MUJOCO_GL` named when `mujoco` was first imported, which is
+too early to choose one for a machine without a display. Here the context is made directly.
+"""
+
+import importlib
+import logging
+import os
+import sys
+import warnings
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import mujoco
+
+_LOG = logging.getLogger(__name__)
+_OFF: Final = ("disable", "disabled", "off", "false", "0")
+_NAMED: Final = ("egl", "osmesa", "glfw", "cgl")
+
+
+class NoRendererError(Exception):
+    """OpenGL cannot draw here. Not the user's mistake: callers go on without pictures, and say so."""
+
+
+def backends() -> tuple[str, ...]:
+    """The OpenGL backends to try, in this order.
+
+    `MUJOCO_GL` decides if it is set. Otherwise a machine without a display takes EGL, and software OSMesa next.
+    """
+    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if wanted in _OFF:
+        return ()
+    if wanted in _NAMED:
+        return (wanted,)
+    if sys.platform == "darwin":
+        return ("cgl", "glfw")
+    if not sys.platform.startswith("linux"):
+        return ("glfw",)
+    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        return ("glfw", "egl", "osmesa")
+    return ("egl", "osmesa")
+
+
+class Offscreen:
+    """An OpenGL context with a framebuffer, for one model; use it as a context manager.
+
+    Args:
+        model: its `vis.global_.offwidth` and `offheight` give the size of the pictures.
+
+    Raises:
+        NoRendererError: no OpenGL backend works here; the message says what was tried.
+    """
+
+    def __init__(self, model: "mujoco.MjModel") -> None:
+        self.width = int(model.vis.global_.offwidth)
+        self.height = int(model.vis.global_.offheight)
+        self._gl, self._context = _open(model, self.width, self.height)
+
+    def draw(self, scenes: "list[mujoco.MjvScene]") -> NDArray[np.uint8]:
+        """The scenes beside each other, left to right: (height, width, 3), first row on top."""
+        import mujoco
+
+        self._gl.make_current()
+        edges = np.linspace(0, self.width, len(scenes) + 1).round().astype(int)
+        for scene, left, right in zip(scenes, edges[:-1], edges[1:], strict=True):
+            mujoco.mjr_render(mujoco.MjrRect(left, 0, right - left, self.height), scene, self._context)
+        picture = np.empty((self.height, self.width, 3), dtype=np.uint8)
+        whole = mujoco.MjrRect(0, 0, self.width, self.height)
+        mujoco.mjr_readPixels(picture, None, whole, self._context)
+        return picture[::-1]
+
+    def close(self) -> None:
+        """Frees the context; drawing is over."""
+        self._context.free()
+        self._gl.free()
+
+    def __enter__(self) -> "Offscreen":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _open(model: "mujoco.MjModel", width: int, height: int) -> tuple[Any, Any]:
+    """The first backend that works, and MuJoCo's context on it."""
+    import mujoco
+    from OpenGL.error import Error as OpenGLError
+
+    failures = []
+    for backend in backends():
+        gl = None
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # GLFW warns about a missing display; we try the next one
+                gl = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+                gl.make_current()
+                context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
+        except (ImportError, OSError, RuntimeError, AttributeError, TypeError, ValueError, OpenGLError) as error:
+            # libraries that are absent or half there show in as many ways
+            failures.append(f"{backend}: {' '.join(str(error).split())[:120]}")
+            continue
+        _LOG.debug("OpenGL backend %s", backend)
+        return gl, context
+    tried = "; ".join(failures) if failures else f"MUJOCO_GL={os.environ.get('MUJOCO_GL')} switches it off"
+    raise NoRendererError(f"no OpenGL here ({tried})")

@@ -1,0 +1,205 @@
+"""Videos of robots in motion, one or two side by side, each with its demonstration as a ghost."""
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.errors import ConfigError
+from fastmimic.report.encoding import VideoFile
+from fastmimic.report.offscreen import NoRendererError, Offscreen
+from fastmimic.report.overlay import Overlay
+from fastmimic.report.scene import Stage, View, build_stage, ghost_rgba
+from fastmimic.rotations import quat_continuous, yaw_from_quat
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+_LOG = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+
+_SUPERSAMPLING: Final = 1.5
+"""Frames are drawn larger and scaled down by the encoder: smoother than multisampling for half its time."""
+_CAMERA_AZIMUTH_DEG: Final = 122.0
+"""From the robot's first heading: seen from its front right, so that it moves across the picture."""
+_CAMERA_SMOOTHING_S: Final = 0.35
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What one robot does, for a panel of a video. A NaN, as after a fall, holds the last pose before it.
+
+    Attributes:
+        root_pos_w: (t, 3) base position, world, m.
+        root_quat_wxyz: (t, 4) base orientation, body → world.
+        joint_pos: (t, 12) rad.
+        title: first line of the panel, such as "before".
+        caption: second line, such as "reward 0.84".
+        ghost: the demonstration at the same times, drawn as a translucent robot; None for no ghost.
+    """
+
+    root_pos_w: Array
+    root_quat_wxyz: Array
+    joint_pos: Array
+    title: str = ""
+    caption: str = ""
+    ghost: "Track | None" = None
+
+    def __post_init__(self) -> None:
+        n = len(self.root_pos_w)
+        shapes = (np.shape(self.root_pos_w), np.shape(self.root_quat_wxyz), np.shape(self.joint_pos))
+        if n < 1 or shapes != ((n, 3), (n, 4), (n, 12)):
+            raise ConfigError(f"a track needs arrays (t, 3), (t, 4) and (t, 12) with t ≥ 1, found {shapes}")
+        if not all(np.all(np.isfinite(a[0])) for a in (self.root_pos_w, self.root_quat_wxyz, self.joint_pos)):
+            raise ConfigError("a track's first pose is not finite")
+        if self.ghost is not None and len(self.ghost.root_pos_w) != n:
+            raise ConfigError(f"a ghost has {len(self.ghost.root_pos_w)} samples; its track has {n}")
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """What was written: number of frames, and how long they play, s."""
+
+    frames: int
+    seconds: float
+
+
+def render_video(
+    robot: "Robot",
+    tracks: Sequence[Track],
+    path: str | Path,
+    *,
+    rate_hz: float,
+    fps: float = 30.0,
+    size: tuple[int, int] = (1280, 720),
+    progress: Callable[[int, int], None] | None = None,
+    slow_motion: float = 1.0,
+) -> VideoInfo | None:
+    """Writes an H.264 video of one or more tracks, side by side.
+
+    Args:
+        robot: the robot that all tracks show.
+        tracks: one for each panel; a shorter one holds its last pose.
+        path: the `.mp4` to write; replaced only once the new video is whole.
+        rate_hz: samples a second of the tracks.
+        fps: frames a second of the video.
+        size: width and height, pixels, even.
+        progress: called with (frames done, frames in all) after each frame.
+        slow_motion: how many times slower than reality the video plays.
+
+    Returns:
+        What was written; None, with a warning in the log, if this machine has no OpenGL to draw with.
+
+    Raises:
+        ConfigError: no track, or a rate, frame rate or slow motion that is not positive.
+        OutputError: `path` cannot be written.
+        RobotError: the robot's model cannot be drawn.
+    """
+    if not tracks:
+        raise ConfigError("a video needs at least one track")
+    if not (rate_hz > 0 and fps > 0 and slow_motion > 0):
+        raise ConfigError(
+            f"rate, fps and slow motion must be positive, found {rate_hz:g}, {fps:g} and {slow_motion:g}"
+        )
+    drawn_size = (round(size[0] * _SUPERSAMPLING), round(size[1] * _SUPERSAMPLING))
+    video = VideoFile(path, drawn_size, size, fps)
+    times = _frame_times(max(len(t.root_pos_w) for t in tracks), rate_hz, fps * slow_motion)
+    poses = [resample(track, rate_hz, times) for track in tracks]
+    ghosts = [resample(t.ghost, rate_hz, times) if t.ghost is not None else None for t in tracks]
+    stage = _stage(robot, poses, ghosts, drawn_size)
+    overlay = _overlay(tracks, drawn_size, slow_motion)
+    try:
+        screen = Offscreen(stage.model)
+    except NoRendererError as error:
+        _LOG.warning("%s was not written: %s; set MUJOCO_GL to a backend that works", path, error)
+        return None
+    with screen, video:
+        views, look_at = _views(stage, robot, poses, times, drawn_size)
+        for i, time_s in enumerate(times):
+            for panel, view in enumerate(views):
+                ghost = ghosts[panel]
+                view.update(poses[panel][i], None if ghost is None else ghost[i], look_at[panel][i])
+            frame = screen.draw([view.scene for view in views])
+            overlay.draw(frame, float(time_s))
+            video.write(frame)
+            if progress is not None:
+                progress(i + 1, len(times))
+    return VideoInfo(len(times), len(times) / fps)
+
+
+def resample(track: Track, rate_hz: float, times: Array) -> Array:
+    """Poses of a track at `times` (n,) s: (n, 19) root position, quaternion and joints, all finite."""
+    root, quat, joints = (
+        np.asarray(a, dtype=np.float64) for a in (track.root_pos_w, track.root_quat_wxyz, track.joint_pos)
+    )
+    bad = ~np.isfinite(np.hstack([root, quat, joints])).all(axis=1)
+    end = int(np.argmax(bad)) if bad.any() else len(root)
+    poses = np.hstack([root[:end], quat_continuous(quat[:end]), joints[:end]])
+    at = np.clip(times * rate_hz, 0, end - 1)
+    low = np.minimum(at.astype(np.int64), max(end - 2, 0))
+    high = np.minimum(low + 1, end - 1)
+    between = poses[low] + (at - low)[:, None] * (poses[high] - poses[low])
+    between[:, 3:7] /= np.linalg.norm(between[:, 3:7], axis=1, keepdims=True)
+    return between
+
+
+def _frame_times(samples: int, rate_hz: float, frames_per_s: float) -> Array:
+    """Times in the motion at which frames are taken, s."""
+    count = max(1, round(samples / rate_hz * frames_per_s))
+    return np.arange(count) / frames_per_s
+
+
+def _stage(
+    robot: "Robot", poses: list[Array], ghosts: list[Array | None], size: tuple[int, int]
+) -> Stage:
+    paths = np.concatenate([p[:, :2] for p in (*poses, *ghosts) if p is not None])
+    return build_stage(
+        robot,
+        ghost=any(g is not None for g in ghosts),
+        width=size[0],
+        height=size[1],
+        floor=np.array([paths.min(axis=0), paths.max(axis=0)]),
+    )
+
+
+def _overlay(tracks: Sequence[Track], size: tuple[int, int], slow_motion: float) -> Overlay:
+    ghosts = [t.ghost for t in tracks if t.ghost is not None]
+    legend = (ghost_rgba()[:3], ghosts[0].title or "demonstration") if ghosts else None
+    note = f"slow motion 1 : {slow_motion:g}" if slow_motion != 1 else ""
+    return Overlay(*size, [(t.title, t.caption) for t in tracks], legend, note)
+
+
+def _views(
+    stage: Stage, robot: "Robot", poses: list[Array], times: Array, size: tuple[int, int]
+) -> tuple[list[View], list[Array]]:
+    """A view for each panel, all from the same side, and the points (n, 3) at which its camera looks."""
+    span = np.ptp(robot.hip_pos_b[:, 0]) + robot.leg_length
+    aspect = size[0] / len(poses) / size[1]
+    half_tan = np.tan(np.radians(stage.model.vis.global_.fovy) / 2)
+    distance = float(max(0.62 * span / half_tan, 0.86 * span / (half_tan * aspect)))
+    azimuth = np.degrees(float(yaw_from_quat(poses[0][0, 3:7]))) + _CAMERA_AZIMUTH_DEG
+    dt = times[1] - times[0] if len(times) > 1 else 1.0
+    look_at = []
+    for pose in poses:
+        smooth = _low_pass(pose[:, :3], _CAMERA_SMOOTHING_S / dt)
+        smooth[:, 2] = 0.62 * np.median(pose[:, 2])
+        look_at.append(smooth)
+    return [View(stage, azimuth, distance) for _ in poses], look_at
+
+
+def _low_pass(path: Array, width: float) -> Array:
+    """Gaussian smoothing of (n, 3) without lag, `width` in samples; the ends go on in a straight line."""
+    reach = max(1, int(3 * width))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(width, 1e-9)) ** 2)
+    kernel /= kernel.sum()
+    n = len(path)
+    index = np.arange(-reach, n + reach)
+    inside = np.clip(index, 0, n - 1)
+    mirror = np.clip(2 * inside - index, 0, n - 1)
+    extended = 2 * path[inside] - path[mirror]
+    return np.stack([np.convolve(column, kernel, mode="valid") for column in extended.T], axis=1)

@@ -1,0 +1,212 @@
+"""Rigid-body dynamics of one leg on a moving trunk: the feed-forward torques of swing, and link positions.
+
+Recursive Newton-Euler (Featherstone 2008, ch. 5), written for three hinges (x, y, y), with every vector expressed
+in the body frame, so that no transforms between link frames are needed.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.jit import inlined, kernel
+
+if TYPE_CHECKING:
+    from fastmimic.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+@inlined
+def cross(a0: float, a1: float, a2: float, b0: float, b1: float, b2: float) -> tuple[float, float, float]:
+    """a × b."""
+    return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+
+
+@inlined
+def _rotated(sa: float, ca: float, s: float, c: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Rx(a) Ry(θ) (x, y, z), with (s, c) the sine and cosine of θ."""
+    u = c * x + s * z
+    w = -s * x + c * z
+    return u, ca * y - sa * w, sa * y + ca * w
+
+
+@inlined
+def _inertia_times(
+    inertia: Array, sa: float, ca: float, s: float, c: float, v0: float, v1: float, v2: float
+) -> tuple[float, float, float]:
+    """R I Rᵀ v with R = Rx(a) Ry(θ)."""
+    w = ca * v2 - sa * v1
+    y = ca * v1 + sa * v2
+    x = c * v0 - s * w
+    z = s * v0 + c * w
+    return _rotated(
+        sa,
+        ca,
+        s,
+        c,
+        inertia[0, 0] * x + inertia[0, 1] * y + inertia[0, 2] * z,
+        inertia[1, 0] * x + inertia[1, 1] * y + inertia[1, 2] * z,
+        inertia[2, 0] * x + inertia[2, 1] * y + inertia[2, 2] * z,
+    )
+
+
+@inlined
+def leg_inverse_dynamics(
+    geometry: Array,
+    mass: Array,
+    com: Array,
+    inertia: Array,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    omega: Array,
+    acceleration: Array,
+    out: Array,
+) -> None:
+    """Joint torques that give one leg, free of ground forces, the accelerations `ddq`.
+
+    Args:
+        geometry: (12,) the leg's row of `LegGeometry`.
+        mass, com, inertia: (3,), (3, 3), (3, 3, 3) of its links, in their own frames.
+        q, dq, ddq: (3,) joints.
+        omega: (3,) the trunk's angular velocity, body frame, rad/s.
+        acceleration: (3,) of the base's origin minus gravity, body frame, m/s² (standing still: +9.81 upwards).
+        out: (3,) N·m, without the rotor's inertia.
+    """
+    ca, sa = np.cos(q[0]), np.sin(q[0])
+    # each link's position: origin o, link frame Rx(a) Ry(theta); forces summed about the three joint axes
+    ox, oy, oz = geometry[0], geometry[1], geometry[2]
+    w0, w1, w2 = omega[0], omega[1], omega[2]
+    e0, e1, e2 = 0.0, 0.0, 0.0  # angular acceleration
+    a0, a1, a2 = acceleration[0], acceleration[1], acceleration[2]
+    r0, r1, r2 = ox, oy, oz  # from the previous origin to this one
+    o1x, o1y, o1z, o2x, o2y, o2z = ox, oy, oz, ox, oy, oz
+    o3x, o3y, o3z = ox, oy, oz
+    theta = 0.0
+    out[0], out[1], out[2] = 0.0, 0.0, 0.0
+    for link in range(3):
+        # acceleration of this link's origin, a point of the previous link
+        b0, b1, b2 = cross(w0, w1, w2, r0, r1, r2)
+        c0, c1, c2 = cross(w0, w1, w2, b0, b1, b2)
+        d0, d1, d2 = cross(e0, e1, e2, r0, r1, r2)
+        a0, a1, a2 = a0 + c0 + d0, a1 + c1 + d1, a2 + c2 + d2
+        # axis: x for the abduction, the rolled y axis for hip and knee
+        s0, s1, s2 = (1.0, 0.0, 0.0) if link == 0 else (0.0, ca, sa)
+        g0, g1, g2 = cross(w0, w1, w2, s0 * dq[link], s1 * dq[link], s2 * dq[link])
+        e0, e1, e2 = e0 + s0 * ddq[link] + g0, e1 + s1 * ddq[link] + g1, e2 + s2 * ddq[link] + g2
+        w0, w1, w2 = w0 + s0 * dq[link], w1 + s1 * dq[link], w2 + s2 * dq[link]
+        if link > 0:
+            theta += q[link]
+        ct, st = np.cos(theta), np.sin(theta)
+        # force and moment of this link about its centre of mass
+        p0, p1, p2 = _rotated(sa, ca, st, ct, com[link, 0], com[link, 1], com[link, 2])
+        b0, b1, b2 = cross(w0, w1, w2, p0, p1, p2)
+        c0, c1, c2 = cross(w0, w1, w2, b0, b1, b2)
+        d0, d1, d2 = cross(e0, e1, e2, p0, p1, p2)
+        f0, f1, f2 = mass[link] * (a0 + c0 + d0), mass[link] * (a1 + c1 + d1), mass[link] * (a2 + c2 + d2)
+        i0, i1, i2 = _inertia_times(inertia[link], sa, ca, st, ct, w0, w1, w2)
+        n0, n1, n2 = cross(w0, w1, w2, i0, i1, i2)
+        i0, i1, i2 = _inertia_times(inertia[link], sa, ca, st, ct, e0, e1, e2)
+        n0, n1, n2 = n0 + i0, n1 + i1, n2 + i2
+        m0, m1, m2 = cross(ox + p0 - o1x, oy + p1 - o1y, oz + p2 - o1z, f0, f1, f2)
+        out[0] += n0 + m0
+        if link > 0:
+            m0, m1, m2 = cross(ox + p0 - o2x, oy + p1 - o2y, oz + p2 - o2z, f0, f1, f2)
+            out[1] += ca * (n1 + m1) + sa * (n2 + m2)
+        if link > 1:
+            m0, m1, m2 = cross(ox + p0 - o3x, oy + p1 - o3y, oz + p2 - o3z, f0, f1, f2)
+            out[2] += ca * (n1 + m1) + sa * (n2 + m2)
+        # to the next joint
+        if link == 0:
+            r0, r1, r2 = _rotated(sa, ca, 0.0, 1.0, geometry[4], geometry[3], geometry[5])
+            o2x, o2y, o2z = ox + r0, oy + r1, oz + r2
+            ox, oy, oz = o2x, o2y, o2z
+        elif link == 1:
+            r0, r1, r2 = _rotated(sa, ca, st, ct, geometry[6], 0.0, geometry[7])
+            o3x, o3y, o3z = ox + r0, oy + r1, oz + r2
+            ox, oy, oz = o3x, o3y, o3z
+
+
+@inlined
+def leg_mass_moment(geometry: Array, mass: Array, com: Array, q: Array) -> tuple[float, float, float]:
+    """Σ mass × centre of one leg's links in the body frame, kg·m."""
+    ca, sa = np.cos(q[0]), np.sin(q[0])
+    s1, c1 = np.sin(q[1]), np.cos(q[1])
+    s2, c2 = np.sin(q[1] + q[2]), np.cos(q[1] + q[2])
+    ox, oy, oz = geometry[0], geometry[1], geometry[2]
+    px, py, pz = _rotated(sa, ca, 0.0, 1.0, com[0, 0], com[0, 1], com[0, 2])
+    mx, my, mz = mass[0] * (ox + px), mass[0] * (oy + py), mass[0] * (oz + pz)
+    rx, ry, rz = _rotated(sa, ca, 0.0, 1.0, geometry[4], geometry[3], geometry[5])
+    ox, oy, oz = ox + rx, oy + ry, oz + rz
+    px, py, pz = _rotated(sa, ca, s1, c1, com[1, 0], com[1, 1], com[1, 2])
+    mx, my, mz = mx + mass[1] * (ox + px), my + mass[1] * (oy + py), mz + mass[1] * (oz + pz)
+    rx, ry, rz = _rotated(sa, ca, s1, c1, geometry[6], 0.0, geometry[7])
+    ox, oy, oz = ox + rx, oy + ry, oz + rz
+    px, py, pz = _rotated(sa, ca, s2, c2, com[2, 0], com[2, 1], com[2, 2])
+    return mx + mass[2] * (ox + px), my + mass[2] * (oy + py), mz + mass[2] * (oz + pz)
+
+
+@kernel
+def _inverse_dynamics(
+    rows: Array,
+    mass: Array,
+    com: Array,
+    inertia: Array,
+    armature: Array,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    omega: Array,
+    acceleration: Array,
+    out: Array,
+) -> None:
+    for n in range(q.shape[0]):
+        for leg in range(4):
+            part = slice(3 * leg, 3 * leg + 3)
+            leg_inverse_dynamics(
+                rows[leg],
+                mass[leg],
+                com[leg],
+                inertia[leg],
+                q[n, part],
+                dq[n, part],
+                ddq[n, part],
+                omega[n],
+                acceleration[n],
+                out[n, part],
+            )
+        for j in range(12):
+            out[n, j] += armature[j] * ddq[n, j]
+
+
+def leg_torques(
+    robot: "Robot", joint_pos: Array, joint_vel: Array, joint_acc: Array, ang_vel_b: Array, acceleration_b: Array
+) -> Array:
+    """Joint torques that move the legs as wanted while no foot touches the ground.
+
+    Args:
+        robot: the robot.
+        joint_pos, joint_vel, joint_acc: (n, 12) rad, rad/s, rad/s².
+        ang_vel_b: (n, 3) of the trunk, body frame, rad/s.
+        acceleration_b: (n, 3) of the base's origin minus gravity, body frame, m/s².
+
+    Returns:
+        (n, 12) N·m, rotor inertia included.
+    """
+    q, dq, ddq = (np.ascontiguousarray(x, dtype=np.float64) for x in (joint_pos, joint_vel, joint_acc))
+    out = np.empty_like(q)
+    _inverse_dynamics(
+        robot.geometry.rows,
+        robot.link_mass,
+        robot.link_com,
+        robot.link_inertia,
+        robot.armature,
+        q,
+        dq,
+        ddq,
+        np.ascontiguousarray(ang_vel_b, dtype=np.float64),
+        np.ascontiguousarray(acceleration_b, dtype=np.float64),
+        out,
+    )
+    return out

@@ -1,0 +1,171 @@
+"""MuJoCo: n robots on flat ground, stepped as one batch on native threads.
+
+The motor law τ + k_p (q* − q) + k_d (q̇* − q̇), clipped to the torque limit, runs at physics rate inside MuJoCo: each
+joint has an affine actuator whose bias holds the gains, per robot and per step.
+"""
+
+from typing import TYPE_CHECKING, Any, Final
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from fastmimic.control.state import OBSERVATION
+from fastmimic.conventions import LEGS
+from fastmimic.errors import ConfigError
+from fastmimic.jit import kernel
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+FLOOR: Final = "fastmimic_floor"
+DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
+GROUND_FRICTION: Final = 0.8
+
+
+def build_model(robot: "Robot", physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ) -> mujoco.MjModel:
+    """The robot on a floor, with motors that take stiffness and damping, and sensors for the ground's force on each foot.
+
+    Only the floor collides with the robot; its links do not collide with each other.
+    """
+    spec = robot.spec()
+    for group in (spec.actuators, spec.sensors, spec.keys):
+        for element in list(group):
+            spec.delete(element)
+    for geom in spec.geoms:
+        collides = geom.contype or geom.conaffinity
+        geom.contype, geom.conaffinity = 0, int(bool(collides))
+    spec.worldbody.add_geom(
+        name=FLOOR,
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 0.05],
+        friction=[GROUND_FRICTION, 0.005, 0.0001],
+        contype=1,
+        conaffinity=0,
+    )
+    for joint, limit in zip(robot.joint_names, robot.torque_limit, strict=True):
+        actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+        actuator.gainprm[0] = 1.0
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.forcelimited = True
+        actuator.forcerange = [-limit, limit]
+    for leg, geom in zip(LEGS, robot.foot_geoms, strict=True):
+        # found (1) and the net force in the world frame (3)
+        spec.add_sensor(
+            name=f"{leg}_ground_force",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_GEOM,
+            objname=FLOOR,
+            reftype=mujoco.mjtObj.mjOBJ_GEOM,
+            refname=geom,
+            intprm=[
+                (1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)) | (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)),
+                3,  # netforce
+                1,
+            ],
+        )
+    spec.option.timestep = 1.0 / physics_rate_hz
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 10.0
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    return spec.compile()
+
+
+@kernel
+def _observe(qpos: Array, qvel: Array, sensors: Array, contacts: Any, index: Any, out: Any) -> None:
+    """From MuJoCo's state to observations; `index` is (24,): addresses of the joints in qpos, then in qvel."""
+    for i in range(out.shape[0]):
+        o = out[i]
+        for k in range(3):
+            o.root_pos[k] = qpos[i, k]
+            o.lin_vel[k] = qvel[i, k]
+        w, x, y, z = qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6]
+        o.root_quat[0], o.root_quat[1], o.root_quat[2], o.root_quat[3] = w, x, y, z
+        # the free joint's angular velocity is in the body frame: v + 2 w (u × v) + 2 u × (u × v)
+        a, b, c = qvel[i, 3], qvel[i, 4], qvel[i, 5]
+        t0, t1, t2 = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
+        o.ang_vel[0] = a + w * t0 + y * t2 - z * t1
+        o.ang_vel[1] = b + w * t1 + z * t0 - x * t2
+        o.ang_vel[2] = c + w * t2 + x * t1 - y * t0
+        for j in range(12):
+            o.joint_pos[j] = qpos[i, index[j]]
+            o.joint_vel[j] = qvel[i, index[12 + j]]
+        found = 0.0
+        for leg in range(4):
+            found += sensors[i, 4 * leg]
+            for k in range(3):
+                o.foot_force[leg, k] = sensors[i, 4 * leg + 1 + k]
+        o.other_contact = contacts[i] - found
+
+
+@kernel
+def _actuate(commands: Any, ctrl: Array, bias: Array) -> None:
+    """Writes joint commands as the affine actuators' control and gains."""
+    for i in range(commands.shape[0]):
+        c = commands[i]
+        for j in range(12):
+            ctrl[i, j] = c.torque[j] + c.stiffness[j] * c.joint_pos[j] + c.damping[j] * c.joint_vel[j]
+            bias[i, j, 1] = -c.stiffness[j]
+            bias[i, j, 2] = -c.damping[j]
+
+
+class MujocoSimulation:
+    """A batch of identical robots. Not for several Python threads at once."""
+
+    def __init__(
+        self,
+        robot: "Robot",
+        n: int,
+        *,
+        control_rate_hz: float = 500.0,
+        physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
+        threads: int = 1,
+    ) -> None:
+        """
+        Raises:
+            ConfigError: the physics rate is not a multiple of the control rate.
+        """
+        substeps = physics_rate_hz / control_rate_hz
+        if substeps < 1 or abs(substeps - round(substeps)) > 1e-9:
+            raise ConfigError(
+                f"the physics rate ({physics_rate_hz:g} Hz) must be a multiple of the control rate ({control_rate_hz:g} Hz)"
+            )
+        self.substeps = round(substeps)
+        self.model = build_model(robot, physics_rate_hz)
+        self.batch = Batch(self.model, n, nthread=threads)
+        self.observation = np.zeros(n, OBSERVATION)
+        self._qpos = self.batch.bind("qpos")
+        self._qvel = self.batch.bind("qvel")
+        self._ctrl = self.batch.bind("ctrl")
+        self._sensors = self.batch.bind("sensordata")
+        self._contacts = self.batch.bind("ncon")
+        self._bias = self.batch.expand("actuator_biasprm")
+        joints = [self.model.joint(name).id for name in robot.joint_names]
+        self._index = np.concatenate([self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]]).astype(np.int64)
+
+    def reset(self, root_pos: Array, root_quat: Array, joint_pos: Array, lin_vel: Array, ang_vel_b: Array, joint_vel: Array) -> None:
+        """Puts the robots into given states; arrays (n, …), world frame but for the angular velocity (body frame)."""
+        self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        self._qpos[:, :3], self._qpos[:, 3:7] = root_pos, root_quat
+        self._qpos[:, self._index[:12]] = joint_pos
+        self._qvel[:, :3], self._qvel[:, 3:6] = lin_vel, ang_vel_b
+        self._qvel[:, self._index[12:]] = joint_vel
+        self._ctrl[:] = 0.0
+        self._bias[:, :, 1:3] = 0.0
+        self.batch.forward()
+        self.observe()
+
+    def observe(self) -> NDArray[Any]:
+        """The robots' present states, (n,) of `OBSERVATION`; contact forces are those of the last substep."""
+        _observe(self._qpos, self._qvel, self._sensors, self._contacts, self._index, self.observation)
+        return self.observation
+
+    def step(self, commands: NDArray[Any]) -> NDArray[Any]:
+        """Applies commands (n,) of `COMMAND` for one control step and returns the new observation."""
+        _actuate(commands, self._ctrl, self._bias)
+        self.batch.step(nstep=self.substeps)
+        return self.observe()

@@ -1,0 +1,86 @@
+"""Inverse dynamics of the legs against MuJoCo's recursive Newton-Euler and its mass matrix."""
+
+import mujoco
+import numpy as np
+import pytest
+from robot.mjcf import Simulated, random_joints, random_quat
+
+from fastmimic.conventions import GRAVITY
+from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
+from fastmimic.robot.dynamics import leg_torques
+
+EXACT = 1e-9  # N·m, on torques of up to some hundred
+
+
+@pytest.fixture(scope="module", params=ROBOT_NAMES)
+def robot(request: pytest.FixtureRequest) -> Robot:
+    return load_robot(request.param)
+
+
+def moving(robot: Robot, generator: np.random.Generator) -> tuple[Simulated, np.ndarray, np.ndarray]:
+    """MuJoCo in a random state of motion, with joint positions and velocities."""
+    simulated = Simulated(robot)
+    q, dq = random_joints(robot, generator), generator.normal(size=12) * 8
+    simulated.pose(q, generator.normal(size=3) + (0, 0, 5), random_quat(generator))
+    simulated.data.qvel[:] = generator.normal(size=simulated.model.nv)
+    simulated.data.qvel[simulated.dofs] = dq
+    return simulated, q, dq
+
+
+def test_torques_agree_with_mujocos_inverse_dynamics(robot: Robot) -> None:
+    generator = np.random.default_rng(4)
+    for _ in range(50):
+        simulated, q, dq = moving(robot, generator)
+        ddq, base_acc_w = generator.normal(size=12) * 100, generator.normal(size=3) * 5
+        base = simulated.base_dof
+        simulated.data.qacc[:] = 0
+        simulated.data.qacc[base : base + 3] = base_acc_w
+        simulated.data.qacc[simulated.dofs] = ddq
+        expected = inverse_dynamics(simulated)
+        torques = leg_torques(
+            robot,
+            q[None],
+            dq[None],
+            ddq[None],
+            simulated.data.qvel[None, base + 3 : base + 6],  # MuJoCo's free joint turns in the body frame
+            ((base_acc_w + (0, 0, GRAVITY)) @ simulated.rotation)[None],
+        )
+        np.testing.assert_allclose(torques[0], expected, rtol=0, atol=EXACT)
+
+
+def test_the_acceleration_part_is_the_leg_block_of_the_mass_matrix(robot: Robot) -> None:
+    generator = np.random.default_rng(5)
+    simulated, q, dq = moving(robot, generator)
+    mujoco.mj_forward(simulated.model, simulated.data)
+    full = np.empty((simulated.model.nv, simulated.model.nv))
+    mujoco.mj_fullM(simulated.model, full, simulated.data.qM)
+    base = np.zeros((12, 3))
+    rest = leg_torques(robot, np.tile(q, (12, 1)), np.tile(dq, (12, 1)), np.zeros((12, 12)), base, base)
+    unit = leg_torques(robot, np.tile(q, (12, 1)), np.tile(dq, (12, 1)), np.eye(12), base, base)
+    np.testing.assert_allclose(
+        (unit - rest).T, full[np.ix_(simulated.dofs, simulated.dofs)], rtol=0, atol=EXACT
+    )
+
+
+def test_the_remainder_is_mujocos_bias_force(robot: Robot) -> None:
+    generator = np.random.default_rng(6)
+    simulated, q, dq = moving(robot, generator)
+    mujoco.mj_forward(simulated.model, simulated.data)
+    base = simulated.base_dof
+    bias = leg_torques(
+        robot,
+        q[None],
+        dq[None],
+        np.zeros((1, 12)),
+        simulated.data.qvel[None, base + 3 : base + 6],
+        (np.array([0, 0, GRAVITY]) @ simulated.rotation)[None],
+    )
+    np.testing.assert_allclose(bias[0], simulated.data.qfrc_bias[simulated.dofs], rtol=0, atol=EXACT)
+
+
+def inverse_dynamics(simulated: Simulated) -> np.ndarray:
+    """Joint torques from MuJoCo with contacts, limits and friction switched off, (12,)."""
+    flags = mujoco.mjtDisableBit
+    simulated.model.opt.disableflags |= int(flags.mjDSBL_CONSTRAINT) | int(flags.mjDSBL_ACTUATION)
+    mujoco.mj_inverse(simulated.model, simulated.data)
+    return simulated.data.qfrc_inverse[simulated.dofs].copy()

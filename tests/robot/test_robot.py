@@ -1,0 +1,278 @@
+"""What is read from an MJCF, and what is refused."""
+
+import math
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robot.mjcf import (
+    Simulated,
+    a1_tree,
+    drop,
+    find,
+    random_joints,
+    random_quat,
+    remove,
+    remove_joint,
+    write,
+)
+
+from fastmimic.conventions import LEGS
+from fastmimic.errors import RobotError
+from fastmimic.robot import ROBOT_NAMES, load_robot
+from fastmimic.robot.kinematics import foot_jacobians, foot_positions
+
+# Published by the maker: see the comment at the top of each MJCF.
+PUBLISHED = {
+    "a1": {
+        "mass": 12.453,
+        "hip": (0.183, 0.047),
+        "lateral": 0.08505,
+        "thigh": 0.2,
+        "calf": 0.2,
+        "foot": 0.02,
+        "torque": (33.5, 33.5, 33.5),
+        "speed": (21.0, 21.0, 21.0),
+        "front": ((-0.802851, 0.802851), (-1.0472, 4.18879), (-2.69653, -0.916298)),
+        "rear": ((-0.802851, 0.802851), (-1.0472, 4.18879), (-2.69653, -0.916298)),
+    },
+    "go1": {
+        "mass": 12.743,
+        "hip": (0.1881, 0.04675),
+        "lateral": 0.08,
+        "thigh": 0.213,
+        "calf": 0.213,
+        "foot": 0.023,
+        "torque": (23.7, 23.7, 35.55),
+        "speed": (30.1, 30.1, 20.06),
+        "front": ((-0.863, 0.863), (-0.686, 4.501), (-2.818, -0.888)),
+        "rear": ((-0.863, 0.863), (-0.686, 4.501), (-2.818, -0.888)),
+    },
+    "go2": {
+        "mass": 15.206,
+        "hip": (0.1934, 0.0465),
+        "lateral": 0.0955,
+        "thigh": 0.213,
+        "calf": math.hypot(0.213, 0.002),
+        "foot": 0.022,
+        "torque": (23.7, 23.7, 45.43),
+        "speed": (30.1, 30.1, 15.7),
+        "front": ((-1.0472, 1.0472), (-1.5708, 3.4907), (-2.7227, -0.83776)),
+        "rear": ((-1.0472, 1.0472), (-0.5236, 4.5379), (-2.7227, -0.83776)),
+    },
+}
+
+
+@pytest.mark.parametrize("name", ROBOT_NAMES)
+def test_a_built_in_robot_has_the_published_figures(name: str) -> None:
+    robot, published = load_robot(name), PUBLISHED[name]
+    assert robot.mass == pytest.approx(published["mass"], abs=5e-4)
+    x, y = published["hip"]
+    expected = [(x, -y, 0), (x, y, 0), (-x, -y, 0), (-x, y, 0)]
+    np.testing.assert_allclose(robot.hip_pos_b, expected, atol=1e-12)
+    np.testing.assert_allclose(robot.lateral_offset, published["lateral"] * np.array([-1, 1, -1, 1]), atol=1e-12)
+    assert robot.thigh_length == pytest.approx(published["thigh"], abs=1e-12)
+    assert robot.calf_length == pytest.approx(published["calf"], abs=1e-12)
+    assert robot.foot_radius == published["foot"]
+    np.testing.assert_array_equal(robot.torque_limit.reshape(4, 3), np.tile(published["torque"], (4, 1)))
+    np.testing.assert_array_equal(robot.joint_speed_limit.reshape(4, 3), np.tile(published["speed"], (4, 1)))
+    limits = np.stack([robot.joint_lower, robot.joint_upper], axis=-1).reshape(4, 3, 2)
+    for leg, of_leg in zip(LEGS, limits, strict=True):
+        np.testing.assert_array_equal(of_leg, published["front" if leg[0] == "F" else "rear"])
+
+
+@pytest.mark.parametrize("name", ROBOT_NAMES)
+def test_a_built_in_robot_is_the_same_on_both_sides(name: str) -> None:
+    robot = load_robot(name)
+    mirror = np.array([1, -1, 1])
+    np.testing.assert_array_equal(robot.link_mass[0], robot.link_mass[1])
+    inertias = robot.link_inertia * mirror * mirror[:, None]
+    for right, left in ((0, 1), (2, 3)):
+        legs = slice(None) if name == "go2" or name == "a1" else slice(0, 2)  # Go1's URDF does not mirror calves
+        np.testing.assert_allclose(robot.link_com[right, legs] * mirror, robot.link_com[left, legs], atol=1e-12)
+        np.testing.assert_allclose(inertias[right, legs], robot.link_inertia[left, legs], atol=1e-12)
+
+
+def test_a_robot_may_be_given_by_path_or_by_a_name_in_any_case(tmp_path: Path) -> None:
+    path = write(a1_tree(), tmp_path / "own.xml")
+    assert load_robot(path).mass == load_robot("A1").mass == load_robot("a1").mass
+
+
+def own_robot() -> ElementTree.Element:
+    """Somebody else's robot: other names, legs in another order, longer thighs, sockets for the feet, a floor."""
+    tree = a1_tree()
+    trunk = find(tree, "body", "trunk")
+    names = {"FR": "right_fore", "FL": "left_fore", "RR": "right_hind", "RL": "left_hind"}
+    legs = {leg: find(tree, "body", f"{leg}_hip") for leg in LEGS}
+    for leg in LEGS:
+        for geom in (f"{leg}_thigh",):
+            find(tree, "geom", geom).set("fromto", "0 0 0 -0.01 0 -0.25")
+        calf = find(tree, "body", f"{leg}_calf")
+        calf.set("pos", "-0.01 0 -0.25")
+        foot = find(tree, "geom", f"{leg}_foot")
+        remove(tree, foot)
+        socket = ElementTree.SubElement(calf, "body", {"name": f"{leg}_socket", "pos": "0.02 0 -0.22"})
+        foot.set("pos", "0 0 0")
+        socket.append(foot)
+        trunk.remove(legs[leg])
+    for leg in ("RL", "FR", "RR", "FL"):
+        trunk.append(legs[leg])
+    drop(tree, "keyframe")
+    drop(tree, "custom")
+    floor = {"name": "floor", "type": "plane", "size": "0 0 1"}
+    world = tree.find("worldbody")
+    assert world is not None
+    ElementTree.SubElement(world, "geom", floor)
+    for element in tree.iter():
+        for key in ("name", "joint"):
+            value = element.get(key, "")
+            if value[:2] in names and value[2:3] == "_":
+                element.set(key, names[value[:2]] + value[2:])
+    tree.set("model", "mutt")
+    return tree
+
+
+def test_somebody_elses_robot_works_whatever_its_names_order_and_lengths(tmp_path: Path) -> None:
+    robot = load_robot(write(own_robot(), tmp_path / "mutt.xml"))
+    assert robot.name == "mutt"
+    assert robot.joint_names[:3] == ("right_fore_abduction", "right_fore_hip", "right_fore_knee")
+    assert robot.foot_geoms == ("right_fore_foot", "left_fore_foot", "right_hind_foot", "left_hind_foot")
+    assert robot.thigh_length == pytest.approx(math.hypot(0.01, 0.25))
+    assert robot.calf_length == pytest.approx(math.hypot(0.02, 0.22))
+    assert robot.mass == pytest.approx(12.453), "the floor is not part of the robot"
+    np.testing.assert_array_equal(robot.joint_speed_limit, 21.0)
+    assert "21 rad/s assumed" in robot.assumed[0]
+    generator = np.random.default_rng(7)
+    simulated = Simulated(robot)
+    for _ in range(50):
+        q = random_joints(robot, generator)
+        simulated.pose(q, generator.normal(size=3), random_quat(generator))
+        np.testing.assert_allclose(foot_positions(robot, q), simulated.feet_b(), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(foot_jacobians(robot, q), simulated.jacobians_b(), rtol=0, atol=1e-9)
+
+
+def test_degrees_are_read_as_degrees(tmp_path: Path) -> None:
+    tree = a1_tree()
+    compiler = tree.find("compiler")
+    assert compiler is not None
+    compiler.set("angle", "degree")
+    for joint in tree.iter("joint"):
+        if "range" in joint.attrib:
+            joint.set("range", " ".join(f"{math.degrees(float(v)):.9f}" for v in joint.attrib["range"].split()))
+    robot = load_robot(write(tree, tmp_path / "degrees.xml"))
+    np.testing.assert_allclose(robot.joint_upper, load_robot("a1").joint_upper, atol=1e-9)
+
+
+def eight_joints(tree: ElementTree.Element) -> None:
+    for leg in LEGS:
+        remove_joint(tree, f"{leg}_abduction")
+
+
+def extra_slide(tree: ElementTree.Element) -> None:
+    body = ElementTree.SubElement(find(tree, "body", "trunk"), "body", {"name": "tail"})
+    ElementTree.SubElement(body, "joint", {"type": "slide", "name": "tail"})
+    ElementTree.SubElement(body, "inertial", {"mass": "0.1", "pos": "0 0 0", "diaginertia": "1e-4 1e-4 1e-4"})
+    drop(tree, "keyframe")
+
+
+def no_free_joint(tree: ElementTree.Element) -> None:
+    free = tree.find(".//freejoint")
+    assert free is not None
+    remove(tree, free)
+    drop(tree, "keyframe")
+
+
+def missing_leg(tree: ElementTree.Element) -> None:
+    remove(tree, find(tree, "body", "RL_hip"))
+    for joint in ("abduction", "hip", "knee"):
+        remove(tree, find(tree, "motor", f"RL_{joint}"))
+    drop(tree, "keyframe")
+
+
+def wrong_axis(tree: ElementTree.Element) -> None:
+    find(tree, "joint", "FL_knee").set("axis", "0 0 1")
+
+
+def reversed_axis(tree: ElementTree.Element) -> None:
+    find(tree, "joint", "RR_hip").set("axis", "0 -1 0")
+
+
+def uneven_chains(tree: ElementTree.Element) -> None:
+    remove_joint(tree, "FR_knee")
+    calf = find(tree, "body", "FL_calf")
+    ankle = ElementTree.SubElement(calf, "body", {"name": "FL_toe", "pos": "0 0 -0.2"})
+    ElementTree.SubElement(ankle, "joint", {"name": "FL_ankle", "axis": "0 1 0", "range": "-1 1"})
+    ElementTree.SubElement(ankle, "inertial", {"mass": "0.1", "pos": "0 0 0", "diaginertia": "1e-4 1e-4 1e-4"})
+
+
+def two_right_fore_legs(tree: ElementTree.Element) -> None:
+    find(tree, "body", "RL_hip").set("pos", "0.05 -0.047 0")
+
+
+def no_range(tree: ElementTree.Element) -> None:
+    find(tree, "joint", "RL_hip").set("limited", "false")
+
+
+def no_torque(tree: ElementTree.Element) -> None:
+    remove(tree, find(tree, "motor", "FR_knee"))
+
+
+def no_foot(tree: ElementTree.Element) -> None:
+    foot = find(tree, "geom", "RR_foot")
+    foot.set("contype", "0")
+    foot.set("conaffinity", "0")
+
+
+def reference_angle(tree: ElementTree.Element) -> None:
+    find(tree, "joint", "FR_hip").set("ref", "0.5")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (eight_joints, r"expected one free joint and 12 hinge .* found 1 free, 8 hinge and 0 other"),
+        (extra_slide, r"found 1 free, 12 hinge and 1 other"),
+        (no_free_joint, r"found 0 free, 12 hinge"),
+        (missing_leg, r"found 1 free, 9 hinge"),
+        (wrong_axis, r"knee joint 'FL_knee' turns about \[0\.0, 0\.0, 1\.0\]; expected \[0\.0, 1\.0, 0\.0\]"),
+        (reversed_axis, r"hip joint 'RR_hip' turns about \[.*-1\.0.*\]; expected"),
+        (uneven_chains, r"leg at body 'F[RL]_hip' is not a chain of three links"),
+        (two_right_fore_legs, r"expected one leg front right, front left, .* hips at .*\[0\.05, -0\.047\]"),
+        (no_range, r"joint 'RL_hip' has no range"),
+        (no_torque, r"joint 'FR_knee' has no torque limit; give its actuator a forcerange"),
+        (no_foot, r"leg at body 'RR_hip' has no colliding sphere on its last link"),
+        (reference_angle, r"joint 'FR_hip' has a reference angle"),
+    ],
+)
+def test_another_kind_of_robot_is_refused_with_what_was_found(
+    change: Callable[[ElementTree.Element], None], message: str, tmp_path: Path
+) -> None:
+    tree = a1_tree()
+    change(tree)
+    path = write(tree, tmp_path / "other.xml")
+    with pytest.raises(RobotError, match=message) as caught:
+        load_robot(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_name_lists_the_names_there_are() -> None:
+    with pytest.raises(RobotError, match=r"unknown robot 'g01'.*a1, go1, go2.*did you mean 'go1'"):
+        load_robot("g01")
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"\x00\xff\xfe", b"<mujoco><worldbody/></mujoco>", b"<robot/>"])
+def test_a_file_that_is_no_quadruped_is_refused_in_one_line(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "junk.xml"
+    path.write_bytes(content)
+    with pytest.raises(RobotError) as caught:
+        load_robot(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match="not a readable MJCF"):
+        load_robot(tmp_path)
