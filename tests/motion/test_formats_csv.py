@@ -86,6 +86,18 @@ def test_a_time_column_gives_the_rate(a1):
     assert csv_motion.parse(text, robot=a1, fps=20).rate_hz == 20
 
 
+def test_time_may_count_from_1970(a1):
+    time = 1.7e9 + np.arange(8)[:, None] / 100
+    text = named(["timestamp", *ROOT, *JOINT_NAMES], np.hstack([time, csv_values()]))
+    assert csv_motion.parse(text, robot=a1).rate_hz == pytest.approx(100)
+
+
+def test_a_column_in_degrees_is_not_taken_for_radians(a1):
+    names = [*ROOT, *JOINT_NAMES[:-1], f"{JOINT_NAMES[-1]} [deg]"]
+    with pytest.raises(ClipError, match="no column for RL_knee"):
+        csv_motion.parse(named(names, csv_values()), robot=a1)
+
+
 def test_time_that_runs_unevenly_is_refused(a1):
     time = np.arange(8)[:, None] / 100
     time[5] += 0.02

@@ -3,12 +3,13 @@
 import mujoco
 import numpy as np
 import pytest
-from robot.mjcf import Simulated, random_joints, random_quat
 
 from fastmimic.conventions import GRAVITY
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.robot.dynamics import leg_torques
+from robot.mjcf import Simulated, random_joints, random_quat
 
+UPWARDS = np.array([0.0, 0.0, GRAVITY])
 EXACT = 1e-9  # N·m, on torques of up to some hundred
 
 
@@ -21,7 +22,7 @@ def moving(robot: Robot, generator: np.random.Generator) -> tuple[Simulated, np.
     """MuJoCo in a random state of motion, with joint positions and velocities."""
     simulated = Simulated(robot)
     q, dq = random_joints(robot, generator), generator.normal(size=12) * 8
-    simulated.pose(q, generator.normal(size=3) + (0, 0, 5), random_quat(generator))
+    simulated.pose(q, generator.normal(size=3), random_quat(generator))
     simulated.data.qvel[:] = generator.normal(size=simulated.model.nv)
     simulated.data.qvel[simulated.dofs] = dq
     return simulated, q, dq
@@ -43,7 +44,7 @@ def test_torques_agree_with_mujocos_inverse_dynamics(robot: Robot) -> None:
             dq[None],
             ddq[None],
             simulated.data.qvel[None, base + 3 : base + 6],  # MuJoCo's free joint turns in the body frame
-            ((base_acc_w + (0, 0, GRAVITY)) @ simulated.rotation)[None],
+            ((base_acc_w + UPWARDS) @ simulated.rotation)[None],
         )
         np.testing.assert_allclose(torques[0], expected, rtol=0, atol=EXACT)
 
@@ -73,7 +74,7 @@ def test_the_remainder_is_mujocos_bias_force(robot: Robot) -> None:
         dq[None],
         np.zeros((1, 12)),
         simulated.data.qvel[None, base + 3 : base + 6],
-        (np.array([0, 0, GRAVITY]) @ simulated.rotation)[None],
+        (UPWARDS @ simulated.rotation)[None],
     )
     np.testing.assert_allclose(bias[0], simulated.data.qfrc_bias[simulated.dofs], rtol=0, atol=EXACT)
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from robot.mjcf import Simulated, random_joints, random_quat
 
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions, inverse_kinematics
+from robot.mjcf import Simulated, random_joints, random_quat
 
 EXACT = 1e-9  # m and m/rad: the closed forms are exact, only rounding remains
 

@@ -7,6 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from fastmimic.conventions import LEGS
+from fastmimic.errors import RobotError
+from fastmimic.robot import ROBOT_NAMES, load_robot
+from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 from robot.mjcf import (
     Simulated,
     a1_tree,
@@ -18,11 +23,6 @@ from robot.mjcf import (
     remove_joint,
     write,
 )
-
-from fastmimic.conventions import LEGS
-from fastmimic.errors import RobotError
-from fastmimic.robot import ROBOT_NAMES, load_robot
-from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 
 # Published by the maker: see the comment at the top of each MJCF.
 PUBLISHED = {
@@ -72,7 +72,9 @@ def test_a_built_in_robot_has_the_published_figures(name: str) -> None:
     x, y = published["hip"]
     expected = [(x, -y, 0), (x, y, 0), (-x, -y, 0), (-x, y, 0)]
     np.testing.assert_allclose(robot.hip_pos_b, expected, atol=1e-12)
-    np.testing.assert_allclose(robot.lateral_offset, published["lateral"] * np.array([-1, 1, -1, 1]), atol=1e-12)
+    np.testing.assert_allclose(
+        robot.lateral_offset, published["lateral"] * np.array([-1, 1, -1, 1]), atol=1e-12
+    )
     assert robot.thigh_length == pytest.approx(published["thigh"], abs=1e-12)
     assert robot.calf_length == pytest.approx(published["calf"], abs=1e-12)
     assert robot.foot_radius == published["foot"]
@@ -90,8 +92,12 @@ def test_a_built_in_robot_is_the_same_on_both_sides(name: str) -> None:
     np.testing.assert_array_equal(robot.link_mass[0], robot.link_mass[1])
     inertias = robot.link_inertia * mirror * mirror[:, None]
     for right, left in ((0, 1), (2, 3)):
-        legs = slice(None) if name == "go2" or name == "a1" else slice(0, 2)  # Go1's URDF does not mirror calves
-        np.testing.assert_allclose(robot.link_com[right, legs] * mirror, robot.link_com[left, legs], atol=1e-12)
+        legs = (
+            slice(None) if name == "go2" or name == "a1" else slice(0, 2)
+        )  # Go1's URDF does not mirror calves
+        np.testing.assert_allclose(
+            robot.link_com[right, legs] * mirror, robot.link_com[left, legs], atol=1e-12
+        )
         np.testing.assert_allclose(inertias[right, legs], robot.link_inertia[left, legs], atol=1e-12)
 
 
@@ -160,7 +166,9 @@ def test_degrees_are_read_as_degrees(tmp_path: Path) -> None:
     compiler.set("angle", "degree")
     for joint in tree.iter("joint"):
         if "range" in joint.attrib:
-            joint.set("range", " ".join(f"{math.degrees(float(v)):.9f}" for v in joint.attrib["range"].split()))
+            joint.set(
+                "range", " ".join(f"{math.degrees(float(v)):.9f}" for v in joint.attrib["range"].split())
+            )
     robot = load_robot(write(tree, tmp_path / "degrees.xml"))
     np.testing.assert_allclose(robot.joint_upper, load_robot("a1").joint_upper, atol=1e-9)
 
@@ -204,7 +212,9 @@ def uneven_chains(tree: ElementTree.Element) -> None:
     calf = find(tree, "body", "FL_calf")
     ankle = ElementTree.SubElement(calf, "body", {"name": "FL_toe", "pos": "0 0 -0.2"})
     ElementTree.SubElement(ankle, "joint", {"name": "FL_ankle", "axis": "0 1 0", "range": "-1 1"})
-    ElementTree.SubElement(ankle, "inertial", {"mass": "0.1", "pos": "0 0 0", "diaginertia": "1e-4 1e-4 1e-4"})
+    ElementTree.SubElement(
+        ankle, "inertial", {"mass": "0.1", "pos": "0 0 0", "diaginertia": "1e-4 1e-4 1e-4"}
+    )
 
 
 def two_right_fore_legs(tree: ElementTree.Element) -> None:
@@ -263,7 +273,9 @@ def test_an_unknown_name_lists_the_names_there_are() -> None:
         load_robot("g01")
 
 
-@pytest.mark.parametrize("content", [b"", b"hello", b"\x00\xff\xfe", b"<mujoco><worldbody/></mujoco>", b"<robot/>"])
+@pytest.mark.parametrize(
+    "content", [b"", b"hello", b"\x00\xff\xfe", b"<mujoco><worldbody/></mujoco>", b"<robot/>"]
+)
 def test_a_file_that_is_no_quadruped_is_refused_in_one_line(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "junk.xml"
     path.write_bytes(content)

@@ -77,6 +77,9 @@ class SwingConfig:
 
     Attributes:
         velocity_feedback: K, s.
+        filter_time: time constant of the low-pass on v̄ − v before K, s; 0 in the paper. A gait that sways within each
+            step would otherwise step wider with every sway.
+        position_feedback: the same for the base's position error, a fraction of it; 0 in the paper.
         joint_stiffness, joint_damping: N·m/rad and N·m·s/rad.
         leg_dynamics: feed-forward of the leg's inverse dynamics along the reference.
         level: follow the reference foot relative to gravity and the ground (1) or to the trunk as it happens to be
@@ -84,7 +87,9 @@ class SwingConfig:
         liftoff_blend_time: time over which the foot's offset from the reference at lift-off fades, s.
     """
 
-    velocity_feedback: float = 0.03
+    velocity_feedback: float = 0.1
+    filter_time: float = 0.1
+    position_feedback: float = 0.1
     joint_stiffness: float = 71.0
     joint_damping: float = 3.0
     leg_dynamics: bool = True
@@ -119,6 +124,7 @@ class ControllerConfig:
             (0 <= self.stance.min_force < self.stance.max_force, "stance.min_force must be in [0, max_force)"),
             (min(self.stance.acceleration_weight) >= 0, "stance.acceleration_weight must not be negative"),
             (self.swing.liftoff_blend_time >= 0, "swing.liftoff_blend_time must not be negative"),
+            (self.swing.filter_time >= 0, "swing.filter_time must not be negative"),
         )
         for ok, message in checks:
             if not ok:
@@ -139,7 +145,14 @@ def paper_config() -> ControllerConfig:
     return ControllerConfig(
         name="paper",
         stance=StanceConfig(reference_acceleration=0.0, adaptation="paper", leg_dynamics=False),
-        swing=SwingConfig(leg_dynamics=False, level=0.0, liftoff_blend_time=0.0),
+        swing=SwingConfig(
+            velocity_feedback=0.03,
+            filter_time=0.0,
+            position_feedback=0.0,
+            leg_dynamics=False,
+            level=0.0,
+            liftoff_blend_time=0.0,
+        ),
     )
 
 
@@ -175,6 +188,8 @@ _DTYPE = np.dtype(
         ("stance_kd", "f8"),
         ("stance_dynamics", "f8"),
         ("velocity_feedback", "f8"),
+        ("filter_gain", "f8"),
+        ("position_feedback", "f8"),
         ("swing_kp", "f8"),
         ("swing_kd", "f8"),
         ("swing_dynamics", "f8"),
@@ -214,6 +229,8 @@ def pack_config(config: ControllerConfig, weight: float) -> NDArray[Any]:
     record["stance_kd"] = stance.joint_damping
     record["stance_dynamics"] = float(stance.leg_dynamics)
     record["velocity_feedback"] = swing.velocity_feedback
+    record["filter_gain"] = 1.0 / (1.0 + swing.filter_time * config.rate_hz)
+    record["position_feedback"] = swing.position_feedback
     record["swing_kp"] = swing.joint_stiffness
     record["swing_kd"] = swing.joint_damping
     record["swing_dynamics"] = float(swing.leg_dynamics)

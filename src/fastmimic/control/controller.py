@@ -41,6 +41,7 @@ SCRATCH: Final = np.dtype(
         ("desired", "f8", (6,)),
         ("columns", "f8", (12, 6)),
         ("jacobian", "f8", (3, 3)),
+        ("position_error", "f8", (3,)),  # reference minus robot, body frame
         ("vectors", "f8", (8, 3)),
         ("torque", "f8", (3,)),
     ],
@@ -159,6 +160,7 @@ def _control_robot(
     y = clock.origin[1] + so * ref.root_pos[0] + co * ref.root_pos[1] - obs.root_pos[1]
     error[0], error[1], error[2] = c * x + s * y, -s * x + c * y, ref.root_pos[2] - obs.root_pos[2]
     height_error = error[2]
+    transposed_times(rotation, error, scratch.position_error)
     for k in range(3):
         velocity_error[k] = v_ref[k] - v[k]
     _heading_vector(cd, -sd, ref.lin_acc, feedforward)
@@ -174,6 +176,8 @@ def _control_robot(
     transposed_times(reference_rotation, v_ref, v_ref_b)
     transposed_times(reference_rotation, w_ref, w_ref_b)
     transposed_times(rotation, v, v_b)
+    for k in range(2):
+        memory.velocity_error[k] += config.filter_gain * (v_ref_b[k] - v_b[k] - memory.velocity_error[k])
     _feet_and_com(model, obs, rotation, feet, scratch.arms, vectors[7])
     _heading_inertia(model.inertia, rotation, scratch.inertia)
     invert_symmetric_3x3(scratch.inertia, scratch.inverse_inertia)
@@ -197,7 +201,7 @@ def _control_robot(
         if memory.stance[leg] == 1:
             _stance_leg(config, model, obs, memory, command, scratch, leg, v_ref_b, w_ref_b, solved)
         else:
-            _swing_leg(config, model, obs, ref, memory, command, scratch, leg, v_ref_b, v_b, height_error)
+            _swing_leg(config, model, obs, ref, memory, command, scratch, leg, height_error)
         _leg_dynamics(config, model, obs, ref, memory, command, scratch, leg)
         for j in range(3 * leg, 3 * leg + 3):
             lower, upper = model.lower[j] + config.joint_margin, model.upper[j] - config.joint_margin
@@ -271,15 +275,14 @@ def _swing_leg(
     command: Any,
     scratch: Any,
     leg: int,
-    v_ref_b: Array,
-    v_b: Array,
     height_error: float,
 ) -> None:
-    """Paper, eq. 3: reference foot minus K (v̄ − v), by inverse kinematics and joint feedback."""
+    """Paper, eq. 3: reference foot minus K (v̄ − v), and a share of the position error, by inverse kinematics."""
     target = scratch.vectors[7]
     _swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
     for k in range(2):
-        target[k] -= config.velocity_feedback * (v_ref_b[k] - v_b[k])
+        target[k] -= config.velocity_feedback * memory.velocity_error[k]
+        target[k] -= config.position_feedback * scratch.position_error[k]
     if memory.since_switch[leg] < config.blend_time:
         left = 1.0 - memory.since_switch[leg] / config.blend_time
         fade = left * left * (3.0 - 2.0 * left)

@@ -45,6 +45,7 @@ MEMORY: Final = np.dtype(
         ("unloaded_time", "f8", (4,)),
         ("liftoff_offset", "f8", (4, 3)),
         ("force", "f8", (4, 3)),
+        ("velocity_error", "f8", (2,)),
         ("qp_failures", "i8"),
         ("failed_in_a_row", "i8"),
         ("early_touchdowns", "i8"),

@@ -202,7 +202,16 @@ def _recorded(
         )
     clip = read_clip(path, fps=fps, up=up, scale=scale, frames=motion.frames)
     dataset = next(d for d in DATASETS if d.name == motion.dataset)
-    provenance = {"name": name, "source": motion.source, "licence": dataset.licence, "credit": dataset.credit}
+    assumed = list(clip.meta["assumed"])
+    if dataset_of(path) is None:
+        assumed.append(f"{path} is not the published file (its SHA-256 differs)")
+    provenance = {
+        "name": name,
+        "source": motion.source,
+        "licence": dataset.licence,
+        "credit": dataset.credit,
+        "assumed": assumed,
+    }
     clip = replace(clip, is_cycle=True, meta=clip.meta | provenance)
     return clip if frames is None else _cut(name, clip, frames)
 

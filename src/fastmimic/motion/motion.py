@@ -76,7 +76,7 @@ class Motion:
             raise MotionError(f"a motion needs at least 2 samples, found {n}")
         for name, tail in _ARRAYS.items():
             dtype = np.bool_ if name == "contact" else np.float64
-            array = np.array(getattr(self, name), dtype=dtype)
+            array: NDArray[Any] = np.array(getattr(self, name), dtype=dtype)
             if array.shape != (n, *tail):
                 raise MotionError(f"{name} has shape {array.shape}; expected {(n, *tail)}")
             if not np.all(np.isfinite(array)):

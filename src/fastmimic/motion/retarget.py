@@ -1,113 +1,256 @@
-"""Retargeting: an animal's clip as a consistent reference motion of a robot."""
+"""Retargeting: an animal's clip becomes a consistent reference motion of a robot (Peng et al. 2020, then made consistent).
 
-from dataclasses import dataclass, field
+One rule for every clip. The steps, each in its own module: keypoints to trunk and toe targets at the robot's size (`retarget_source`);
+the recording as a continuous motion, closed if it is a cycle (`retarget_cycle`); contacts (`contacts`) and the gait
+that they make (`retarget_gait`); feet planted in stance and blended through swing (`retarget_feet`); inverse
+kinematics within the limits (`retarget_pose`); what changed (`retarget_report`).
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.conventions import LEFT
+from fastmimic.errors import ClipError, ConfigError
 from fastmimic.motion.clip import Clip
-from fastmimic.motion.contacts import ContactConfig, contact_effort, detect, duty_factors, make_consistent, mask_of
+from fastmimic.motion.contacts import (
+    ContactConfig,
+    Stances,
+    contact_mask,
+    detect,
+    foot_activity,
+)
 from fastmimic.motion.motion import Motion
-from fastmimic.motion.retarget_cycle import Track, cycle_displacement, track_cycle, track_open
+from fastmimic.motion.retarget_cycle import Track, cycle_displacement, pose_mismatch, track_cycle, track_open
+from fastmimic.motion.retarget_fidelity import Before, make_report
 from fastmimic.motion.retarget_feet import SwingConfig, plant_feet
-from fastmimic.motion.retarget_signal import differentiate, pad_open
+from fastmimic.motion.retarget_gait import GaitConfig, make_consistent
+from fastmimic.motion.retarget_pose import Pose, joint_velocity, root_velocity, solve_pose
+from fastmimic.motion.retarget_report import RetargetReport
 from fastmimic.motion.retarget_source import Source, extract
 from fastmimic.robot import Robot
-from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
-from fastmimic.rotations import (
-    quat_continuous, quat_from_rotvec, quat_from_yaw, quat_multiply, quat_rotate_inverse, rotate_planar, rotvec_from_quat, quat_conjugate,
-)
+from fastmimic.rotations import quat_rotate_inverse, rotate_planar
 
 Array = NDArray[np.float64]
+
+DOG_SCALE: Final = 0.825
+"""The A1's size over the dog's (Peng et al. 2020)."""
+DOG_LEG_LENGTH_M: Final = 0.4 / DOG_SCALE
+"""Leg length that this scale implies for an animal whose own is not known, so that other robots scale by theirs."""
+
+MIN_FRAMES: Final = 8
+MAX_SMOOTHING: Final = 4
+SMOOTHING_STEP: Final = 4.0
 
 
 @dataclass(frozen=True)
 class RetargetConfig:
-    roll_share: float = 0.5
-    width_share: float = 0.59
+    """Settings of retargeting; the defaults serve all clips and robots.
+
+    Attributes:
+        trunk_hz: half-power frequency of the trunk's low-pass. A trot's bounce is at 3.6 Hz, a canter's pitch at 2 Hz; above 6 Hz the
+            spectra of the dog's trunk are flat marker noise, which differentiation would make the largest part of the angular velocity.
+        foot_hz: the same for the toes.
+        roll_share: share of the shoulders' and hips' roll that the trunk takes. The published retargeting levels the lateral axis
+            before it builds the rotation, which leaves half: girdles roll more than the trunk between them.
+        stance_width: lateral distance of the mean footholds from the abduction axis, as a share of the robot's lateral link.
+        crouch_m: how much lower than the scaled hips the base is at the A1's size. The published base lies 0.06 m below the scaled
+            neck–pelvis line, which is 0.045 m above the hips.
+        max_lowering_m: further lowering for reach, at most.
+        limit_margin_rad: kept to the joint limits.
+        speed_share: of the joint speed limit that the reference may use.
+        straight_yaw_deg, straight_travel_deg: a gait is straight if it turns less than the first a cycle and travels within the
+            second of its heading; only then the heading is turned into the direction of travel.
+        min_travel_m_per_s: slower motions have no direction of travel.
+        cycle_mismatch: a clip of which nothing is known is a cycle if it closes better than this (see `pose_mismatch`).
+        contact, gait, swing: settings of these steps.
+    """
+
     trunk_hz: float = 6.0
     foot_hz: float = 12.0
-    crouch: float = 0.04
+    roll_share: float = 0.5
+    stance_width: float = 0.59
+    crouch_m: float = 0.04
+    max_lowering_m: float = 0.05
+    limit_margin_rad: float = 0.02
+    speed_share: float = 0.95
+    straight_yaw_deg: float = 10.0
+    straight_travel_deg: float = 15.0
+    min_travel_m_per_s: float = 0.2
+    cycle_mismatch: float = 0.6
     contact: ContactConfig = field(default_factory=ContactConfig)
+    gait: GaitConfig = field(default_factory=GaitConfig)
     swing: SwingConfig = field(default_factory=SwingConfig)
 
 
-def retarget(clip: Clip, robot: Robot, *, rate_hz=500.0, scale=None, cycle=None, config=RetargetConfig()):
-    if scale is None:
-        scale = clip.scale if clip.scale is not None else (robot.leg_length / clip.leg_length_m if clip.leg_length_m else 0.825 * robot.leg_length / 0.4)
+def retarget(
+    clip: Clip,
+    robot: Robot,
+    *,
+    rate_hz: float = 500.0,
+    scale: float | None = None,
+    cycle: bool | None = None,
+    config: RetargetConfig | None = None,
+) -> tuple[Motion, RetargetReport]:
+    """Turns an animal's clip into a reference motion of a robot.
+
+    Args:
+        clip: the animal's keypoints.
+        robot: who is to move like it.
+        rate_hz: of the motion; a cycle's period becomes a whole number of samples.
+        scale: animal's to robot's size; if None the clip's own, else the ratio of leg lengths (0.825 for the dog on the A1).
+        cycle: whether the clip is one period; if None what the clip says, else whether it closes.
+        config: settings, `RetargetConfig()` if None.
+
+    Returns:
+        The motion and what was changed. `motion.meta` holds `name`, `robot`, `source`, `licence` and `retarget` (the report).
+
+    Raises:
+        ConfigError: rate or scale not positive.
+        ClipError: too short, or larger or smaller than the robot by so much that the scale must be wrong.
+    """
+    config = config or RetargetConfig()
+    _check(clip, rate_hz, scale)
+    scale = choose_scale(clip, robot) if scale is None else float(scale)
     source = extract(clip, scale, config.roll_share)
-    periodic = cycle if cycle is not None else clip.is_cycle if clip.is_cycle is not None else True
-    info = {'scale': scale}
-    straight = False
-    if periodic:
-        d = cycle_displacement(source)
-        aim = np.arctan2(d[1], d[0])
-        aim = aim - d[2] / 2
-        straight = abs(d[2]) < np.radians(10)
-        h = np.unwrap(source.heading)
-        mean_off = np.arctan2(d[1], d[0]) - (np.mean(h) - h[0])
-        info['dir'] = np.degrees(mean_off)
-        if straight and np.hypot(*d[:2]) / (len(h) / source.rate_hz) > 0.2 and abs(mean_off) < np.radians(15):
-            source = source.turned(mean_off)
-    n_frames = clip.n_frames
-    duration = (n_frames if periodic else n_frames - 1) / clip.rate_hz
-    n = round(duration * rate_hz)
+    periodic, cycle_reason = _decide_cycle(clip, source, cycle, config)
+    source, straight, aligned = _align(source, periodic, config)
+    duration = (clip.n_frames if periodic else clip.n_frames - 1) / clip.rate_hz
+    n = max(2, round(duration * rate_hz))
     track = (track_cycle if periodic else track_open)(source, n, config.trunk_hz, config.foot_hz)
-    effort = contact_effort(source.toe_height, source.toe_speed)
-    ti = np.arange(n) * duration / n * clip.rate_hz
-    xp = np.arange(n_frames + 1)
-    effort = np.stack([np.interp(ti, xp, np.append(effort[:, l], effort[0 if periodic else -1, l])) for l in range(4)], 1)
-    raw_st = detect(effort, rate_hz, periodic, config.contact)
-    stances, notes = make_consistent(raw_st, n, rate_hz, periodic, straight, config.contact)
-    info |= notes
-    info['duty'] = duty_factors(raw_st, n).round(2), duty_factors(stances, n).round(2)
+
+    detected = detect(_activity(source, n, periodic, config.contact), rate_hz, periodic, config.contact)
+    stances, changes = make_consistent(detected, n, rate_hz, periodic, straight, config.gait)
+    own = _is_own_body(clip, robot, scale)
+    offset = np.zeros((4, 2)) if own else foot_offsets(robot, track, stances, config.stance_width)
+    raw_w = _raw_feet(robot, track, offset)
+    height = source.hip_height + robot.foot_radius - (0.0 if own else config.crouch_m * scale / DOG_SCALE)
+    pose, smoothed = _fit_within_limits(robot, track, raw_w, stances, height, rate_hz, config)
+    linear, angular = root_velocity(pose, track, rate_hz)
+    motion = Motion(
+        rate_hz=rate_hz,
+        root_pos_w=pose.root_pos_w,
+        root_quat_wxyz=pose.root_quat_wxyz,
+        joint_pos=pose.joint_pos,
+        joint_vel=joint_velocity(pose.joint_pos, rate_hz, periodic),
+        foot_pos_b=pose.foot_pos_b,
+        contact=contact_mask(stances, n),
+        root_lin_vel_w=linear,
+        root_ang_vel_w=angular,
+        cycle=track.cycle,
+    )
+    before = Before(scale, duration, cycle_reason, aligned, raw_w, detected, offset, changes, smoothed)
+    report = make_report(motion, robot, source, track, stances, pose, before)
+    meta = {
+        "name": clip.meta.get("name", "motion"),
+        "robot": robot.name,
+        "source": {k: v for k, v in clip.meta.items() if k not in ("name", "licence")},
+        "licence": clip.meta.get("licence"),
+        "retarget": report.as_dict(),
+    }
+    return replace(motion, meta=meta), report
+
+
+def choose_scale(clip: Clip, robot: Robot) -> float:
+    """The clip's own scale, else the ratio of leg lengths; an animal of unknown legs is taken for the dog of the published scale."""
+    if clip.scale is not None:
+        return float(clip.scale)
+    return robot.leg_length / (clip.leg_length_m if clip.leg_length_m is not None else DOG_LEG_LENGTH_M)
+
+
+def foot_offsets(robot: Robot, track: Track, stances: Stances, stance_width: float) -> Array:
+    """Constant shifts (4, 2) of the feet against the robot's hips, m.
+
+    Where shoulder, hip and toe markers sit is the animal's build, not its motion. The mean foothold of each girdle is put where the
+    robot stands well: fore-aft so that the mean of all footholds lies under the centre of mass, laterally
+    `stance_width` of the lateral link outside the abduction axis. Left and right move alike.
+    """
     side = np.where(LEFT, 1.0, -1.0)
-    local = robot.hip_pos_b[:, :2] + track.toe_from_hip
-    mask = mask_of(stances, n)
-    stance_mean = np.array([local[mask[:, l], l].mean(0) for l in range(4)])
-    width = (robot.hip_pos_b[:, 1] + config.width_share * robot.lateral_offset) * side
-    info['stance x'] = (stance_mean[:, 0] - robot.hip_pos_b[:, 0]).round(3), 'y', stance_mean[:, 1].round(3)
-    x_shift = robot.com_b[0] + robot.hip_pos_b[:, 0] - robot.hip_pos_b[:, 0].mean() - np.repeat([stance_mean[:2, 0].mean(), stance_mean[2:, 0].mean()], 2)
-    y_now = (stance_mean[:, 1] * side).reshape(2, 2).mean(1)
-    y_shift = side * (width - np.repeat(y_now, 2))
-    local = local + np.stack([x_shift, y_shift], 1)
-    raw_xy = track.root_xy[:, None] + rotate_planar(track.heading[:, None], local)
-    feet = plant_feet(raw_xy, np.maximum(track.toe_height, 0), track, stances, robot.foot_radius, rate_hz, config.swing)
-    height = source.hip_height + robot.foot_radius - config.crouch * scale / .825
-    tilt = track.tilt; o = np.zeros(n)
-    quat = quat_multiply(quat_from_yaw(track.heading), quat_multiply(quat_from_rotvec(np.stack([o, tilt[:, 1], o], 1)), quat_from_rotvec(np.stack([tilt[:, 0], o, o], 1))))
-    lo, hi = robot.joint_lower + 0.02, robot.joint_upper - 0.02
-    for lower in np.arange(0, 0.081, 0.005):
-        z = track.root_z - track.root_z.mean() + height - lower
-        pos = np.concatenate([track.root_xy, z[:, None]], 1)
-        foot_b = quat_rotate_inverse(quat[:, None], feet - pos[:, None])
-        q, ok = inverse_kinematics(robot, foot_b)
-        clamp = (q < lo) | (q > hi)
-        if not clamp.any() and ok.all(): break
-    info['height'] = round(height, 3), 'lowered', lower
-    info['unreach'] = (~ok).sum(0); info['clamp'] = clamp.sum(0).reshape(4, 3)
-    info['knee max'] = q.reshape(-1, 4, 3)[:, :, 2].max(0).round(2)
-    def pad(v):
-        return np.concatenate([v[-2:], v, v[:2]]) if periodic else pad_open(v)
-    def padxy():
-        if not periodic: return pad_open(pos)
-        a, b = pos[-2:].copy(), pos[:2].copy()
-        a[:, :2] = track.moved(a[:, :2], -1); b[:, :2] = track.moved(b[:, :2], 1)
-        return np.concatenate([a, pos, b])
-    dt = 1 / rate_hz
-    vel = differentiate(padxy(), dt)
-    dq = differentiate(pad(q), dt)
+    stands = contact_mask(stances, len(track.root_z))
+    mean = np.stack([track.toe_from_hip[stands[:, leg], leg].mean(axis=0) if stands[:, leg].any() else np.zeros(2) for leg in range(4)])
+    forward = np.repeat(mean[:, 0].reshape(2, 2).mean(axis=1), 2)
+    outward = np.repeat((side * mean[:, 1]).reshape(2, 2).mean(axis=1), 2)
+    centre = robot.com_b[0] - robot.hip_pos_b[:, 0].mean()
+    width = stance_width * np.abs(robot.lateral_offset)
+    return np.stack([centre - forward, side * (width - outward)], axis=-1)
+
+
+def _check(clip: Clip, rate_hz: float, scale: float | None) -> None:
+    if not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise ConfigError(f"the rate of a motion must be positive, found {rate_hz} Hz")
+    if scale is not None and not (np.isfinite(scale) and scale > 0):
+        raise ConfigError(f"the scale must be positive, found {scale}")
+    if clip.n_frames < MIN_FRAMES:
+        raise ClipError(f"retargeting needs at least {MIN_FRAMES} frames, found {clip.n_frames}")
+
+
+def _decide_cycle(clip: Clip, source: Source, cycle: bool | None, config: RetargetConfig) -> tuple[bool, str]:
+    if cycle is not None:
+        return cycle, "taken as one cycle, as asked" if cycle else "not a cycle, as asked"
+    if clip.is_cycle is not None:
+        return clip.is_cycle, "one cycle, as the clip says" if clip.is_cycle else "not a cycle, as the clip says"
+    mismatch = pose_mismatch(source)
+    closes = mismatch <= config.cycle_mismatch
+    found = f"its ends differ by {mismatch:.2f} of the spread of its poses; limit {config.cycle_mismatch:.2f}"
+    return closes, f"taken as one cycle ({found})" if closes else f"not a cycle ({found})"
+
+
+def _align(source: Source, periodic: bool, config: RetargetConfig) -> tuple[Source, bool, float]:
+    """Turns the trunk into the direction of travel if the gait is straight; returns source, straightness, angle in rad."""
+    if not periodic:
+        return source, False, 0.0
+    dx, dy, dyaw = cycle_displacement(source)
+    speed = np.hypot(dx, dy) * source.rate_hz / len(source.heading)
+    if abs(dyaw) >= np.radians(config.straight_yaw_deg) or speed < config.min_travel_m_per_s:
+        return source, False, 0.0
+    travel = np.arctan2(dy, dx) - (source.heading.mean() - source.heading[0])
+    backward = abs(travel) > np.pi / 2
+    angle = float(travel - np.sign(travel) * np.pi if backward else travel)
+    if abs(angle) >= np.radians(config.straight_travel_deg):
+        return source, False, 0.0
+    return source.turned(angle), True, angle
+
+
+def _activity(source: Source, n: int, periodic: bool, config: ContactConfig) -> Array:
+    """The feet's activity (n, 4) between the frames, linear."""
+    frames = foot_activity(source.toe_height, source.toe_speed, config)
     if periodic:
-        qa = quat_multiply(quat_from_yaw(-track.cycle[2]), quat[-2:]); qb = quat_multiply(quat_from_yaw(track.cycle[2]), quat[:2])
-        qq = quat_continuous(np.concatenate([qa, quat, qb]))
-    else:
-        qq = quat_continuous(pad_open(quat_continuous(quat)));
-    omega = 2 * quat_multiply(differentiate(qq, dt), quat_conjugate(quat_continuous(quat) if False else qq[2:-2]))[:, 1:]
-    info['dqmax'] = np.abs(dq).max(0).reshape(4, 3).max(0).round(1)
-    info['rawslip'] = [round(float(max([np.linalg.norm(np.ptp(raw_xy[np.arange(s, e) % n if not periodic else np.arange(s, min(e, n)), l], axis=0)) for s, e in stances[l]] or [0])), 3) for l in range(4)]
-    info['clear'] = (feet[..., 2].max(0) - robot.foot_radius).round(3), source.toe_height.max(0).round(3)
-    info['rms'] = np.sqrt(((feet[..., :2] - raw_xy) ** 2).sum(-1).mean(0)).round(3)
-    motion = Motion(rate_hz, pos, quat, q, dq, foot_b, mask, vel, omega, track.cycle, meta={'name': clip.meta.get('name', '')})
-    motion_feet = feet
-    return motion, dict(info=info, feet=feet, raw_xy=raw_xy, track=track, source=source, raw_st=raw_st, stances=stances, n=n)
+        frames = np.concatenate([frames, frames[:1]])
+    at = np.arange(n) * (len(frames) - 1) / n
+    return np.stack([np.interp(at, np.arange(len(frames)), leg) for leg in frames.T], axis=-1)
+
+
+def _is_own_body(clip: Clip, robot: Robot, scale: float) -> bool:
+    """Whether the clip is this robot's own motion: its hips are where the robot's are."""
+    if clip.root_quat_wxyz is None:
+        return False
+    centre = clip.hips_w.mean(axis=1, keepdims=True)
+    hips = scale * quat_rotate_inverse(clip.root_quat_wxyz[:, None], clip.hips_w - centre)
+    return bool(np.abs(hips - (robot.hip_pos_b - robot.hip_pos_b.mean(axis=0))).max() < 2e-3)
+
+
+def _raw_feet(robot: Robot, track: Track, offset: Array) -> Array:
+    """The animal's foot paths (t, 4, 3) under the robot's hips, world; z is the height above the ground."""
+    local = robot.hip_pos_b[:, :2] + offset + track.toe_from_hip
+    xy = track.root_xy[:, None] + rotate_planar(track.heading[:, None], local)
+    return np.concatenate([xy, track.toe_height[..., None]], axis=-1)
+
+
+def _fit_within_limits(
+    robot: Robot, track: Track, raw_w: Array, stances: Stances, height: float, rate_hz: float, config: RetargetConfig
+) -> tuple[Pose, tuple[int, int, int, int]]:
+    """Feet and joints; the swings of a leg that would exceed joint speed are smoothed further."""
+    stiffening = np.ones(4)
+    limit = config.speed_share * robot.joint_speed_limit
+    for round_ in range(MAX_SMOOTHING + 1):
+        feet_w = plant_feet(raw_w, track, stances, robot.foot_radius, rate_hz, config.swing, tuple(stiffening))
+        pose = solve_pose(robot, track, feet_w, height, config.max_lowering_m, config.limit_margin_rad)
+        speed = np.abs(joint_velocity(pose.joint_pos, rate_hz, track.cycle is not None))
+        too_fast = (speed > limit).reshape(-1, 4, 3).any(axis=(0, 2))
+        if round_ == MAX_SMOOTHING or not too_fast.any():
+            break
+        stiffening[too_fast] *= SMOOTHING_STEP
+    steps = np.round(np.log(stiffening) / np.log(SMOOTHING_STEP)).astype(int)
+    return pose, (int(steps[0]), int(steps[1]), int(steps[2]), int(steps[3]))

@@ -1,16 +1,19 @@
 """Feet that stand still while they stand, and swing as the animal's did in between."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.motion.contacts import Stance, swings_of
-from fastmimic.motion.retarget_cycle import Track
+from fastmimic.motion.contacts import Stance, Stances, swings_of
+from fastmimic.motion.retarget_cycle import Track, WorldPath
 
 Array = NDArray[np.float64]
 
 _DEGREE = 3
+_AT_REST = 3
+"""Coefficients of a cubic B-spline that fix position, velocity and acceleration at an end."""
 
 
 @dataclass(frozen=True)
@@ -29,143 +32,122 @@ class SwingConfig:
 
 
 def plant_feet(
-    raw_xy: Array, raw_height: Array, track: Track, stances: list[list[Stance]], ground_z: float, rate_hz: float,
+    raw_w: Array,
+    track: Track,
+    stances: Stances,
+    ground_z: float,
+    rate_hz: float,
     config: SwingConfig,
+    stiffening: Sequence[float] = (1.0, 1.0, 1.0, 1.0),
 ) -> Array:
-    """Consistent foot paths: fixed in the world in stance, the animal's path blended between footholds in swing.
+    """Consistent foot paths: fixed in the world in stance, the animal's path between footholds in swing.
 
     Args:
-        raw_xy: (n, 4, 2) the animal's paths, world, m.
-        raw_height: (n, 4) above the ground, m.
-        track: gives the displacement of a cycle.
+        raw_w: (n, 4, 3) the animal's foot paths, world, m; z is the height above the ground.
+        track: says how the path of a cycle repeats.
         stances: of each leg.
         ground_z: height of a standing foot's centre, m.
         rate_hz: of the samples.
         config: of the swings.
+        stiffening: factor on the stiffness of each leg's swings.
 
     Returns:
-        (n, 4, 3) centres of the feet, world, m; twice continuously differentiable, at rest on the ground at every
-        touch-down and lift-off.
+        (n, 4, 3) centres of the feet, world, m. Position, velocity and acceleration are continuous; the foot is at rest on the
+        ground at every touch-down and lift-off and nowhere below it.
     """
-    n = len(raw_xy)
-    feet = np.empty((n, 4, 3))
+    feet = np.empty_like(raw_w)
     for leg in range(4):
-        raw = np.concatenate([raw_xy[:, leg], raw_height[:, leg, None]], axis=1)
-        feet[:, leg] = _plant(_Path(raw, track), stances[leg], ground_z, rate_hz, config)
+        path = WorldPath(raw_w[:, leg], track)
+        feet[:, leg] = _plant(path, stances[leg], rate_hz, config, config.stiffness * stiffening[leg])
+    feet[..., 2] += ground_z
     return feet
 
 
-class _Path:
-    """A path on n samples, continued over the seam of a cycle."""
-
-    def __init__(self, samples: Array, track: Track) -> None:
-        self.samples, self.track, self.n = samples, track, len(samples)
-        self.periodic = track.cycle is not None
-
-    def __call__(self, index: NDArray[np.int_]) -> Array:
-        if not self.periodic:
-            return self.samples[index]
-        points = self.samples[index % self.n].copy()
-        lap = index // self.n
-        for cycles in np.unique(lap):
-            points[lap == cycles, :2] = self.track.moved(points[lap == cycles, :2], int(cycles))
-        return points
-
-    def write(self, out: Array, index: NDArray[np.int_], points: Array) -> None:
-        if not self.periodic:
-            out[index] = points
-            return
-        lap = index // self.n
-        for cycles in np.unique(lap):
-            rows = lap == cycles
-            out[index[rows] % self.n, :2] = self.track.moved(points[rows, :2], -int(cycles))
-            out[index[rows] % self.n, 2] = points[rows, 2]
-
-
-def _plant(path: _Path, stances: list[Stance], ground_z: float, rate_hz: float, config: SwingConfig) -> Array:
+def _plant(path: WorldPath, stances: list[Stance], rate_hz: float, config: SwingConfig, stiffness: float) -> Array:
     n = path.n
-    out = path.samples + np.array([0.0, 0.0, ground_z])
-    holds: dict[int, Array] = {}
-    for start, end in stances:
-        hold = _foothold(path(np.arange(start, end)))
-        holds[start] = hold
-        path.write(out, np.arange(start, end), np.tile([*hold, ground_z], (end - start, 1)))
-    if stances and stances[0] == (0, n):
-        return out
+    out = WorldPath(path.samples, path.track)
+    for stance in stances:
+        index = np.arange(*stance)
+        out.write(index, np.tile(_foothold(path.read(index)), (stance.duration, 1)))
     for lift_off, touch_down in swings_of(stances, n, path.periodic):
-        before = next((holds[s] for s, e in stances if e == lift_off), None)
-        after = next((holds[s] for s, _ in stances if s == touch_down), None)
-        if after is None and path.periodic:
-            after = path.track.moved(holds[touch_down - n], 1)
-        first = lift_off - 1 if before is not None else lift_off  # the last sample at rest
-        last = touch_down if after is not None else touch_down - 1
-        index = np.arange(first, last + 1)
-        swing = _swing(path(index), before, after, rate_hz, config)
-        swing[:, 2] += ground_z
-        keep = slice(1 if before is not None else 0, len(index) - (1 if after is not None else 0))
-        path.write(out, index[keep], swing[keep])
-    return out
+        from_rest = bool(stances) and (path.periodic or lift_off > 0)
+        to_rest = bool(stances) and (path.periodic or touch_down < n)
+        index = np.arange(lift_off - from_rest, touch_down + to_rest)  # with the samples at rest on both sides
+        held = out.read(index)
+        swing = _swing(
+            path.read(index),
+            held[0] if from_rest else None,
+            held[-1] if to_rest else None,
+            rate_hz,
+            config,
+            stiffness,
+        )
+        inner = slice(int(from_rest), len(index) - int(to_rest))
+        out.write(index[inner], swing[inner])
+    return out.samples
 
 
 def _foothold(raw: Array) -> Array:
-    """Where a foot stands: mean of its raw path, weighted towards the middle of the stance."""
+    """Where a foot stands (3,): the mean of its raw path (k, 3), weighted towards mid-stance, on the ground."""
     weight = np.sin(np.pi * (np.arange(len(raw)) + 0.5) / len(raw)) ** 2
-    return weight @ raw[:, :2] / weight.sum()
+    return np.array([*(weight @ raw[:, :2] / weight.sum()), 0.0])
 
 
-def _swing(raw: Array, before: Array | None, after: Array | None, rate_hz: float, config: SwingConfig) -> Array:
-    """A smooth path (m, 3) near `raw` from rest at `before` to rest at `after` ((2,) or None where the recording ends)."""
+def _swing(
+    raw: Array, before: Array | None, after: Array | None, rate_hz: float, config: SwingConfig, stiffness: float
+) -> Array:
+    """A smooth path (m, 3) near `raw`, from rest at `before` to rest at `after`; None where the recording ends in mid-air."""
     m = len(raw)
     share = np.arange(m) / max(m - 1, 1)
-    blend = share**3 * (10 - 15 * share + 6 * share**2)
-    gap0 = np.zeros(3) if before is None else np.array([*before, 0.0]) - raw[0]
-    gap1 = np.zeros(3) if after is None else np.array([*after, 0.0]) - raw[-1]
-    if before is None:
-        gap0 = gap1
-    if after is None:
-        gap1 = gap0
-    target = raw + (1 - blend)[:, None] * gap0 + blend[:, None] * gap1
-    basis, penalty = _spline(m, rate_hz, config)
-    ends = (before is not None, after is not None)
-    result = np.stack([_fit(basis, penalty, target[:, axis], ends, None) for axis in range(2)], axis=1)
+    blend = (share**3 * (10 - 15 * share + 6 * share**2))[:, None]
+    first = None if before is None else before - raw[0]
+    last = None if after is None else after - raw[-1]
+    start = first if first is not None else last if last is not None else np.zeros(3)
+    end = last if last is not None else start
+    target = raw + (1 - blend) * start + blend * end
+    spline = _SwingSpline(m, rate_hz, config.knot_s, stiffness, before is not None, after is not None)
+    result = np.stack([*(spline.fit(target[:, axis]) for axis in range(2)), np.zeros(m)], axis=1)
+    if before is None and after is None:
+        result[:, 2] = raw[:, 2]
+        return result
     clearance = max(float(raw[:, 2].max()), config.min_clearance_m)
     shape = np.maximum(target[:, 2], 0.0)
-    if shape.max() < 1e-3:
+    if shape.max() < 0.1 * clearance:
         shape = np.sin(np.pi * share) ** 2
-    z = shape
-    for _ in range(4):
-        z = _fit(basis, penalty, shape, ends, 0.0)
-        shape = shape * (clearance / max(z.max(), 1e-6))
-    return np.concatenate([result, z[:, None]], axis=1)
+    for _ in range(4):  # the spline rounds the top off: aim higher until the animal's clearance comes out
+        result[:, 2] = spline.fit(shape, lower=0.0)
+        shape = shape * (clearance / max(result[:, 2].max(), 1e-6))
+    result[:, 2] = spline.fit(shape, lower=0.0)
+    return result
 
 
-def _spline(m: int, rate_hz: float, config: SwingConfig) -> tuple[Array, Array]:
-    """Cubic B-spline basis (m, k) on m samples, and the penalty (k − 3, k) on its third differences."""
-    from scipy.interpolate import BSpline
+class _SwingSpline:
+    """Penalised cubic B-splines on the samples of one swing, at rest at its ends."""
 
-    pieces = max(6, round((m - 1) / rate_hz / config.knot_s))
-    knots = np.concatenate([np.zeros(_DEGREE), np.linspace(0, 1, pieces + 1), np.ones(_DEGREE)])
-    basis = BSpline.design_matrix(np.linspace(0, 1, m), knots, _DEGREE).toarray()
-    third = np.diff(np.eye(pieces + _DEGREE), n=3, axis=0)
-    return basis, np.sqrt(config.stiffness * m / pieces) * third
+    def __init__(
+        self, m: int, rate_hz: float, knot_s: float, stiffness: float, from_rest: bool, to_rest: bool
+    ) -> None:
+        from scipy.interpolate import BSpline
 
+        pieces = max(6, round((m - 1) / rate_hz / knot_s))
+        knots = np.concatenate([np.zeros(_DEGREE), np.linspace(0, 1, pieces + 1), np.ones(_DEGREE)])
+        self._basis = BSpline.design_matrix(np.linspace(0, 1, m), knots, _DEGREE).toarray()
+        k = pieces + _DEGREE
+        roughness = np.sqrt(stiffness * m / pieces) * np.diff(np.eye(k), n=3, axis=0)
+        self._matrix = np.concatenate([self._basis, roughness])
+        self._first = np.arange(k) < (_AT_REST if from_rest else 0)
+        self._last = np.arange(k) >= k - (_AT_REST if to_rest else 0)
 
-def _fit(basis: Array, penalty: Array, target: Array, at_rest: tuple[bool, bool], lower: float | None) -> Array:
-    """Penalised least squares; the first and last three coefficients are fixed where the foot is at rest there."""
-    from scipy.optimize import lsq_linear
+    def fit(self, target: Array, lower: float | None = None) -> Array:
+        """The spline (m,) nearest to `target` (m,) that rests at target's ends, and stays above `lower`."""
+        from scipy.optimize import lsq_linear
 
-    k = basis.shape[1]
-    free = np.ones(k, dtype=bool)
-    fixed = np.zeros(k)
-    if at_rest[0]:
-        free[:3], fixed[:3] = False, target[0]
-    if at_rest[1]:
-        free[-3:], fixed[-3:] = False, target[-1]
-    A = np.concatenate([basis, penalty])
-    b = np.concatenate([target, np.zeros(len(penalty))]) - A @ fixed
-    coefficients = fixed.copy()
-    if lower is None:
-        coefficients[free] = np.linalg.lstsq(A[:, free], b, rcond=None)[0]
-    else:
-        coefficients[free] = lsq_linear(A[:, free], b, bounds=(lower, np.inf)).x
-    return np.asarray(basis @ coefficients)
+        coefficients = np.where(self._first, target[0], np.where(self._last, target[-1], 0.0))
+        free = ~(self._first | self._last)
+        padded = np.concatenate([target, np.zeros(len(self._matrix) - len(target))])
+        rest = padded - self._matrix @ coefficients
+        if lower is None:
+            coefficients[free] = np.linalg.lstsq(self._matrix[:, free], rest, rcond=None)[0]
+        else:  # a B-spline lies in the convex hull of its coefficients
+            coefficients[free] = lsq_linear(self._matrix[:, free], rest, bounds=(lower, np.inf)).x
+        return np.asarray(self._basis @ coefficients)

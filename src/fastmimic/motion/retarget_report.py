@@ -1,6 +1,6 @@
 """What retargeting changed: the figures by which a user can judge whether the result is still the animal's motion."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 from fastmimic.conventions import JOINTS_PER_LEG, LEGS
@@ -142,6 +142,55 @@ class RetargetReport:
             why = f" ({bound.reason})" if bound.reason else ""
             lines.append(f"{'ok ' if bound.met else 'NOT MET'} {bound.name}: {bound.value:.3g} of {bound.limit:.3g}{why}")
         return lines
+
+
+def with_bounds(report: RetargetReport) -> RetargetReport:
+    """The report with its figures held against the bounds; the reason stands beside each that is not met."""
+    speed = abs(report.speed_after_m_per_s / max(report.speed_before_m_per_s, 1e-3) - 1.0)
+    yaw = abs(report.yaw_after_deg - report.yaw_before_deg)
+    clearance = min(
+        after / max(before, 1e-3)
+        for before, after in zip(report.clearance_before_m, report.clearance_after_m, strict=True)
+    )
+    changes = [abs(a - b) for a, b in zip(report.duty_before, report.duty_after, strict=True)]
+    joint_speed = max(a / b for a, b in zip(report.joint_speed_peak, report.joint_speed_limit, strict=True))
+    fast = "the animal's legs move faster than the motors can"
+    held = f"{sum(report.unreachable)} samples out of reach, {sum(report.joint_limited)} at a joint limit"
+    found = [
+        _at_most("slip in stance, m", max(report.slip_after_m), MAX_SLIP_M, held),
+        _at_most("cycle closure, m", report.closure_after_m, MAX_CLOSURE_M, held),
+        _at_most("cycle closure, deg", report.closure_after_deg, MAX_CLOSURE_DEG, ""),
+        _at_most("speed change, share", speed, MAX_SPEED_CHANGE, "low-passing shortens a path this crooked"),
+        _at_most("yaw change, deg", yaw, MAX_YAW_CHANGE_DEG, ""),
+        Bound(
+            "swing clearance, share of the animal's",
+            clearance,
+            MIN_CLEARANCE_SHARE,
+            clearance >= MIN_CLEARANCE_SHARE,
+            "" if clearance >= MIN_CLEARANCE_SHARE else held,
+        ),
+        _at_most("duty change", max(changes), MAX_DUTY_CHANGE, _duty_reason(report)),
+        _at_most("joint speed, share of the limit", joint_speed, 1.0, fast),
+    ]
+    return replace(report, bounds=tuple(found))
+
+
+def _at_most(name: str, value: float, limit: float, reason: str) -> Bound:
+    met = value <= limit
+    return Bound(name, value, limit, met, "" if met else reason)
+
+
+def _duty_reason(report: RetargetReport) -> str:
+    reasons = []
+    if report.pairing is not None:
+        reasons.append(f"{report.pairing} pairs were given common times")
+    if report.common_duty:
+        reasons.append("left and right were given one duty factor")
+    if report.closed_flights:
+        reasons.append(f"{report.closed_flights} moments without support were closed")
+    if report.widened_swings:
+        reasons.append(f"{report.widened_swings} short swings were widened")
+    return ", ".join(reasons)
 
 
 def _row(title: str, before: Four | None, after: Four, factor: float, digits: int) -> str:

@@ -51,11 +51,9 @@ def extrapolate_next(samples: Array) -> Array:
     return samples[-1] + 0.5 * ((samples[-1] - samples[-2]) + (samples[1] - samples[0]))
 
 
-def close(samples: Array) -> tuple[Array, Array]:
-    """Removes what keeps (n, ...) frames from repeating, spread evenly over the cycle; returns also the error removed."""
-    error = extrapolate_next(samples) - samples[0]
-    share = (np.arange(len(samples)) / len(samples) - 0.5).reshape(-1, *[1] * (samples.ndim - 1))
-    return samples - share * error, error
+def closing_error(samples: Array) -> Array:
+    """How far the frame after the last one of (n, ...) is from frame 0, (...)."""
+    return extrapolate_next(samples) - samples[0]
 
 
 def differentiate(padded: Array, dt: float) -> Array:

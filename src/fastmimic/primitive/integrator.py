@@ -31,6 +31,7 @@ class DmpIntegrator:
         self.amplitude = np.ones(dmp.n_dims)
         self.period_s = dmp.period_s
         self.phase = float(phase)
+        self._longest = 0.5 / float(np.sqrt(dmp.widths.max()))  # half the narrowest basis function
         if position is None:
             self.position = dmp.position(self.phase)
             self._z = dmp.shape_rate(self.phase)
@@ -46,8 +47,7 @@ class DmpIntegrator:
     def step(self, dt: float) -> Array:
         """Advances by `dt` seconds and returns the position (d,)."""
         total = 2 * np.pi * dt / self.period_s
-        longest = np.pi / self.dmp.n_basis  # half the distance between two basis functions
-        parts = max(1, int(np.ceil(total / longest)))
+        parts = max(1, int(np.ceil(total / self._longest)))
         for _ in range(parts):
             self._advance(total / parts)
         return self.position

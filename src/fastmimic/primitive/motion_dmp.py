@@ -151,7 +151,7 @@ class MotionDmp:
     def _record(self, goal: Array, amplitude: Array, table: FootTable) -> dict[str, Any]:
         return {
             "n_basis": self.rhythmic.n_basis,
-            "width": self.rhythmic.width,
+            "basis_width_min_max": [float(self.rhythmic.widths.min()), float(self.rhythmic.widths.max())],
             "alpha": self.rhythmic.alpha,
             "fit_rms": dict(self.fit_rms),
             "names": list(NAMES),

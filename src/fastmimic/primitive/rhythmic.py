@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.errors import MotionError
+from fastmimic.primitive.placement import basis_widths, normalised_basis, place_basis
 
 Array = NDArray[np.float64]
 
@@ -34,12 +35,14 @@ class RhythmicDmp:
 
     Attributes:
         weights: (d, n_basis) weights w of the forcing term: the style, fixed once fitted.
+        centres: (d, n_basis) centres c of the basis functions, rad.
         goal: (d,) baseline g: the mean over the cycle of the fitted motion.
         period_s: T of the fitted motion, s.
         alpha: stiffness α of the filter, per radian of phase.
     """
 
     weights: Array
+    centres: Array
     goal: Array
     period_s: float
     alpha: float = ALPHA
@@ -58,7 +61,7 @@ class RhythmicDmp:
         The weights minimise mean (y − g − s)² + ridge · mean (w/αβ)². The usual regression on
         f = y″ + αy′ + αβ(y − g) needs second derivatives of the samples, which corners at touch-down spoil;
         since s is linear in w, the error that matters can be minimised directly. g is the mean of the samples
-        and the mean of w is zero, so that the mean of s is zero and (g, a) are not redundant with w.
+        and the mean of f is made zero, so that the mean of s is zero and (g, a) are not redundant with w.
 
         Args:
             samples: (t, d) one cycle, evenly spaced in [0, T).
@@ -76,12 +79,11 @@ class RhythmicDmp:
         if not np.all(np.isfinite(y)):
             raise MotionError(f"sample {int(np.argwhere(~np.isfinite(y))[0][0])} of the cycle is not finite")
         goal = y.mean(axis=0)
-        unit = cls(np.eye(n_basis), np.zeros(n_basis), period_s, alpha)
-        response = unit.shape(2 * np.pi * np.arange(len(y)) / len(y))  # (t, n_basis)
-        gain = alpha**2 / 4
-        normal = response.T @ response / len(y) + ridge / (n_basis * gain**2) * np.eye(n_basis)
-        weights = np.linalg.solve(normal, response.T @ (y - goal) / len(y)).T
-        return cls(weights - weights.mean(axis=1, keepdims=True), goal, float(period_s), alpha)
+        centres = place_basis(y, n_basis)
+        weights = np.empty_like(centres)
+        for row, dims in _distinct(centres):
+            weights[dims] = _least_squares(row, y[:, dims] - goal[dims], ridge, alpha)
+        return cls(weights, centres, goal, float(period_s), alpha)
 
     @property
     def n_dims(self) -> int:
@@ -91,23 +93,24 @@ class RhythmicDmp:
     def n_basis(self) -> int:
         return self.weights.shape[1]
 
-    @property
-    def width(self) -> float:
-        """h of the basis functions: each is as wide (1/√h) as the distance to the next (2π/n)."""
-        return (self.n_basis / (2 * np.pi)) ** 2
+    @cached_property
+    def widths(self) -> Array:
+        """(d, n_basis) widths h of the basis functions."""
+        return basis_widths(self.centres)
 
     def forcing(self, phase: Array | float) -> Array:
         """f(φ) at phases (...) → (..., d)."""
-        return _basis(np.asarray(phase, dtype=np.float64), self.n_basis, self.width) @ self.weights.T
+        basis = normalised_basis(np.asarray(phase, dtype=np.float64), self.centres, self.widths)
+        return np.einsum("...dn,dn->...d", basis, self.weights)
 
     def shape(self, phase: Array | float) -> Array:
         """s(φ), the limit cycle's deviation from g at a = 1, at phases (...) → (..., d)."""
-        return self._series(phase, self._harmonics)
+        return _series(phase, self._harmonics)
 
     def shape_rate(self, phase: Array | float) -> Array:
         """ds/dφ at phases (...) → (..., d)."""
         k = np.arange(len(self._harmonics))
-        return self._series(phase, 1j * k[:, None] * self._harmonics)
+        return _series(phase, 1j * k[:, None] * self._harmonics)
 
     def position(
         self, phase: Array | float, goal: Array | None = None, amplitude: Array | float = 1.0
@@ -125,21 +128,55 @@ class RhythmicDmp:
     @cached_property
     def _harmonics(self) -> NDArray[np.complex128]:
         """Complex amplitudes (k, d) of s for k = 0, 1, …; those left out are below rounding."""
-        n = self.n_basis
-        phase = 2 * np.pi * np.arange(8 * n) / (8 * n)
-        forcing = np.fft.rfft(self.forcing(phase), axis=0)[: 2 * n] / (8 * n)
-        k = np.arange(2 * n)
-        filtered = forcing / (self.alpha**2 / 4 - k**2 + 1j * self.alpha * k)[:, None]
-        filtered[1:] *= 2.0  # k and −k together
-        return filtered
-
-    def _series(self, phase: Array | float, harmonics: NDArray[np.complex128]) -> Array:
-        angle = np.asarray(phase, dtype=np.float64)[..., None] * np.arange(len(harmonics))
-        return np.cos(angle) @ harmonics.real - np.sin(angle) @ harmonics.imag
+        columns = []
+        for centres, dims in _distinct(self.centres):
+            phase = _fine_phases(centres)
+            forcing = normalised_basis(phase, centres, basis_widths(centres)) @ self.weights[dims].T
+            columns.append((dims, _filtered(forcing, self.alpha)))
+        out = np.zeros((max(len(column) for _, column in columns), self.n_dims), dtype=np.complex128)
+        for dims, column in columns:
+            out[: len(column), dims] = column
+        return out
 
 
-def _basis(phase: Array, n_basis: int, width: float) -> Array:
-    """Normalised basis functions ψᵢ/Σψ at phases (...) → (..., n_basis)."""
-    centres = 2 * np.pi * np.arange(n_basis) / n_basis
-    psi = np.exp(width * (np.cos(phase[..., None] - centres) - 1))
-    return psi / psi.sum(axis=-1, keepdims=True)
+def _distinct(centres: Array) -> list[tuple[Array, NDArray[np.intp]]]:
+    """The different rows of `centres` (d, n), each with the dimensions that have it."""
+    rows, group = np.unique(centres, axis=0, return_inverse=True)
+    return [(row, np.flatnonzero(group.reshape(-1) == i)) for i, row in enumerate(rows)]
+
+
+def _fine_phases(centres: Array) -> Array:
+    """Evenly spaced phases (m,): the spectrum of the narrowest basis function dies out before m/2."""
+    closest = float(np.min(np.diff(centres, append=centres[0] + 2 * np.pi)))
+    n = 64 * int(np.ceil(8 * np.pi / closest / 64))  # a length that Fourier transforms like
+    return 2 * np.pi * np.arange(n) / n
+
+
+def _filtered(forcing: Array, alpha: float) -> NDArray[np.complex128]:
+    """Harmonics (k, d) of the limit cycles that forcings (m, d), sampled over the cycle, bring about."""
+    harmonics = np.fft.rfft(forcing, axis=0)[: len(forcing) // 2] / len(forcing)
+    k = np.arange(len(harmonics))[:, None]
+    return harmonics / (alpha**2 / 4 - k**2 + 1j * alpha * k)
+
+
+def _least_squares(centres: Array, deviation: Array, ridge: float, alpha: float) -> Array:
+    """Weights (d, n) whose limit cycles come closest to `deviation` (t, d), samples minus their mean."""
+    t, n = len(deviation), len(centres)
+    basis = normalised_basis(_fine_phases(centres), centres, basis_widths(centres))
+    harmonics = _filtered(basis, alpha)
+    finer = 2 * len(harmonics) // t + 1  # a grid that holds all harmonics and every sample
+    response = np.fft.irfft(harmonics, t * finer, axis=0)[::finer] * (t * finer)  # (t, n)
+    gain = alpha**2 / 4
+    normal = response.T @ response / t + ridge / (n * gain**2) * np.eye(n)
+    weights = np.linalg.solve(normal, response.T @ deviation / t).T
+    mean_forcing = weights @ harmonics[0].real * gain
+    return (
+        weights - mean_forcing[:, None]
+    )  # the basis sums to one: this moves f, and nothing else, by its mean
+
+
+def _series(phase: Array | float, harmonics: NDArray[np.complex128]) -> Array:
+    """Value at phases (...) → (..., d) of the real Fourier series with complex amplitudes (k, d)."""
+    angle = np.asarray(phase, dtype=np.float64)[..., None] * np.arange(len(harmonics))
+    weights = np.where(np.arange(len(harmonics)) > 0, 2.0, 1.0)  # k and −k together
+    return (weights * np.cos(angle)) @ harmonics.real - (weights * np.sin(angle)) @ harmonics.imag

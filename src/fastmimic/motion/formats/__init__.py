@@ -25,7 +25,7 @@ FORMATS: Final = {
 }
 """Name of each format → what it is."""
 
-__all__ = ["FORMATS", "detect_format", "read_clip"]
+__all__ = ["FORMATS", "detect_format", "read_clip", "with_scale"]
 
 
 def detect_format(path: str | Path) -> str:

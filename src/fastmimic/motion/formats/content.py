@@ -15,6 +15,8 @@ EXPECTED: Final = (
     " joint names (retargeted motion), DeepMimic-style JSON or a FastMimic .npz"
 )
 _ZIP_MAGIC: Final = (b"PK\x03\x04", b"PK\x05\x06")
+_LINES_READ: Final = 2000
+"""Enough for any comment at the top; the rest of a long take is split only once, by its format."""
 _LINES_LOOKED_AT: Final = 20
 
 
@@ -54,7 +56,7 @@ def detect_content(content: str | bytes) -> str:
         return _detect_archive(content)
     if content.lstrip()[:1] in ("{", "["):
         return "deepmimic"
-    table = read_table(content)
+    table = read_table("\n".join(content.split("\n", _LINES_READ)[:_LINES_READ]))
     if table.header is not None and csv_motion.names_joints(table.header):
         return "csv"
     if not table.rows:

@@ -1,7 +1,7 @@
 """Retargeted robot motion as CSV: root position, root quaternion x, y, z, w and 12 joint angles.
 
-One frame a line. With a header, columns are found by name in any order. Without one they are taken as x, y, z,
-qx, qy, qz, qw and the joints in the order FR, FL, RR, RL, each abduction, hip, knee, and the clip says so.
+One frame a line. With a header, columns are found by name in any order. Without one they are taken as x, y,
+z, qx, qy, qz, qw and the joints in the order FR, FL, RR, RL, each abduction, hip, knee, and the clip says so.
 """
 
 import re
@@ -15,7 +15,7 @@ from fastmimic.errors import ClipError, did_you_mean
 from fastmimic.motion.clip import Clip
 from fastmimic.motion.formats.quaternions import unit_wxyz_from_xyzw
 from fastmimic.motion.formats.robot_points import robot_points
-from fastmimic.motion.formats.table import Table, check_frames, check_rate, read_table, to_array
+from fastmimic.motion.formats.table import LARGEST, Table, check_frames, check_rate, read_table, to_array
 from fastmimic.rotations import quat_rotate
 
 if TYPE_CHECKING:
@@ -70,7 +70,8 @@ def parse(text: str, *, robot: "Robot", fps: float | None = None) -> Clip:
     table = read_table(text)
     header = table.header if table.header is not None and names_joints(table.header) else None
     columns, names = _columns(table, header)
-    values = to_array(table.rows, len(names), lambda c: names[c], "retargeted motion")
+    largest = [np.inf if name in _TIME_NAMES else LARGEST for name in names]  # a time may count from 1970
+    values = to_array(table.rows, len(names), lambda c: names[c], "retargeted motion", largest)
     check_frames(len(values))
     rate, assumed = _rate(table, names, values, fps)
     if header is None:
@@ -121,8 +122,11 @@ def _columns(table: Table, header: list[str] | None) -> tuple[list[int], list[st
 
 
 def _plain(name: str) -> str:
-    """A column's name without case, quotes, units, and words that say nothing."""
-    name = re.sub(r"[\[(].*?[\])]", "", name.strip().strip("\"'")).strip().lower()
+    """A column's name without case, quotes, SI units, and words that say nothing."""
+    name = name.strip().strip("\"'").lower()
+    name = re.sub(
+        r"\s*[\[(]\s*(m|s|rad|-|1)?\s*[\])]$", "", name
+    )  # other units stay: such a column is not meant
     name = re.sub(r"[\s.\-/:]+", "_", name)
     return re.sub(r"(_(joint|pos|position|angle|rad))+$", "", name)
 

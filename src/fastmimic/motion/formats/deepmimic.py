@@ -1,8 +1,8 @@
 """DeepMimic-style JSON of the Laikago: 19 numbers a frame, as distributed with Peng et al. (2020).
 
 The joint angles belong to the Laikago's model, so the clip that comes out holds the points of a Laikago: its
-abduction joint origins as hips and its foot centres as toes. The formulas agree with that model in a simulator
-to 1e-5 m.
+abduction joint origins as hips and its foot centres as toes. The formulas agree with that model in a
+simulator to 1e-5 m.
 """
 
 import json

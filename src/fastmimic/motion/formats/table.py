@@ -70,7 +70,11 @@ def is_number(field: str) -> bool:
 
 
 def to_array(
-    rows: Sequence[Row], columns: int, column_name: Callable[[int], str], what: str
+    rows: Sequence[Row],
+    columns: int,
+    column_name: Callable[[int], str],
+    what: str,
+    largest: float | Sequence[float] = LARGEST,
 ) -> NDArray[np.float64]:
     """The values of all rows, (rows, columns).
 
@@ -79,6 +83,7 @@ def to_array(
         columns: how many each must have.
         column_name: 0-based column → what it holds, for messages.
         what: the format, for messages.
+        largest: magnitude allowed, in all columns or in each.
 
     Raises:
         ClipError: wrong number of columns, or a value that is not a finite, sensible number; says which line
@@ -99,7 +104,7 @@ def to_array(
                 f"line {number}, column {bad + 1} ({column_name(bad)}):"
                 f" '{fields[bad].strip()[:20]}' is not a number"
             ) from None
-    wrong = ~(np.abs(values) <= LARGEST)
+    wrong = ~(np.isfinite(values) & (np.abs(values) <= largest))
     if np.any(wrong):
         i, c = np.argwhere(wrong)[0]
         value = values[i, c]

@@ -1,0 +1,80 @@
+"""Checkpoints of an optimisation: what was asked and what was answered, without pickles.
+
+CMA-ES is deterministic given its seed and the scores it was told, so the history is its state: resuming replays it without running a
+single episode, checks that the replayed candidates are the recorded ones, bit for bit, and goes on from there.
+"""
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.errors import CheckpointError
+from fastmimic.files import replace_file
+
+Array = NDArray[np.float64]
+
+FILE_NAME: Final = "checkpoint.npz"
+_VERSION: Final = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """The course of an optimisation so far.
+
+    Attributes:
+        identity: digest of the problem and the optimiser's settings.
+        candidates: (i, p, k) parameters, scaled to [0, 1] within their bounds.
+        scores: (i, p) greater is better.
+        elapsed_s: time spent, s.
+    """
+
+    identity: str
+    candidates: Array
+    scores: Array
+    elapsed_s: float
+
+    def save(self, path: str | Path) -> None:
+        """Writes the checkpoint in place of an earlier one; raises `OutputError` if it cannot."""
+        replace_file(
+            path,
+            lambda file: np.savez(
+                file,
+                version=np.int64(_VERSION),
+                identity=np.str_(self.identity),
+                candidates=self.candidates,
+                scores=self.scores,
+                elapsed_s=np.float64(self.elapsed_s),
+            ),
+        )
+
+    @classmethod
+    def load(cls, path: str | Path, identity: str) -> "Checkpoint":
+        """Reads a checkpoint of the problem with that identity.
+
+        Raises:
+            CheckpointError: the file is missing, damaged, or of another problem.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                version = int(file["version"])
+                found = cls(
+                    str(file["identity"]), file["candidates"], file["scores"], float(file["elapsed_s"])
+                )
+        except FileNotFoundError:
+            raise CheckpointError(f"{path}: no checkpoint to resume from; leave out --resume to start anew") from None
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise CheckpointError(f"{path}: damaged checkpoint ({error}); leave out --resume to start anew") from None
+        if version != _VERSION:
+            raise CheckpointError(f"{path}: checkpoint version {version}; this release reads version {_VERSION}")
+        if found.identity != identity:
+            raise CheckpointError(
+                f"{path}: this checkpoint is of another problem (motion, robot, configuration, duration, seed or"
+                " population differ); resume with the same arguments or choose another output folder"
+            )
+        if found.candidates.ndim != 3 or found.scores.shape != found.candidates.shape[:2]:
+            raise CheckpointError(f"{path}: damaged checkpoint (shapes {found.candidates.shape}, {found.scores.shape})")
+        return found

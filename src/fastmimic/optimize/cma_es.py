@@ -1,0 +1,249 @@
+"""CMA-ES over a problem's parameters (Hansen 2006), with pycma, by the method's author."""
+
+import hashlib
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.errors import CheckpointError, ConfigError
+from fastmimic.imitation.rollout import Start, perturbed_start
+from fastmimic.optimize.checkpoint import Checkpoint
+from fastmimic.optimize.problem import ImitationProblem
+
+Array = NDArray[np.float64]
+
+CHECKPOINT_EVERY: Final = 5  # iterations
+VALIDATED: Final = 8  # candidates that compete for being the result
+VALIDATION_EPISODES: Final = 4  # each: one from the start, the others at a random phase and perturbed
+VALIDATION_S: Final = 10.0
+
+
+@dataclass(frozen=True)
+class CmaSettings:
+    """Settings of the optimiser.
+
+    Attributes:
+        iterations: number of generations.
+        population: candidates in each.
+        seed: of the random generator.
+        step_size: initial standard deviation, as a share of each parameter's range.
+    """
+
+    iterations: int = 200
+    population: int = 10
+    seed: int = 0
+    step_size: float = 0.2
+
+    def __post_init__(self) -> None:
+        if self.iterations < 1:
+            raise ConfigError(f"iterations must be at least 1, found {self.iterations}")
+        if self.population < 4:
+            raise ConfigError(f"population must be at least 4 for CMA-ES, found {self.population}")
+        if self.seed < 0:
+            raise ConfigError(f"seed must not be negative, found {self.seed}")
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """The course of an optimisation, one entry an iteration.
+
+    Attributes:
+        best, mean, std: (i,) of the scores in each generation.
+        sigma: (i,) the overall step size, share of the parameters' ranges.
+        baseline: score of the unmodulated motion.
+    """
+
+    best: Array
+    mean: Array
+    std: Array
+    sigma: Array
+    baseline: float
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """What came out.
+
+    Attributes:
+        x: (k,) the parameters, physical units.
+        score: its objective in the optimisation's episode.
+        validation: its mean objective over the validation episodes.
+        history: how it came about.
+        evaluations: number of episodes run for it, those before a resume included.
+        elapsed_s: time spent, that before a resume included, s.
+        interrupted: whether it was stopped early.
+    """
+
+    x: Array
+    score: float
+    validation: float
+    history: History
+    evaluations: int
+    elapsed_s: float
+    interrupted: bool
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Passed to the callback after each iteration."""
+
+    iteration: int
+    iterations: int
+    best: float
+    evaluations_per_s: float
+    remaining_s: float
+
+
+def optimize(
+    problem: ImitationProblem,
+    settings: CmaSettings,
+    *,
+    checkpoint: str | Path | None = None,
+    resume: bool = False,
+    progress: Callable[[Progress], None] | None = None,
+) -> Optimum:
+    """Maximises the problem's objective.
+
+    The result is chosen among the best candidates of all iterations, and the unmodulated motion, by longer episodes from
+    perturbed starts, so that it does not owe its score to one lucky episode. Ctrl-C ends the search early and leaves what was
+    found until then.
+
+    Args:
+        problem: what to score.
+        settings: of the optimiser.
+        checkpoint: file to keep the course in, written every few iterations.
+        resume: continue from that file; the result is bit for bit that of an uninterrupted run.
+        progress: called after each iteration.
+
+    Raises:
+        CheckpointError: nothing to resume from, damaged, or of another problem.
+        OutputError: the checkpoint cannot be written.
+    """
+    return _Search(problem, settings, Path(checkpoint) if checkpoint is not None else None).run(resume, progress)
+
+
+class _Search:
+    def __init__(self, problem: ImitationProblem, settings: CmaSettings, checkpoint: Path | None) -> None:
+        self.problem, self.settings, self.checkpoint = problem, settings, checkpoint
+        self.lower, upper = problem.bounds
+        self.span = upper - self.lower
+        self.strategy = _make_strategy((problem.initial - self.lower) / self.span, settings)
+        self.candidates: list[Array] = []
+        self.scores: list[Array] = []
+        self.sigma: list[float] = []
+        own = {k: v for k, v in asdict(settings).items() if k != "iterations"}
+        self.identity = hashlib.sha256(f"{problem.identity}{own}".encode()).hexdigest()
+
+    def run(self, resume: bool, progress: Callable[[Progress], None] | None) -> Optimum:
+        before = self._replay() if resume else 0.0
+        began, done_before = time.perf_counter(), len(self.scores)
+        baseline = float(self.problem.evaluate(self.problem.initial[None])[0])
+        interrupted = False
+        try:
+            while len(self.scores) < self.settings.iterations:
+                u = np.array(self.strategy.ask())
+                self._tell(u, self.problem.evaluate(self._physical(u)))
+                elapsed = time.perf_counter() - began
+                done = len(self.scores)
+                if self.checkpoint is not None and done % CHECKPOINT_EVERY == 0:
+                    self._save(before + elapsed)
+                if progress is not None:
+                    each = elapsed / (done - done_before)
+                    best = max(float(s.max()) for s in self.scores)
+                    remaining = each * (self.settings.iterations - done)
+                    progress(Progress(done, self.settings.iterations, best, self.settings.population / each, remaining))
+        except KeyboardInterrupt:
+            interrupted = True
+        x, score, validation = self._choose(baseline)
+        elapsed = before + time.perf_counter() - began
+        if self.checkpoint is not None and self.scores:
+            self._save(elapsed)
+        return Optimum(
+            x, score, validation, self._history(baseline), self._evaluations(), elapsed, interrupted
+        )
+
+    def _physical(self, u: Array) -> Array:
+        return self.lower + self.span * u
+
+    def _tell(self, u: Array, scores: Array) -> None:
+        self.strategy.tell(list(u), list(-scores))
+        self.candidates.append(u)
+        self.scores.append(scores)
+        self.sigma.append(float(self.strategy.sigma))
+
+    def _replay(self) -> float:
+        assert self.checkpoint is not None
+        saved = Checkpoint.load(self.checkpoint, self.identity)
+        for u, scores in zip(saved.candidates, saved.scores, strict=True):
+            if len(self.scores) == self.settings.iterations:
+                break
+            if not np.array_equal(np.array(self.strategy.ask()), u):
+                raise CheckpointError(
+                    f"{self.checkpoint}: this installation of CMA-ES does not reproduce the recorded candidates;"
+                    " resume with the versions that wrote it or leave out --resume to start anew"
+                )
+            self._tell(u, scores)
+        return saved.elapsed_s
+
+    def _save(self, elapsed: float) -> None:
+        assert self.checkpoint is not None
+        Checkpoint(self.identity, np.array(self.candidates), np.array(self.scores), elapsed).save(self.checkpoint)
+
+    def _choose(self, baseline: float) -> tuple[Array, float, float]:
+        """The candidate with the best mean objective over the validation episodes."""
+        rows = [self.problem.initial]
+        scores = [baseline]
+        if self.scores:
+            flat, u = np.concatenate(self.scores), np.concatenate(self.candidates)
+            best = np.argsort(-flat, kind="stable")[:VALIDATED]
+            rows += list(self._physical(u[best]))
+            scores += list(flat[best])
+        x = np.array(rows)
+        rng = np.random.default_rng([self.settings.seed, 1])
+        start = perturbed_start(VALIDATION_EPISODES, self.problem.demonstration.n_samples, rng)
+        steps = round(VALIDATION_S * self.problem.config.rate_hz)
+        tables = self.problem.tables(x)
+        validation = np.array([self._validate(table, start, steps) for table in tables])
+        chosen = int(np.argmax(validation))
+        return x[chosen], float(scores[chosen]), float(validation[chosen])
+
+    def _validate(self, table: NDArray[Any], start: Start, steps: int) -> float:
+        rollouts = self.problem.rollout(np.repeat(table[None], start.n, axis=0), start, steps)
+        return float(np.mean(np.concatenate([self.problem.score(r) for r in rollouts])))
+
+    def _evaluations(self) -> int:
+        return 1 + sum(len(s) for s in self.scores) + (1 + min(VALIDATED, sum(map(len, self.scores)))) * VALIDATION_EPISODES
+
+    def _history(self, baseline: float) -> History:
+        scores = np.array(self.scores).reshape(len(self.scores), -1)
+        if not len(scores):
+            empty = np.zeros(0)
+            return History(empty, empty, empty, empty, baseline)
+        return History(scores.max(axis=1), scores.mean(axis=1), scores.std(axis=1), np.array(self.sigma), baseline)
+
+
+def _make_strategy(start: Array, settings: CmaSettings) -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pycma warns about optional packages at import
+        import cma
+
+    rng = np.random.default_rng([settings.seed, 0])
+    options = {
+        "bounds": [0.0, 1.0],
+        "popsize": settings.population,
+        "seed": np.nan,  # leaves NumPy's global generator alone; the draws come from `randn`
+        "randn": lambda *shape: rng.standard_normal(shape),
+        "verbose": -9,
+        "maxiter": np.inf,
+        "tolfun": 0.0,
+        "tolx": 0.0,
+        "tolflatfitness": np.inf,
+        "tolstagnation": np.inf,
+    }
+    return cma.CMAEvolutionStrategy(start, settings.step_size, options)

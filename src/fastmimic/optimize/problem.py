@@ -1,0 +1,211 @@
+"""What is optimised: DMP parameters of a motion, scored by running the robot with its controller.
+
+Paper, §III-C: the baselines g and amplitudes a of the four feet's z move, the weights w (the style) stay. Left to itself an
+optimiser lowers the feet, because short lifts disturb the body less; so a candidate whose swing clearance falls below a share
+of the demonstration's is penalised.
+"""
+
+import hashlib
+import json
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.control.reference import reference_table
+from fastmimic.conventions import LEGS
+from fastmimic.errors import ConfigError
+from fastmimic.imitation.rollout import ClosedLoop, Rollout, Start, nominal_start, swing_clearance
+from fastmimic.motion.motion import Motion
+from fastmimic.primitive import MotionDmp
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+GOAL_RANGE: Final = 0.03  # m, each way from the fitted baseline
+AMPLITUDE_RANGE: Final = (0.7, 1.8)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that the optimiser moves, in physical units.
+
+    Attributes:
+        name: such as `FR_foot_z.goal` or `FR_foot_z.amplitude`.
+        unit: "m" or "1".
+        lower, upper: bounds.
+        initial: value of the unmodulated motion.
+    """
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    initial: float
+
+    def __post_init__(self) -> None:
+        if not self.lower < self.upper or not self.lower <= self.initial <= self.upper:
+            raise ConfigError(f"parameter {self.name}: {self.initial:g} is not within [{self.lower:g}, {self.upper:g}]")
+
+
+@dataclass(frozen=True)
+class Objective:
+    """How a candidate is scored: mean reward of an episode minus the penalty for lost swing clearance.
+
+    Attributes:
+        duration_s: length of the episode, s.
+        clearance_floor: share of the demonstration's clearance below which a foot is penalised. Above the share
+            that a result must reach, because the clearance realised varies from step to step.
+        clearance_weight: penalty for each foot and each unit of the share missing.
+    """
+
+    duration_s: float = 5.0
+    clearance_floor: float = 0.87
+    clearance_weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.duration_s) and self.duration_s > 0):
+            raise ConfigError(f"the duration must be positive, found {self.duration_s}")
+
+
+def foot_height_parameters(dmp: MotionDmp) -> tuple[Parameter, ...]:
+    """The paper's eight: g and a of the z dimension of each foot's DMP."""
+    goals, amplitudes = [], []
+    lower, upper = AMPLITUDE_RANGE
+    for leg in LEGS:
+        g = float(dmp.goal[dmp.index(f"{leg}_foot_z")])
+        goals.append(Parameter(f"{leg}_foot_z.goal", "m", g - GOAL_RANGE, g + GOAL_RANGE, g))
+        amplitudes.append(Parameter(f"{leg}_foot_z.amplitude", "1", lower, upper, 1.0))
+    return (*goals, *amplitudes)
+
+
+class ImitationProblem:
+    """Scores vectors of parameters in closed loop, in parallel, the same bits at any number of workers."""
+
+    def __init__(
+        self,
+        robot: "Robot",
+        demonstration: Motion,
+        dmp: MotionDmp,
+        *,
+        objective: Objective | None = None,
+        config: ControllerConfig | None = None,
+        workers: int | None = None,
+    ) -> None:
+        """
+        Args:
+            robot: the robot.
+            demonstration: what candidates are scored against.
+            dmp: fitted to it.
+            objective: how they are scored.
+            config: the controller's.
+            workers: threads; one for each core if None.
+
+        Raises:
+            ConfigError: fewer than one worker.
+        """
+        if workers is not None and workers < 1:
+            raise ConfigError(f"workers must be at least 1, found {workers}")
+        self.robot = robot
+        self.demonstration = demonstration
+        self.dmp = dmp
+        self.parameters = foot_height_parameters(dmp)
+        self.objective = objective if objective is not None else Objective()
+        self.config = config if config is not None else default_config()
+        self.workers = workers if workers is not None else available_cores()
+        self.steps = max(1, math.ceil(self.objective.duration_s * self.config.rate_hz - 1e-9))
+        self._clearance = swing_clearance(demonstration, robot.foot_radius)
+        self._base = reference_table(dmp.motion())
+        self._loops: dict[tuple[int, int], ClosedLoop] = {}
+
+    @property
+    def initial(self) -> Array:
+        """(k,) the unmodulated motion."""
+        return np.array([p.initial for p in self.parameters])
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds, (k,) each."""
+        return np.array([p.lower for p in self.parameters]), np.array([p.upper for p in self.parameters])
+
+    @cached_property
+    def identity(self) -> str:
+        """A digest of all that determines a candidate's score, to recognise checkpoints by."""
+        digest = hashlib.sha256()
+        digest.update(self._base.tobytes())
+        digest.update(reference_table(self.demonstration).tobytes())
+        digest.update(self.robot.xml.encode())
+        settings = {
+            "config": self.config.as_dict(),
+            "objective": asdict(self.objective),
+            "parameters": [asdict(p) for p in self.parameters],
+        }
+        digest.update(json.dumps(settings, sort_keys=True).encode())
+        return digest.hexdigest()
+
+    def motion(self, x: Array) -> Motion:
+        """The reference of one candidate (k,), carrying the demonstration."""
+        goal, amplitude = self.dmp.goal, self.dmp.amplitude
+        for value, parameter in zip(x, self.parameters, strict=True):
+            dimension, kind = parameter.name.split(".")
+            (goal if kind == "goal" else amplitude)[self.dmp.index(dimension)] = value
+        return self.dmp.motion(goal, amplitude)
+
+    def tables(self, x: Array) -> NDArray[Any]:
+        """References of n candidates (n, k) for the controller, (n, t) of `SAMPLE`."""
+        feet = self.dmp.foot_table(x[:, :4], x[:, 4:])
+        tables = np.repeat(self._base[None], len(x), axis=0)
+        tables["foot_pos"] = feet.foot_pos_b
+        tables["joint_pos"] = feet.joint_pos
+        tables["joint_vel"] = feet.joint_vel
+        v = feet.joint_vel
+        tables["joint_acc"] = (np.roll(v, -1, axis=1) - np.roll(v, 1, axis=1)) * (0.5 * self.config.rate_hz)
+        return tables
+
+    def rollout(self, tables: NDArray[Any], start: Start, steps: int) -> list[Rollout]:
+        """Runs one episode for each table, spread over the workers; a result for each part, in order."""
+        bounds = np.linspace(0, len(tables), min(self.workers, len(tables)) + 1).astype(int)
+        parts = [slice(a, b) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+
+        def run(worker: int) -> Rollout:
+            part = parts[worker]
+            loop = self._loop(worker, part.stop - part.start)
+            return loop.run(tables[part], start.part(part), steps)
+
+        if len(parts) == 1:
+            return [run(0)]
+        for worker, part in enumerate(parts):
+            self._loop(worker, part.stop - part.start)  # compiled and built before the threads start
+        with ThreadPoolExecutor(len(parts)) as pool:
+            return list(pool.map(run, range(len(parts))))
+
+    def evaluate(self, x: Array) -> Array:
+        """Scores of n candidates (n, k), greater is better, (n,)."""
+        rollouts = self.rollout(self.tables(x), nominal_start(len(x)), self.steps)
+        return np.concatenate([self.score(r) for r in rollouts])
+
+    def score(self, rollout: Rollout) -> Array:
+        """Objective of each episode of a rollout, (n,)."""
+        share = rollout.clearance / self._clearance
+        missing = np.maximum(0.0, self.objective.clearance_floor - share)
+        return rollout.reward - self.objective.clearance_weight * np.nansum(missing, axis=1)
+
+    def _loop(self, worker: int, n: int) -> ClosedLoop:
+        key = (worker, n)
+        if key not in self._loops:
+            self._loops[key] = ClosedLoop(self.robot, self.demonstration, n, self.config)
+        return self._loops[key]
+
+
+def available_cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+

@@ -1,0 +1,190 @@
+"""The DMPs of a motion: what they reproduce, and what modulating them does."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fastmimic.errors import MotionError
+from fastmimic.motion.motion import Motion
+from fastmimic.primitive import FOOT_Z, NAMES, MotionDmp
+from fastmimic.robot import Robot, load_robot
+from fastmimic.robot.kinematics import foot_jacobians, foot_positions
+from fastmimic.rotations import quat_conjugate, quat_multiply, rotvec_from_quat
+from primitive.motions import SWING_HEIGHT, cyclic_motion
+
+MILLIMETRE, TENTH_DEGREE = 1e-3, np.radians(0.1)
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("a1")
+
+
+@pytest.fixture(scope="module")
+def motion(robot: Robot) -> Motion:
+    return cyclic_motion(robot)
+
+
+@pytest.fixture(scope="module")
+def dmp(motion: Motion, robot: Robot) -> MotionDmp:
+    return MotionDmp.fit(motion, robot)
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def assert_fits(dmp: MotionDmp) -> None:
+    """The bounds promised for every retargeted cycle, on the reported figures and on the motion itself."""
+    assert dmp.fit_rms["root_position_m"] < MILLIMETRE
+    assert dmp.fit_rms["foot_position_m"] < MILLIMETRE
+    assert dmp.fit_rms["root_orientation_rad"] < TENTH_DEGREE
+    original, made = dmp.fitted, dmp.motion()
+    assert rms(made.root_pos_w - original.root_pos_w) < MILLIMETRE
+    turn = quat_multiply(quat_conjugate(original.root_quat_wxyz), made.root_quat_wxyz)
+    assert rms(rotvec_from_quat(turn)) < TENTH_DEGREE
+
+
+def test_there_are_24_named_dimensions(dmp: MotionDmp) -> None:
+    assert len(dmp.names) == 24
+    assert dmp.names[0] == "root_x"
+    assert dmp.names[5] == "root_yaw"
+    assert [dmp.names[i] for i in FOOT_Z] == ["FR_foot_z", "FL_foot_z", "RR_foot_z", "RL_foot_z"]
+    assert dmp.index("FR_foot_z") == FOOT_Z[0]
+    assert dmp.goal.shape == (24,)
+    np.testing.assert_array_equal(dmp.amplitude, 1.0)
+    with pytest.raises(MotionError, match="no DMP is called 'FR_fot_z'; did you mean 'FR_foot_z'"):
+        dmp.index("FR_fot_z")
+
+
+def test_the_unmodulated_motion_is_the_original(dmp: MotionDmp, motion: Motion) -> None:
+    assert_fits(dmp)
+    made = dmp.motion()
+    assert rms(made.foot_pos_b - motion.foot_pos_b) < MILLIMETRE
+    assert rms(made.root_lin_vel_w - motion.root_lin_vel_w) < 1e-3
+    assert rms(made.root_ang_vel_w - motion.root_ang_vel_w) < 1e-3
+    np.testing.assert_array_equal(made.contact, motion.contact)
+    assert made.cycle is not None
+    np.testing.assert_array_equal(made.cycle, motion.cycle)
+    assert made.rate_hz == motion.rate_hz
+
+
+@pytest.mark.parametrize("cycle", [(0.0, 0.0, 0.0), (0.2, 0.1, 1.72), (0.1, 0.1, 2 * np.pi)])
+def test_turns_are_fitted_as_well_as_straight_gaits(robot: Robot, cycle: tuple[float, float, float]) -> None:
+    assert_fits(MotionDmp.fit(cyclic_motion(robot, cycle), robot))
+
+
+def test_the_goal_of_a_foot_shifts_that_foot_and_nothing_else(dmp: MotionDmp) -> None:
+    goal = dmp.goal
+    goal[dmp.index("FL_foot_z")] += 0.01
+    shifted, original = dmp.motion(goal=goal), dmp.motion()
+    change = shifted.foot_pos_b - original.foot_pos_b
+    expected = np.zeros((4, 3))
+    expected[1, 2] = 0.01
+    np.testing.assert_allclose(change, np.broadcast_to(expected, change.shape), atol=1e-9)
+    np.testing.assert_array_equal(shifted.root_pos_w, original.root_pos_w)
+    assert np.all(shifted.joint_pos[:, :3] == original.joint_pos[:, :3])
+
+
+def test_the_amplitude_scales_the_swing_about_its_mean(dmp: MotionDmp) -> None:
+    amplitude = dmp.amplitude
+    amplitude[list(FOOT_Z)] = 1.25
+    higher = dmp.motion(amplitude=amplitude).foot_pos_b[..., 2]
+    original = dmp.motion().foot_pos_b[..., 2]
+    np.testing.assert_allclose(np.ptp(higher, axis=0), 1.25 * np.ptp(original, axis=0), rtol=1e-9)
+    np.testing.assert_allclose(np.ptp(original, axis=0), SWING_HEIGHT, rtol=0.05)
+    np.testing.assert_allclose(higher.mean(axis=0), original.mean(axis=0), atol=1e-9)
+
+
+def test_root_goals_move_the_root_in_its_own_moving_frame(dmp: MotionDmp, motion: Motion) -> None:
+    goal = dmp.goal
+    goal[dmp.index("root_x")] += 0.1
+    goal[dmp.index("root_z")] += 0.02
+    offset = dmp.motion(goal=goal).root_pos_w - dmp.motion().root_pos_w
+    np.testing.assert_allclose(np.linalg.norm(offset[:, :2], axis=1), 0.1, atol=1e-12)
+    np.testing.assert_allclose(offset[:, 2], 0.02, atol=1e-12)
+    heading = np.arctan2(offset[:, 1], offset[:, 0])
+    assert heading[-1] - heading[0] == pytest.approx(motion.cycle[2] * (1 - 1 / motion.n_samples), abs=1e-9)
+
+
+def test_joints_feet_and_joint_velocities_are_consistent_and_periodic(dmp: MotionDmp, robot: Robot) -> None:
+    amplitude = dmp.amplitude
+    amplitude[list(FOOT_Z)] = 1.2
+    made = dmp.motion(amplitude=amplitude)
+    np.testing.assert_allclose(foot_positions(robot, made.joint_pos), made.foot_pos_b, atol=1e-9)
+    foot_vel = np.einsum(
+        "tlij,tlj->tli", foot_jacobians(robot, made.joint_pos), made.joint_vel.reshape(-1, 4, 3)
+    )
+    differences = np.roll(made.foot_pos_b, -1, axis=0) - np.roll(made.foot_pos_b, 1, axis=0)
+    # both are second-order in the 2 ms step, with feet that turn within a few samples at touch-down
+    assert rms(foot_vel - differences * made.rate_hz / 2) < 0.02 * rms(foot_vel)
+    np.testing.assert_allclose(made.joint_vel.mean(axis=0), 0, atol=1e-9)
+
+
+def test_the_foot_table_is_what_the_motions_contain(dmp: MotionDmp) -> None:
+    generator = np.random.default_rng(0)
+    goal_z = dmp.goal[list(FOOT_Z)] + generator.uniform(-0.02, 0.02, (5, 4))
+    amplitude_z = generator.uniform(0.5, 1.5, (5, 4))
+    table = dmp.foot_table(goal_z, amplitude_z)
+    assert table.foot_pos_b.shape == (5, dmp.fitted.n_samples, 4, 3)
+    for i in range(5):
+        goal, amplitude = dmp.goal, dmp.amplitude
+        goal[list(FOOT_Z)], amplitude[list(FOOT_Z)] = goal_z[i], amplitude_z[i]
+        made = dmp.motion(goal, amplitude)
+        np.testing.assert_array_equal(table.foot_pos_b[i], made.foot_pos_b)
+        np.testing.assert_array_equal(table.joint_pos[i], made.joint_pos)
+        np.testing.assert_array_equal(table.joint_vel[i], made.joint_vel)
+
+
+@pytest.mark.parametrize("shift", [-0.3, 0.25])
+def test_feet_out_of_reach_are_brought_back_and_counted(dmp: MotionDmp, robot: Robot, shift: float) -> None:
+    goal = dmp.goal
+    goal[dmp.index("RR_foot_z")] += shift
+    made = dmp.motion(goal=goal)
+    record = made.meta["dmp"]
+    assert record["foot_samples_out_of_reach"][2] == made.n_samples
+    assert record["foot_samples_out_of_reach"][0] == 0
+    assert 0.01 < record["foot_shift_to_reach_m"][2] < 0.35
+    np.testing.assert_allclose(foot_positions(robot, made.joint_pos), made.foot_pos_b, atol=1e-12)
+    assert np.all(made.joint_pos >= robot.joint_lower)
+    assert np.all(made.joint_pos <= robot.joint_upper)
+
+
+def test_a_modulated_motion_carries_what_it_is_scored_against(dmp: MotionDmp, motion: Motion) -> None:
+    made = dmp.motion()
+    assert made.demonstration is motion
+    again = MotionDmp.fit(made, dmp.robot).motion()
+    assert again.demonstration is motion, "not the modulated one"
+
+
+def test_the_record_of_the_parameters_survives_the_file(dmp: MotionDmp, tmp_path: Path) -> None:
+    goal, amplitude = dmp.goal, dmp.amplitude
+    goal[14] += 0.01
+    amplitude[14] = 1.3
+    dmp.motion(goal, amplitude).save(tmp_path / "motion.npz")
+    record = Motion.load(tmp_path / "motion.npz").meta["dmp"]
+    assert record == json.loads(json.dumps(record))
+    assert record["n_basis"] == 100
+    assert record["goal"] == goal.tolist()
+    assert record["amplitude"] == amplitude.tolist()
+    assert record["fit_rms"] == dmp.fit_rms
+    assert tuple(record["names"]) == NAMES
+
+
+@pytest.mark.parametrize(
+    ("goal", "message"),
+    [
+        (np.zeros(23), r"goal has shape \(23,\); expected \(24,\)"),
+        (np.full(24, np.inf), "goal holds a value that is not finite"),
+    ],
+)
+def test_parameters_of_another_shape_are_refused(dmp: MotionDmp, goal: np.ndarray, message: str) -> None:
+    with pytest.raises(MotionError, match=message):
+        dmp.motion(goal=goal)
+
+
+def test_a_table_of_another_shape_is_refused(dmp: MotionDmp) -> None:
+    with pytest.raises(MotionError, match=r"amplitude_z has shape \(3, 4\); expected \(2, 4\)"):
+        dmp.foot_table(np.zeros((2, 4)), np.zeros((3, 4)))
