@@ -42,25 +42,23 @@ def cyclic_motion(
     period = n_samples / RATE_HZ
     phase = 2 * np.pi * np.arange(n_samples) / n_samples
     step = 1e-5
-    poses = [pose(p) for p in phase]
-    before, after = [pose(p - step) for p in phase], [pose(p + step) for p in phase]
+    position, orientation = pose(phase)
+    before, turned_before = pose(phase - step)
+    after, turned_after = pose(phase + step)
     rate = 2 * np.pi / period / (2 * step)  # phase difference → per second
     feet, contact = trot_feet(robot, phase)
     joints, reachable = inverse_kinematics(robot, feet)
     assert np.all(reachable)
-    quat = np.array([r.as_quat()[[3, 0, 1, 2]] for _, r in poses])
     return Motion(
         rate_hz=RATE_HZ,
-        root_pos_w=np.array([p for p, _ in poses]),
-        root_quat_wxyz=quat,
+        root_pos_w=position,
+        root_quat_wxyz=orientation.as_quat()[:, [3, 0, 1, 2]],
         joint_pos=joints,
         joint_vel=(np.roll(joints, -1, axis=0) - np.roll(joints, 1, axis=0)) * RATE_HZ / 2,
         foot_pos_b=feet,
         contact=contact,
-        root_lin_vel_w=np.array([(a - b) * rate for (a, _), (b, _) in zip(after, before, strict=True)]),
-        root_ang_vel_w=np.array(
-            [(a * b.inv()).as_rotvec() * rate for (_, a), (_, b) in zip(after, before, strict=True)]
-        ),
+        root_lin_vel_w=(after - before) * rate,
+        root_ang_vel_w=(turned_after * turned_before.inv()).as_rotvec() * rate,
         cycle=np.array(cycle),
         meta={"name": "synthetic", "robot": robot.name},
     )
@@ -68,18 +66,20 @@ def cyclic_motion(
 
 def root_pose(
     cycle: np.ndarray, origin: tuple[float, float, float], wobble: float, height: float
-) -> Callable[[float], tuple[np.ndarray, Rotation]]:
-    """World position and orientation of the root as a function of the phase."""
+) -> Callable[[np.ndarray], tuple[np.ndarray, Rotation]]:
+    """World positions (t, 3) and orientations of the root as a function of the phases (t,)."""
     turns = 2 * np.pi * np.round(cycle[2] / (2 * np.pi)) if abs(cycle[2]) > 1.5 * np.pi else 0.0
     logarithm, start = planar_twist_matrix(cycle - (0, 0, turns)), planar_matrix(*origin)
 
-    def pose(phase: float) -> tuple[np.ndarray, Rotation]:
-        sway = wobble * np.array([0.01 * np.sin(phase), 0.02 * np.sin(2 * phase), 0.05 * np.sin(phase)])
-        frame = start @ expm(logarithm * phase / (2 * np.pi)) @ planar_matrix(*sway)
-        yaw = origin[2] + cycle[2] * phase / (2 * np.pi) + sway[2]
+    def pose(phase: np.ndarray) -> tuple[np.ndarray, Rotation]:
+        share = phase / (2 * np.pi)
+        sway = [wobble * 0.01 * np.sin(phase), wobble * 0.02 * np.sin(2 * phase), np.ones_like(phase)]
+        frame = start @ expm(logarithm * share[:, None, None])
+        xy = np.einsum("tij,jt->ti", frame, sway)[:, :2]
+        yaw = origin[2] + cycle[2] * share + wobble * 0.05 * np.sin(phase)
         roll, pitch = wobble * 0.06 * np.cos(phase), wobble * 0.08 * np.sin(2 * phase + 0.3)
-        position = np.array([*frame[:2, 2], height + wobble * 0.01 * np.cos(2 * phase)])
-        return position, Rotation.from_euler("ZYX", [yaw, pitch, roll])
+        position = np.column_stack([xy, height + wobble * 0.01 * np.cos(2 * phase)])
+        return position, Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll]))
 
     return pose
 

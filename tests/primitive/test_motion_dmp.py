@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from fastmimic.errors import MotionError
+from fastmimic.motion.catalogue import RECORDED, open_clip
 from fastmimic.motion.motion import Motion
+from fastmimic.motion.retarget import retarget
 from fastmimic.primitive import FOOT_Z, NAMES, MotionDmp
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
@@ -76,6 +78,23 @@ def test_turns_are_fitted_as_well_as_straight_gaits(robot: Robot, cycle: tuple[f
     assert_fits(MotionDmp.fit(cyclic_motion(robot, cycle), robot))
 
 
+@pytest.mark.parametrize("name", ["trot", "turn", "side-step", "walk", "bound"])
+def test_built_in_gaits_are_fitted(name: str, robot: Robot) -> None:
+    motion, _ = retarget(open_clip(name, robot=robot), robot)
+    assert_fits(MotionDmp.fit(motion, robot))
+
+
+@pytest.mark.parametrize("name", list(RECORDED))
+def test_real_clips_are_fitted(name: str, robot: Robot, data_folder: Path) -> None:
+    """Among them loops of 6 s with pauses, and a turn of 100° a cycle."""
+    motion, _ = retarget(open_clip(name, robot=robot, folder=data_folder), robot)
+    if motion.cycle is None:
+        pytest.fail(f"{name} is a cycle")
+    dmp = MotionDmp.fit(motion, robot)
+    assert dmp.rhythmic.n_basis == 100
+    assert_fits(dmp)
+
+
 def test_the_goal_of_a_foot_shifts_that_foot_and_nothing_else(dmp: MotionDmp) -> None:
     goal = dmp.goal
     goal[dmp.index("FL_foot_z")] += 0.01
@@ -123,6 +142,7 @@ def test_joints_feet_and_joint_velocities_are_consistent_and_periodic(dmp: Motio
     np.testing.assert_allclose(made.joint_vel.mean(axis=0), 0, atol=1e-9)
 
 
+@pytest.mark.nojit
 def test_the_foot_table_is_what_the_motions_contain(dmp: MotionDmp) -> None:
     generator = np.random.default_rng(0)
     goal_z = dmp.goal[list(FOOT_Z)] + generator.uniform(-0.02, 0.02, (5, 4))
@@ -138,6 +158,7 @@ def test_the_foot_table_is_what_the_motions_contain(dmp: MotionDmp) -> None:
         np.testing.assert_array_equal(table.joint_vel[i], made.joint_vel)
 
 
+@pytest.mark.nojit
 @pytest.mark.parametrize("shift", [-0.3, 0.25])
 def test_feet_out_of_reach_are_brought_back_and_counted(dmp: MotionDmp, robot: Robot, shift: float) -> None:
     goal = dmp.goal

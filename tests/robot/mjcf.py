@@ -49,7 +49,7 @@ class Simulated:
     """A robot's own model in MuJoCo, posed at will: the independent witness of kinematics and dynamics."""
 
     def __init__(self, robot: Robot) -> None:
-        self.model = mujoco.MjModel.from_xml_string(robot.xml)
+        self.model = robot.spec().compile()
         self.data = mujoco.MjData(self.model)
         joints = [self.model.joint(name).id for name in robot.joint_names]
         self.qpos = self.model.jnt_qposadr[joints]

@@ -1,5 +1,7 @@
 """Inverse dynamics of the legs against MuJoCo's recursive Newton-Euler and its mass matrix."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from fastmimic.conventions import GRAVITY
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.robot.dynamics import leg_torques
-from robot.mjcf import Simulated, random_joints, random_quat
+from robot.mjcf import Simulated, a1_tree, find, random_joints, random_quat, write
 
 UPWARDS = np.array([0.0, 0.0, GRAVITY])
 EXACT = 1e-9  # N·m, on torques of up to some hundred
@@ -28,6 +30,7 @@ def moving(robot: Robot, generator: np.random.Generator) -> tuple[Simulated, np.
     return simulated, q, dq
 
 
+@pytest.mark.nojit
 def test_torques_agree_with_mujocos_inverse_dynamics(robot: Robot) -> None:
     generator = np.random.default_rng(4)
     for _ in range(50):
@@ -54,7 +57,7 @@ def test_the_acceleration_part_is_the_leg_block_of_the_mass_matrix(robot: Robot)
     simulated, q, dq = moving(robot, generator)
     mujoco.mj_forward(simulated.model, simulated.data)
     full = np.empty((simulated.model.nv, simulated.model.nv))
-    mujoco.mj_fullM(simulated.model, full, simulated.data.qM)
+    mujoco.mj_fullM(simulated.model, simulated.data, full)
     base = np.zeros((12, 3))
     rest = leg_torques(robot, np.tile(q, (12, 1)), np.tile(dq, (12, 1)), np.zeros((12, 12)), base, base)
     unit = leg_torques(robot, np.tile(q, (12, 1)), np.tile(dq, (12, 1)), np.eye(12), base, base)
@@ -85,3 +88,24 @@ def inverse_dynamics(simulated: Simulated) -> np.ndarray:
     simulated.model.opt.disableflags |= int(flags.mjDSBL_CONSTRAINT) | int(flags.mjDSBL_ACTUATION)
     mujoco.mj_inverse(simulated.model, simulated.data)
     return simulated.data.qfrc_inverse[simulated.dofs].copy()
+
+
+def test_links_beside_the_plane_of_the_hip_keep_their_place(tmp_path: Path) -> None:
+    """With the knee 3 cm beside the hip, the feet depend on the sum of the offsets only; moments do not."""
+    tree = a1_tree()
+    for leg, side in (("FR", -1), ("FL", 1), ("RR", -1), ("RL", 1)):
+        find(tree, "body", f"{leg}_calf").set("pos", f"0 {0.03 * side} -0.2")
+    robot = load_robot(write(tree, tmp_path / "wide.xml"))
+    generator = np.random.default_rng(8)
+    simulated, q, dq = moving(robot, generator)
+    mujoco.mj_forward(simulated.model, simulated.data)
+    base = simulated.base_dof
+    bias = leg_torques(
+        robot,
+        q[None],
+        dq[None],
+        np.zeros((1, 12)),
+        simulated.data.qvel[None, base + 3 : base + 6],
+        (UPWARDS @ simulated.rotation)[None],
+    )
+    np.testing.assert_allclose(bias[0], simulated.data.qfrc_bias[simulated.dofs], rtol=0, atol=EXACT)

@@ -17,6 +17,7 @@ def robot(request: pytest.FixtureRequest) -> Robot:
     return load_robot(request.param)
 
 
+@pytest.mark.nojit
 def test_feet_and_jacobians_agree_with_mujoco_on_random_poses(robot: Robot) -> None:
     generator = np.random.default_rng(1)
     simulated = Simulated(robot)
@@ -81,6 +82,7 @@ def test_any_point_gives_finite_joints_and_the_nearest_foot_in_the_legs_plane(
     assert inside_hip or np.all(misses >= miss - EXACT)
 
 
+@pytest.mark.nojit
 def test_shapes_follow_the_input() -> None:
     robot = load_a1()
     q = np.broadcast_to(robot.home_joint_pos, (2, 5, 12))

@@ -92,9 +92,7 @@ def test_a_built_in_robot_is_the_same_on_both_sides(name: str) -> None:
     np.testing.assert_array_equal(robot.link_mass[0], robot.link_mass[1])
     inertias = robot.link_inertia * mirror * mirror[:, None]
     for right, left in ((0, 1), (2, 3)):
-        legs = (
-            slice(None) if name == "go2" or name == "a1" else slice(0, 2)
-        )  # Go1's URDF does not mirror calves
+        legs = slice(0, 2) if name == "go1" else slice(None)  # Go1's description does not mirror the calves
         np.testing.assert_allclose(
             robot.link_com[right, legs] * mirror, robot.link_com[left, legs], atol=1e-12
         )
@@ -107,7 +105,7 @@ def test_a_robot_may_be_given_by_path_or_by_a_name_in_any_case(tmp_path: Path) -
 
 
 def own_robot() -> ElementTree.Element:
-    """Somebody else's robot: other names, legs in another order, longer thighs, sockets for the feet, a floor."""
+    """Somebody else's robot: other names, order of legs and lengths, feet on bodies of their own, a floor."""
     tree = a1_tree()
     trunk = find(tree, "body", "trunk")
     names = {"FR": "right_fore", "FL": "left_fore", "RR": "right_hind", "RL": "left_hind"}
@@ -157,6 +155,23 @@ def test_somebody_elses_robot_works_whatever_its_names_order_and_lengths(tmp_pat
         simulated.pose(q, generator.normal(size=3), random_quat(generator))
         np.testing.assert_allclose(foot_positions(robot, q), simulated.feet_b(), rtol=0, atol=1e-9)
         np.testing.assert_allclose(foot_jacobians(robot, q), simulated.jacobians_b(), rtol=0, atol=1e-9)
+
+
+def test_a_robot_with_meshes_beside_its_file_can_be_simulated(tmp_path: Path) -> None:
+    tree = a1_tree()
+    (tmp_path / "assets").mkdir()
+    corners = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\n"
+    (tmp_path / "assets" / "shell.obj").write_text(corners + "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    compiler = tree.find("compiler")
+    assert compiler is not None
+    compiler.set("meshdir", "assets")
+    ElementTree.SubElement(
+        ElementTree.SubElement(tree, "asset"), "mesh", {"name": "shell", "file": "shell.obj"}
+    )
+    shell = {"type": "mesh", "mesh": "shell", "contype": "0", "conaffinity": "0"}
+    ElementTree.SubElement(find(tree, "body", "trunk"), "geom", shell)
+    robot = load_robot(write(tree, tmp_path / "meshes.xml"))
+    assert Simulated(robot).model.nmesh == 1
 
 
 def test_degrees_are_read_as_degrees(tmp_path: Path) -> None:

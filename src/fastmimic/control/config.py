@@ -45,6 +45,8 @@ class StanceConfig:
         position_gain: k_p, 1/s².
         velocity_gain: k_d, 1/s.
         reference_acceleration: factor on the reference's own acceleration in ẍ_des; 0 in the paper.
+        sway: share of the inverted pendulum's sway over the reference's footholds that is added to the reference; 0 in
+            the paper.
         acceleration_limit: bound on each component of ẍ_des, m/s² and rad/s².
         acceleration_weight: diagonal of Q.
         force_weight: diagonal of R, 1/N² relative to Q.
@@ -59,6 +61,7 @@ class StanceConfig:
     position_gain: Vector6 = (10.0, 10.0, 40.0, 360.0, 360.0, 390.0)
     velocity_gain: Vector6 = (33.0, 33.0, 30.0, 93.0, 93.0, 68.0)
     reference_acceleration: float = 1.0
+    sway: float = 1.0
     acceleration_limit: Vector6 = (10.0, 10.0, 15.0, 60.0, 60.0, 60.0)
     acceleration_weight: Vector6 = (1.0, 1.0, 1.0, 10.0, 10.0, 1.0)
     force_weight: float = 1e-4
@@ -77,6 +80,7 @@ class SwingConfig:
 
     Attributes:
         velocity_feedback: K, s.
+        sway: share of the inverted pendulum's sway that counts as the reference's in the feedback; 0 in the paper.
         filter_time: time constant of the low-pass on v̄ − v before K, s; 0 in the paper. A gait that sways within each
             step would otherwise step wider with every sway.
         position_feedback: the same for the base's position error, a fraction of it; 0 in the paper.
@@ -88,6 +92,7 @@ class SwingConfig:
     """
 
     velocity_feedback: float = 0.1
+    sway: float = 1.0
     filter_time: float = 0.1
     position_feedback: float = 0.1
     joint_stiffness: float = 71.0
@@ -144,9 +149,10 @@ def paper_config() -> ControllerConfig:
     """The paper's form: no feed-forward of accelerations or leg dynamics, eq. 2 and 3 as printed."""
     return ControllerConfig(
         name="paper",
-        stance=StanceConfig(reference_acceleration=0.0, adaptation="paper", leg_dynamics=False),
+        stance=StanceConfig(reference_acceleration=0.0, sway=0.0, adaptation="paper", leg_dynamics=False),
         swing=SwingConfig(
             velocity_feedback=0.03,
+            sway=0.0,
             filter_time=0.0,
             position_feedback=0.0,
             leg_dynamics=False,
@@ -184,6 +190,8 @@ _DTYPE = np.dtype(
         ("min_force", "f8"),
         ("max_force", "f8"),
         ("adaptation", "i8"),
+        ("stance_sway", "f8"),
+        ("swing_sway", "f8"),
         ("stance_kp", "f8"),
         ("stance_kd", "f8"),
         ("stance_dynamics", "f8"),
@@ -225,6 +233,8 @@ def pack_config(config: ControllerConfig, weight: float) -> NDArray[Any]:
     record["min_force"] = stance.min_force * weight
     record["max_force"] = stance.max_force * weight
     record["adaptation"] = ADAPTATIONS.index(stance.adaptation)
+    record["stance_sway"] = stance.sway
+    record["swing_sway"] = swing.sway
     record["stance_kp"] = stance.joint_stiffness
     record["stance_kd"] = stance.joint_damping
     record["stance_dynamics"] = float(stance.leg_dynamics)

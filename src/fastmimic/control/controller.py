@@ -42,6 +42,7 @@ SCRATCH: Final = np.dtype(
         ("columns", "f8", (12, 6)),
         ("jacobian", "f8", (3, 3)),
         ("position_error", "f8", (3,)),  # reference minus robot, body frame
+        ("sway", "f8", (3, 2)),  # position, velocity, acceleration, robot's heading frame
         ("vectors", "f8", (8, 3)),
         ("torque", "f8", (3,)),
     ],
@@ -160,10 +161,21 @@ def _control_robot(
     y = clock.origin[1] + so * ref.root_pos[0] + co * ref.root_pos[1] - obs.root_pos[1]
     error[0], error[1], error[2] = c * x + s * y, -s * x + c * y, ref.root_pos[2] - obs.root_pos[2]
     height_error = error[2]
-    transposed_times(rotation, error, scratch.position_error)
     for k in range(3):
         velocity_error[k] = v_ref[k] - v[k]
     _heading_vector(cd, -sd, ref.lin_acc, feedforward)
+    # the pendulum's sway, from the reference's heading into the robot's
+    yaw_error = np.arctan2(reference_rotation[1, 0], reference_rotation[0, 0])
+    cy, sy = np.cos(yaw_error), np.sin(yaw_error)
+    sway = scratch.sway
+    for k in range(3):
+        source = ref.sway_pos if k == 0 else (ref.sway_vel if k == 1 else ref.sway_acc)
+        sway[k, 0], sway[k, 1] = cy * source[0] - sy * source[1], sy * source[0] + cy * source[1]
+    _swing_errors(config, rotation, error, velocity_error, sway, memory, scratch.position_error, vectors[7])
+    for k in range(2):
+        error[k] += config.stance_sway * sway[0, k]
+        velocity_error[k] += config.stance_sway * sway[1, k]
+        feedforward[k] += config.stance_sway * sway[2, k]
     _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 0)
     rotation_error(reference_rotation, rotation, error)
     for k in range(3):
@@ -171,13 +183,10 @@ def _control_robot(
     _heading_vector(cd, -sd, ref.ang_acc, feedforward)
     _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 3)
 
-    # body-frame velocities, of the reference in its own body frame
-    v_ref_b, w_ref_b, v_b = vectors[0], vectors[1], vectors[2]
+    # the reference's velocities in its own body frame
+    v_ref_b, w_ref_b = vectors[0], vectors[1]
     transposed_times(reference_rotation, v_ref, v_ref_b)
     transposed_times(reference_rotation, w_ref, w_ref_b)
-    transposed_times(rotation, v, v_b)
-    for k in range(2):
-        memory.velocity_error[k] += config.filter_gain * (v_ref_b[k] - v_b[k] - memory.velocity_error[k])
     _feet_and_com(model, obs, rotation, feet, scratch.arms, vectors[7])
     _heading_inertia(model.inertia, rotation, scratch.inertia)
     invert_symmetric_3x3(scratch.inertia, scratch.inverse_inertia)
@@ -208,6 +217,28 @@ def _control_robot(
             command.joint_pos[j] = min(max(command.joint_pos[j], lower), upper)
             limit = model.torque_limit[j]
             command.torque[j] = min(max(command.torque[j], -limit), limit)
+
+
+@inlined
+def _swing_errors(
+    config: Any,
+    rotation: Array,
+    error: Array,
+    velocity_error: Array,
+    sway: Array,
+    memory: Any,
+    position_error_b: Array,
+    work: Array,
+) -> None:
+    """Errors that the swing feet make up for, body frame: position, and velocity low-passed."""
+    for k in range(3):
+        work[k] = error[k] + (config.swing_sway * sway[0, k] if k < 2 else 0.0)
+    transposed_times(rotation, work, position_error_b)
+    for k in range(3):
+        work[k] = velocity_error[k] + (config.swing_sway * sway[1, k] if k < 2 else 0.0)
+    for k in range(2):
+        v = rotation[0, k] * work[0] + rotation[1, k] * work[1] + rotation[2, k] * work[2]
+        memory.velocity_error[k] += config.filter_gain * (v - memory.velocity_error[k])
 
 
 @inlined
@@ -397,7 +428,7 @@ class Controller:
                     f"motion '{motion.name}' has {motion.rate_hz:g} samples a second and the controller runs at"
                     f" {self.config.rate_hz:g} Hz; retarget the clip with that rate"
                 )
-        self.tables = stack_tables(motions)
+        self.tables = stack_tables(motions, robot)
         self.memory = np.zeros(n, MEMORY)
         self.command = np.zeros(n, COMMAND)
         self._model = pack_model(robot)

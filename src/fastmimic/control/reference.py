@@ -11,9 +11,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.control.sway import pendulum_sway
 from fastmimic.errors import MotionError
 from fastmimic.jit import inlined, kernel
 from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 from fastmimic.rotations import (
     quat_continuous,
     quat_from_yaw,
@@ -37,10 +39,13 @@ SAMPLE: Final = np.dtype(
         ("joint_acc", "f8", (12,)),
         ("foot_pos", "f8", (4, 3)),
         ("contact", "i8", (4,)),
+        ("sway_pos", "f8", (2,)),
+        ("sway_vel", "f8", (2,)),
+        ("sway_acc", "f8", (2,)),
     ],
     align=True,
 )
-"""One instant of a reference, relative to the heading frame of the period's first sample."""
+"""One instant of a reference, relative to the heading frame of the period's first sample; the sway in its own heading frame."""
 
 CLOCK: Final = np.dtype(
     [("sample", "i8"), ("cycle", "i8"), ("origin", "f8", (3,)), ("cycle_step", "f8", (3,)), ("jump", "f8")],
@@ -50,7 +55,7 @@ CLOCK: Final = np.dtype(
 the sum of the distances by which synchronisation has moved the origin, m."""
 
 
-def reference_table(motion: Motion) -> NDArray[Any]:
+def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
     """Packs a motion into an array of `SAMPLE`, shape (t,).
 
     Accelerations are central differences of the motion's velocities, periodic if the motion is.
@@ -78,6 +83,7 @@ def reference_table(motion: Motion) -> NDArray[Any]:
     table["joint_acc"] = _difference(motion.joint_vel, dt, 0.0 if periodic else None)
     table["foot_pos"] = motion.foot_pos_b
     table["contact"] = motion.contact
+    table["sway_pos"], table["sway_vel"], table["sway_acc"] = pendulum_sway(motion, robot)
     return table
 
 
@@ -151,7 +157,7 @@ def advance_clocks(clocks: Any, tables: Any, root_xy: Array) -> None:
         advance_clock(clocks[i], tables.shape[1], root_xy[i, 0], root_xy[i, 1], tables[k])
 
 
-def stack_tables(motions: Sequence[Motion]) -> NDArray[Any]:
+def stack_tables(motions: Sequence[Motion], robot: Robot) -> NDArray[Any]:
     """Tables of several references with one period, (k, t) of `SAMPLE`.
 
     Raises:
@@ -160,7 +166,7 @@ def stack_tables(motions: Sequence[Motion]) -> NDArray[Any]:
     lengths = {m.n_samples for m in motions}
     if len(lengths) != 1:
         raise MotionError(f"references of one batch must have the same number of samples, found {sorted(lengths)}")
-    return np.stack([reference_table(m) for m in motions])
+    return np.stack([reference_table(m, robot) for m in motions])
 
 
 def world_root(table: NDArray[Any], sample: NDArray[np.int64], origin: Array) -> tuple[Array, Array]:

@@ -159,7 +159,7 @@ class ClosedLoop:
         self.n = n
         self.controller = Controller(robot, [demonstration], n, config)
         self.simulation = MujocoSimulation(robot, n, control_rate_hz=config.rate_hz, threads=threads)
-        self._table = reference_table(demonstration)
+        self._table = reference_table(demonstration, robot)
         self._clocks = make_clocks(demonstration, n)
         self._tallies = np.zeros(n, TALLY)
         self._work = np.zeros((2, 3, 3))
@@ -210,7 +210,7 @@ class ClosedLoop:
         elif isinstance(references, np.ndarray):
             self.controller.tables = references
         else:
-            self.controller.tables = np.stack([reference_table(m) for m in references])
+            self.controller.tables = np.stack([reference_table(m, self.robot) for m in references])
         pose = np.zeros((self.n, 3))
         place_clocks(self._clocks, start.sample, self._table, pose)
         position, quat = world_root(self._table, start.sample, self._clocks["origin"])

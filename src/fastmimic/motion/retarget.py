@@ -23,7 +23,9 @@ from fastmimic.motion.contacts import (
     foot_activity,
 )
 from fastmimic.motion.motion import Motion
+from fastmimic.motion.retarget_balance import BalanceConfig, Deviation, TrunkSpline, balance
 from fastmimic.motion.retarget_cycle import Track, cycle_displacement, pose_mismatch, track_cycle, track_open
+from fastmimic.motion.retarget_dynamics import Demand, ground_demand
 from fastmimic.motion.retarget_fidelity import Before, make_report
 from fastmimic.motion.retarget_feet import SwingConfig, plant_feet
 from fastmimic.motion.retarget_gait import GaitConfig, make_consistent
@@ -83,6 +85,7 @@ class RetargetConfig:
     contact: ContactConfig = field(default_factory=ContactConfig)
     gait: GaitConfig = field(default_factory=GaitConfig)
     swing: SwingConfig = field(default_factory=SwingConfig)
+    balance: BalanceConfig = field(default_factory=BalanceConfig)
 
 
 def retarget(
@@ -125,24 +128,13 @@ def retarget(
     stances, changes = make_consistent(detected, n, rate_hz, periodic, straight, config.gait)
     own = _is_own_body(clip, robot, scale)
     offset = np.zeros((4, 2)) if own else foot_offsets(robot, track, stances, config.stance_width)
-    raw_w = _raw_feet(robot, track, offset)
     height = source.hip_height + robot.foot_radius - (0.0 if own else config.crouch_m * scale / DOG_SCALE)
-    pose, smoothed = _fit_within_limits(robot, track, raw_w, stances, height, rate_hz, config)
-    linear, angular = root_velocity(pose, track, rate_hz)
-    motion = Motion(
-        rate_hz=rate_hz,
-        root_pos_w=pose.root_pos_w,
-        root_quat_wxyz=pose.root_quat_wxyz,
-        joint_pos=pose.joint_pos,
-        joint_vel=joint_velocity(pose.joint_pos, rate_hz, periodic),
-        foot_pos_b=pose.foot_pos_b,
-        contact=contact_mask(stances, n),
-        root_lin_vel_w=linear,
-        root_ang_vel_w=angular,
-        cycle=track.cycle,
-    )
+    balanced, offset = _balance(robot, track, stances, offset, height, rate_hz, config)
+    raw_w = _raw_feet(robot, track, offset)
+    pose, smoothed = _fit_within_limits(robot, balanced, raw_w, stances, height, rate_hz, config)
+    motion = _motion(pose, balanced, stances, rate_hz)
     before = Before(scale, duration, cycle_reason, aligned, raw_w, detected, offset, changes, smoothed)
-    report = make_report(motion, robot, source, track, stances, pose, before)
+    report = make_report(motion, robot, source, balanced, stances, pose, before)
     meta = {
         "name": clip.meta.get("name", "motion"),
         "robot": robot.name,
@@ -151,6 +143,42 @@ def retarget(
         "retarget": report.as_dict(),
     }
     return replace(motion, meta=meta), report
+
+
+def _balance(
+    robot: Robot, track: Track, stances: Stances, offset: Array, height: float, rate_hz: float, config: RetargetConfig
+) -> tuple[Track, Array]:
+    """The trunk as the standing feet can move it, and the offsets of the feet that go with it."""
+    n = len(track.root_z)
+    spline = TrunkSpline(n, rate_hz, track.cycle is not None, config.balance.hz)
+    sample = np.arange(0, n, max(1, round(config.balance.sample_s * rate_hz)))
+    side = np.stack([np.zeros(4), np.where(LEFT, 1.0, -1.0)], axis=-1)
+
+    def demand_of(deviation: Deviation) -> Demand:
+        moved = track.deviated(spline.values(deviation.trunk))
+        raw_w = _raw_feet(robot, track, offset + deviation.width * side)
+        feet_w = plant_feet(raw_w, moved, stances, robot.foot_radius, rate_hz, config.swing)
+        pose = solve_pose(robot, moved, feet_w, height, config.max_lowering_m, config.limit_margin_rad)
+        return ground_demand(robot, _motion(pose, moved, stances, rate_hz), sample)
+
+    deviation = balance(robot, spline, demand_of, config.balance)
+    return track.deviated(spline.values(deviation.trunk)), offset + deviation.width * side
+
+
+def _motion(pose: Pose, track: Track, stances: Stances, rate_hz: float) -> Motion:
+    linear, angular = root_velocity(pose, track, rate_hz)
+    return Motion(
+        rate_hz=rate_hz,
+        root_pos_w=pose.root_pos_w,
+        root_quat_wxyz=pose.root_quat_wxyz,
+        joint_pos=pose.joint_pos,
+        joint_vel=joint_velocity(pose.joint_pos, rate_hz, track.cycle is not None),
+        foot_pos_b=pose.foot_pos_b,
+        contact=contact_mask(stances, len(pose.joint_pos)),
+        root_lin_vel_w=linear,
+        root_ang_vel_w=angular,
+        cycle=track.cycle,
+    )
 
 
 def choose_scale(clip: Clip, robot: Robot) -> float:

@@ -1,6 +1,6 @@
 """A recording as a continuous motion: closed as a cycle about its constant-twist motion, or as it is."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,23 @@ class Track:
     toe_from_hip: Array
     toe_height: Array
     cycle: Array | None
+
+    def deviated(self, deviation: Array) -> "Track":
+        """The trunk moved by (t, 6): x, y, z in the heading frame, m; roll, pitch, yaw, rad. The animal's toes do not move."""
+        root_xy = self.root_xy + rotate_planar(self.heading, deviation[:, :2])
+        heading = self.heading + deviation[:, 5]
+        cycle = None
+        if self.cycle is not None:
+            end = self.moved(root_xy[:1], 1)[0] - root_xy[0]
+            cycle = np.array([*rotate_planar(-heading[0], end), self.cycle[2]])
+        return replace(
+            self,
+            root_xy=root_xy,
+            root_z=self.root_z + deviation[:, 2],
+            heading=heading,
+            tilt=self.tilt + deviation[:, 3:5],
+            cycle=cycle,
+        )
 
     def moved(self, points_w: Array, cycles: int) -> Array:
         """Points (..., 2) of the world, that many cycles later (earlier if negative)."""

@@ -123,7 +123,7 @@ class ImitationProblem:
         self.workers = workers if workers is not None else available_cores()
         self.steps = max(1, math.ceil(self.objective.duration_s * self.config.rate_hz - 1e-9))
         self._clearance = swing_clearance(demonstration, robot.foot_radius)
-        self._base = reference_table(dmp.motion())
+        self._base = reference_table(dmp.motion(), robot)
         self._loops: dict[tuple[int, int], ClosedLoop] = {}
 
     @property
@@ -141,7 +141,7 @@ class ImitationProblem:
         """A digest of all that determines a candidate's score, to recognise checkpoints by."""
         digest = hashlib.sha256()
         digest.update(self._base.tobytes())
-        digest.update(reference_table(self.demonstration).tobytes())
+        digest.update(reference_table(self.demonstration, self.robot).tobytes())
         digest.update(self.robot.xml.encode())
         settings = {
             "config": self.config.as_dict(),

@@ -31,7 +31,7 @@ def motion_figure(motion: "Motion", robot: "Robot", title: str | None = None) ->
     """
     figure = new_figure(15.0, 7.6, title if title is not None else _heading(motion, robot))
     grid = figure.subplots(3, 3, sharex=True)
-    time = np.arange(motion.n_samples) * motion.dt
+    time = np.arange(motion.n_samples, dtype=np.float64) / motion.rate_hz
     _draw_gait(grid[0, 0], time, motion.dt, motion.contact)
     _draw_height(grid[1, 0], time, motion.root_pos_w)
     _draw_tilt(grid[2, 0], time, motion.root_quat_wxyz)
@@ -68,7 +68,9 @@ def _draw_gait(axes: Axes, time: Array, dt: float, contact: NDArray[np.bool_]) -
         edges = np.diff(np.concatenate([[0], contact[:, leg].astype(np.int8), [0]]))
         starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
         bars = [(time[a], (b - a) * dt) for a, b in zip(starts, ends, strict=True)]
-        axes.broken_barh(bars, (row - 0.36, 0.72), facecolor=LEG_LINES[leg].color, edgecolor=INK, linewidth=0.6)
+        axes.broken_barh(
+            bars, (row - 0.36, 0.72), facecolor=LEG_LINES[leg].color, edgecolor=INK, linewidth=0.6
+        )
     duty = contact.mean(axis=0)
     axes.set_ylim(-0.6, len(LEGS) - 0.4)
     tidy(axes, "gait: a bar is stance; the number is the duty factor")

@@ -1,7 +1,7 @@
 """Drawing MuJoCo scenes into memory, with a display or without one.
 
-MuJoCo's own `Renderer` takes the OpenGL backend that `MUJOCO_GL` named when `mujoco` was first imported, which is
-too early to choose one for a machine without a display. Here the context is made directly.
+MuJoCo's own `Renderer` takes the OpenGL backend that `MUJOCO_GL` named when `mujoco` was first imported,
+which is too early to choose one for a machine without a display. Here the context is made directly.
 """
 
 import importlib
@@ -30,7 +30,7 @@ class NoRendererError(Exception):
 def backends() -> tuple[str, ...]:
     """The OpenGL backends to try, in this order.
 
-    `MUJOCO_GL` decides if it is set. Otherwise a machine without a display takes EGL, and software OSMesa next.
+    `MUJOCO_GL` decides if it is set. Otherwise a machine without a display takes EGL, then OSMesa.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted in _OFF:
@@ -91,7 +91,7 @@ class Offscreen:
 def _open(model: "mujoco.MjModel", width: int, height: int) -> tuple[Any, Any]:
     """The first backend that works, and MuJoCo's context on it."""
     import mujoco
-    from OpenGL.error import Error as OpenGLError
+    from OpenGL.error import Error as OpenGLError  # type: ignore[import-untyped]
 
     failures = []
     for backend in backends():
@@ -103,7 +103,15 @@ def _open(model: "mujoco.MjModel", width: int, height: int) -> tuple[Any, Any]:
                 gl.make_current()
                 context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
-        except (ImportError, OSError, RuntimeError, AttributeError, TypeError, ValueError, OpenGLError) as error:
+        except (
+            ImportError,
+            OSError,
+            RuntimeError,
+            AttributeError,
+            TypeError,
+            ValueError,
+            OpenGLError,
+        ) as error:
             # libraries that are absent or half there show in as many ways
             failures.append(f"{backend}: {' '.join(str(error).split())[:120]}")
             continue

@@ -39,11 +39,13 @@ class Stage:
         model: the compiled model.
         robot_qpos: (19,) indices of the robot's root position, quaternion and joints in the common order.
         ghost_qpos: the same of the ghost; None without one.
+        casts_shadow: (ngeom,) which geoms have a shadow: the robot's main ones.
     """
 
     model: "mujoco.MjModel"
     robot_qpos: NDArray[np.int64]
     ghost_qpos: NDArray[np.int64] | None
+    casts_shadow: NDArray[np.bool_]
 
 
 def build_stage(robot: "Robot", *, ghost: bool, width: int, height: int, floor: Array) -> Stage:
@@ -62,13 +64,14 @@ def build_stage(robot: "Robot", *, ghost: bool, width: int, height: int, floor: 
     _set_visual(spec, width, height)
     _add_ground(spec, floor)
     for prefix in (_ROBOT, _GHOST)[: 1 + ghost]:
-        spec.attach(_bare_robot(robot, ghost=prefix == _GHOST), prefix=prefix, frame=spec.worldbody.add_frame())
+        spec.attach(_bare_robot(robot), prefix=prefix, frame=spec.worldbody.add_frame())
     model = spec.compile()
-    return Stage(
-        model,
-        _qpos_indices(model, robot, _ROBOT),
-        _qpos_indices(model, robot, _GHOST) if ghost else None,
-    )
+    robot_qpos, robot_geoms = _find(model, robot, _ROBOT)
+    ghost_qpos = None
+    if ghost:
+        ghost_qpos, ghost_geoms = _find(model, robot, _GHOST)
+        _make_ghost(model, ghost_geoms)
+    return Stage(model, robot_qpos, ghost_qpos, _main_geoms(model, robot_geoms))
 
 
 def _set_visual(spec: "mujoco.MjSpec", width: int, height: int) -> None:
@@ -124,25 +127,44 @@ def _add_ground(spec: "mujoco.MjSpec", floor: Array) -> None:
     )
 
 
-def _bare_robot(robot: "Robot", *, ghost: bool) -> "mujoco.MjSpec":
+def _bare_robot(robot: "Robot") -> "mujoco.MjSpec":
     """The robot's model without a floor, lights or cameras of its own."""
     spec = robot.spec()
     for element in (*spec.worldbody.geoms, *spec.lights, *spec.cameras, *spec.keys):
         spec.delete(element)
     spec.nkey = 0
-    if ghost:
-        for geom in spec.geoms:
-            geom.group = GHOST_GROUP if geom.group <= 2 else _HIDDEN_GROUP
-            geom.material = ""
-            geom.rgba = ghost_rgba()
-            geom.size = np.asarray(geom.size) * _GHOST_SHRINK
     return spec
 
 
-def _qpos_indices(model: "mujoco.MjModel", robot: "Robot", prefix: str) -> NDArray[np.int64]:
+def _find(
+    model: "mujoco.MjModel", robot: "Robot", prefix: str
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Indices in `qpos` (19,) and a mask of the geoms (ngeom,) of the copy of the robot with this prefix."""
     import mujoco
 
     joints = [model.joint(prefix + name).id for name in robot.joint_names]
-    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
-    root = model.jnt_qposadr[free[0 if prefix == _ROBOT else 1]]
-    return np.concatenate([np.arange(root, root + 7), model.jnt_qposadr[joints]]).astype(np.int64)
+    root = model.body_rootid[model.jnt_bodyid[joints[0]]]
+    free = np.flatnonzero((model.jnt_type == mujoco.mjtJoint.mjJNT_FREE) & (model.jnt_bodyid == root))[0]
+    first = int(model.jnt_qposadr[free])
+    qpos = np.concatenate([np.arange(first, first + 7), model.jnt_qposadr[joints]]).astype(np.int64)
+    return qpos, model.body_rootid[model.geom_bodyid] == root
+
+
+def _main_geoms(model: "mujoco.MjModel", geoms: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which of a robot's `geoms` its ghost and its shadow show.
+
+    Those that collide, if they are meant to be seen: decoration only costs time. Otherwise all that are
+    seen, as in models whose collision geometry is hidden behind meshes.
+    """
+    seen = geoms & (model.geom_group <= 2) & (model.geom_rgba[:, 3] > 0)
+    solid = seen & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))
+    return solid if solid.any() else seen
+
+
+def _make_ghost(model: "mujoco.MjModel", geoms: NDArray[np.bool_]) -> None:
+    """Makes a robot's `geoms` translucent, in the demonstration's colour."""
+    main = _main_geoms(model, geoms)
+    model.geom_group[geoms] = np.where(main[geoms], GHOST_GROUP, _HIDDEN_GROUP)
+    model.geom_matid[geoms] = -1
+    model.geom_rgba[geoms] = ghost_rgba()
+    model.geom_size[geoms] *= _GHOST_SHRINK

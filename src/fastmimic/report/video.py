@@ -97,7 +97,7 @@ def render_video(
         What was written; None, with a warning in the log, if this machine has no OpenGL to draw with.
 
     Raises:
-        ConfigError: no track, or a rate, frame rate or slow motion that is not positive.
+        ConfigError: no track, a size that H.264 does not take, or a number that is not positive.
         OutputError: `path` cannot be written.
     """
     if not tracks:
@@ -154,9 +154,7 @@ def _frame_times(samples: int, rate_hz: float, frames_per_s: float) -> Array:
     return np.arange(count) / frames_per_s
 
 
-def _stage(
-    robot: "Robot", poses: list[Array], ghosts: list[Array | None], size: tuple[int, int]
-) -> Stage:
+def _stage(robot: "Robot", poses: list[Array], ghosts: list[Array | None], size: tuple[int, int]) -> Stage:
     paths = np.concatenate([p[:, :2] for p in (*poses, *ghosts) if p is not None])
     return build_stage(
         robot,

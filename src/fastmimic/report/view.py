@@ -64,21 +64,23 @@ class View:
         self._cast_shadow()
 
     def _cast_shadow(self) -> None:
-        """Appends each opaque geom again, flattened onto the ground; a shadow map would take most of the time."""
+        """Appends the robot's geoms again, flattened onto the ground: far quicker than a shadow map."""
         if not self._shadows:
-            self._shadows = _new_shadows(self.scene)
+            self._shadows = _new_shadows(self.scene, self._stage.casts_shadow)
         for geom, shadow in self._shadows:
             shadow.pos[:] = _FLATTEN @ geom.pos + _ABOVE_GROUND
             shadow.mat[:] = _FLATTEN @ geom.mat
         self.scene.ngeom += len(self._shadows)
 
 
-def _new_shadows(scene: mujoco.MjvScene) -> list[tuple[mujoco.MjvGeom, mujoco.MjvGeom]]:
+def _new_shadows(
+    scene: mujoco.MjvScene, casts_shadow: NDArray[np.bool_]
+) -> list[tuple[mujoco.MjvGeom, mujoco.MjvGeom]]:
     """The geoms that cast a shadow, each with the slot behind the scene's own geoms that shows it."""
-    pairs = []
+    pairs: list[tuple[mujoco.MjvGeom, mujoco.MjvGeom]] = []
     for i in range(scene.ngeom):
         geom = scene.geoms[i]
-        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE or geom.rgba[3] < 1:
+        if geom.objtype != mujoco.mjtObj.mjOBJ_GEOM or not casts_shadow[geom.objid]:
             continue
         shadow = scene.geoms[scene.ngeom + len(pairs)]
         color = np.array(_SHADOW_RGBA, dtype=np.float32)

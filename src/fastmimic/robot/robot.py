@@ -54,7 +54,8 @@ class Robot:
         home_joint_pos: (12,) rad.
         home_height: base height in the home pose, m.
         trunk_mass, trunk_com_b: of the body that carries the legs.
-        link_mass: (4, 3); link_com: (4, 3, 3) and link_inertia: (4, 3, 3, 3) in each link's frame.
+        link_mass: (4, 3); link_com: (4, 3, 3) and link_inertia: (4, 3, 3, 3) in each link's frame, those of
+            thigh and calf moved along their joint axis into the leg's plane (`lateral_offset`).
         joint_names, foot_geoms: names of the model's elements in the common order.
         assumed: what the model does not say and was assumed, as sentences.
         base_spec: the specification that all this was read from; see `spec()`.
@@ -202,7 +203,7 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
         trunk_mass=trunk_link[0],
         trunk_com_b=trunk_link[1],
         link_mass=np.array([[link[0] for link in row] for row in links]),
-        link_com=np.array([[link[1] for link in row] for row in links]),
+        link_com=_in_leg_plane(np.array([[link[1] for link in row] for row in links]), legs),
         link_inertia=np.array([[link[2] for link in row] for row in links]),
         joint_names=tuple(model.joint(j).name for j in joints),
         foot_geoms=tuple(model.geom(leg.foot).name for leg in legs),
@@ -422,6 +423,14 @@ def _torque_limits(model: "mujoco.MjModel", joints: list[int], where: str) -> Ar
             )
         limits[i] = min(candidates)
     return limits
+
+
+def _in_leg_plane(com: Array, legs: list[_Leg]) -> Array:
+    """Centres of mass (4, 3, 3) with the origins of thigh and calf moved sideways into the plane of the foot."""
+    for of_leg, leg in zip(com, legs, strict=True):
+        of_leg[1, 1] -= leg.thigh[1] + leg.calf[1]
+        of_leg[2, 1] -= leg.calf[1]
+    return com
 
 
 def _speed_limit(model: "mujoco.MjModel") -> tuple[Array, tuple[str, ...]]:

@@ -1,0 +1,41 @@
+"""Robots in motion, and whether they can be drawn here."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from video_files import RATE_HZ
+
+from fastmimic.report import Track
+from fastmimic.report.offscreen import NoRendererError, Offscreen
+from fastmimic.report.scene import build_stage
+from fastmimic.robot import Robot, load_robot
+
+
+@pytest.fixture(scope="session")
+def a1() -> Robot:
+    return load_robot("a1")
+
+
+@pytest.fixture(scope="session")
+def opengl(a1: Robot) -> None:
+    """Skips where nothing can be drawn: a machine without any OpenGL."""
+    stage = build_stage(a1, ghost=False, width=16, height=16, floor=np.zeros((2, 2)))
+    try:
+        Offscreen(stage.model).close()
+    except NoRendererError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture
+def walk(a1: Robot) -> Callable[..., Track]:
+    """A robot that glides along x at 1 m/s, its knees swinging; `offset_m` moves it aside."""
+
+    def make(seconds: float = 0.4, offset_m: float = 0.0, ghost: Track | None = None, **text: str) -> Track:
+        t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+        root = np.stack([t, np.full_like(t, offset_m), np.full_like(t, a1.home_height)], axis=1)
+        quat = np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1))
+        joints = a1.home_joint_pos + 0.2 * np.sin(10 * t)[:, None]
+        return Track(root, quat, joints, ghost=ghost, **text)
+
+    return make

@@ -1,0 +1,74 @@
+"""The stage: one ground, the robot as it is, and a ghost that does not get in the way."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from fastmimic.report.scene import GHOST_GROUP, build_stage, ghost_rgba
+from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
+
+FLOOR = np.array([[0.0, 0.0], [5.0, 1.0]])
+
+
+@pytest.mark.parametrize("name", ROBOT_NAMES)
+def test_robot_and_ghost_take_a_pose_each(name: str) -> None:
+    robot = load_robot(name)
+    stage = build_stage(robot, ghost=True, width=64, height=48, floor=FLOOR)
+    assert stage.ghost_qpos is not None
+    assert sorted([*stage.robot_qpos, *stage.ghost_qpos]) == list(range(38))
+    data = mujoco.MjData(stage.model)
+    data.qpos[stage.robot_qpos] = [0, 0, 0.3, 1, 0, 0, 0, *robot.home_joint_pos]
+    data.qpos[stage.ghost_qpos] = [0, 1, 0.3, 1, 0, 0, 0, *robot.home_joint_pos]
+    mujoco.mj_kinematics(stage.model, data)
+    for geom in robot.foot_geoms:
+        apart = data.geom("ghost/" + geom).xpos - data.geom("robot/" + geom).xpos
+        np.testing.assert_allclose(apart, [0, 1, 0], atol=1e-12)
+
+
+def test_the_ghost_is_translucent_and_leaves_the_robot_as_it_is(a1: Robot) -> None:
+    alone = build_stage(a1, ghost=False, width=64, height=48, floor=FLOOR)
+    both = build_stage(a1, ghost=True, width=64, height=48, floor=FLOOR)
+    n = alone.model.ngeom
+    np.testing.assert_array_equal(both.model.geom_rgba[:n], alone.model.geom_rgba)
+    np.testing.assert_array_equal(both.model.geom_size[:n], alone.model.geom_size)
+    trunk = both.model.geom("ghost/trunk")
+    np.testing.assert_allclose(trunk.rgba, ghost_rgba(), atol=1e-6)
+    assert 0 < trunk.rgba[3] < 1
+    assert trunk.group[0] == GHOST_GROUP
+    assert not both.casts_shadow[n:].any()
+
+
+def test_a_floor_and_lights_of_the_users_own_model_are_left_out(a1: Robot, tmp_path: Path) -> None:
+    path = tmp_path / "own.xml"
+    own = '<worldbody><light pos="0 0 9"/><geom name="floor" type="plane" size="1 1 1"/><camera/>'
+    path.write_text(a1.xml.replace("<worldbody>", own))
+    stage = build_stage(load_robot(path), ghost=False, width=64, height=48, floor=FLOOR)
+    planes = np.flatnonzero(stage.model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    assert [stage.model.geom(i).name for i in planes] == ["ground"]
+    assert (stage.model.nlight, stage.model.ncam) == (1, 0)
+
+
+def test_the_ground_reaches_beyond_the_whole_path(a1: Robot) -> None:
+    path = np.array([[-40.0, 0.0], [60.0, 10.0]])
+    ground = build_stage(a1, ghost=False, width=64, height=48, floor=path).model.geom("ground")
+    assert np.all(ground.pos[:2] - ground.size[:2] < path[0] - 10)
+    assert np.all(ground.pos[:2] + ground.size[:2] > path[1] + 10)
+
+
+def test_decoration_casts_no_shadow_but_hidden_collision_geometry_does_not_replace_what_is_seen(
+    a1: Robot, tmp_path: Path
+) -> None:
+    stage = build_stage(a1, ghost=False, width=64, height=48, floor=FLOOR)
+    shadows = {stage.model.geom(i).name for i in np.flatnonzero(stage.casts_shadow)}
+    assert "robot/trunk" in shadows
+    assert "robot/flank" not in shadows  # collides with nothing
+
+    path = tmp_path / "hidden.xml"
+    path.write_text(a1.xml.replace('<geom name="', '<geom group="3" name="'))  # all that collides
+    path.write_text(path.read_text().replace('group="3" name="flank"', 'name="flank"'))
+    stage = build_stage(load_robot(path), ghost=False, width=64, height=48, floor=FLOOR)
+    shown = stage.casts_shadow
+    assert shown[stage.model.geom("robot/flank").id]
+    assert not shown[stage.model.geom("robot/trunk").id]

@@ -1,0 +1,243 @@
+"""Videos: what is in them, and what happens when they cannot be made."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from video_files import RATE_HZ, read_video, stream_facts
+
+from fastmimic.errors import ConfigError, OutputError
+from fastmimic.report import Track, render_video
+from fastmimic.report.video import resample
+from fastmimic.robot import Robot
+
+SIZE = (320, 180)
+Walk = Callable[..., Track]
+
+
+@pytest.mark.usefixtures("opengl")
+def test_video_has_the_length_size_and_format_asked_for(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    path = tmp_path / "new folder" / "video.mp4"
+    done = []
+    info = render_video(
+        a1, [walk(0.4)], path, rate_hz=RATE_HZ, fps=25, size=SIZE, progress=lambda i, n: done.append((i, n))
+    )
+    assert info is not None
+    assert (info.frames, info.seconds) == (10, 0.4)
+    assert done == [(i, 10) for i in range(1, 11)]
+    assert read_video(path).shape == (10, 180, 320, 3)
+    assert "h264" in stream_facts(path)
+    assert "yuv420p" in stream_facts(path)  # what browsers and slides can play
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.usefixtures("opengl")
+def test_the_robot_is_in_the_picture_and_moves(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    render_video(a1, [walk(0.4)], tmp_path / "v.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE)
+    frames = read_video(tmp_path / "v.mp4").astype(int)
+    middle = frames[0, 45:150, 80:240]
+    assert np.mean(middle.max(axis=-1) < 90) > 0.04  # the dark trunk and legs; the ground is light
+    assert np.mean(frames[0, :20, 60:].min(axis=-1) > 150) > 0.9  # nothing dark above: no black sky
+    assert np.mean(np.abs(frames[3] - frames[0])) > 2
+
+
+@pytest.mark.usefixtures("opengl")
+def test_two_tracks_stand_side_by_side_each_with_its_words(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    still = walk(0.2)
+    bent = replace(still, joint_pos=still.joint_pos + 0.5, title="after", caption="reward 0.84")
+    render_video(a1, [still, bent], tmp_path / "v.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE)
+    first = read_video(tmp_path / "v.mp4")[0].astype(int)
+    left, right = first[:, :156], first[:, 164:]
+    assert all(np.mean(half[45:150].max(axis=-1) < 90) > 0.02 for half in (left, right))
+    assert np.mean(np.abs(left[45:150] - right[45:150, :156])) > 3
+    words = (slice(4, 30), slice(4, 60))
+    assert left[words].std() < 15 < right[words].std()  # bare ground against a plate with letters
+
+
+@pytest.mark.usefixtures("opengl")
+def test_the_demonstration_shows_as_a_green_ghost(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    plain, apart = walk(0.1), walk(0.1, offset_m=0.3)
+    shots = []
+    for name, track in (("plain", plain), ("ghost", replace(plain, ghost=apart))):
+        render_video(a1, [track], tmp_path / f"{name}.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE)
+        shots.append(read_video(tmp_path / f"{name}.mp4")[0, 30:150].astype(int))
+
+    def green(shot: np.ndarray) -> float:
+        return float(np.mean(shot[..., 1] - shot[..., 0] > 25))
+
+    assert green(shots[0]) < 0.002
+    assert green(shots[1]) > 0.02
+
+
+@pytest.mark.usefixtures("opengl")
+def test_only_the_tracks_that_have_a_ghost_show_one(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    plain = walk(0.1)
+    haunted = replace(plain, ghost=walk(0.1, offset_m=0.3))
+    render_video(a1, [plain, haunted], tmp_path / "v.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE)
+    first = read_video(tmp_path / "v.mp4")[0, 30:150].astype(int)
+    green = first[..., 1] - first[..., 0] > 25
+    assert green[:, :156].mean() < 0.002
+    assert green[:, 164:].mean() > 0.02
+
+
+@pytest.mark.usefixtures("opengl")
+def test_slow_motion_takes_more_frames_of_the_same_motion(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    info = render_video(
+        a1, [walk(0.4)], tmp_path / "v.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE, slow_motion=4
+    )
+    assert info is not None
+    assert info.frames == 16
+
+
+@pytest.mark.usefixtures("opengl")
+def test_one_pose_makes_one_frame_and_panels_may_differ_in_length(
+    a1: Robot, walk: Walk, tmp_path: Path
+) -> None:
+    single = walk(1 / RATE_HZ)
+    info = render_video(a1, [single], tmp_path / "one.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE)
+    assert info is not None
+    assert info.frames == 1
+    info = render_video(a1, [single, walk(0.3)], tmp_path / "two.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE)
+    assert info is not None
+    assert info.frames == 3
+
+
+@pytest.mark.usefixtures("opengl")
+def test_supersampling_keeps_the_size_and_smooths_edges(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    for factor in (1, 3):
+        render_video(
+            a1,
+            [walk(0.1)],
+            tmp_path / f"{factor}.mp4",
+            rate_hz=RATE_HZ,
+            fps=10,
+            size=SIZE,
+            supersampling=factor,
+        )
+    rough, smooth = (read_video(tmp_path / f"{f}.mp4")[0, 45:150, 80:240].astype(int) for f in (1, 3))
+    assert rough.shape == smooth.shape
+    steps = [np.mean(np.abs(np.diff(shot.sum(axis=-1), axis=1)) > 200) for shot in (rough, smooth)]
+    assert steps[1] < steps[0]
+
+
+def test_resampling_interpolates_between_samples(walk: Walk) -> None:
+    track = walk(0.1)
+    poses = resample(track, RATE_HZ, np.array([0.0, 0.5, 1.0]) / RATE_HZ)
+    np.testing.assert_allclose(poses[:, 0], np.array([0.0, 0.5, 1.0]) / RATE_HZ, atol=1e-12)
+    np.testing.assert_allclose(poses[1, 7:], track.joint_pos[:2].mean(axis=0), atol=1e-12)
+
+
+def test_resampling_takes_the_short_way_between_quaternions_of_opposite_sign(walk: Walk) -> None:
+    track = walk(0.1)
+    signs = np.array([1, -1, 1, -1, 1])[:, None]
+    poses = resample(
+        replace(track, root_quat_wxyz=signs * track.root_quat_wxyz), RATE_HZ, np.array([0.5]) / RATE_HZ
+    )
+    np.testing.assert_allclose(np.abs(poses[0, 3:7]), [1, 0, 0, 0], atol=1e-12)
+
+
+def test_a_fall_holds_the_last_pose_before_it(walk: Walk) -> None:
+    track = walk(0.2)
+    joints = track.joint_pos.copy()
+    joints[4:, 3] = np.nan
+    poses = resample(replace(track, joint_pos=joints), RATE_HZ, np.array([0.06, 0.08, 0.19, 5.0]))
+    np.testing.assert_allclose(poses, np.tile(poses[0], (4, 1)), atol=1e-12)
+    np.testing.assert_allclose(poses[0, 7:], track.joint_pos[3], atol=1e-12)
+
+
+@pytest.mark.usefixtures("opengl")
+def test_an_interrupted_video_leaves_the_earlier_one_untouched(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    path = tmp_path / "v.mp4"
+    path.write_bytes(b"earlier")
+
+    def interrupt(done: int, total: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        render_video(a1, [walk(0.4)], path, rate_hz=RATE_HZ, fps=10, size=SIZE, progress=interrupt)
+    assert path.read_bytes() == b"earlier"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.usefixtures("opengl")
+def test_a_place_that_cannot_be_written_is_one_clear_error(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(OutputError, match=r"file/v\.mp4: cannot be written"):
+        render_video(a1, [walk(0.1)], tmp_path / "file" / "v.mp4", rate_hz=RATE_HZ, size=SIZE)
+    (tmp_path / "folder.mp4").mkdir()
+    with pytest.raises(OutputError, match="is a folder"):
+        render_video(a1, [walk(0.1)], tmp_path / "folder.mp4", rate_hz=RATE_HZ, size=SIZE)
+    with pytest.raises(OutputError, match=r"must end in \.mp4"):
+        render_video(a1, [walk(0.1)], tmp_path / "v.gif", rate_hz=RATE_HZ, size=SIZE)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.mp4"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rate_hz": 0.0}, "rate_hz must be positive, found 0"),
+        ({"fps": float("nan")}, "fps must be positive, found nan"),
+        ({"slow_motion": -1.0}, "slow_motion must be positive, found -1"),
+        ({"supersampling": 0.0}, "supersampling must be positive"),
+        ({"size": (321, 180)}, "even width and height, found 321 x 180"),
+    ],
+)
+def test_settings_out_of_range_say_what_was_found(
+    a1: Robot, walk: Walk, tmp_path: Path, change: dict, message: str
+) -> None:
+    with pytest.raises(ConfigError, match=message):
+        render_video(a1, [walk(0.1)], tmp_path / "v.mp4", **{"rate_hz": RATE_HZ, "size": SIZE, **change})
+    with pytest.raises(ConfigError, match="at least one track"):
+        render_video(a1, [], tmp_path / "v.mp4", rate_hz=RATE_HZ)
+    assert not list(tmp_path.iterdir())
+
+
+def test_tracks_that_do_not_fit_are_refused(walk: Walk) -> None:
+    track = walk(0.1)
+    with pytest.raises(ConfigError, match=r"found \(\(5, 3\), \(5, 4\), \(4, 12\)\)"):
+        replace(track, joint_pos=track.joint_pos[:-1])
+    with pytest.raises(ConfigError, match="a ghost has 10 samples; its track has 5"):
+        replace(track, ghost=walk(0.2))
+    with pytest.raises(ConfigError, match="first pose is not finite"):
+        replace(track, root_pos_w=np.full((5, 3), np.nan))
+
+
+def test_without_opengl_there_is_a_warning_and_no_video(
+    a1: Robot, walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    assert render_video(a1, [walk(0.1)], tmp_path / "v.mp4", rate_hz=RATE_HZ, size=SIZE) is None
+    assert not list(tmp_path.iterdir())
+    assert len(caplog.records) == 1
+    assert "v.mp4 was not written: no OpenGL here" in caplog.text
+
+
+@pytest.mark.usefixtures("opengl")
+def test_no_display_and_mujoco_imported_first_still_draws(tmp_path: Path) -> None:
+    """MuJoCo reads MUJOCO_GL when it is imported, long before a video is wanted."""
+    script = f"""
+import mujoco, numpy as np
+from fastmimic.robot import load_robot
+from fastmimic.report import Track, render_video
+robot = load_robot("a1")
+track = Track(np.array([[0, 0, 0.3]]), np.array([[1.0, 0, 0, 0]]), robot.home_joint_pos[None])
+assert render_video(robot, [track], {str(tmp_path / "v.mp4")!r}, rate_hz=50, size=(64, 48)).frames == 1
+"""
+    hidden = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL", "PYOPENGL_PLATFORM")
+    environment = {k: v for k, v in os.environ.items() if k not in hidden}
+    result = subprocess.run(
+        [sys.executable, "-W", "error", "-c", script],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""  # nothing for the user to worry about
+    assert read_video(tmp_path / "v.mp4").shape == (1, 48, 64, 3)
