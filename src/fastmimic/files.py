@@ -36,6 +36,21 @@ def replace_file(path: str | Path, write: Callable[[BinaryIO], Any]) -> None:
         raise
 
 
+def check_folder(folder: str | Path) -> None:
+    """Makes sure that files can be written in a folder, creating it if need be; for before long work.
+
+    Raises:
+        OutputError: it cannot be created, or nothing can be written in it.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written to ({error.strerror or error})") from None
+
+
 def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)

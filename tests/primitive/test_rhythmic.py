@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fastmimic.errors import MotionError
+from fastmimic.errors import ConfigError, MotionError
 from fastmimic.primitive import DmpIntegrator, RhythmicDmp
 
 PERIOD = 0.55
@@ -137,3 +137,9 @@ def test_fewer_samples_than_basis_functions_are_still_passed_through() -> None:
 def test_what_cannot_be_fitted_is_refused(samples: np.ndarray, message: str) -> None:
     with pytest.raises(MotionError, match=message):
         RhythmicDmp.fit(samples, PERIOD)
+
+
+@pytest.mark.parametrize("setting", ["period_s", "n_basis", "ridge", "alpha"])
+def test_settings_must_be_positive(setting: str) -> None:
+    with pytest.raises(ConfigError, match=f"{setting} must be positive, found 0"):
+        RhythmicDmp.fit(cycle(), **{"period_s": PERIOD, setting: 0})  # type: ignore[arg-type]

@@ -66,25 +66,29 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
     turn = 0.0 if motion.cycle is None else float(motion.cycle[2])
     periodic = motion.cycle is not None
 
-    def planar(v: Array) -> Array:
-        out = np.array(v)
-        out[:, :2] = rotate_planar(-yaw0, out[:, :2])
-        return out
-
     table = np.zeros(motion.n_samples, SAMPLE)
     position = motion.root_pos_w - np.array([*motion.root_pos_w[0, :2], 0.0])
-    table["root_pos"] = planar(position)
+    table["root_pos"] = planar_turned(position, -yaw0)
     table["root_quat"] = quat_continuous(quat_multiply(unturn[None], motion.root_quat_wxyz))
     for name, velocity in (("lin", motion.root_lin_vel_w), ("ang", motion.root_ang_vel_w)):
-        table[f"{name}_vel"] = planar(velocity)
+        table[f"{name}_vel"] = planar_turned(velocity, -yaw0)
         table[f"{name}_acc"] = _difference(table[f"{name}_vel"], dt, turn if periodic else None)
     table["joint_pos"] = motion.joint_pos
     table["joint_vel"] = motion.joint_vel
     table["joint_acc"] = _difference(motion.joint_vel, dt, 0.0 if periodic else None)
     table["foot_pos"] = motion.foot_pos_b
     table["contact"] = motion.contact
-    table["sway_pos"], table["sway_vel"], table["sway_acc"] = pendulum_sway(motion, robot)
+    back = np.array([planar_turned(table[f"{name}_acc"], yaw0) for name in ("lin", "ang")])
+    sway = pendulum_sway(motion, robot, (back[0], back[1], table["joint_acc"]))
+    table["sway_pos"], table["sway_vel"], table["sway_acc"] = sway
     return table
+
+
+def planar_turned(v: Array, angle: float) -> Array:
+    """Vectors (t, 3) turned by `angle` about z."""
+    out = np.array(v)
+    out[:, :2] = rotate_planar(angle, out[:, :2])
+    return out
 
 
 def _difference(v: Array, dt: float, turn: float | None) -> Array:

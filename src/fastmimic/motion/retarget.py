@@ -27,7 +27,7 @@ from fastmimic.motion.retarget_balance import BalanceConfig, Deviation, TrunkSpl
 from fastmimic.motion.retarget_cycle import Track, cycle_displacement, pose_mismatch, track_cycle, track_open
 from fastmimic.motion.retarget_dynamics import Demand, ground_demand
 from fastmimic.motion.retarget_fidelity import Before, make_report
-from fastmimic.motion.retarget_feet import SwingConfig, plant_feet
+from fastmimic.motion.retarget_feet import Reach, SwingConfig, footholds, plant_feet
 from fastmimic.motion.retarget_gait import GaitConfig, make_consistent
 from fastmimic.motion.retarget_pose import Pose, joint_velocity, root_velocity, solve_pose
 from fastmimic.motion.retarget_report import RetargetReport
@@ -43,6 +43,7 @@ DOG_LEG_LENGTH_M: Final = 0.4 / DOG_SCALE
 """Leg length that this scale implies for an animal whose own is not known, so that other robots scale by theirs."""
 
 MIN_FRAMES: Final = 8
+REACH_MARGIN_RAD: Final = 0.1
 MAX_SMOOTHING: Final = 4
 SMOOTHING_STEP: Final = 4.0
 
@@ -153,11 +154,13 @@ def _balance(
     spline = TrunkSpline(n, rate_hz, track.cycle is not None, config.balance.hz)
     sample = np.arange(0, n, max(1, round(config.balance.sample_s * rate_hz)))
     side = np.stack([np.zeros(4), np.where(LEFT, 1.0, -1.0)], axis=-1)
+    reach = Reach.of_robot(robot, height, REACH_MARGIN_RAD)
 
     def demand_of(deviation: Deviation) -> Demand:
         moved = track.deviated(spline.values(deviation.trunk))
         raw_w = _raw_feet(robot, track, offset + deviation.width * side)
-        feet_w = plant_feet(raw_w, moved, stances, robot.foot_radius, rate_hz, config.swing)
+        holds = footholds(raw_w, track, stances, reach)
+        feet_w = plant_feet(raw_w, moved, stances, holds, reach, robot.foot_radius, rate_hz, config.swing)
         pose = solve_pose(robot, moved, feet_w, height, config.max_lowering_m, config.limit_margin_rad)
         return ground_demand(robot, _motion(pose, moved, stances, rate_hz), sample)
 
@@ -271,9 +274,13 @@ def _fit_within_limits(
 ) -> tuple[Pose, tuple[int, int, int, int]]:
     """Feet and joints; the swings of a leg that would exceed joint speed are smoothed further."""
     stiffening = np.ones(4)
+    reach = Reach.of_robot(robot, height, REACH_MARGIN_RAD)
+    holds = footholds(raw_w, track, stances, reach)
     limit = config.speed_share * robot.joint_speed_limit
     for round_ in range(MAX_SMOOTHING + 1):
-        feet_w = plant_feet(raw_w, track, stances, robot.foot_radius, rate_hz, config.swing, tuple(stiffening))
+        feet_w = plant_feet(
+            raw_w, track, stances, holds, reach, robot.foot_radius, rate_hz, config.swing, tuple(stiffening)
+        )
         pose = solve_pose(robot, track, feet_w, height, config.max_lowering_m, config.limit_margin_rad)
         speed = np.abs(joint_velocity(pose.joint_pos, rate_hz, track.cycle is not None))
         too_fast = (speed > limit).reshape(-1, 4, 3).any(axis=(0, 2))

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.conventions import LEFT
-from fastmimic.motion.retarget_dynamics import Demand, ground_forces
+from fastmimic.conventions import GRAVITY, LEFT
+from fastmimic.motion.retarget_dynamics import Demand, push_directions
 from fastmimic.robot import Robot
 
 Array = NDArray[np.float64]
@@ -47,6 +47,10 @@ class BalanceConfig:
 _POSITION_COST = np.array([20.0, 20.0, 20.0, 10.0, 10.0, 10.0])
 _VELOCITY_COST = np.array([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
 """Exponents of the imitation reward: root position, orientation; linear and angular velocity."""
+_FORCE_COST = 1e-4
+"""Of the square of a push, in quarters of the weight, against a squared m/s²: spreads the load over the feet."""
+_ADMM_STEP = 3.0
+_ADMM_ROUNDS = 200
 
 
 class TrunkSpline:
@@ -103,7 +107,7 @@ class Deviation:
 def balance(
     robot: Robot, spline: TrunkSpline, demand_of: Callable[[Deviation], Demand], config: BalanceConfig
 ) -> Deviation:
-    """The deviation that makes a motion feasible at the least change (Levenberg–Marquardt).
+    """The deviation that makes a motion feasible at the least change.
 
     Args:
         robot: mass and inertia.
@@ -114,14 +118,14 @@ def balance(
     best = Deviation(np.zeros((spline.size, 6)), 0.0)
     if config.rounds == 0:
         return best
-    problem = _Problem(robot, spline, demand_of(best), config)
+    problem = _Problem(robot, spline, demand_of(best), best, config)
     damping = 0.01
     for _ in range(config.rounds):
-        trial = problem.step(best, damping)
-        trial_problem = _Problem(robot, spline, demand_of(trial), config)
-        gain = 1.0 - trial_problem.cost(trial) / problem.cost(best)
+        trial = problem.solve(damping)
+        trial_problem = _Problem(robot, spline, demand_of(trial), trial, config)
+        gain = 1.0 - trial_problem.cost / problem.cost
         if gain > 0:
-            best, problem, damping = trial, trial_problem, damping / 4
+            best, problem, damping = trial, trial_problem, damping / 5
             if gain < 0.01:
                 break
         else:
@@ -130,76 +134,113 @@ def balance(
 
 
 class _Problem:
-    """The least squares problem, linearised about one deviation."""
+    """Least squares in the deviation and the forces together, linearised about one deviation.
 
-    def __init__(self, robot: Robot, spline: TrunkSpline, demand: Demand, config: BalanceConfig) -> None:
-        forces, residual, blind = ground_forces(robot, demand, config.friction)
-        weight = np.sqrt(np.array([config.linear_weight] * 3 + [config.angular_weight] * 3))
+    Per sample, the residual is r = r₀ + B d − G x: what the motion demands, what a further deviation d adds, and what pushes
+    x ≥ 0 along the edges of the friction pyramids give; all as weighted accelerations of the whole robot.
+    """
+
+    def __init__(
+        self, robot: Robot, spline: TrunkSpline, demand: Demand, present: Deviation, config: BalanceConfig
+    ) -> None:
+        self._present = present
+        self._weight = np.sqrt(np.array([config.linear_weight] * 3 + [config.angular_weight] * 3))
+        self._scale = self._weight / np.array([robot.mass] * 3 + list(robot.inertia_b.diagonal()))
         self._index, self._basis = spline.rows(demand.sample)
-        self._k, self._unknowns = len(demand.sample), 6 * spline.size + 1
-        self._residual = residual * weight
-        size = np.linalg.norm(self._residual, axis=1)
-        self._robust = np.sqrt(np.minimum(1.0, config.outlier / np.maximum(size, 1e-9)))
-        self._huber = np.where(size < config.outlier, size**2, config.outlier * (2 * size - config.outlier)).sum()
-        self._blind = blind * (weight * self._robust[:, None])[:, :, None]
-        self._jacobian = self._linearise(forces, robot.inertia_b.diagonal())
-        self._position = self._diagonal(self._basis[0], np.sqrt(_POSITION_COST))
-        self._velocity = self._diagonal(self._basis[1], np.sqrt(_VELOCITY_COST))
-        self._width_cost = config.width_weight * self._k
-
-    def cost(self, deviation: Deviation) -> float:
-        vector = deviation.vector()
-        change = np.sum((self._position @ vector) ** 2) + np.sum((self._velocity @ vector) ** 2)
-        return float(self._huber + change + self._width_cost * deviation.width**2)
-
-    def step(self, present: Deviation, damping: float) -> Deviation:
-        """The minimum of the linearised problem, held back towards `present` by `damping`."""
-        from scipy.sparse import csr_matrix
-        from scipy.sparse.linalg import spsolve
-
+        self._k, self._size = len(demand.sample), 6 * spline.size + 1
+        self._push_force, push_wrench, self._can = push_directions(demand, config.friction)
+        self._unit = robot.mass * GRAVITY / 4
+        self._pushes = self._unit * np.swapaxes(push_wrench * self._scale, 1, 2) * self._can[:, None, :]
+        self._demand = demand.wrench * self._scale
+        self._change = self._change_cost(config)
+        best = self._best_pushes()
+        residual = self._demand - np.einsum("kri,ki->kr", self._pushes, best)
+        size, c = np.linalg.norm(residual, axis=1), config.outlier
         vector = present.vector()
-        target = self._jacobian @ vector - (self._residual * self._robust[:, None]).ravel()
-        width = csr_matrix(([self._width_cost], ([self._unknowns - 1], [self._unknowns - 1])), shape=(self._unknowns,) * 2)
-        change = self._position.T @ self._position + self._velocity.T @ self._velocity + width
-        curvature = self._jacobian.T @ self._jacobian
-        hold = damping * (csr_matrix(np.diag(curvature.diagonal() + 1e-6)) + change)
-        matrix = curvature + change + hold
-        return Deviation.of_vector(spsolve(matrix.tocsc(), self._jacobian.T @ target + hold @ vector))
+        self.residual = residual / self._weight
+        self.cost = float(np.where(size < c, size**2, c * (2 * size - c)).sum() + vector @ (self._change @ vector))
+        self._trust = np.minimum(1.0, c / np.maximum(size, 1e-9))[:, None]
+        self._start = best
+        self._slope = self._slope_at(best)
 
-    def _linearise(self, forces: Array, inertia: Array):  # type: ignore[no-untyped-def]
-        """By the deviation's acceleration, and by the moment of the ground's forces about the displaced centre of mass."""
-        from scipy.sparse import csr_matrix
+    def solve(self, damping: float) -> Deviation:
+        """The minimum about the present deviation, held back by `damping`: ADMM, the pushes eliminated sample by sample."""
+        from scipy.sparse import diags
+        from scipy.sparse.linalg import splu
 
+        G, B, trust = self._pushes, self._slope, self._trust[:, :, None]
+        gain = np.swapaxes(G, 1, 2) * trust
+        inverse = np.linalg.inv(gain @ G + (_FORCE_COST + _ADMM_STEP) * np.eye(16))
+        weight = trust * np.eye(6) - np.swapaxes(gain, 1, 2) @ inverse @ gain
+        curvature = self._scatter(np.swapaxes(B, 1, 2) @ weight @ B)
+        hold = damping * (diags(curvature.diagonal() + 1e-9) + self._change)
+        factor = splu((curvature + self._change + hold).tocsc())
+        vector = self._present.vector()
+        fixed = np.einsum("krc,krs,ks->kc", B, weight, self._demand)
+        z, u = self._start, np.zeros_like(self._start)
+        step = np.zeros(self._size)
+        for _ in range(_ADMM_ROUNDS):
+            aim = _ADMM_STEP * (z - u)
+            given = np.einsum("krc,kir,kij,kj->kc", B, gain, inverse, aim, optimize=True)
+            step = factor.solve(self._gather(given - fixed) - self._change @ vector)
+            wanted = self._demand + np.einsum("krc,kc->kr", B, step[self._columns()])
+            x = np.einsum("kij,kj->ki", inverse, np.einsum("kir,kr->ki", gain, wanted) + aim)
+            x = 1.6 * x - 0.6 * z
+            z = np.maximum(x + u, 0.0) * self._can
+            u = (u + x - z) * self._can
+        return Deviation.of_vector(vector + step)
+
+    def _best_pushes(self) -> Array:
+        """The pushes (k, 16) that come nearest to the demand, in units of a quarter of the weight."""
+        from scipy.optimize import nnls
+
+        small = np.sqrt(_FORCE_COST) * np.eye(16)
+        return np.stack(
+            [
+                nnls(np.concatenate([matrix, small]), np.concatenate([wanted, np.zeros(16)]))[0]
+                for matrix, wanted in zip(self._pushes, self._demand, strict=True)
+            ]
+        )
+
+    def _slope_at(self, pushes: Array) -> Array:
+        """B (k, 6, 25): by the deviation's acceleration, by the ground forces' moment about the displaced centre of mass, and by
+        the feet's displacement when the stance widens."""
+        forces = self._unit * (self._push_force * (pushes * self._can)[..., None]).reshape(self._k, 4, 4, 3).sum(axis=2)
         lever = np.zeros((self._k, 6, 6))
         for axis in range(3):
-            lever[:, 3:, axis] = np.cross(np.eye(3)[axis], forces.sum(axis=1)) / inertia
-        outward = np.zeros((self._k, 6))
+            lever[:, 3:, axis] = np.cross(np.eye(3)[axis], forces.sum(axis=1)) * self._scale[3:]
         side = np.where(LEFT, 1.0, -1.0)[None, :, None] * np.array([0.0, 1.0, 0.0])
-        outward[:, 3:] = -np.cross(side, forces).sum(axis=1) / inertia
-        by_width = np.einsum("krc,kc->kr", self._blind, outward)
-        by_trunk = (
-            self._blind[..., None] * self._basis[2][:, None, None]
-            + (self._blind @ lever)[..., None] * self._basis[0][:, None, None]
-        )
-        rows = np.broadcast_to(np.arange(6 * self._k).reshape(-1, 6, 1, 1), by_trunk.shape)
-        columns = np.broadcast_to(
-            6 * self._index[:, None, None] + np.arange(6)[None, None, :, None], by_trunk.shape
-        )
-        return csr_matrix(
-            (
-                np.concatenate([by_trunk.ravel(), by_width.ravel()]),
-                (
-                    np.concatenate([rows.ravel(), np.arange(6 * self._k)]),
-                    np.concatenate([columns.ravel(), np.full(6 * self._k, self._unknowns - 1)]),
-                ),
-            ),
-            shape=(6 * self._k, self._unknowns),
-        )
+        wider = np.zeros((self._k, 6, 1))
+        wider[:, 3:, 0] = -np.cross(side, forces).sum(axis=1) * self._scale[3:]
+        accelerate = np.diag(self._weight)
+        trunk = accelerate[None, :, :, None] * self._basis[2][:, None, None, :] + lever[..., None] * self._basis[0][:, None, None, :]
+        return np.concatenate([trunk.reshape(self._k, 6, 24), wider], axis=2)
 
-    def _diagonal(self, basis: Array, weight: Array):  # type: ignore[no-untyped-def]
+    def _columns(self) -> NDArray[np.int_]:
+        """Which unknowns act at each sample, (k, 25)."""
+        trunk = 6 * self._index[:, None, :] + np.arange(6)[None, :, None]
+        return np.concatenate([trunk.reshape(self._k, 24), np.full((self._k, 1), self._size - 1)], axis=1)
+
+    def _gather(self, per_sample: Array) -> Array:
+        """Sums (k, 25) into (size,)."""
+        return np.bincount(self._columns().ravel(), per_sample.ravel(), minlength=self._size)
+
+    def _scatter(self, per_sample: Array):  # type: ignore[no-untyped-def]
+        """Sums (k, 25, 25) into a sparse (size, size)."""
         from scipy.sparse import csr_matrix
 
-        rows = np.repeat(np.arange(6 * self._k).reshape(self._k, 6, 1), 4, axis=2)
-        columns = 6 * self._index[:, None, :] + np.arange(6)[None, :, None]
-        values = weight[None, :, None] * basis[:, None, :]
-        return csr_matrix((values.ravel(), (rows.ravel(), columns.ravel())), shape=(6 * self._k, self._unknowns))
+        columns = self._columns()
+        rows = np.broadcast_to(columns[:, :, None], per_sample.shape)
+        other = np.broadcast_to(columns[:, None, :], per_sample.shape)
+        return csr_matrix((per_sample.ravel(), (rows.ravel(), other.ravel())), shape=(self._size, self._size))
+
+    def _change_cost(self, config: BalanceConfig):  # type: ignore[no-untyped-def]
+        """Quadratic form (size, size) of the deviation from the animal."""
+        value, first = self._basis[0], self._basis[1]
+        per_sample = np.zeros((self._k, 25, 25))
+        blocks = np.einsum("ka,kb,c->kcab", value, value, _POSITION_COST)
+        blocks += np.einsum("ka,kb,c->kcab", first, first, _VELOCITY_COST)
+        for c in range(6):
+            per_sample[:, 4 * c : 4 * c + 4, 4 * c : 4 * c + 4] = blocks[:, c]
+        per_sample[:, 24, 24] = config.width_weight
+        return self._scatter(per_sample)

@@ -52,6 +52,13 @@ class Track:
             cycle=cycle,
         )
 
+    def heading_at(self, sample: Indices) -> Array:
+        """Heading (k,) at samples (k,), which may lie outside [0, n) of a cycle."""
+        if self.cycle is None:
+            return self.heading[sample]
+        n = len(self.heading)
+        return np.asarray(self.heading[sample % n] + (sample // n) * self.cycle[2])
+
     def moved(self, points_w: Array, cycles: int) -> Array:
         """Points (..., 2) of the world, that many cycles later (earlier if negative)."""
         if self.cycle is None:

@@ -22,8 +22,6 @@ from fastmimic.rotations import (
 Array = NDArray[np.float64]
 
 _PYRAMID: Final = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
-_FORCE_COST: Final = 1e-4
-"""Of a newton against an m/s² of residual: spreads the forces over the feet without leaving a residual."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,38 +72,17 @@ def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> Dem
     )
 
 
-def ground_forces(robot: Robot, demand: Demand, friction: float) -> tuple[Array, Array, Array]:
-    """The forces within the friction pyramids that come nearest to what is demanded.
+def push_directions(demand: Demand, friction: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Pushes of 1 N normal force along the edges of each foot's friction pyramid.
 
     Returns:
-        forces (k, 4, 3), N; the residual (k, 6) as acceleration of the whole robot, m/s² and rad/s²; and projectors
-        (k, 6, 6) onto the accelerations that no change of these forces can give.
+        forces (k, 16, 3); their wrenches about the centre of mass (k, 16, 6); which feet can give them (k, 16).
     """
-    from scipy.optimize import nnls
-
-    scale = 1.0 / np.array([robot.mass] * 3 + list(robot.inertia_b.diagonal()))
-    pushes = _PYRAMID * np.array([friction, friction, 1.0])
     k = len(demand.sample)
-    forces, residual, blind = np.zeros((k, 4, 3)), demand.wrench * scale, np.tile(np.eye(6), (k, 1, 1))
-    for i in range(k):
-        legs = np.flatnonzero(demand.stands[i])
-        if not len(legs):
-            continue
-        arm = demand.arm[i, legs]
-        columns = np.concatenate([np.tile(pushes, (len(legs), 1)), np.cross(arm[:, None], pushes[None]).reshape(-1, 3)], axis=1)
-        matrix = (columns * scale).T
-        size = matrix.shape[1]
-        strength, _ = nnls(
-            np.concatenate([matrix, _FORCE_COST * np.eye(size)]), np.concatenate([residual[i], np.zeros(size)])
-        )
-        forces[i, legs] = strength.reshape(-1, 4) @ pushes
-        residual[i] -= matrix @ strength
-        used = matrix[:, strength > 1e-6]
-        if used.size:
-            u, s, _ = np.linalg.svd(used, full_matrices=False)
-            u = u[:, s > 1e-6 * s[0]]
-            blind[i] -= u @ u.T
-    return forces, residual, blind
+    force = np.broadcast_to(_PYRAMID * np.array([friction, friction, 1.0]), (k, 4, 4, 3))
+    moment = np.cross(demand.arm[:, :, None], force)
+    wrench = np.concatenate([force, moment], axis=-1)
+    return force.reshape(k, 16, 3), wrench.reshape(k, 16, 6), np.repeat(demand.stands, 4, axis=1)
 
 
 def _accelerations(motion: Motion) -> tuple[Array, Array, Array]:

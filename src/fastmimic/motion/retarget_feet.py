@@ -1,13 +1,15 @@
 """Feet that stand still while they stand, and swing as the animal's did in between."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.motion.contacts import Stance, Stances, swings_of
 from fastmimic.motion.retarget_cycle import Track, WorldPath
+from fastmimic.robot import Robot
+from fastmimic.rotations import rotate_planar
 
 Array = NDArray[np.float64]
 
@@ -31,10 +33,86 @@ class SwingConfig:
     min_clearance_m: float = 0.02
 
 
+@dataclass(frozen=True)
+class Reach:
+    """What the legs can reach, with the base at its nominal height.
+
+    Attributes:
+        hip_height: of the abduction axes above standing feet, m.
+        longest, shortest: leg in its plane within the knee's limits, m.
+        hips: (4, 2) abduction joint origins in the heading frame, m.
+        lateral_offset: (4,) from there to the leg's plane, m.
+    """
+
+    hip_height: float
+    longest: float
+    shortest: float
+    hips: Array
+    lateral_offset: Array
+
+    @classmethod
+    def of_robot(cls, robot: Robot, base_height: float, margin_rad: float) -> "Reach":
+        """With knees `margin_rad` inside their limits."""
+        a, b = robot.thigh_length, robot.calf_length
+        knees = np.stack([robot.joint_lower[2::3] + margin_rad, robot.joint_upper[2::3] - margin_rad])
+        lengths = np.sqrt(a * a + b * b + 2 * a * b * np.cos(knees))
+        return cls(
+            hip_height=base_height + float(robot.hip_pos_b[:, 2].mean()) - robot.foot_radius,
+            longest=float(lengths.max(axis=0).min()),
+            shortest=float(lengths.min(axis=0).max()),
+            hips=robot.hip_pos_b[:, :2],
+            lateral_offset=np.asarray(robot.lateral_offset),
+        )
+
+    def forward(self, leg: int, lateral: Array, drop: Array) -> Array:
+        """How far ahead of its hip a standing foot may be, with `lateral` (k,) from the abduction axis and the hip `drop` (k,) high."""
+        square = self.longest**2 - drop**2 - lateral**2 + self.lateral_offset[leg] ** 2
+        return np.sqrt(np.maximum(square, 0.0))
+
+    @property
+    def clearance(self) -> float:
+        """How high a foot can be lifted under its hip, m."""
+        return self.hip_height - self.shortest
+
+
+def footholds(raw_w: Array, track: Track, stances: Stances, reach: Reach) -> list[list[Array]]:
+    """Where each foot stands in each of its stances, (2,) in the world, m.
+
+    The mean of the animal's path in stance, weighted towards mid-stance, moved fore or aft by what it lacks to be within reach
+    at both touch-down and lift-off.
+
+    Args:
+        raw_w: (n, 4, 3) the animal's foot paths, world, m.
+        track: the trunk.
+        stances: of each leg.
+        reach: of the robot's legs.
+    """
+    trunk = WorldPath(np.concatenate([track.root_xy, track.root_z[:, None] - track.root_z.mean()], axis=1), track)
+    result = []
+    for leg, spans in enumerate(stances):
+        path = WorldPath(raw_w[:, leg], track)
+        holds = []
+        for span in spans:
+            index = np.arange(*span)
+            hold = _mean_foothold(path.read(index))
+            ends = index[[0, -1]]
+            heading = track.heading_at(ends)
+            root = trunk.read(ends)
+            local = rotate_planar(-heading, hold - root[:, :2]) - reach.hips[leg]
+            limit = reach.forward(leg, local[:, 1], reach.hip_height + root[:, 2])
+            lowest, highest = float((-limit - local[:, 0]).max()), float((limit - local[:, 0]).min())
+            shift = 0.5 * (lowest + highest) if lowest > highest else float(np.clip(0.0, lowest, highest))
+            holds.append(hold + rotate_planar(heading.mean(), np.array([shift, 0.0])))
+        result.append(holds)
+    return result
+
+
 def plant_feet(
     raw_w: Array,
     track: Track,
     stances: Stances,
+    holds: list[list[Array]],
+    reach: Reach,
     ground_z: float,
     rate_hz: float,
     config: SwingConfig,
@@ -46,6 +124,8 @@ def plant_feet(
         raw_w: (n, 4, 3) the animal's foot paths, world, m; z is the height above the ground.
         track: says how the path of a cycle repeats.
         stances: of each leg.
+        holds: from `footholds`.
+        reach: limits the clearance.
         ground_z: height of a standing foot's centre, m.
         rate_hz: of the samples.
         config: of the swings.
@@ -57,44 +137,45 @@ def plant_feet(
     """
     feet = np.empty_like(raw_w)
     for leg in range(4):
+        stiff = replace(config, stiffness=config.stiffness * stiffening[leg])
         path = WorldPath(raw_w[:, leg], track)
-        feet[:, leg] = _plant(path, stances[leg], rate_hz, config, config.stiffness * stiffening[leg])
+        feet[:, leg] = _plant(path, stances[leg], holds[leg], reach.clearance, rate_hz, stiff)
     feet[..., 2] += ground_z
     return feet
 
 
-def _plant(path: WorldPath, stances: list[Stance], rate_hz: float, config: SwingConfig, stiffness: float) -> Array:
+def _plant(
+    path: WorldPath,
+    stances: list[Stance],
+    holds: list[Array],
+    highest: float,
+    rate_hz: float,
+    config: SwingConfig,
+) -> Array:
     n = path.n
     out = WorldPath(path.samples, path.track)
-    for stance in stances:
-        index = np.arange(*stance)
-        out.write(index, np.tile(_foothold(path.read(index)), (stance.duration, 1)))
+    for stance, hold in zip(stances, holds, strict=True):
+        out.write(np.arange(*stance), np.tile([*hold, 0.0], (stance.duration, 1)))
     for lift_off, touch_down in swings_of(stances, n, path.periodic):
         from_rest = bool(stances) and (path.periodic or lift_off > 0)
         to_rest = bool(stances) and (path.periodic or touch_down < n)
         index = np.arange(lift_off - from_rest, touch_down + to_rest)  # with the samples at rest on both sides
-        held = out.read(index)
-        swing = _swing(
-            path.read(index),
-            held[0] if from_rest else None,
-            held[-1] if to_rest else None,
-            rate_hz,
-            config,
-            stiffness,
-        )
+        held, raw = out.read(index), path.read(index)
+        clearance = min(max(float(raw[:, 2].max()), config.min_clearance_m), highest)
+        ends = held[0] if from_rest else None, held[-1] if to_rest else None
+        swing = _swing(raw, *ends, clearance, rate_hz, config)
         inner = slice(int(from_rest), len(index) - int(to_rest))
         out.write(index[inner], swing[inner])
     return out.samples
 
 
-def _foothold(raw: Array) -> Array:
-    """Where a foot stands (3,): the mean of its raw path (k, 3), weighted towards mid-stance, on the ground."""
+def _mean_foothold(raw: Array) -> Array:
     weight = np.sin(np.pi * (np.arange(len(raw)) + 0.5) / len(raw)) ** 2
-    return np.array([*(weight @ raw[:, :2] / weight.sum()), 0.0])
+    return np.asarray(weight @ raw[:, :2] / weight.sum())
 
 
 def _swing(
-    raw: Array, before: Array | None, after: Array | None, rate_hz: float, config: SwingConfig, stiffness: float
+    raw: Array, before: Array | None, after: Array | None, clearance: float, rate_hz: float, config: SwingConfig
 ) -> Array:
     """A smooth path (m, 3) near `raw`, from rest at `before` to rest at `after`; None where the recording ends in mid-air."""
     m = len(raw)
@@ -105,12 +186,11 @@ def _swing(
     start = first if first is not None else last if last is not None else np.zeros(3)
     end = last if last is not None else start
     target = raw + (1 - blend) * start + blend * end
-    spline = _SwingSpline(m, rate_hz, config.knot_s, stiffness, before is not None, after is not None)
+    spline = _SwingSpline(m, rate_hz, config.knot_s, config.stiffness, before is not None, after is not None)
     result = np.stack([*(spline.fit(target[:, axis]) for axis in range(2)), np.zeros(m)], axis=1)
     if before is None and after is None:
         result[:, 2] = raw[:, 2]
         return result
-    clearance = max(float(raw[:, 2].max()), config.min_clearance_m)
     shape = np.maximum(target[:, 2], 0.0)
     if shape.max() < 0.1 * clearance:
         shape = np.sin(np.pi * share) ** 2

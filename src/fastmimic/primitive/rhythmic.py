@@ -17,7 +17,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import MotionError
+from fastmimic.errors import ConfigError, MotionError
+from fastmimic.primitive.fixed_order import product, solve_positive_definite
 from fastmimic.primitive.placement import basis_widths, normalised_basis, place_basis
 
 Array = NDArray[np.float64]
@@ -72,7 +73,12 @@ class RhythmicDmp:
 
         Raises:
             MotionError: fewer than 4 samples, or a value that is not finite.
+            ConfigError: a period, α, ridge or number of functions that is not positive.
         """
+        settings = {"period_s": period_s, "n_basis": n_basis, "ridge": ridge, "alpha": alpha}
+        for name, value in settings.items():
+            if not (np.isfinite(value) and value > 0):
+                raise ConfigError(f"{name} must be positive, found {value}")
         y = np.asarray(samples, dtype=np.float64)
         if y.ndim != 2 or len(y) < 4:
             raise MotionError(f"a rhythmic DMP needs one cycle of at least 4 samples, found shape {y.shape}")
@@ -100,8 +106,12 @@ class RhythmicDmp:
 
     def forcing(self, phase: Array | float) -> Array:
         """f(φ) at phases (...) → (..., d)."""
-        basis = normalised_basis(np.asarray(phase, dtype=np.float64), self.centres, self.widths)
-        return np.einsum("...dn,dn->...d", basis, self.weights)
+        phase = np.asarray(phase, dtype=np.float64)
+        out = np.empty((*phase.shape, self.n_dims))
+        for centres, dims in self._placements:
+            basis = normalised_basis(phase, centres, self.widths[dims[0]])
+            out[..., dims] = product(basis, self.weights[dims].T)
+        return out
 
     def shape(self, phase: Array | float) -> Array:
         """s(φ), the limit cycle's deviation from g at a = 1, at phases (...) → (..., d)."""
@@ -126,12 +136,17 @@ class RhythmicDmp:
         return amplitude * self.shape_rate(phase) / tau
 
     @cached_property
+    def _placements(self) -> list[tuple[Array, NDArray[np.intp]]]:
+        return _distinct(self.centres)
+
+    @cached_property
     def _harmonics(self) -> NDArray[np.complex128]:
         """Complex amplitudes (k, d) of s for k = 0, 1, …; those left out are below rounding."""
         columns = []
-        for centres, dims in _distinct(self.centres):
+        for centres, dims in self._placements:
             phase = _fine_phases(centres)
-            forcing = normalised_basis(phase, centres, basis_widths(centres)) @ self.weights[dims].T
+            basis = normalised_basis(phase, centres, basis_widths(centres))
+            forcing = product(basis, self.weights[dims].T)
             columns.append((dims, _filtered(forcing, self.alpha)))
         out = np.zeros((max(len(column) for _, column in columns), self.n_dims), dtype=np.complex128)
         for dims, column in columns:
@@ -167,16 +182,15 @@ def _least_squares(centres: Array, deviation: Array, ridge: float, alpha: float)
     finer = 2 * len(harmonics) // t + 1  # a grid that holds all harmonics and every sample
     response = np.fft.irfft(harmonics, t * finer, axis=0)[::finer] * (t * finer)  # (t, n)
     gain = alpha**2 / 4
-    normal = response.T @ response / t + ridge / (n * gain**2) * np.eye(n)
-    weights = np.linalg.solve(normal, response.T @ deviation / t).T
-    mean_forcing = weights @ harmonics[0].real * gain
-    return (
-        weights - mean_forcing[:, None]
-    )  # the basis sums to one: this moves f, and nothing else, by its mean
+    normal = product(response.T, response) / t + ridge / (n * gain**2) * np.eye(n)
+    weights = solve_positive_definite(normal, product(response.T, deviation) / t).T
+    # the basis sums to one, so this shifts f by its mean and leaves its shape alone
+    return weights - product(weights, basis.mean(axis=0)[:, None])
 
 
 def _series(phase: Array | float, harmonics: NDArray[np.complex128]) -> Array:
     """Value at phases (...) → (..., d) of the real Fourier series with complex amplitudes (k, d)."""
     angle = np.asarray(phase, dtype=np.float64)[..., None] * np.arange(len(harmonics))
     weights = np.where(np.arange(len(harmonics)) > 0, 2.0, 1.0)  # k and −k together
-    return (weights * np.cos(angle)) @ harmonics.real - (weights * np.sin(angle)) @ harmonics.imag
+    even = product(weights * np.cos(angle), harmonics.real)
+    return even - product(weights * np.sin(angle), harmonics.imag)

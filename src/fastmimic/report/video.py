@@ -120,15 +120,7 @@ def render_video(
         return None
     with screen, video:
         views, look_at = _views(stage, robot, poses, times, drawn_size)
-        for i, time_s in enumerate(times):
-            for panel, view in enumerate(views):
-                ghost = ghosts[panel]
-                view.update(poses[panel][i], None if ghost is None else ghost[i], look_at[panel][i])
-            frame = screen.draw([view.scene for view in views])
-            overlay.draw(frame, float(time_s))
-            video.write(frame)
-            if progress is not None:
-                progress(i + 1, len(times))
+        _film(views, _pair_up(poses, ghosts, look_at), times, screen, overlay, video, progress)
     return VideoInfo(len(times), len(times) / fps)
 
 
@@ -146,6 +138,36 @@ def resample(track: Track, rate_hz: float, times: Array) -> Array:
     between = poses[low] + (at - low)[:, None] * (poses[high] - poses[low])
     between[:, 3:7] /= np.linalg.norm(between[:, 3:7], axis=1, keepdims=True)
     return between
+
+
+def _film(
+    views: "list[View]",
+    shots: list[list[_Shot]],
+    times: Array,
+    screen: Offscreen,
+    overlay: Overlay,
+    video: VideoFile,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    """Draws each frame's shots, one for each view; a second thread labels and writes the frame before it."""
+
+    def finish(frame: NDArray[np.uint8], time_s: float) -> None:
+        overlay.draw(frame, time_s)
+        video.write(frame)
+
+    with ThreadPoolExecutor(max_workers=1) as writer:
+        written: Future[None] | None = None
+        for i, time_s in enumerate(times):
+            for view, shot in zip(views, shots, strict=True):
+                view.update(*shot[i])
+            frame = screen.draw([view.scene for view in views])
+            if written is not None:
+                written.result()
+            written = writer.submit(finish, frame, float(time_s))
+            if progress is not None:
+                progress(i + 1, len(times))
+        if written is not None:
+            written.result()
 
 
 def _frame_times(samples: int, rate_hz: float, frames_per_s: float) -> Array:

@@ -1,0 +1,172 @@
+"""The command `fastmimic`: finds the verb's module, parses its arguments, and turns errors into one line.
+
+Importing a verb's module is what makes it slow, so only the one that was asked for is imported.
+"""
+
+import contextlib
+import difflib
+import io
+import logging
+import os
+import re
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Final, NamedTuple, NoReturn, Protocol
+
+from fastmimic import __version__
+from fastmimic.errors import FastMimicError
+
+EXIT_ERROR: Final = 2
+EXIT_INTERRUPTED: Final = 130  # as a shell reports SIGINT
+EXIT_BROKEN_PIPE: Final = 141  # and SIGPIPE
+
+
+class Verb(NamedTuple):
+    """Where a verb's dataclass is, and what it is for."""
+
+    module: str
+    dataclass: str
+    about: str
+
+
+class Command(Protocol):
+    """What every verb's dataclass is: its arguments, and what to do with them."""
+
+    def run(self) -> int:
+        """Does it; returns the exit status."""
+
+
+VERBS: Final = {
+    "imitate": Verb("imitate", "Imitate", "turn a motion into one that the robot can execute"),
+    "evaluate": Verb("evaluate", "Evaluate", "run a motion under the controller and score it"),
+    "retarget": Verb("retarget", "Retarget", "turn an animal's clip into a robot motion, without optimising it"),
+    "inspect": Verb("inspect", "Inspect", "say what a clip or a robot motion is"),
+    "render": Verb("render", "Render", "write a video of a motion"),
+    "motions": Verb("motions", "Motions", "list the motions that have a name"),
+    "robots": Verb("robots", "Robots", "list the built-in robots"),
+    "data": Verb("data", "Data", "list or fetch the public recordings of a dog"),
+}
+
+HELP: Final = f"""\
+usage: fastmimic VERB ... [-h] [--version]
+
+From an animal's motion to a motion that a real quadruped can execute.
+
+{"".join(f"  {name:10}{verb.about}{chr(10)}" for name, verb in VERBS.items())}
+A MOTION is a built-in gait such as trot, a recording such as dog:pace (see 'fastmimic motions'), or a file.
+'fastmimic VERB --help' lists a verb's options. To begin with: fastmimic imitate trot
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the command line; returns the exit status.
+
+    Args:
+        argv: arguments without the program's name; those of the process if None.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without, say, an arrow is no reason to fail
+    try:
+        status = _dispatch(arguments)
+        sys.stdout.flush()
+    except FastMimicError as error:
+        return _fail(" ".join(str(error).split()))
+    except MemoryError:
+        return _fail("not enough memory; ask for less (--duration, --episodes, --population, --size)")
+    except KeyboardInterrupt:
+        _say("interrupted")
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # Python flushes stdout once more at exit, which must not fail again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_BROKEN_PIPE
+    return status
+
+
+def _dispatch(arguments: list[str]) -> int:
+    if not arguments:
+        sys.stderr.write(HELP)
+        return EXIT_ERROR
+    first, rest = arguments[0], arguments[1:]
+    if first in ("-h", "--help", "help"):
+        sys.stdout.write(HELP)
+        return 0
+    if first == "--version":
+        sys.stdout.write(f"fastmimic {__version__}\n")
+        return 0
+    if first not in VERBS:
+        return _fail(_unknown(first))
+    _log_to_stderr()
+    try:
+        return _parse(first, rest).run()
+    except _UsageError as error:
+        return _fail(f"{error} (see 'fastmimic {first} --help')")
+    except SystemExit as stop:  # --help
+        return int(stop.code or 0)
+
+
+def _unknown(word: str) -> str:
+    close = difflib.get_close_matches(word, VERBS, n=2, cutoff=0.5)
+    hint = f"did you mean {' or '.join(repr(c) for c in close)}?" if close else f"the verbs are {', '.join(VERBS)}"
+    return f"unknown {'option' if word.startswith('-') else 'verb'} '{word}'; {hint}"
+
+
+class _UsageError(Exception):
+    """Arguments that do not parse."""
+
+
+def _parse(name: str, rest: list[str]) -> Command:
+    """The verb's dataclass, filled in by tyro, whose boxed messages become one line."""
+    verb = VERBS[name]
+    dataclass = getattr(import_module(f"fastmimic.commands.{verb.module}"), verb.dataclass)
+    import tyro
+
+    boxed = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(boxed):
+            command: Command = tyro.cli(
+                dataclass, args=rest, prog=f"fastmimic {name}", config=(tyro.conf.FlagCreatePairsOff,)
+            )
+    except SystemExit as stop:
+        if stop.code:
+            _raise_usage(boxed.getvalue())
+        raise
+    return command
+
+
+def _raise_usage(box: str) -> NoReturn:
+    """Takes what was wrong, and the option that may have been meant, out of tyro's message."""
+    lines = [re.sub(r"[│|]", "", line).strip() for line in box.splitlines()]
+    parts: list[list[str]] = [[]]
+    for line in lines:
+        if re.match(r"^[╭╰].*$|^[─-]{3,}$", line):
+            parts.append([])
+        elif line:
+            parts[-1].append(line)
+    parts = [part for part in parts if part]
+    said = " ".join(parts[0]) if parts else "arguments that cannot be parsed"
+    meant = next((part for part in parts if part[0].lower().startswith("perhaps you meant")), None)
+    if meant is not None and len(meant) > 1:
+        said += f"; did you mean '{meant[1].split()[0].rstrip(',')}'?"
+    raise _UsageError(said)
+
+
+def _log_to_stderr() -> None:
+    """The library's warnings, one line each."""
+    logger = logging.getLogger("fastmimic")
+    if not logger.handlers:
+        handler = logging.StreamHandler()
+        handler.setFormatter(logging.Formatter("fastmimic: %(levelname)s: %(message)s"))
+        logger.addHandler(handler)
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"fastmimic: {text}\n")
+
+
+def _fail(text: str) -> int:
+    _say(f"error: {text}")
+    return EXIT_ERROR

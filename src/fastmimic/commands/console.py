@@ -1,0 +1,131 @@
+"""What the verbs say: results on stdout, notes and progress on stderr."""
+
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from fastmimic.optimize.cma_es import Progress
+
+SLOW_START_S: Final = 3.0
+SLOW_START: Final = "preparing; the first use compiles the controller, which takes about a minute and happens once"
+PLAIN_STEPS: Final = 10  # lines in all, where there is no terminal to draw a bar on
+
+
+def put(text: str = "") -> None:
+    """A line of the result, on stdout."""
+    sys.stdout.write(f"{text}\n")
+
+
+def note(text: str) -> None:
+    """A line for the reader, on stderr."""
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
+
+
+def table(rows: Sequence[Sequence[str]], *, right: Sequence[int] = ()) -> list[str]:
+    """Lines with aligned columns; the columns in `right` are aligned to the right."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return [
+        "  ".join(
+            cell.rjust(width) if i in right else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+@contextmanager
+def slow_start(text: str = SLOW_START, after_s: float = SLOW_START_S) -> Iterator[Callable[[], None]]:
+    """Says `text` if the block is still busy after a while; the function that it yields calls that off."""
+    timer = threading.Timer(after_s, note, [text])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield timer.cancel
+    finally:
+        timer.cancel()
+
+
+@contextmanager
+def optimisation_progress() -> "Iterator[Callable[[Progress], None]]":
+    """A bar on a terminal, otherwise a line now and then, of an optimisation."""
+    with slow_start() as started, _bar() as bar:
+        report = _on_bar(bar) if bar is not None else _plain_optimisation()
+
+        def progress(step: "Progress") -> None:
+            started()
+            report(step)
+
+        yield progress
+
+
+@contextmanager
+def count_progress(what: str) -> Iterator[Callable[[int, int], None]]:
+    """The same for (done, all) of anything."""
+    with _bar() as bar:
+        if bar is None:
+            shown = _Tenths()
+
+            def plain(done: int, total: int) -> None:
+                if shown.due(done, total):
+                    note(f"{what} {done}/{total}")
+
+            yield plain
+        else:
+            task = bar.add_task(what, total=None, visible=False, info="")
+            yield lambda done, total: bar.update(task, completed=done, total=total, visible=True)
+
+
+def _plain_optimisation() -> "Callable[[Progress], None]":
+    shown = _Tenths()
+
+    def report(step: "Progress") -> None:
+        if shown.due(step.iteration, step.iterations):
+            note(f"iteration {step.iteration}/{step.iterations}  {_figures(step)}")
+
+    return report
+
+
+def _on_bar(bar: Any) -> "Callable[[Progress], None]":
+    task = bar.add_task("optimising", total=None, visible=False, info="")
+
+    def report(step: "Progress") -> None:
+        bar.update(task, completed=step.iteration, total=step.iterations, visible=True, info=_figures(step))
+
+    return report
+
+
+def _figures(step: "Progress") -> str:
+    left = f"{step.remaining_s // 60:.0f}:{step.remaining_s % 60:02.0f}"
+    return f"best {step.best:.3f}  {step.evaluations_per_s:.0f} evaluations/s  {left} left"
+
+
+class _Tenths:
+    """Whether a tenth more of the work is done than when last asked."""
+
+    def __init__(self) -> None:
+        self._shown = 0
+
+    def due(self, done: int, total: int) -> bool:
+        tenth = done * PLAIN_STEPS // max(total, 1)
+        if tenth <= self._shown:
+            return False
+        self._shown = tenth
+        return True
+
+
+@contextmanager
+def _bar() -> Iterator[Any]:
+    """Rich's progress bar on stderr, or None where that is not a terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[info]}"))
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        yield bar

@@ -1,0 +1,162 @@
+"""`fastmimic imitate`: the whole way from a motion to a motion that the robot can execute."""
+
+import dataclasses
+import re
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from tyro.conf import Positional, arg
+
+from fastmimic.commands.console import count_progress, note, optimisation_progress, put
+from fastmimic.commands.options import MotionOptions, check_duration
+from fastmimic.errors import ConfigError
+
+if TYPE_CHECKING:
+    from fastmimic.motion.motion import Motion
+    from fastmimic.pipeline import Imitation
+    from fastmimic.report.run_folder import RunFolder
+    from fastmimic.robot import Robot
+
+RUNS: Final = Path("runs")
+EXIT_INTERRUPTED: Final = 130
+_NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video")
+"""Arguments that change where and how a run happens, not what comes out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imitate(MotionOptions):
+    """Turns a motion into one that the robot can execute: retargets it, fits DMPs, and optimises them with the robot and
+    its controller in the loop.
+
+    Writes motion.npz, metrics.json, config.json, convergence.png, tracking.png and video.mp4. Ctrl-C stops the search and
+    keeps the best motion so far.
+    """
+
+    motion: Annotated[Positional[str], arg(metavar="MOTION")]
+    """A name of 'fastmimic motions', or a file."""
+    method: Annotated[str, arg(metavar="mbc|mbc-dmp")] = "mbc-dmp"
+    """mbc-dmp optimises the motion's DMPs; mbc follows it as it is."""
+    config: Annotated[str, arg(metavar="default|paper")] = "default"
+    """The controller's parameters: ours, or the paper's form."""
+    duration: Annotated[float, arg(metavar="S")] = 5.0
+    """Length of an episode."""
+    iterations: int = 200
+    """Generations of CMA-ES."""
+    population: int = 10
+    """Candidates in each."""
+    seed: int = 0
+    """Of the optimiser. The same seed gives the same result, whatever the number of workers."""
+    workers: Annotated[int | None, arg(metavar="INT")] = None
+    """Threads; by default one for each core."""
+    out: Annotated[Path | None, arg(metavar="FOLDER")] = None
+    """By default runs/MOTION-ROBOT-METHOD-SEED, numbered if that is taken. A folder with a run of other arguments is
+    refused."""
+    resume: bool = False
+    """Go on from the checkpoint in the folder (by default the last of its name)."""
+    overwrite: bool = False
+    """Replace a run of other arguments."""
+    no_optimize: bool = False
+    """The same as --method mbc."""
+    no_video: bool = False
+    """Leave out the video."""
+
+    def run(self) -> int:
+        """Runs it, and writes the folder; returns the exit status."""
+        check_duration(self.duration)
+        method = "mbc" if self.no_optimize else self.method
+        if method == "mbc" and self.resume:
+            raise ConfigError("--resume goes on with an optimisation; without one there is nothing to resume")
+        from fastmimic.report.run_folder import default_folder, open_run
+
+        began = time.perf_counter()
+        robot, motion = self.load(self.motion)
+        loading_s = time.perf_counter() - began
+        name = re.sub(r"[^\w.-]+", "-", f"{motion.name}-{robot.name}-{method}-{self.seed}")
+        out = self.out or default_folder(RUNS, name, resume=self.resume)
+        config = self._record(robot, motion, method)
+        same = {k: v for k, v in config["arguments"].items() if k not in _NOT_THE_PROBLEM}
+        with open_run(out, config, same, resume=self.resume, overwrite=self.overwrite) as folder:
+            for line in _about(robot, motion):
+                note(line)
+            if folder.finished and not self.resume:
+                note(f"replacing the run in {out}")
+            result = self._imitate(robot, motion, method, folder)
+            result = dataclasses.replace(result, wall_s=result.wall_s + loading_s)
+            folder.write(result, config)
+        return self._report(result, folder)
+
+    def _imitate(self, robot: "Robot", motion: "Motion", method: str, folder: "RunFolder") -> "Imitation":
+        from fastmimic.pipeline import imitate
+
+        try:
+            with optimisation_progress() as progress:
+                return imitate(
+                    motion,
+                    robot,
+                    method=method,
+                    config=self.config,
+                    duration_s=self.duration,
+                    iterations=self.iterations,
+                    population=self.population,
+                    seed=self.seed,
+                    workers=self.workers,
+                    checkpoint=folder.checkpoint,
+                    resume=self.resume,
+                    progress=progress,
+                )
+        except KeyboardInterrupt:
+            if folder.checkpoint.exists():
+                note(f"{folder.path} keeps a checkpoint; the same command with --out {folder.path} --resume goes on from it")
+            raise
+
+    def _report(self, result: "Imitation", folder: "RunFolder") -> int:
+        from fastmimic.commands.comparison import comparison
+
+        for line in comparison(result):
+            put(line)
+        if not self.no_video:
+            self._write_video(result, folder)
+        put(f"results in {folder.path}")
+        if not result.interrupted:
+            return 0
+        note(
+            f"fastmimic: interrupted after {result.iterations} of {self.iterations} iterations; the result is the best"
+            f" so far, and --out {folder.path} --resume goes on"
+        )
+        return EXIT_INTERRUPTED
+
+    def _write_video(self, result: "Imitation", folder: "RunFolder") -> None:
+        try:
+            with count_progress("video, frame") as progress:
+                folder.write_video(result, progress)
+        except KeyboardInterrupt:
+            note(f"the video was left out; everything else is in {folder.path}")
+            raise
+
+    def _record(self, robot: "Robot", motion: "Motion", method: str) -> dict[str, Any]:
+        """Everything that the run depends on, JSON-serialisable."""
+        from fastmimic.control.config import controller_config
+        from fastmimic.pipeline import versions
+
+        arguments = {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(self).items()}
+        arguments.pop("no_optimize")
+        return {
+            "arguments": arguments | {"method": method},
+            "robot": robot.name,
+            "motion": motion.name,
+            "source": motion.meta.get("source"),
+            "licence": motion.meta.get("licence"),
+            "controller": controller_config(self.config).as_dict(),
+            "versions": versions(),
+        }
+
+
+def _about(robot: "Robot", motion: "Motion") -> list[str]:
+    """What the motion is, and what was assumed, before the work begins."""
+    from fastmimic.commands.provenance import assumed, provenance, unmet_bounds
+
+    lines = [provenance(motion)]
+    lines += [f"assumed: {sentence}" for sentence in (*assumed(motion), *robot.assumed)]
+    return lines + [f"retargeting: {sentence}" for sentence in unmet_bounds(motion)]

@@ -1,0 +1,119 @@
+"""The options that several verbs share: which robot, and how a clip is read."""
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from tyro.conf import arg
+
+from fastmimic.errors import ConfigError, OutputError
+
+if TYPE_CHECKING:
+    from fastmimic.motion.motion import Motion
+    from fastmimic.robot import Robot
+
+DEFAULT_ROBOT: Final = "a1"
+MAX_DURATION_S: Final = 3600.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionOptions:
+    """Which robot, and how a clip is read. All but the robot apply to clips only."""
+
+    robot: Annotated[str | None, arg(metavar="NAME|FILE.xml")] = None
+    """a1, go1, go2, or the MJCF of your own; by default the robot motion's own, or a1."""
+    frames: Annotated[str | None, arg(metavar="A:B")] = None
+    """Part of a clip: first frame and end, 0-based, end exclusive."""
+    fps: Annotated[float | None, arg(metavar="HZ")] = None
+    """Frames a second of a clip file, in place of what it says."""
+    up: Annotated[str | None, arg(metavar="y|z")] = None
+    """Vertical axis of a clip file, in place of what its points show."""
+    scale: Annotated[float | None, arg(metavar="FACTOR")] = None
+    """From the animal's size to the robot's, in place of the ratio of leg lengths."""
+    speed: Annotated[float | None, arg(metavar="M/S")] = None
+    """Of a built-in gait, at the A1's size."""
+    yaw_rate: Annotated[float | None, arg(metavar="RAD/S")] = None
+    """Of a built-in gait, positive to the left."""
+    duty: Annotated[float | None, arg(metavar="SHARE")] = None
+    """Of a built-in gait: share of the period that a foot stands."""
+
+    def overrides(self) -> dict[str, Any]:
+        """The clip's options that were given, as the API takes them."""
+        found = {
+            "frames": None if self.frames is None else parse_frames(self.frames),
+            "fps": self.fps,
+            "up": self.up,
+            "scale": self.scale,
+            "speed": self.speed,
+            "yaw_rate": self.yaw_rate,
+            "duty": self.duty,
+        }
+        return {name: value for name, value in found.items() if value is not None}
+
+    def load(self, source: str) -> "tuple[Robot, Motion]":
+        """The robot and its motion, retargeted if `source` is a clip."""
+        from fastmimic.pipeline import load_motion
+
+        overrides = self.overrides()
+        robot = self.load_robot(source)
+        return robot, load_motion(source, robot, **overrides)
+
+    def load_robot(self, source: str) -> "Robot":
+        """The robot that was asked for, else the one that the robot motion in `source` is for."""
+        from fastmimic.robot import load_robot
+
+        return load_robot(self.robot or robot_of(source) or DEFAULT_ROBOT)
+
+
+def robot_of(source: str) -> str | None:
+    """The built-in robot that a FastMimic `.npz` was made for, if `source` is one."""
+    from fastmimic.motion.formats import detect_format
+    from fastmimic.motion.motion import Motion
+    from fastmimic.robot import ROBOT_NAMES
+
+    if not Path(source).is_file() or detect_format(source) != "npz":
+        return None
+    name = Motion.load(source).meta.get("robot")
+    return name if name in ROBOT_NAMES else None
+
+
+def parse_frames(text: str) -> tuple[int, int]:
+    """(first, end) from `A:B`; raises `ConfigError`."""
+    found = re.fullmatch(r"\s*(\d+)\s*:\s*(\d+)\s*", text)
+    if found is None:
+        raise ConfigError(f"--frames takes FIRST:END, 0-based, end exclusive, such as 162:201; found '{text}'")
+    return int(found[1]), int(found[2])
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """(width, height) from `WxH`; raises `ConfigError`."""
+    found = re.fullmatch(r"(\d{2,4})[x×](\d{2,4})", text.strip())
+    if found is None:
+        raise ConfigError(f"--size takes WIDTHxHEIGHT in pixels, such as 1280x720; found '{text}'")
+    return int(found[1]), int(found[2])
+
+
+def check_duration(seconds: float) -> float:
+    """The duration; raises `ConfigError` if no episode can be that long."""
+    if not (math.isfinite(seconds) and 0 < seconds <= MAX_DURATION_S):
+        raise ConfigError(f"--duration must be above 0 and at most {MAX_DURATION_S:g} s, found {seconds:g}")
+    return seconds
+
+
+def check_writable(path: str | Path, *endings: str) -> Path:
+    """The path, once it is certain that a file can be written there: before the work, not after it.
+
+    Raises:
+        OutputError: another ending than these, a folder, or a place that cannot be written to.
+    """
+    from fastmimic.files import check_folder
+
+    path = Path(path)
+    if path.suffix.lower() not in endings:
+        raise OutputError(f"{path}: the file's name must end in {' or '.join(endings)}")
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder; give the name of a file")
+    check_folder(path.parent)
+    return path

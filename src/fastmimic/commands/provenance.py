@@ -1,0 +1,49 @@
+"""Where a robot motion came from, in words, out of its metadata."""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fastmimic.motion.motion import Motion
+
+
+def provenance(motion: "Motion") -> str:
+    """One line: name, source, scale, period, licence."""
+    source, retargeting = _dict(motion, "source"), _dict(motion, "retarget")
+    parts = [str(source.get("source", "no source given"))]
+    if "frames" in source:
+        parts.append("frames {}:{}".format(*source["frames"]))
+    if "format" in source:
+        parts.append(format_name(str(source["format"])))
+    if "scale" in retargeting:
+        parts.append(f"scale {retargeting['scale']:.3f}")
+    parts.append(f"{motion.period_s:.3f} s" + (" a cycle" if motion.cycle is not None else ", no cycle"))
+    licence = motion.meta.get("licence")
+    return f"{motion.name}: {', '.join(parts)}" + (f"; licence: {licence}" if licence else "")
+
+
+def format_name(name: str) -> str:
+    """What a format is, for its short name."""
+    from fastmimic.motion.formats import FORMATS
+
+    return FORMATS.get(name, name)
+
+
+def assumed(motion: "Motion") -> list[str]:
+    """What reading the clip assumed, as sentences."""
+    return [str(sentence) for sentence in _dict(motion, "source").get("assumed", [])]
+
+
+def unmet_bounds(motion: "Motion") -> list[str]:
+    """The bounds of a faithful retargeting that this one does not keep, as sentences."""
+    bounds = _dict(motion, "retarget").get("bounds", [])
+    return [
+        f"{bound['name']} {bound['value']:.3g} is beyond {bound['limit']:.3g}"
+        + (f" ({bound['reason']})" if bound["reason"] else "")
+        for bound in bounds
+        if not bound["met"]
+    ]
+
+
+def _dict(motion: "Motion", key: str) -> dict[str, Any]:
+    value = motion.meta.get(key)
+    return value if isinstance(value, dict) else {}

@@ -1,0 +1,60 @@
+"""Linear algebra whose every sum is taken in one order.
+
+BLAS and LAPACK choose theirs by the number of threads. A fit whose last bits depend on that would make the
+same seed give other results, and a run unable to recognise its own checkpoint.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.jit import kernel
+
+Array = NDArray[np.float64]
+
+
+def product(a: Array, b: Array) -> Array:
+    """a @ b for (..., k) and (k, m)."""
+    rows = np.ascontiguousarray(a, dtype=np.float64).reshape(-1, a.shape[-1])
+    out = np.zeros((len(rows), b.shape[1]))
+    _product(rows, np.ascontiguousarray(b, dtype=np.float64), out)
+    return out.reshape(*a.shape[:-1], b.shape[1])
+
+
+def solve_positive_definite(a: Array, b: Array) -> Array:
+    """Solves a x = b for a symmetric positive definite a (n, n) and b (n, m), by Cholesky's method."""
+    factor, x = np.array(a, dtype=np.float64, order="C"), np.array(b, dtype=np.float64, order="C")
+    _solve(factor, x)
+    return x
+
+
+@kernel
+def _product(a: Array, b: Array, out: Array) -> None:
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            value = a[i, k]
+            for j in range(b.shape[1]):
+                out[i, j] += value * b[k, j]
+
+
+@kernel
+def _solve(a: Array, x: Array) -> None:
+    """Overwrites the lower triangle of `a` with its factor, and `x` with the solution."""
+    n, m = x.shape
+    for i in range(n):
+        for j in range(i + 1):
+            total = a[i, j]
+            for k in range(j):
+                total -= a[i, k] * a[j, k]
+            a[i, j] = np.sqrt(total) if i == j else total / a[j, j]
+    for i in range(n):
+        for j in range(m):
+            total = x[i, j]
+            for k in range(i):
+                total -= a[i, k] * x[k, j]
+            x[i, j] = total / a[i, i]
+    for i in range(n - 1, -1, -1):
+        for j in range(m):
+            total = x[i, j]
+            for k in range(i + 1, n):
+                total -= a[k, i] * x[k, j]
+            x[i, j] = total / a[i, i]
