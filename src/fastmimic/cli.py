@@ -40,7 +40,9 @@ class Command(Protocol):
 VERBS: Final = {
     "imitate": Verb("imitate", "Imitate", "turn a motion into one that the robot can execute"),
     "evaluate": Verb("evaluate", "Evaluate", "run a motion under the controller and score it"),
-    "retarget": Verb("retarget", "Retarget", "turn an animal's clip into a robot motion, without optimising it"),
+    "retarget": Verb(
+        "retarget", "Retarget", "turn an animal's clip into a robot motion, without optimising it"
+    ),
     "inspect": Verb("inspect", "Inspect", "say what a clip or a robot motion is"),
     "render": Verb("render", "Render", "write a video of a motion"),
     "motions": Verb("motions", "Motions", "list the motions that have a name"),
@@ -110,7 +112,11 @@ def _dispatch(arguments: list[str]) -> int:
 
 def _unknown(word: str) -> str:
     close = difflib.get_close_matches(word, VERBS, n=2, cutoff=0.5)
-    hint = f"did you mean {' or '.join(repr(c) for c in close)}?" if close else f"the verbs are {', '.join(VERBS)}"
+    hint = (
+        f"did you mean {' or '.join(repr(c) for c in close)}?"
+        if close
+        else f"the verbs are {', '.join(VERBS)}"
+    )
     return f"unknown {'option' if word.startswith('-') else 'verb'} '{word}'; {hint}"
 
 

@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
@@ -165,8 +166,6 @@ def test_a_motion_shows_its_gait_its_trunk_and_its_limits(motion: Motion, a1: Ro
 
 
 def test_a_foot_that_never_leaves_the_ground_is_one_bar(motion: Motion, a1: Robot, tmp_path: Path) -> None:
-    from dataclasses import replace
-
     standing = replace(motion, contact=np.ones_like(motion.contact), cycle=None)
     figure = motion_figure(standing, a1)
     assert "not periodic" in figure.get_suptitle()
@@ -193,5 +192,15 @@ def test_drawing_changes_nothing_global(tmp_path: Path) -> None:
     settings = dict(matplotlib.rcParams)
     written(convergence_figure([0], [0.5], [0.4], [0.1], [0.3], 0.4), tmp_path)
     assert dict(matplotlib.rcParams) == settings
-    script = "import sys, fastmimic.report; sys.exit('matplotlib.pyplot' in sys.modules)"
+    script = "import sys, fastmimic.report.inspection as _; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+
+
+def test_the_room_loads_only_what_is_asked_for() -> None:
+    script = "import sys, fastmimic.report; sys.exit('matplotlib' in sys.modules or 'mujoco' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+    import fastmimic.report as report
+
+    assert all(callable(getattr(report, name)) for name in report.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'plot'"):
+        report.plot  # noqa: B018

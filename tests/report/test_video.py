@@ -13,7 +13,7 @@ from video_files import RATE_HZ, read_video, stream_facts
 
 from fastmimic.errors import ConfigError, OutputError
 from fastmimic.report import Track, render_video
-from fastmimic.report.video import resample
+from fastmimic.report.playback import resample
 from fastmimic.robot import Robot
 
 SIZE = (320, 180)

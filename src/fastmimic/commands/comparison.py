@@ -29,7 +29,11 @@ def comparison(result: "Imitation") -> list[str]:
     row("drift, m/s", lambda c: metrics["drift_m_per_s"][c], "{:.3f}".format)
     row("early contacts, 1/s", lambda c: metrics["early_contacts_per_s"][c], "{:.1f}".format)
     for name in ("stance_slip", "foot_z_rmse", "foot_x_rmse"):
-        row(f"{name.replace('_', ' ')}, mm", lambda c, n=name: metrics[f"{n}_m"][c], lambda m: f"{1e3 * m:.1f}")
+        row(
+            f"{name.replace('_', ' ')}, mm",
+            lambda c, n=name: metrics[f"{n}_m"][c],
+            lambda m: f"{1e3 * m:.1f}",
+        )
     lines = table(rows, right=range(1, len(rows[0])))
     return [f"{result.motion.name} on {result.robot.name}, {result.duration_s:g} s", *lines, _effort(metrics)]
 

@@ -10,7 +10,9 @@ if TYPE_CHECKING:
     from fastmimic.optimize.cma_es import Progress
 
 SLOW_START_S: Final = 3.0
-SLOW_START: Final = "preparing; the first use compiles the controller, which takes about a minute and happens once"
+SLOW_START: Final = (
+    "preparing; the first use compiles the controller, which takes about a minute and happens once"
+)
 PLAIN_STEPS: Final = 10  # lines in all, where there is no terminal to draw a bar on
 
 
@@ -126,6 +128,11 @@ def _bar() -> Iterator[Any]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[info]}"))
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[info]}"),
+    )
     with Progress(*columns, console=Console(stderr=True)) as bar:
         yield bar

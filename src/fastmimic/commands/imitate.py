@@ -108,7 +108,9 @@ class Imitate(MotionOptions):
                 )
         except KeyboardInterrupt:
             if folder.checkpoint.exists():
-                note(f"{folder.path} keeps a checkpoint; the same command with --out {folder.path} --resume goes on from it")
+                note(
+                    f"{folder.path} keeps a checkpoint; the same command with --out {folder.path} --resume goes on from it"
+                )
             raise
 
     def _report(self, result: "Imitation", folder: "RunFolder") -> int:

@@ -2,13 +2,15 @@
 
 A retargeted reference is consistent as geometry, not as dynamics: over feet that stand wider than the animal's, the body
 cannot help swaying further than the reference does. The whole robot moving exactly along the reference would need its
-ground force at the zero-moment point z(t) (Vukobratović), which is seldom where the feet are. A horizontal shift δ(t) of the
-body moves that point by δ − δ̈/ω², ω² = g / h (linear inverted pendulum; Kajita et al. 2003), so bringing it under the load-weighted
-mean p(t) of the standing feet takes the only bounded solution of δ̈ = ω² (δ − (p − z)), the two-sided exponential average
+ground force at the zero-moment point z(t) (Vukobratović), which is seldom where the feet are. A small horizontal shift δ(t) of the
+body moves that point by δ − δ̈/ω², ω² = f_z / (m h) with the vertical force f_z and the height h of the centre of mass (linear
+inverted pendulum with a varying stiffness; Kajita et al. 2003). Bringing it under the load-weighted mean p(t) of the standing feet
+takes the bounded solution of
 
-    δ(t) = ω/2 ∫ e^(−ω|t−s|) (p(s) − z(s)) ds.
+    δ̈ = ω(t)² (δ − (p − z)),
 
-The controller tracks the reference plus a share of δ, so that feedback does not fight what physics does anyway.
+which in flight, where f_z = 0, is a straight line. The controller tracks the reference plus a share of δ, so that feedback does not
+fight what physics does anyway.
 """
 
 from typing import Final
@@ -24,8 +26,8 @@ from fastmimic.rotations import quat_rotate, quat_rotate_inverse, rotate_planar,
 Array = NDArray[np.float64]
 
 LOADING_TIME: Final = 0.05  # s in which a foot takes up its load after touch-down, and gives it up before take-off
-_MEMORY: Final = 8.0  # the average reaches this many time constants 1/ω each way
-_LEAST_LOAD: Final = 0.3  # share of the weight below which the zero-moment point says nothing (flight)
+_REACH_S: Final = 1.5  # how far beyond its ends the motion is continued: many time constants 1/ω ≈ 0.17 s
+_LEAST_LOAD: Final = 0.1  # share of the weight below which the zero-moment point says nothing (flight)
 
 
 def pendulum_sway(motion: Motion, robot: Robot, acceleration: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -40,44 +42,38 @@ def pendulum_sway(motion: Motion, robot: Robot, acceleration: tuple[Array, Array
         δ, its velocity and acceleration, (t, 2) each, x and y in the reference's heading frame, m, m/s, m/s².
     """
     n, dt = motion.n_samples, motion.dt
-    omega = np.sqrt(GRAVITY / float(np.mean(motion.root_pos_w[:, 2])))
-    mismatch, known = _mismatch(motion, robot, acceleration)
-    every = np.arange(n)
-    known = np.flatnonzero(known)
-    if not len(known):
-        zero = np.zeros((n, 2))
-        return zero, zero, zero
+    mismatch, stiffness = _mismatch(motion, robot, acceleration)
     yaw = yaw_from_quat(motion.root_quat_wxyz)
     local = rotate_planar(-yaw, mismatch)  # turns with the body, so that it repeats with the motion
-    local = np.stack([np.interp(every, known, local[known, k]) for k in range(2)], axis=1)
-    reach = int(np.ceil(_MEMORY / (omega * dt)))
-    wide_yaw, wide = _extended(yaw, local, motion, reach)
-    lags = np.arange(-reach, reach + 1) * dt
-    kernel = np.exp(-omega * np.abs(lags))
-    kernel /= kernel.sum()
-    source = rotate_planar(wide_yaw, wide)
-    shift = np.stack([_average(source[:, k], kernel) for k in range(2)], axis=1)  # (n + 2, 2)
+    reach = int(np.ceil(_REACH_S / dt))
+    index, wide_yaw = _extended(yaw, motion, reach)
+    shift = _bounded_solution(rotate_planar(wide_yaw, local[index]), stiffness[index], dt)
+    shift = shift[reach : reach + n + 2]  # one sample more at each end, for the velocity
     velocity = (shift[2:] - shift[:-2]) / (2 * dt)
-    turn = -yaw
-    inner = shift[1:-1]
-    second = omega**2 * (inner - rotate_planar(yaw, local))
-    return rotate_planar(turn, inner), rotate_planar(turn, velocity), rotate_planar(turn, second)
+    second = (shift[2:] - 2 * shift[1:-1] + shift[:-2]) / dt**2
+    return rotate_planar(-yaw, shift[1:-1]), rotate_planar(-yaw, velocity), rotate_planar(-yaw, second)
 
 
-def _average(signal: Array, kernel: Array) -> Array:
-    from scipy.signal import fftconvolve
+def _bounded_solution(target: Array, stiffness: Array, dt: float) -> Array:
+    """Solves δ̈ = stiffness (δ − target) by central differences, δ̈ = 0 at both ends; (k, 2) for (k, 2) and (k,)."""
+    from scipy.linalg import solve_banded
 
-    return fftconvolve(signal, kernel, mode="valid")
+    k = len(target)
+    bands = np.zeros((3, k))
+    bands[0, 1:] = bands[2, :-1] = -1.0
+    bands[1] = 2.0 + dt**2 * stiffness
+    bands[1, [0, -1]] -= 1.0
+    return solve_banded((1, 1), bands, dt**2 * stiffness[:, None] * target)
 
 
-def _extended(yaw: Array, local: Array, motion: Motion, reach: int) -> tuple[Array, Array]:
-    """Yaw and mismatch continued by `reach` + 1 samples each way: repeated if the motion is periodic, else held."""
+def _extended(yaw: Array, motion: Motion, reach: int) -> tuple[NDArray[np.int64], Array]:
+    """Samples and yaw of the motion continued by `reach` + 1 samples each way: repeated if it is periodic, else held."""
     n = motion.n_samples
     index = np.arange(-reach - 1, n + reach + 1)
     if motion.cycle is None:
         index = np.clip(index, 0, n - 1)
-        return yaw[index], local[index]
-    return np.unwrap(yaw)[index % n] + (index // n) * _winding(yaw, motion), local[index % n]
+        return index, yaw[index]
+    return index % n, np.unwrap(yaw)[index % n] + (index // n) * _winding(yaw, motion)
 
 
 def _winding(yaw: Array, motion: Motion) -> float:
@@ -88,18 +84,19 @@ def _winding(yaw: Array, motion: Motion) -> float:
     return cycle + 2 * np.pi * round((travelled - cycle) / (2 * np.pi))
 
 
-def _mismatch(motion: Motion, robot: Robot, acceleration: tuple[Array, Array, Array]) -> tuple[Array, NDArray[np.bool_]]:
-    """Support point minus zero-moment point, (t, 2) world, m, and where it is known: some foot stands, and bears load."""
+def _mismatch(motion: Motion, robot: Robot, acceleration: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    """Support point minus zero-moment point, (t, 2) world, m, and the pendulum's stiffness ω², (t,) 1/s², 0 in flight."""
     feet = motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
     load = np.stack([_load(c, motion) for c in motion.contact.T], axis=1)
     total = load.sum(axis=1)
     force, moment = _ground_wrench(motion, robot, acceleration)
-    known = (total > 0) & (force[:, 2] > _LEAST_LOAD * robot.mass * GRAVITY)
+    vertical = np.where(total > 0, np.maximum(force[:, 2], 0.0), 0.0)
+    known = vertical > _LEAST_LOAD * robot.mass * GRAVITY
     weights = load / np.where(total > 0, total, 1.0)[:, None]
     support = np.einsum("tl,tlk->tk", weights, feet[..., :2])
-    vertical = np.where(known, force[:, 2], 1.0)
-    zmp = np.stack([-moment[:, 1], moment[:, 0]], axis=1) / vertical[:, None]
-    return support - zmp, known
+    zmp = np.stack([-moment[:, 1], moment[:, 0]], axis=1) / np.where(known, force[:, 2], 1.0)[:, None]
+    height = motion.root_pos_w[:, 2] + float(robot.com_b[2])
+    return np.where(known[:, None], support - zmp, 0.0), np.where(known, vertical / (robot.mass * height), 0.0)
 
 
 def _ground_wrench(motion: Motion, robot: Robot, acceleration: tuple[Array, Array, Array]) -> tuple[Array, Array]:

@@ -29,7 +29,7 @@ from fastmimic.motion.retarget_dynamics import Demand, ground_demand
 from fastmimic.motion.retarget_fidelity import Before, make_report
 from fastmimic.motion.retarget_feet import Reach, SwingConfig, footholds, plant_feet
 from fastmimic.motion.retarget_gait import GaitConfig, make_consistent
-from fastmimic.motion.retarget_pose import Pose, joint_velocity, root_velocity, solve_pose
+from fastmimic.motion.retarget_pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
 from fastmimic.motion.retarget_report import RetargetReport
 from fastmimic.motion.retarget_source import Source, extract
 from fastmimic.robot import Robot
@@ -161,7 +161,7 @@ def _balance(
         raw_w = _raw_feet(robot, track, offset + deviation.width * side)
         holds = footholds(raw_w, track, stances, reach)
         feet_w = plant_feet(raw_w, moved, stances, holds, reach, robot.foot_radius, rate_hz, config.swing)
-        pose = solve_pose(robot, moved, feet_w, height, config.max_lowering_m, config.limit_margin_rad)
+        pose = unlimited_pose(robot, moved, feet_w, height)
         return ground_demand(robot, _motion(pose, moved, stances, rate_hz), sample)
 
     deviation = balance(robot, spline, demand_of, config.balance)
@@ -201,11 +201,11 @@ def foot_offsets(robot: Robot, track: Track, stances: Stances, stance_width: flo
     side = np.where(LEFT, 1.0, -1.0)
     stands = contact_mask(stances, len(track.root_z))
     mean = np.stack([track.toe_from_hip[stands[:, leg], leg].mean(axis=0) if stands[:, leg].any() else np.zeros(2) for leg in range(4)])
-    forward = np.repeat(mean[:, 0].reshape(2, 2).mean(axis=1), 2)
+    forward = float(mean[:, 0].mean())
     outward = np.repeat((side * mean[:, 1]).reshape(2, 2).mean(axis=1), 2)
     centre = robot.com_b[0] - robot.hip_pos_b[:, 0].mean()
     width = stance_width * np.abs(robot.lateral_offset)
-    return np.stack([centre - forward, side * (width - outward)], axis=-1)
+    return np.stack([np.full(4, centre - forward), side * (width - outward)], axis=-1)
 
 
 def _check(clip: Clip, rate_hz: float, scale: float | None) -> None:

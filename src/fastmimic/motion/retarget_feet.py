@@ -42,6 +42,7 @@ class Reach:
         longest, shortest: leg in its plane within the knee's limits, m.
         hips: (4, 2) abduction joint origins in the heading frame, m.
         lateral_offset: (4,) from there to the leg's plane, m.
+        abduction: largest inward angle, rad.
     """
 
     hip_height: float
@@ -49,6 +50,7 @@ class Reach:
     shortest: float
     hips: Array
     lateral_offset: Array
+    abduction: float
 
     @classmethod
     def of_robot(cls, robot: Robot, base_height: float, margin_rad: float) -> "Reach":
@@ -62,12 +64,19 @@ class Reach:
             shortest=float(lengths.min(axis=0).max()),
             hips=robot.hip_pos_b[:, :2],
             lateral_offset=np.asarray(robot.lateral_offset),
+            abduction=float(np.minimum(-robot.joint_lower[[3, 9]], robot.joint_upper[[0, 6]]).min()) - margin_rad,
         )
 
     def forward(self, leg: int, lateral: Array, drop: Array) -> Array:
         """How far ahead of its hip a standing foot may be, with `lateral` (k,) from the abduction axis and the hip `drop` (k,) high."""
         square = self.longest**2 - drop**2 - lateral**2 + self.lateral_offset[leg] ** 2
         return np.sqrt(np.maximum(square, 0.0))
+
+    def inward(self, leg: int, drop: Array) -> Array:
+        """How far a standing foot may be on the inner side of its abduction axis, (k,) m."""
+        a, d = self.abduction, abs(float(self.lateral_offset[leg]))
+        along = (drop - d * np.sin(a)) / np.cos(a)
+        return np.asarray(along * np.sin(a) - d * np.cos(a))
 
     @property
     def clearance(self) -> float:
@@ -78,7 +87,7 @@ class Reach:
 def footholds(raw_w: Array, track: Track, stances: Stances, reach: Reach) -> list[list[Array]]:
     """Where each foot stands in each of its stances, (2,) in the world, m.
 
-    The mean of the animal's path in stance, weighted towards mid-stance, moved fore or aft by what it lacks to be within reach
+    The mean of the animal's path in stance, weighted towards mid-stance, moved by what it lacks to be within reach
     at both touch-down and lift-off.
 
     Args:
@@ -99,10 +108,13 @@ def footholds(raw_w: Array, track: Track, stances: Stances, reach: Reach) -> lis
             heading = track.heading_at(ends)
             root = trunk.read(ends)
             local = rotate_planar(-heading, hold - root[:, :2]) - reach.hips[leg]
-            limit = reach.forward(leg, local[:, 1], reach.hip_height + root[:, 2])
+            drop = reach.hip_height + root[:, 2]
+            side = np.sign(reach.lateral_offset[leg])
+            sideways = side * max(0.0, float((-reach.inward(leg, drop) - side * local[:, 1]).max()))
+            limit = reach.forward(leg, local[:, 1] + sideways, drop)
             lowest, highest = float((-limit - local[:, 0]).max()), float((limit - local[:, 0]).min())
-            shift = 0.5 * (lowest + highest) if lowest > highest else float(np.clip(0.0, lowest, highest))
-            holds.append(hold + rotate_planar(heading.mean(), np.array([shift, 0.0])))
+            forward = 0.5 * (lowest + highest) if lowest > highest else float(np.clip(0.0, lowest, highest))
+            holds.append(hold + rotate_planar(heading.mean(), np.array([forward, sideways])))
         result.append(holds)
     return result
 

@@ -89,6 +89,21 @@ def solve_pose(
     )
 
 
+def unlimited_pose(robot: Robot, track: Track, feet_w: Array, height: float) -> Pose:
+    """Like `solve_pose` at one height and without joint limits: a smooth function of its arguments."""
+    quat = trunk_quaternion(track.heading, track.tilt)
+    joints, reachable = _joints(robot, track, quat, feet_w, height)
+    return Pose(
+        root_pos_w=_root(track, height),
+        root_quat_wxyz=quat_continuous(quat),
+        joint_pos=joints,
+        foot_pos_b=foot_positions(robot, joints),
+        unreachable=~reachable,
+        limited=np.zeros(joints.shape, dtype=bool),
+        lowered_m=0.0,
+    )
+
+
 def _root(track: Track, height: float) -> Array:
     z = track.root_z - track.root_z.mean() + height
     return np.concatenate([track.root_xy, z[:, None]], axis=1)

@@ -93,7 +93,9 @@ class RunFolder:
         h = result.history
         if h is not None and len(h.best):
             iteration = range(1, len(h.best) + 1)
-            figure = figures.convergence_figure(list(iteration), h.best, h.mean, h.std, h.sigma, h.baseline, title)
+            figure = figures.convergence_figure(
+                list(iteration), h.best, h.mean, h.std, h.sigma, h.baseline, title
+            )
             figures.save(figure, self.path / CONVERGENCE)
         figures.save(_tracking_figure(result, title), self.path / TRACKING)
 
@@ -102,7 +104,9 @@ class RunFolder:
             try:
                 (self.path / name).unlink(missing_ok=True)
             except OSError as error:
-                raise OutputError(f"{self.path / name}: cannot be replaced ({error.strerror or error})") from None
+                raise OutputError(
+                    f"{self.path / name}: cannot be replaced ({error.strerror or error})"
+                ) from None
 
 
 @contextmanager
@@ -130,7 +134,9 @@ def open_run(
     if resume and overwrite:
         raise ConfigError("--resume goes on with a run and --overwrite replaces it: give one of them")
     if resume and not folder.checkpoint.is_file():
-        raise CheckpointError(f"{folder.checkpoint}: no checkpoint to resume from; leave out --resume to start anew")
+        raise CheckpointError(
+            f"{folder.checkpoint}: no checkpoint to resume from; leave out --resume to start anew"
+        )
     if not resume and not overwrite:
         _refuse_other_run(folder, same)
     created = [p for p in (path, *path.parents) if not p.exists()]
@@ -162,15 +168,16 @@ def default_folder(root: Path, name: str, *, resume: bool) -> Path:
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
     """Writes JSON, with null for the numbers that JSON does not have; raises `OutputError`."""
-    text = json.dumps(_finite(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(finite(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     replace_file(path, lambda file: file.write(text.encode()))
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Plain JSON values: None in place of the numbers that JSON does not have."""
     if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

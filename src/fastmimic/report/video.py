@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -13,10 +14,13 @@ from fastmimic.errors import ConfigError
 from fastmimic.report.encoding import VideoFile
 from fastmimic.report.offscreen import NoRendererError, Offscreen
 from fastmimic.report.overlay import Overlay
+from fastmimic.report.playback import Track, resample
 from fastmimic.report.scene import Stage, build_stage, ghost_rgba
-from fastmimic.rotations import quat_continuous, yaw_from_quat
+from fastmimic.rotations import yaw_from_quat
 
 if TYPE_CHECKING:
+    import mujoco
+
     from fastmimic.report.view import View
     from fastmimic.robot import Robot
 
@@ -27,37 +31,8 @@ Array = NDArray[np.float64]
 _CAMERA_AZIMUTH_DEG: Final = 122.0
 """From the robot's first heading: seen from its front right, so that it moves across the picture."""
 _CAMERA_SMOOTHING_S: Final = 0.35
-
-
-@dataclass(frozen=True, eq=False)
-class Track:
-    """What one robot does, for a panel of a video. A NaN, as after a fall, holds the last pose before it.
-
-    Attributes:
-        root_pos_w: (t, 3) base position, world, m.
-        root_quat_wxyz: (t, 4) base orientation, body → world.
-        joint_pos: (t, 12) rad.
-        title: first line of the panel, such as "before".
-        caption: second line, such as "reward 0.84".
-        ghost: the demonstration at the same times, drawn as a translucent robot; None for no ghost.
-    """
-
-    root_pos_w: Array
-    root_quat_wxyz: Array
-    joint_pos: Array
-    title: str = ""
-    caption: str = ""
-    ghost: "Track | None" = None
-
-    def __post_init__(self) -> None:
-        n = len(self.root_pos_w)
-        shapes = (np.shape(self.root_pos_w), np.shape(self.root_quat_wxyz), np.shape(self.joint_pos))
-        if n < 1 or shapes != ((n, 3), (n, 4), (n, 12)):
-            raise ConfigError(f"a track needs arrays (t, 3), (t, 4) and (t, 12) with t ≥ 1, found {shapes}")
-        if not all(np.all(np.isfinite(a[0])) for a in (self.root_pos_w, self.root_quat_wxyz, self.joint_pos)):
-            raise ConfigError("a track's first pose is not finite")
-        if self.ghost is not None and len(self.ghost.root_pos_w) != n:
-            raise ConfigError(f"a ghost has {len(self.ghost.root_pos_w)} samples; its track has {n}")
+_LOOK_AT_HEIGHT: Final = 0.62
+"""Of the base's height: leaves room above for the words and below for the shadow."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +41,21 @@ class VideoInfo:
 
     frames: int
     seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Panel:
+    """A view with what it shows in each of n frames: poses (n, 19) and points (n, 3) to look at."""
+
+    view: "View"
+    robot: Array
+    ghost: Array | None
+    look_at: Array
+
+    def scene(self, frame: int) -> "mujoco.MjvScene":
+        ghost = None if self.ghost is None else self.ghost[frame]
+        self.view.update(self.robot[frame], ghost, self.look_at[frame])
+        return self.view.scene
 
 
 def render_video(
@@ -119,37 +109,20 @@ def render_video(
         _LOG.warning("%s was not written: %s; set MUJOCO_GL to a backend that works", path, error)
         return None
     with screen, video:
-        views, look_at = _views(stage, robot, poses, times, drawn_size)
-        _film(views, _pair_up(poses, ghosts, look_at), times, screen, overlay, video, progress)
+        panels = _panels(stage, robot, poses, ghosts, times, drawn_size)
+        _film(panels, times, screen, overlay, video, progress)
     return VideoInfo(len(times), len(times) / fps)
 
 
-def resample(track: Track, rate_hz: float, times: Array) -> Array:
-    """Poses of a track at `times` (n,) s: (n, 19) root position, quaternion and joints, all finite."""
-    root, quat, joints = (
-        np.asarray(a, dtype=np.float64) for a in (track.root_pos_w, track.root_quat_wxyz, track.joint_pos)
-    )
-    bad = ~np.isfinite(np.hstack([root, quat, joints])).all(axis=1)
-    end = int(np.argmax(bad)) if bad.any() else len(root)
-    poses = np.hstack([root[:end], quat_continuous(quat[:end]), joints[:end]])
-    at = np.clip(times * rate_hz, 0, end - 1)
-    low = np.minimum(at.astype(np.int64), max(end - 2, 0))
-    high = np.minimum(low + 1, end - 1)
-    between = poses[low] + (at - low)[:, None] * (poses[high] - poses[low])
-    between[:, 3:7] /= np.linalg.norm(between[:, 3:7], axis=1, keepdims=True)
-    return between
-
-
 def _film(
-    views: "list[View]",
-    shots: list[list[_Shot]],
+    panels: list[_Panel],
     times: Array,
     screen: Offscreen,
     overlay: Overlay,
     video: VideoFile,
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """Draws each frame's shots, one for each view; a second thread labels and writes the frame before it."""
+    """Draws the panels frame by frame, while a second thread labels and writes the frame before."""
 
     def finish(frame: NDArray[np.uint8], time_s: float) -> None:
         overlay.draw(frame, time_s)
@@ -158,9 +131,7 @@ def _film(
     with ThreadPoolExecutor(max_workers=1) as writer:
         written: Future[None] | None = None
         for i, time_s in enumerate(times):
-            for view, shot in zip(views, shots, strict=True):
-                view.update(*shot[i])
-            frame = screen.draw([view.scene for view in views])
+            frame = screen.draw([panel.scene(i) for panel in panels])
             if written is not None:
                 written.result()
             written = writer.submit(finish, frame, float(time_s))
@@ -194,10 +165,15 @@ def _overlay(tracks: Sequence[Track], size: tuple[int, int], slow_motion: float)
     return Overlay(*size, [(t.title, t.caption) for t in tracks], legend, note)
 
 
-def _views(
-    stage: Stage, robot: "Robot", poses: list[Array], times: Array, size: tuple[int, int]
-) -> "tuple[list[View], list[Array]]":
-    """A view for each panel, all from the same side, and the points (n, 3) at which its camera looks."""
+def _panels(
+    stage: Stage,
+    robot: "Robot",
+    poses: list[Array],
+    ghosts: list[Array | None],
+    times: Array,
+    size: tuple[int, int],
+) -> list[_Panel]:
+    """All panels look from the same side and distance, each following its own robot."""
     from fastmimic.report.view import View
 
     span = np.ptp(robot.hip_pos_b[:, 0]) + robot.leg_length
@@ -206,12 +182,12 @@ def _views(
     distance = float(max(0.62 * span / half_tan, 0.74 * span / (half_tan * aspect)))
     azimuth = np.degrees(float(yaw_from_quat(poses[0][0, 3:7]))) + _CAMERA_AZIMUTH_DEG
     dt = times[1] - times[0] if len(times) > 1 else 1.0
-    look_at = []
-    for pose in poses:
-        smooth = _low_pass(pose[:, :3], _CAMERA_SMOOTHING_S / dt)
-        smooth[:, 2] = 0.62 * np.median(pose[:, 2])
-        look_at.append(smooth)
-    return [View(stage, azimuth, distance) for _ in poses], look_at
+    panels = []
+    for pose, ghost in zip(poses, ghosts, strict=True):
+        look_at = _low_pass(pose[:, :3], _CAMERA_SMOOTHING_S / dt)
+        look_at[:, 2] = _LOOK_AT_HEIGHT * np.median(pose[:, 2])
+        panels.append(_Panel(View(stage, azimuth, distance), pose, ghost, look_at))
+    return panels
 
 
 def _low_pass(path: Array, width: float) -> Array:

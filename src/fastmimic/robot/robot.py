@@ -144,6 +144,8 @@ def load_robot(robot: "str | Path | Robot") -> Robot:
         raise RobotError(
             f"unknown robot '{name}': not one of {', '.join(ROBOT_NAMES)} and not a file{hint}"
         )
+    if path.is_dir():
+        raise RobotError(f"{path}: a folder; expected an MJCF file")
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, OSError, UnicodeDecodeError) as error:

@@ -1,0 +1,129 @@
+"""`fastmimic inspect`: what a clip or a robot motion is."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
+
+from fastmimic.commands.console import put
+from fastmimic.commands.options import MotionOptions, check_writable
+
+if TYPE_CHECKING:
+    from fastmimic.motion.clip import Clip
+    from fastmimic.motion.motion import Motion
+    from fastmimic.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inspect(MotionOptions):
+    """Says what a file or a named motion is: format and what was assumed, frames, rate, cycle, speed, duty, swing clearance,
+    joint limits, source and licence, and for an optimised motion its parameters. A clip is retargeted for that.
+    """
+
+    source: Annotated[Positional[str], arg(metavar="FILE|NAME")]
+    """A clip, a robot motion (.npz), or a name of 'fastmimic motions'."""
+    figure: Annotated[Path | None, arg(metavar="FILE.png")] = None
+    """Also draw its gait, trunk and joints."""
+
+    def run(self) -> int:
+        """Prints it; returns the exit status."""
+        figure = None if self.figure is None else check_writable(self.figure, ".png", ".pdf", ".svg")
+        robot, motion, lines = self._read()
+        for line in (*lines, *describe_motion(motion, robot)):
+            put(line)
+        if figure is not None:
+            from fastmimic.report.inspection import motion_figure
+            from fastmimic.report.style import save
+
+            save(motion_figure(motion, robot), figure)
+            put(f"figure in {figure}")
+        return 0
+
+    def _read(self) -> "tuple[Robot, Motion, list[str]]":
+        """The robot, its motion, and lines about the file that it is from."""
+        from fastmimic.motion.catalogue import motion_names, open_clip
+        from fastmimic.motion.formats import detect_format
+        from fastmimic.motion.retarget import retarget
+
+        is_file = self.source not in motion_names() and Path(self.source).is_file()
+        if is_file and detect_format(self.source) == "npz":
+            robot, motion = self.load(self.source)
+            return robot, motion, ["format     FastMimic robot motion"]
+        overrides = self.overrides()
+        robot = self.load_robot(self.source)
+        clip = open_clip(self.source, robot=robot, **overrides)
+        motion, report = retarget(clip, robot)
+        return robot, motion, [*_describe_clip(clip), f"retargeted to {robot.name}:", *report.lines()]
+
+
+def describe_motion(motion: "Motion", robot: "Robot") -> list[str]:
+    """A robot motion in words: what it is, what it asks of the robot, where it is from."""
+    import numpy as np
+
+    from fastmimic.commands.provenance import assumed, provenance
+    from fastmimic.conventions import JOINTS_PER_LEG, LEGS
+    from fastmimic.imitation.rollout import swing_clearance
+
+    def legs(values: "np.ndarray", form: str) -> str:
+        return ", ".join(f"{leg} {format(v, form)}" for leg, v in zip(LEGS, values, strict=True))
+
+    speed = np.abs(motion.joint_vel).reshape(-1, 4, 3).max(axis=(0, 1))
+    margin = np.minimum(motion.joint_pos - robot.joint_lower, robot.joint_upper - motion.joint_pos)
+    least = margin.reshape(-1, 4, 3).min(axis=(0, 1))
+    limits = [
+        f"{joint} {margin:.2f} rad, {fast:.1f} of {limit:g} rad/s"
+        for joint, margin, fast, limit in zip(
+            JOINTS_PER_LEG, least, speed, robot.joint_speed_limit, strict=False
+        )
+    ]
+    lines = [
+        f"motion     {provenance(motion)}",
+        f"robot      {motion.meta.get('robot', 'not named')}",
+        f"samples    {motion.n_samples} at {motion.rate_hz:g} Hz, {motion.period_s:.3f} s",
+        f"travel     {_travel(motion)}",
+        f"duty       {legs(motion.contact.mean(axis=0), '.2f')}",
+        f"clearance  {legs(1e3 * swing_clearance(motion, robot.foot_radius), '.0f')} mm",
+        f"joints     least margin and greatest speed: {'; '.join(limits)}",
+    ]
+    lines += [f"assumed    {sentence}" for sentence in (*assumed(motion), *robot.assumed)]
+    return lines + _optimised(motion)
+
+
+def _describe_clip(clip: "Clip") -> list[str]:
+    from fastmimic.commands.provenance import format_name
+
+    cycle = {None: "not said by the source", True: "yes", False: "no"}[clip.is_cycle]
+    lines = [
+        f"format     {format_name(str(clip.meta.get('format', 'unknown')))}",
+        f"frames     {clip.n_frames} at {clip.rate_hz:g} Hz, {clip.n_frames / clip.rate_hz:.3f} s; one cycle: {cycle}",
+    ]
+    if clip.meta.get("credit"):
+        lines.append(f"credit     {clip.meta['credit']}")
+    return lines
+
+
+def _travel(motion: "Motion") -> str:
+    import numpy as np
+
+    if motion.cycle is None:
+        mean = np.linalg.norm(motion.root_lin_vel_w[:, :2], axis=1).mean()
+        return f"not periodic; mean speed {mean:.2f} m/s"
+    dx, dy, dyaw = motion.cycle / motion.period_s
+    return (
+        f"{dx:+.3f} m/s forward, {dy:+.3f} m/s left, {dyaw:+.3f} rad/s (one cycle of {motion.period_s:.3f} s)"
+    )
+
+
+def _optimised(motion: "Motion") -> list[str]:
+    """The DMP parameters that differ from the fitted ones; empty for a demonstration."""
+    dmp = motion.meta.get("dmp")
+    if motion.demonstration is None or not isinstance(dmp, dict):
+        return []
+    lines = ["optimised  carries its demonstration; DMP parameters that differ from it:"]
+    for name, goal, fitted, amplitude in zip(
+        dmp["names"], dmp["goal"], dmp["fitted_goal"], dmp["amplitude"], strict=True
+    ):
+        if goal != fitted or amplitude != 1.0:
+            lines.append(f"  {name:12} baseline {goal - fitted:+.4f}, amplitude {amplitude:.3f}")
+    return lines

@@ -1,0 +1,58 @@
+"""What a robot does, as a video plays it back."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.errors import ConfigError
+from fastmimic.rotations import quat_continuous
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What one robot does, for a panel of a video. A NaN, as after a fall, holds the last pose before it.
+
+    Attributes:
+        root_pos_w: (t, 3) base position, world, m.
+        root_quat_wxyz: (t, 4) base orientation, body → world.
+        joint_pos: (t, 12) rad.
+        title: first line of the panel, such as "before".
+        caption: second line, such as "reward 0.84".
+        ghost: the demonstration at the same times, drawn as a translucent robot; None for no ghost.
+    """
+
+    root_pos_w: Array
+    root_quat_wxyz: Array
+    joint_pos: Array
+    title: str = ""
+    caption: str = ""
+    ghost: "Track | None" = None
+
+    def __post_init__(self) -> None:
+        n = len(self.root_pos_w)
+        shapes = (np.shape(self.root_pos_w), np.shape(self.root_quat_wxyz), np.shape(self.joint_pos))
+        if n < 1 or shapes != ((n, 3), (n, 4), (n, 12)):
+            raise ConfigError(f"a track needs arrays (t, 3), (t, 4) and (t, 12) with t ≥ 1, found {shapes}")
+        if not all(np.all(np.isfinite(a[0])) for a in (self.root_pos_w, self.root_quat_wxyz, self.joint_pos)):
+            raise ConfigError("a track's first pose is not finite")
+        if self.ghost is not None and len(self.ghost.root_pos_w) != n:
+            raise ConfigError(f"a ghost has {len(self.ghost.root_pos_w)} samples; its track has {n}")
+
+
+def resample(track: Track, rate_hz: float, times: Array) -> Array:
+    """Poses of a track at `times` (n,) s: (n, 19) root position, quaternion and joints, all finite."""
+    root, quat, joints = (
+        np.asarray(a, dtype=np.float64) for a in (track.root_pos_w, track.root_quat_wxyz, track.joint_pos)
+    )
+    bad = ~np.isfinite(np.hstack([root, quat, joints])).all(axis=1)
+    end = int(np.argmax(bad)) if bad.any() else len(root)
+    poses = np.hstack([root[:end], quat_continuous(quat[:end]), joints[:end]])
+    at = np.clip(times * rate_hz, 0, end - 1)
+    low = np.minimum(at.astype(np.int64), max(end - 2, 0))
+    high = np.minimum(low + 1, end - 1)
+    between = poses[low] + (at - low)[:, None] * (poses[high] - poses[low])
+    between[:, 3:7] /= np.linalg.norm(between[:, 3:7], axis=1, keepdims=True)
+    return between
