@@ -159,7 +159,9 @@ def test_a_motion_shows_its_gait_its_trunk_and_its_limits(motion: Motion, a1: Ro
     assert low < a1.joint_lower[2]
     assert high > a1.joint_upper[2]
     pitch = next(
-        line for line in titles["base pitch and roll"].get_lines() if "pitch" in str(line.get_label())
+        line
+        for line in titles["base pitch (solid, nose down positive) and roll (dotted)"].get_lines()
+        if "pitch" in str(line.get_label())
     )
     np.testing.assert_allclose(pitch.get_ydata(), np.degrees(0.1 * np.sin(2 * np.pi * TIME)), atol=1e-9)
     written(figure, tmp_path)

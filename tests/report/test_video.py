@@ -178,6 +178,16 @@ def test_a_place_that_cannot_be_written_is_one_clear_error(a1: Robot, walk: Walk
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.mp4"]
 
 
+@pytest.mark.usefixtures("opengl")
+def test_an_encoder_that_fails_is_one_clear_error_and_leaves_nothing(
+    a1: Robot, walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fastmimic.report.encoding._ENCODE", ("-c:v", "no_such_codec"))
+    with pytest.raises(OutputError, match=r"v\.mp4: the video encoder .*Encoder not found"):
+        render_video(a1, [walk(0.1)], tmp_path / "v.mp4", rate_hz=RATE_HZ, size=SIZE)
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -1,39 +1,25 @@
 """The table of figures before and after that `imitate` prints."""
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.commands.console import table
 
 if TYPE_CHECKING:
     from fastmimic.pipeline import Imitation
 
+NONE: Final = "–"
+MILLIMETRES: Final = ("stance_slip_m", "foot_z_rmse_m", "foot_x_rmse_m")
+
 
 def comparison(result: "Imitation") -> list[str]:
     """Lines for a human; the figures are those of `metrics.json`."""
     metrics = result.metrics()
-    optimised = result.history is not None
-    columns = ("before", "after") if optimised else ("before",)
-    rows = [["", *(columns if optimised else ("not optimised",))]]
-
-    def row(name: str, value: Callable[[str], Any], form: Callable[[Any], str]) -> None:
-        rows.append([name, *("–" if value(c) is None else form(value(c)) for c in columns)])
-
-    reward, clearance = metrics["reward"], metrics["swing_clearance_m"]
-    row("reward", lambda c: reward[c], "{:.3f}".format)
-    for term in reward["components_before"]:
-        row(f"  {term.replace('_', ' ')}", lambda c, t=term: reward[f"components_{c}"][t], "{:.3f}".format)
-    row("fell", lambda c: metrics["fell"][c], lambda fell: "yes" if fell else "no")
-    wanted = clearance["demonstration"]
-    row("swing clearance, least share", lambda c: least_share(clearance[c], wanted), "{:.0%}".format)
-    row("drift, m/s", lambda c: metrics["drift_m_per_s"][c], "{:.3f}".format)
-    row("early contacts, 1/s", lambda c: metrics["early_contacts_per_s"][c], "{:.1f}".format)
-    for name in ("stance_slip", "foot_z_rmse", "foot_x_rmse"):
-        row(
-            f"{name.replace('_', ' ')}, mm",
-            lambda c, n=name: metrics[f"{n}_m"][c],
-            lambda m: f"{1e3 * m:.1f}",
-        )
+    columns = (
+        {"before": "before", "after": "after"} if result.history is not None else {"before": "not optimised"}
+    )
+    cells = {column: _column(metrics, column) for column in columns}
+    names = list(cells["before"])
+    rows = [["", *columns.values()], *([name, *(cells[c][name] for c in columns)] for name in names)]
     lines = table(rows, right=range(1, len(rows[0])))
     return [f"{result.motion.name} on {result.robot.name}, {result.duration_s:g} s", *lines, _effort(metrics)]
 
@@ -42,6 +28,22 @@ def least_share(realised: list[float | None], wanted: list[float | None]) -> flo
     """The smallest share of the demonstration's swing clearance among the legs that swing."""
     shares = [r / w for r, w in zip(realised, wanted, strict=True) if r is not None and w]
     return min(shares) if shares else None
+
+
+def _column(metrics: dict[str, Any], column: str) -> dict[str, str]:
+    """One column: what each row shows."""
+    reward, clearance = metrics["reward"], metrics["swing_clearance_m"]
+    share = least_share(clearance[column], clearance["demonstration"])
+    cells = {"reward": f"{reward[column]:.3f}"}
+    for term, value in reward[f"components_{column}"].items():
+        cells[f"  {term.replace('_', ' ')}"] = f"{value:.3f}"
+    cells["fell"] = "yes" if metrics["fell"][column] else "no"
+    cells["swing clearance, least share"] = NONE if share is None else f"{share:.0%}"
+    cells["drift, m/s"] = f"{metrics['drift_m_per_s'][column]:.3f}"
+    cells["early contacts, 1/s"] = f"{metrics['early_contacts_per_s'][column]:.1f}"
+    for name in MILLIMETRES:
+        cells[f"{name.removesuffix('_m').replace('_', ' ')}, mm"] = f"{1e3 * metrics[name][column]:.1f}"
+    return cells
 
 
 def _effort(metrics: dict[str, Any]) -> str:

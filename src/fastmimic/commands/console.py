@@ -13,6 +13,7 @@ SLOW_START_S: Final = 3.0
 SLOW_START: Final = (
     "preparing; the first use compiles the controller, which takes about a minute and happens once"
 )
+CHOOSING: Final = "choosing among the best candidates by longer episodes"
 PLAIN_STEPS: Final = 10  # lines in all, where there is no terminal to draw a bar on
 
 
@@ -87,6 +88,8 @@ def _plain_optimisation() -> "Callable[[Progress], None]":
     def report(step: "Progress") -> None:
         if shown.due(step.iteration, step.iterations):
             note(f"iteration {step.iteration}/{step.iterations}  {_figures(step)}")
+        if step.iteration == step.iterations:
+            note(CHOOSING)
 
     return report
 
@@ -96,6 +99,8 @@ def _on_bar(bar: Any) -> "Callable[[Progress], None]":
 
     def report(step: "Progress") -> None:
         bar.update(task, completed=step.iteration, total=step.iterations, visible=True, info=_figures(step))
+        if step.iteration == step.iterations:
+            bar.update(task, description=CHOOSING)
 
     return report
 

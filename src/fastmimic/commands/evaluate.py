@@ -15,8 +15,8 @@ from fastmimic.conventions import LEGS
 class Evaluate(MotionOptions):
     """Runs episodes of a motion in simulation and scores them against its demonstration.
 
-    Episode 0 starts at the motion's start, unperturbed; the others at a random phase, with joints off by up to 0.05 rad and
-    the base's velocity by up to 0.1 m/s.
+    Episode 0 starts at the motion's start, unperturbed; the others at a random phase, with joints off by up
+    to 0.05 rad and the base's velocity by up to 0.1 m/s.
     """
 
     motion: Annotated[Positional[str], arg(metavar="MOTION")]

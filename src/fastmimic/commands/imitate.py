@@ -27,11 +27,11 @@ _NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video")
 
 @dataclass(frozen=True, kw_only=True)
 class Imitate(MotionOptions):
-    """Turns a motion into one that the robot can execute: retargets it, fits DMPs, and optimises them with the robot and
-    its controller in the loop.
+    """Turns a motion into one that the robot can execute: retargets it, fits DMPs, and optimises them with
+    the robot and its controller in the loop.
 
-    Writes motion.npz, metrics.json, config.json, convergence.png, tracking.png and video.mp4. Ctrl-C stops the search and
-    keeps the best motion so far.
+    Writes motion.npz, metrics.json, config.json, convergence.png, tracking.png and video.mp4. Ctrl-C stops
+    the search and keeps the best motion so far.
     """
 
     motion: Annotated[Positional[str], arg(metavar="MOTION")]
@@ -51,8 +51,7 @@ class Imitate(MotionOptions):
     workers: Annotated[int | None, arg(metavar="INT")] = None
     """Threads; by default one for each core."""
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """By default runs/MOTION-ROBOT-METHOD-SEED, numbered if that is taken. A folder with a run of other arguments is
-    refused."""
+    """By default runs/MOTION-ROBOT-METHOD-SEED, numbered if taken. A folder with another run is refused."""
     resume: bool = False
     """Go on from the checkpoint in the folder (by default the last of its name)."""
     overwrite: bool = False
@@ -108,9 +107,7 @@ class Imitate(MotionOptions):
                 )
         except KeyboardInterrupt:
             if folder.checkpoint.exists():
-                note(
-                    f"{folder.path} keeps a checkpoint; the same command with --out {folder.path} --resume goes on from it"
-                )
+                note(f"to go on from the checkpoint: the same command with --out {folder.path} --resume")
             raise
 
     def _report(self, result: "Imitation", folder: "RunFolder") -> int:
@@ -124,8 +121,8 @@ class Imitate(MotionOptions):
         if not result.interrupted:
             return 0
         note(
-            f"fastmimic: interrupted after {result.iterations} of {self.iterations} iterations; the result is the best"
-            f" so far, and --out {folder.path} --resume goes on"
+            f"fastmimic: interrupted after {result.iterations} of {self.iterations} iterations;"
+            f" the result is the best so far, and --out {folder.path} --resume goes on"
         )
         return EXIT_INTERRUPTED
 

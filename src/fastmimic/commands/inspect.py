@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Inspect(MotionOptions):
-    """Says what a file or a named motion is: format and what was assumed, frames, rate, cycle, speed, duty, swing clearance,
-    joint limits, source and licence, and for an optimised motion its parameters. A clip is retargeted for that.
+    """Says what a file or a named motion is: format and what was assumed, frames, rate, cycle, speed, duty,
+    swing clearance, joint limits, source and licence, and for an optimised motion its parameters. A clip is
+    retargeted for that.
     """
 
     source: Annotated[Positional[str], arg(metavar="FILE|NAME")]
@@ -33,8 +34,7 @@ class Inspect(MotionOptions):
         for line in (*lines, *describe_motion(motion, robot)):
             put(line)
         if figure is not None:
-            from fastmimic.report.inspection import motion_figure
-            from fastmimic.report.style import save
+            from fastmimic.report import motion_figure, save
 
             save(motion_figure(motion, robot), figure)
             put(f"figure in {figure}")
@@ -91,12 +91,14 @@ def describe_motion(motion: "Motion", robot: "Robot") -> list[str]:
 
 
 def _describe_clip(clip: "Clip") -> list[str]:
-    from fastmimic.commands.provenance import format_name
+    from fastmimic.motion.formats import FORMATS
 
+    name = str(clip.meta.get("format", "unknown"))
     cycle = {None: "not said by the source", True: "yes", False: "no"}[clip.is_cycle]
     lines = [
-        f"format     {format_name(str(clip.meta.get('format', 'unknown')))}",
-        f"frames     {clip.n_frames} at {clip.rate_hz:g} Hz, {clip.n_frames / clip.rate_hz:.3f} s; one cycle: {cycle}",
+        f"format     {FORMATS.get(name, name)}",
+        f"frames     {clip.n_frames} at {clip.rate_hz:g} Hz, {clip.n_frames / clip.rate_hz:.3f} s",
+        f"one cycle  {cycle}",
     ]
     if clip.meta.get("credit"):
         lines.append(f"credit     {clip.meta['credit']}")

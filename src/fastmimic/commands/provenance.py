@@ -8,24 +8,19 @@ if TYPE_CHECKING:
 
 def provenance(motion: "Motion") -> str:
     """One line: name, source, scale, period, licence."""
+    from fastmimic.motion.formats import FORMATS
+
     source, retargeting = _dict(motion, "source"), _dict(motion, "retarget")
     parts = [str(source.get("source", "no source given"))]
     if "frames" in source:
         parts.append("frames {}:{}".format(*source["frames"]))
-    if "format" in source:
-        parts.append(format_name(str(source["format"])))
+    if source.get("format") in FORMATS:
+        parts.append(FORMATS[source["format"]])
     if "scale" in retargeting:
         parts.append(f"scale {retargeting['scale']:.3f}")
     parts.append(f"{motion.period_s:.3f} s" + (" a cycle" if motion.cycle is not None else ", no cycle"))
     licence = motion.meta.get("licence")
     return f"{motion.name}: {', '.join(parts)}" + (f"; licence: {licence}" if licence else "")
-
-
-def format_name(name: str) -> str:
-    """What a format is, for its short name."""
-    from fastmimic.motion.formats import FORMATS
-
-    return FORMATS.get(name, name)
 
 
 def assumed(motion: "Motion") -> list[str]:

@@ -12,7 +12,7 @@ from fastmimic.errors import OutputError
 
 if TYPE_CHECKING:
     from fastmimic.motion.motion import Motion
-    from fastmimic.report.video import Track
+    from fastmimic.report import Track
     from fastmimic.robot import Robot
 
 
@@ -40,7 +40,7 @@ class Render(MotionOptions):
         check_duration(self.duration)
         size = parse_size(self.size)
         out = check_writable(self.out, ".mp4")
-        from fastmimic.report.video import render_video
+        from fastmimic.report import render_video
 
         robot, motion = self.load(self.motion)
         track, rate_hz = self._kinematic(motion) if self.kinematic else self._simulated(motion, robot)

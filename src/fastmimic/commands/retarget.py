@@ -12,7 +12,7 @@ from fastmimic.commands.options import MotionOptions, check_writable
 
 @dataclass(frozen=True, kw_only=True)
 class Retarget(MotionOptions):
-    """Turns an animal's clip into a consistent robot motion, and says what that changed. Nothing is optimised."""
+    """Turns an animal's clip into a consistent robot motion, not optimised, and says what that changed."""
 
     clip: Annotated[Positional[str], arg(metavar="CLIP")]
     """A clip file, or a name of 'fastmimic motions'."""

@@ -7,7 +7,7 @@ from fastmimic.commands.console import note, put, table
 
 @dataclass(frozen=True, kw_only=True)
 class Robots:
-    """Lists the built-in robots. For your own, give --robot FILE.xml, an MJCF of a quadruped with twelve joints."""
+    """Lists the built-in robots. For your own, give --robot FILE.xml, the MJCF of a quadruped."""
 
     def run(self) -> int:
         """Prints the list; returns the exit status."""

@@ -26,13 +26,15 @@ class GaitConfig:
 
     Attributes:
         planner: "full" for the state machine over schedule and measured contact, "schedule" for the schedule alone.
-        contact_threshold: normal force above which a foot counts as loaded, fraction of the weight.
+        contact_threshold: vertical force above which a foot counts as loaded, fraction of the weight.
+        release_threshold: below which a loaded foot counts as free again, likewise.
         min_switch_time: least time between two switches of a leg, s.
         early_takeoff_time: time without load after which a standing leg counts as lifted off, s.
     """
 
     planner: Literal["schedule", "full"] = "full"
-    contact_threshold: float = 0.08
+    contact_threshold: float = 0.2
+    release_threshold: float = 0.02
     min_switch_time: float = 0.1
     early_takeoff_time: float = 0.04
 
@@ -58,19 +60,19 @@ class StanceConfig:
         leg_dynamics: add the torques that carry and accelerate the leg itself.
     """
 
-    position_gain: Vector6 = (10.0, 10.0, 40.0, 360.0, 360.0, 390.0)
-    velocity_gain: Vector6 = (33.0, 33.0, 30.0, 93.0, 93.0, 68.0)
+    position_gain: Vector6 = (40.0, 40.0, 300.0, 300.0, 300.0, 300.0)
+    velocity_gain: Vector6 = (20.0, 20.0, 35.0, 50.0, 50.0, 50.0)
     reference_acceleration: float = 1.0
-    sway: float = 1.0
+    sway: float = 0.8
     acceleration_limit: Vector6 = (10.0, 10.0, 15.0, 60.0, 60.0, 60.0)
-    acceleration_weight: Vector6 = (1.0, 1.0, 1.0, 10.0, 10.0, 1.0)
+    acceleration_weight: Vector6 = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     force_weight: float = 1e-4
     friction: float = 0.6
     min_force: float = 0.02
     max_force: float = 3.0
     adaptation: Literal["off", "paper", "full"] = "full"
     joint_stiffness: float = 30.0
-    joint_damping: float = 1.0
+    joint_damping: float = 1.5
     leg_dynamics: bool = True
 
 
@@ -92,14 +94,14 @@ class SwingConfig:
     """
 
     velocity_feedback: float = 0.1
-    sway: float = 1.0
-    filter_time: float = 0.1
+    sway: float = 0.8
+    filter_time: float = 0.03
     position_feedback: float = 0.1
-    joint_stiffness: float = 71.0
-    joint_damping: float = 3.0
+    joint_stiffness: float = 120.0
+    joint_damping: float = 3.5
     leg_dynamics: bool = True
     level: float = 1.0
-    liftoff_blend_time: float = 0.05
+    liftoff_blend_time: float = 0.03
 
 
 @dataclass(frozen=True)
@@ -122,6 +124,10 @@ class ControllerConfig:
         checks = (
             (self.rate_hz > 0, "rate_hz must be positive"),
             (self.gait.planner in PLANNERS, f"gait.planner must be one of {', '.join(PLANNERS)}"),
+            (
+                0 <= self.gait.release_threshold <= self.gait.contact_threshold,
+                "gait.release_threshold must be in [0, contact_threshold]",
+            ),
             (self.gait.min_switch_time >= 0, "gait.min_switch_time must not be negative"),
             (self.stance.adaptation in ADAPTATIONS, f"stance.adaptation must be one of {', '.join(ADAPTATIONS)}"),
             (self.stance.friction > 0, "stance.friction must be positive"),
@@ -178,6 +184,7 @@ _DTYPE = np.dtype(
         ("joint_margin", "f8"),
         ("planner_full", "i8"),
         ("contact_threshold", "f8"),
+        ("release_threshold", "f8"),
         ("min_switch_time", "f8"),
         ("early_takeoff_time", "f8"),
         ("kp", "f8", (6,)),
@@ -220,6 +227,7 @@ def pack_config(config: ControllerConfig, weight: float) -> NDArray[Any]:
     record["dt"] = 1.0 / config.rate_hz
     record["joint_margin"] = config.joint_margin
     record["planner_full"] = gait.planner == "full"
+    record["release_threshold"] = gait.release_threshold * weight
     record["contact_threshold"] = gait.contact_threshold * weight
     record["min_switch_time"] = gait.min_switch_time
     record["early_takeoff_time"] = gait.early_takeoff_time

@@ -26,7 +26,8 @@ def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, force_z: float) -
     """
     loaded = force_z > config.contact_threshold
     memory.since_switch[leg] += config.dt
-    memory.unloaded_time[leg] = 0.0 if loaded else memory.unloaded_time[leg] + config.dt
+    free = force_z < config.release_threshold
+    memory.unloaded_time[leg] = memory.unloaded_time[leg] + config.dt if free else 0.0
     if config.planner_full == 0:
         lifted = memory.stance[leg] == 1 and not wanted
         memory.stance[leg] = 1 if wanted else 0

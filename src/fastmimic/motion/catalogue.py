@@ -12,6 +12,7 @@ from fastmimic.motion.data import DATASETS, data_folder, dataset_of, find_file
 from fastmimic.motion.formats import read_clip, with_scale
 
 if TYPE_CHECKING:
+    from fastmimic.motion.synthesis import GaitSpec
     from fastmimic.robot.robot import Robot
 
 BUILT_IN_LICENCE: Final = "that of fastmimic"
@@ -100,7 +101,7 @@ def describe(folder: str | Path | None = None) -> list[MotionRow]:
 
     licences = {dataset.name: dataset.licence for dataset in DATASETS}
     built_in = [
-        MotionRow(name, spec.about, _speed(spec.speed, spec.yaw_rate), "built in", BUILT_IN_LICENCE, True)
+        MotionRow(name, spec.about, _speed(spec), "built in", BUILT_IN_LICENCE, True)
         for name, spec in GAITS.items()
     ]
     recorded = [
@@ -233,6 +234,8 @@ def _looks_like_path(name: str) -> bool:
     return "/" in name or "\\" in name or Path(name).suffix.lower() in _FILE_SUFFIXES
 
 
-def _speed(speed: float, yaw_rate: float) -> str:
-    turning = f", {yaw_rate:+.2g} rad/s" if yaw_rate else ""
-    return f"{speed:.2g} m/s{turning}"
+def _speed(spec: "GaitSpec") -> str:
+    sideways = f"{spec.lateral_speed:.3g} m/s sideways" if spec.lateral_speed else ""
+    turning = f"{spec.yaw_rate:+.2g} rad/s" if spec.yaw_rate else ""
+    forward = "" if (sideways or turning) and not spec.speed else f"{spec.speed:.3g} m/s"
+    return ", ".join(part for part in (forward, sideways, turning) if part)

@@ -44,8 +44,8 @@ DOG_LEG_LENGTH_M: Final = 0.4 / DOG_SCALE
 
 MIN_FRAMES: Final = 8
 REACH_MARGIN_RAD: Final = 0.1
-MAX_SMOOTHING: Final = 4
-SMOOTHING_STEP: Final = 4.0
+MORE_EVEN: Final = (0.1, 0.4, 1.6, 6.4)
+"""Evenness of the swings of a leg whose joints are too fast, tried one after the other."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def _balance(
     def demand_of(deviation: Deviation) -> Demand:
         moved = track.deviated(spline.values(deviation.trunk))
         raw_w = _raw_feet(robot, track, offset + deviation.width * side)
-        holds = footholds(raw_w, track, stances, reach)
+        holds = footholds(raw_w, track, stances, reach, round(config.swing.linger_s * rate_hz))
         feet_w = plant_feet(raw_w, moved, stances, holds, reach, robot.foot_radius, rate_hz, config.swing)
         pose = unlimited_pose(robot, moved, feet_w, height)
         return ground_demand(robot, _motion(pose, moved, stances, rate_hz), sample)
@@ -273,19 +273,20 @@ def _fit_within_limits(
     robot: Robot, track: Track, raw_w: Array, stances: Stances, height: float, rate_hz: float, config: RetargetConfig
 ) -> tuple[Pose, tuple[int, int, int, int]]:
     """Feet and joints; the swings of a leg that would exceed joint speed are smoothed further."""
-    stiffening = np.ones(4)
     reach = Reach.of_robot(robot, height, REACH_MARGIN_RAD)
-    holds = footholds(raw_w, track, stances, reach)
+    holds = footholds(raw_w, track, stances, reach, round(config.swing.linger_s * rate_hz))
     limit = config.speed_share * robot.joint_speed_limit
-    for round_ in range(MAX_SMOOTHING + 1):
+    evenness = np.full(4, config.swing.evenness)
+    times = np.zeros(4, dtype=int)
+    for round_ in range(len(MORE_EVEN) + 1):
         feet_w = plant_feet(
-            raw_w, track, stances, holds, reach, robot.foot_radius, rate_hz, config.swing, tuple(stiffening)
+            raw_w, track, stances, holds, reach, robot.foot_radius, rate_hz, config.swing, tuple(evenness)
         )
         pose = solve_pose(robot, track, feet_w, height, config.max_lowering_m, config.limit_margin_rad)
         speed = np.abs(joint_velocity(pose.joint_pos, rate_hz, track.cycle is not None))
         too_fast = (speed > limit).reshape(-1, 4, 3).any(axis=(0, 2))
-        if round_ == MAX_SMOOTHING or not too_fast.any():
+        if round_ == len(MORE_EVEN) or not too_fast.any():
             break
-        stiffening[too_fast] *= SMOOTHING_STEP
-    steps = np.round(np.log(stiffening) / np.log(SMOOTHING_STEP)).astype(int)
-    return pose, (int(steps[0]), int(steps[1]), int(steps[2]), int(steps[3]))
+        evenness[too_fast] = MORE_EVEN[round_]
+        times[too_fast] += 1
+    return pose, (int(times[0]), int(times[1]), int(times[2]), int(times[3]))

@@ -31,6 +31,8 @@ class BalanceConfig:
         outlier: weighted residual beyond which the cost grows only linearly: landings and lift-offs are shorter than any correction.
         width_weight: of a change of the half stance width, 1/m².
         friction: coefficient that the motion may count on.
+        min_load: of each standing foot, share of an even load: a foot that is said to stand must be felt to stand, and the
+            centre of pressure keeps that far from the edge of the support.
         sample_s: time between the instants that are looked at.
     """
 
@@ -39,13 +41,14 @@ class BalanceConfig:
     linear_weight: float = 1.0
     angular_weight: float = 0.2
     outlier: float = 3.0
-    width_weight: float = 30.0
-    friction: float = 0.5
+    width_weight: float = 100.0
+    friction: float = 0.6
+    min_load: float = 0.3
     sample_s: float = 0.01
 
 
-_POSITION_COST = np.array([20.0, 20.0, 20.0, 10.0, 10.0, 10.0])
-_VELOCITY_COST = np.array([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
+_POSITION_COST = np.array([20.0, 20.0, 100.0, 10.0, 10.0, 10.0])
+_VELOCITY_COST = np.array([2.0, 2.0, 10.0, 1.0, 1.0, 1.0])
 """Exponents of the imitation reward: root position, orientation; linear and angular velocity."""
 _FORCE_COST = 1e-4
 """Of the square of a push, in quarters of the weight, against a squared m/s²: spreads the load over the feet."""
@@ -151,7 +154,10 @@ class _Problem:
         self._push_force, push_wrench, self._can = push_directions(demand, config.friction)
         self._unit = robot.mass * GRAVITY / 4
         self._pushes = self._unit * np.swapaxes(push_wrench * self._scale, 1, 2) * self._can[:, None, :]
-        self._demand = demand.wrench * self._scale
+        even = np.clip(demand.wrench[:, 2], 0.0, None) / np.maximum(demand.stands.sum(axis=1), 1)
+        least = np.repeat((config.min_load * even / (4 * self._unit))[:, None], 16, axis=1)  # on four edges a foot
+        self._least = least
+        self._demand = demand.wrench * self._scale - np.einsum("kri,ki->kr", self._pushes, least)
         self._change = self._change_cost(config)
         best = self._best_pushes()
         residual = self._demand - np.einsum("kri,ki->kr", self._pushes, best)
@@ -205,7 +211,7 @@ class _Problem:
     def _slope_at(self, pushes: Array) -> Array:
         """B (k, 6, 25): by the deviation's acceleration, by the ground forces' moment about the displaced centre of mass, and by
         the feet's displacement when the stance widens."""
-        forces = self._unit * (self._push_force * (pushes * self._can)[..., None]).reshape(self._k, 4, 4, 3).sum(axis=2)
+        forces = self._unit * (self._push_force * ((pushes + self._least) * self._can)[..., None]).reshape(self._k, 4, 4, 3).sum(axis=2)
         lever = np.zeros((self._k, 6, 6))
         for axis in range(3):
             lever[:, 3:, axis] = np.cross(np.eye(3)[axis], forces.sum(axis=1)) * self._scale[3:]

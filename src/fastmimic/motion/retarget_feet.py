@@ -25,12 +25,16 @@ class SwingConfig:
     Attributes:
         knot_s: spacing of the spline's knots; faster motion than it can follow is taken for marker noise.
         stiffness: weight of the spline's third differences against its distance from the animal's path.
+        evenness: weight of the spline's horizontal first differences, which favours a steady speed over the animal's own timing.
         min_clearance_m: every swing lifts at least this much.
+        linger_s: for so long before touch-down and after lift-off the foot is still near its foothold, and must be in reach.
     """
 
     knot_s: float = 0.025
     stiffness: float = 0.02
+    evenness: float = 0.0
     min_clearance_m: float = 0.02
+    linger_s: float = 0.02
 
 
 @dataclass(frozen=True)
@@ -84,7 +88,7 @@ class Reach:
         return self.hip_height - self.shortest
 
 
-def footholds(raw_w: Array, track: Track, stances: Stances, reach: Reach) -> list[list[Array]]:
+def footholds(raw_w: Array, track: Track, stances: Stances, reach: Reach, linger: int) -> list[list[Array]]:
     """Where each foot stands in each of its stances, (2,) in the world, m.
 
     The mean of the animal's path in stance, weighted towards mid-stance, moved by what it lacks to be within reach
@@ -95,6 +99,7 @@ def footholds(raw_w: Array, track: Track, stances: Stances, reach: Reach) -> lis
         track: the trunk.
         stances: of each leg.
         reach: of the robot's legs.
+        linger: samples before touch-down and after lift-off in which the foothold must be in reach as well.
     """
     trunk = WorldPath(np.concatenate([track.root_xy, track.root_z[:, None] - track.root_z.mean()], axis=1), track)
     result = []
@@ -104,7 +109,9 @@ def footholds(raw_w: Array, track: Track, stances: Stances, reach: Reach) -> lis
         for span in spans:
             index = np.arange(*span)
             hold = _mean_foothold(path.read(index))
-            ends = index[[0, -1]]
+            ends = index[[0, -1]] + np.array([-linger, linger])
+            if not path.periodic:
+                ends = np.clip(ends, 0, path.n - 1)
             heading = track.heading_at(ends)
             root = trunk.read(ends)
             local = rotate_planar(-heading, hold - root[:, :2]) - reach.hips[leg]
@@ -128,7 +135,7 @@ def plant_feet(
     ground_z: float,
     rate_hz: float,
     config: SwingConfig,
-    stiffening: Sequence[float] = (1.0, 1.0, 1.0, 1.0),
+    evenness: Sequence[float] | None = None,
 ) -> Array:
     """Consistent foot paths: fixed in the world in stance, the animal's path between footholds in swing.
 
@@ -141,7 +148,7 @@ def plant_feet(
         ground_z: height of a standing foot's centre, m.
         rate_hz: of the samples.
         config: of the swings.
-        stiffening: factor on the stiffness of each leg's swings.
+        evenness: of each leg's swings, in place of the configured one.
 
     Returns:
         (n, 4, 3) centres of the feet, world, m. Position, velocity and acceleration are continuous; the foot is at rest on the
@@ -149,9 +156,9 @@ def plant_feet(
     """
     feet = np.empty_like(raw_w)
     for leg in range(4):
-        stiff = replace(config, stiffness=config.stiffness * stiffening[leg])
+        leg_config = config if evenness is None else replace(config, evenness=evenness[leg])
         path = WorldPath(raw_w[:, leg], track)
-        feet[:, leg] = _plant(path, stances[leg], holds[leg], reach.clearance, rate_hz, stiff)
+        feet[:, leg] = _plant(path, stances[leg], holds[leg], reach.clearance, rate_hz, leg_config)
     feet[..., 2] += ground_z
     return feet
 
@@ -198,8 +205,10 @@ def _swing(
     start = first if first is not None else last if last is not None else np.zeros(3)
     end = last if last is not None else start
     target = raw + (1 - blend) * start + blend * end
-    spline = _SwingSpline(m, rate_hz, config.knot_s, config.stiffness, before is not None, after is not None)
-    result = np.stack([*(spline.fit(target[:, axis]) for axis in range(2)), np.zeros(m)], axis=1)
+    rest = before is not None, after is not None
+    planar = _SwingSpline(m, rate_hz, config.knot_s, config.stiffness, config.evenness, *rest)
+    spline = _SwingSpline(m, rate_hz, config.knot_s, config.stiffness * (1 + 100 * config.evenness), 0.0, *rest)
+    result = np.stack([*(planar.fit(target[:, axis]) for axis in range(2)), np.zeros(m)], axis=1)
     if before is None and after is None:
         result[:, 2] = raw[:, 2]
         return result
@@ -217,7 +226,14 @@ class _SwingSpline:
     """Penalised cubic B-splines on the samples of one swing, at rest at its ends."""
 
     def __init__(
-        self, m: int, rate_hz: float, knot_s: float, stiffness: float, from_rest: bool, to_rest: bool
+        self,
+        m: int,
+        rate_hz: float,
+        knot_s: float,
+        stiffness: float,
+        evenness: float,
+        from_rest: bool,
+        to_rest: bool,
     ) -> None:
         from scipy.interpolate import BSpline
 
@@ -226,7 +242,8 @@ class _SwingSpline:
         self._basis = BSpline.design_matrix(np.linspace(0, 1, m), knots, _DEGREE).toarray()
         k = pieces + _DEGREE
         roughness = np.sqrt(stiffness * m / pieces) * np.diff(np.eye(k), n=3, axis=0)
-        self._matrix = np.concatenate([self._basis, roughness])
+        unevenness = np.sqrt(evenness * m / pieces) * np.diff(np.eye(k), n=1, axis=0)
+        self._matrix = np.concatenate([self._basis, roughness, unevenness])
         self._first = np.arange(k) < (_AT_REST if from_rest else 0)
         self._last = np.arange(k) >= k - (_AT_REST if to_rest else 0)
 

@@ -38,6 +38,7 @@ class GaitSpec:
     """A gait. Lengths and speeds at the A1's size; legs FR, FL, RR, RL; phases are shares of the period.
 
     Attributes:
+        about: what it is, in a few words.
         speed: forwards, m/s.
         lateral_speed: to the left, m/s.
         yaw_rate: to the left, rad/s.
@@ -53,6 +54,7 @@ class GaitSpec:
         roll, pitch, yaw: amplitudes, rad; roll and yaw once a period, pitch with the bob.
     """
 
+    about: str = ""
     speed: float = 0.0
     lateral_speed: float = 0.0
     yaw_rate: float = 0.0
@@ -70,10 +72,20 @@ class GaitSpec:
     yaw: float = 0.02
 
 
-_TROT = GaitSpec(speed=1.25, period=0.5, duty=0.52, lift=0.07, bob=0.009, roll=0.02, sway=0.002)
+_TROT = GaitSpec(
+    about="trot: diagonal legs together",
+    speed=1.25,
+    period=0.5,
+    duty=0.52,
+    lift=0.07,
+    bob=0.009,
+    roll=0.02,
+    sway=0.002,
+)
 GAITS: Final[dict[str, GaitSpec]] = {
     "trot": _TROT,
     "pace": GaitSpec(
+        about="pace: legs of a side together",
         speed=0.95,
         period=0.6,
         duty=0.56,
@@ -84,9 +96,28 @@ GAITS: Final[dict[str, GaitSpec]] = {
         roll=0.03,
         pitch=0.012,
     ),
-    "turn": GaitSpec(speed=0.6, yaw_rate=1.1, period=0.55, duty=0.58, lift=0.06, bob=0.006, roll=0.015),
-    "side-step": GaitSpec(lateral_speed=0.45, period=0.5, duty=0.56, lift=0.06, half_width=0.08, bob=0.005, yaw=0.0),
+    "turn": GaitSpec(
+        about="trot in a left-hand curve",
+        speed=0.6,
+        yaw_rate=1.1,
+        period=0.55,
+        duty=0.58,
+        lift=0.06,
+        bob=0.006,
+        roll=0.015,
+    ),
+    "side-step": GaitSpec(
+        about="trot sideways, to the left",
+        lateral_speed=0.45,
+        period=0.5,
+        duty=0.56,
+        lift=0.06,
+        half_width=0.08,
+        bob=0.005,
+        yaw=0.0,
+    ),
     "walk": GaitSpec(
+        about="walk: one leg after another",
         speed=0.6,
         period=0.8,
         duty=0.68,
@@ -97,6 +128,7 @@ GAITS: Final[dict[str, GaitSpec]] = {
         roll=0.02,
     ),
     "bound": GaitSpec(
+        about="bound: front legs together, then hind legs",
         speed=1.0,
         period=0.42,
         duty=0.5,
@@ -107,8 +139,17 @@ GAITS: Final[dict[str, GaitSpec]] = {
         bob_harmonic=1,
         yaw=0.0,
     ),
-    "backward-trot": replace(_TROT, speed=-0.6, duty=0.56, lift=0.06, bob=0.006),
-    "spin": GaitSpec(yaw_rate=2.0, period=0.5, duty=0.56, lift=0.06, half_width=0.06, bob=0.005, yaw=0.0),
+    "backward-trot": replace(_TROT, about="trot backwards", speed=-0.6, duty=0.56, lift=0.06, bob=0.006),
+    "spin": GaitSpec(
+        about="turn to the left on the spot",
+        yaw_rate=2.0,
+        period=0.5,
+        duty=0.56,
+        lift=0.06,
+        half_width=0.06,
+        bob=0.005,
+        yaw=0.0,
+    ),
 }
 """The built-in gaits by name."""
 
@@ -165,7 +206,9 @@ def keypoints(spec: GaitSpec, meta: dict[str, object] | None = None) -> Clip:
     share = np.arange(n) / n
     period = n / RATE_HZ
     animal = 1.0 / ROBOT_SCALE
-    twist = np.array([spec.speed * animal * period, spec.lateral_speed * animal * period, spec.yaw_rate * period])
+    twist = np.array(
+        [spec.speed * animal * period, spec.lateral_speed * animal * period, spec.yaw_rate * period]
+    )
     position, quat = _trunk(spec, share, twist, animal)
     points = [position + quat_rotate(quat, -_SPINE), position + quat_rotate(quat, _SPINE)]
     points += [position + quat_rotate(quat, hip) for hip in _HIP]
@@ -197,7 +240,9 @@ def _trunk(spec: GaitSpec, share: Array, twist: Array, animal: float) -> tuple[A
     zero = np.zeros_like(share)
     yaw = quat_from_yaw(heading + spec.yaw * np.sin(left))
     pitch = quat_from_rotvec(np.stack([zero, spec.pitch * np.cos(front - 0.6), zero], axis=-1))
-    roll = quat_from_rotvec(np.stack([-spec.roll * np.cos(left - 0.4), zero, zero], axis=-1))  # standing side down
+    roll = quat_from_rotvec(
+        np.stack([-spec.roll * np.cos(left - 0.4), zero, zero], axis=-1)
+    )  # standing side down
     return np.concatenate([xy, z[:, None]], axis=1), quat_multiply(yaw, quat_multiply(pitch, roll))
 
 
@@ -211,7 +256,10 @@ def _toe(spec: GaitSpec, leg: int, share: Array, twist: Array, animal: float) ->
     since = np.mod(share - spec.phase[leg], 1.0)  # since touch-down
     step = np.round(share - since - spec.phase[leg])  # which cycle's stance the toe is in or comes from
     middle = step + spec.phase[leg] + spec.duty / 2
-    here, there = _foothold(spec, leg, middle, twist, animal), _foothold(spec, leg, middle + 1.0, twist, animal)
+    here, there = (
+        _foothold(spec, leg, middle, twist, animal),
+        _foothold(spec, leg, middle + 1.0, twist, animal),
+    )
     u = np.clip((since - spec.duty) / (1.0 - spec.duty), 0.0, 1.0)
     xy = here + _forward(u)[:, None] * (there - here)
     lift = spec.lift * animal * (1.0 if FRONT[leg] else spec.hind_lift)

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Final
@@ -86,6 +87,9 @@ class VideoFile:
             if self._encoder.poll() is None:
                 self._encoder.kill()
                 self._encoder.wait()
+            if self._encoder.stdin is not None:
+                with suppress(OSError):  # what it had not read is lost with it
+                    self._encoder.stdin.close()
             self._messages.close()
             self._temporary.unlink(missing_ok=True)
 

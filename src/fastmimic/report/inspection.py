@@ -81,19 +81,24 @@ def _draw_gait(axes: Axes, time: Array, dt: float, contact: NDArray[np.bool_]) -
 def _draw_height(axes: Axes, time: Array, root_pos_w: Array) -> None:
     axes.plot(time, root_pos_w[:, 2], **AFTER.kwargs())
     tidy(axes, "base height above the ground", ylabel="m")
-    low, high = axes.get_ylim()
-    if high - low < 0.02:  # do not blow a few millimetres up to the full height
-        axes.set_ylim((low + high) / 2 - 0.01, (low + high) / 2 + 0.01)
+    _widen(axes, 0.04)
 
 
 def _draw_tilt(axes: Axes, time: Array, root_quat_wxyz: Array) -> None:
     R = matrix_from_quat(root_quat_wxyz)
     pitch = -np.arcsin(np.clip(R[:, 2, 0], -1, 1))
     roll = np.arctan2(R[:, 2, 1], R[:, 2, 2])
-    axes.plot(time, np.degrees(pitch), **AFTER.kwargs(), label="pitch (nose down is positive)")
+    axes.plot(time, np.degrees(pitch), **AFTER.kwargs(), label="pitch")
     axes.plot(time, np.degrees(roll), **BEFORE.kwargs(), label="roll")
-    axes.legend(fontsize=8, frameon=False)
-    tidy(axes, "base pitch and roll", ylabel="degrees")
+    tidy(axes, "base pitch (solid, nose down positive) and roll (dotted)", ylabel="degrees")
+    _widen(axes, 4.0)
+
+
+def _widen(axes: Axes, least: float) -> None:
+    """Shows at least this span of values: what hardly varies should look so."""
+    low, high = axes.get_ylim()
+    half = max(high - low, least) / 2
+    axes.set_ylim((low + high) / 2 - half, (low + high) / 2 + half)
 
 
 def _draw_joint(axes: Axes, time: Array, values: Array, lower: float, upper: float) -> None:

@@ -59,13 +59,13 @@ class RunFolder:
         self._write_metrics(result, None)
 
     def write_video(self, result: "Imitation", progress: Callable[[int, int], None] | None = None) -> bool:
-        """Adds the video, and its time to the metrics; False, with a warning in the log, if nothing can draw here.
+        """Adds the video, and its time to the metrics; False, with a warning in the log, if nothing can draw.
 
         Raises:
             OutputError: it cannot be written.
         """
+        from fastmimic.report import render_video
         from fastmimic.report.tracks import rollout_track
-        from fastmimic.report.video import render_video
 
         began = time.perf_counter()
         tracks = [rollout_track(result.before, "before: as retargeted")]
@@ -87,17 +87,15 @@ class RunFolder:
         write_json(self.path / METRICS, metrics)
 
     def _write_figures(self, result: "Imitation") -> None:
-        from fastmimic.report import figures
+        from fastmimic.report import convergence_figure, save
 
         title = f"{result.motion.name} on {result.robot.name}"
         h = result.history
         if h is not None and len(h.best):
             iteration = range(1, len(h.best) + 1)
-            figure = figures.convergence_figure(
-                list(iteration), h.best, h.mean, h.std, h.sigma, h.baseline, title
-            )
-            figures.save(figure, self.path / CONVERGENCE)
-        figures.save(_tracking_figure(result, title), self.path / TRACKING)
+            figure = convergence_figure(list(iteration), h.best, h.mean, h.std, h.sigma, h.baseline, title)
+            save(figure, self.path / CONVERGENCE)
+        save(_tracking_figure(result, title), self.path / TRACKING)
 
     def _remove(self, *names: str) -> None:
         for name in names:
@@ -115,8 +113,8 @@ def open_run(
 ) -> Iterator[RunFolder]:
     """Prepares a folder for a run, before anything takes long. If the run fails, the folder is as it was.
 
-    A folder that holds a run of other arguments is refused unless `overwrite` or `resume`; one of the same arguments is run
-    anew. While there are no results yet, `config.json` tells of the run under way.
+    A folder that holds a run of other arguments is refused unless `overwrite` or `resume`; one of the same
+    arguments is run anew. While there are no results yet, `config.json` tells of the run under way.
 
     Args:
         path: the folder.
@@ -155,7 +153,7 @@ def open_run(
 
 
 def default_folder(root: Path, name: str, *, resume: bool) -> Path:
-    """`root/name`, or with -2, -3, … appended: the first that is not taken; to resume, the last that has a checkpoint."""
+    """`root/name`, or with -2, -3, … appended: the first not taken; to resume, the last with a checkpoint."""
     path, taken = root / name, []
     while path.is_file() or (path.is_dir() and any(path.iterdir())):
         taken.append(path)
@@ -188,7 +186,8 @@ def _refuse_other_run(folder: RunFolder, same: Mapping[str, Any]) -> None:
     arguments = _arguments_of(folder.path / CONFIG)
     if arguments is None:
         raise OutputError(
-            f"{folder.path} holds {', '.join(found)} of something else; choose another --out, or --overwrite them"
+            f"{folder.path} holds {', '.join(found)} of something else;"
+            " choose another --out, or --overwrite them"
         )
     differ = [name for name, value in same.items() if arguments.get(name) != value]
     if differ:
@@ -219,7 +218,7 @@ def _remove_empty(created: list[Path]) -> None:
 def _tracking_figure(result: "Imitation", title: str) -> Any:
     import numpy as np
 
-    from fastmimic.report import figures
+    from fastmimic.report import tracking_figure
     from fastmimic.report.tracks import realised_feet
 
     log = result.after.log
@@ -228,7 +227,7 @@ def _tracking_figure(result: "Imitation", title: str) -> Any:
     alive_s = max(int(result.before.steps[0]), int(result.after.steps[0])) / log.rate_hz
     shown_s = TRACKING_CYCLES * result.demonstration.period_s
     start = max(0.0, min(alive_s, float(time_s[-1])) - shown_s)
-    return figures.tracking_figure(
+    return tracking_figure(
         time_s,
         log.demonstration["foot_pos"][0],
         realised_feet(result.before, result.robot),

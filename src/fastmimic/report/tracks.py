@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.report.video import Track
+from fastmimic.report import Track
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 
@@ -42,7 +42,7 @@ def rollout_track(rollout: "Rollout", title: str = "", episode: int = 0) -> Trac
 
 
 def motion_track(motion: "Motion", duration_s: float, title: str = "", ghost: Track | None = None) -> Track:
-    """A motion as it is written, without physics: its cycles one after another, or once if it does not repeat.
+    """A motion as it is written, without physics: its cycles one after another, or once if it has none.
 
     Args:
         motion: the motion.

@@ -68,6 +68,7 @@ def build_model(robot: "Robot", physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ
                 1,
             ],
         )
+    spec.compiler.discardvisual = True  # geoms that only decorate would be moved at every step
     spec.option.timestep = 1.0 / physics_rate_hz
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
