@@ -144,15 +144,16 @@ def _parse(name: str, rest: list[str]) -> Command:
 
 
 def _raise_usage(box: str) -> NoReturn:
-    """Takes what was wrong, and the option that may have been meant, out of tyro's message."""
-    lines = [re.sub(r"[│|]", "", line).strip() for line in box.splitlines()]
+    """Takes what was wrong, and the option that may have been meant, out of tyro's message in its box."""
     parts: list[list[str]] = [[]]
-    for line in lines:
-        if re.match(r"^[╭╰].*$|^[─-]{3,}$", line):
+    for line in (line.strip("│ ") for line in box.splitlines()):
+        if line[:1] in ("╭", "╰") or re.fullmatch(r"[─-]{3,}", line):
             parts.append([])
         elif line:
             parts[-1].append(line)
     parts = [part for part in parts if part]
+    if len(parts) > 1 and "╭" not in box:
+        del parts[0]  # the title, which a box has in its border
     said = " ".join(parts[0]) if parts else "arguments that cannot be parsed"
     meant = next((part for part in parts if part[0].lower().startswith("perhaps you meant")), None)
     if meant is not None and len(meant) > 1:

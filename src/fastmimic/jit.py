@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from numba import njit
 
 
@@ -17,3 +18,8 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     """Like `kernel`, for small functions that LLVM should inline into their callers."""
     return njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function)
+
+
+def record_dtype(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
+    """A structured type for kernels: aligned, its fields attributes (`np.record`) also where the JIT is off."""
+    return np.dtype((np.record, np.dtype(fields, align=True)))

@@ -190,10 +190,7 @@ def imitate(
     objective, settings = Objective(duration_s=duration_s), CmaSettings(iterations, population, seed)
     began = time.perf_counter()
     demonstration = load_motion(source, robot, **overrides).target
-    dmp = MotionDmp.fit(demonstration, robot)
-    problem = ImitationProblem(robot, demonstration, dmp, objective=objective, config=config, workers=workers)
     before = run_episodes(robot, demonstration, duration_s=duration_s, config=config, log=True)
-    prepared = time.perf_counter() - began
     if method == "mbc":
         return Imitation(
             motion=demonstration,
@@ -209,9 +206,12 @@ def imitate(
             duration_s=duration_s,
             evaluations=0,
             iterations=0,
-            wall_s=prepared,
+            wall_s=time.perf_counter() - began,
             interrupted=False,
         )
+    dmp = MotionDmp.fit(demonstration, robot)
+    problem = ImitationProblem(robot, demonstration, dmp, objective=objective, config=config, workers=workers)
+    prepared = time.perf_counter() - began
     optimum = optimize(problem, settings, checkpoint=checkpoint, resume=resume, progress=progress)
     motion = problem.motion(optimum.x)
     after = run_episodes(robot, motion, duration_s=duration_s, config=config, log=True)

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from running import QUICK_MAIN, Outcome, Run
 
 from fastmimic.cli import main
-from tests.cli.running import QUICK_MAIN, Outcome, Run
 
 
 @pytest.fixture(autouse=True)

@@ -1,4 +1,4 @@
-"""The command line in a process of its own, with a short comparison of the best candidates at the end of a search."""
+"""The command line in a process of its own, choosing quickly at the end of a search."""
 
 import signal
 import sys

@@ -7,11 +7,11 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from running import Run
 
 import fastmimic
 from fastmimic import cli
 from fastmimic.commands.robots import Robots
-from tests.cli.running import Run
 
 HEAVY = ("numpy", "scipy", "numba", "mujoco", "matplotlib", "pooch")
 

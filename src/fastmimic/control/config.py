@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.errors import ConfigError, did_you_mean
+from fastmimic.jit import record_dtype
 
 Vector6 = tuple[float, float, float, float, float, float]
 Vector3 = tuple[float, float, float]
@@ -178,7 +179,7 @@ def controller_config(name: str) -> ControllerConfig:
     return CONFIGS[name]()
 
 
-_DTYPE = np.dtype(
+_DTYPE = record_dtype(
     [
         ("dt", "f8"),
         ("joint_margin", "f8"),
@@ -210,8 +211,7 @@ _DTYPE = np.dtype(
         ("swing_dynamics", "f8"),
         ("level", "f8"),
         ("blend_time", "f8"),
-    ],
-    align=True,
+    ]
 )
 
 

@@ -17,7 +17,7 @@ from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, invert_symm
 from fastmimic.control.state import COMMAND, MEMORY, pack_model
 from fastmimic.conventions import GRAVITY
 from fastmimic.errors import ConfigError
-from fastmimic.jit import inlined, kernel
+from fastmimic.jit import inlined, kernel, record_dtype
 from fastmimic.motion.motion import Motion
 from fastmimic.robot.dynamics import leg_inverse_dynamics, leg_mass_moment
 from fastmimic.robot.kinematics import leg_forward, leg_inverse, leg_jacobian
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 _DAMPING_AFTER_FAILURE: Final = 5.0  # N·m·s/rad on standing legs once the QP has failed for too long
 
 
-SCRATCH: Final = np.dtype(
+SCRATCH: Final = record_dtype(
     [
         ("rotation", "f8", (3, 3)),  # body → heading frame
         ("reference_rotation", "f8", (3, 3)),  # reference's body → robot's heading frame
@@ -45,8 +45,7 @@ SCRATCH: Final = np.dtype(
         ("sway", "f8", (3, 2)),  # position, velocity, acceleration, robot's heading frame
         ("vectors", "f8", (8, 3)),
         ("torque", "f8", (3,)),
-    ],
-    align=True,
+    ]
 )
 """Work memory of the kernel, so that it allocates nothing. One record for each thread."""
 

@@ -16,7 +16,7 @@ from numba import config as numba_config
 from numba import objmode, types
 from numpy.typing import NDArray
 
-from fastmimic.jit import kernel
+from fastmimic.jit import kernel, record_dtype
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def make_workspace(n_max: int, m_max: int) -> NDArray[Any]:
     """
     workspace = np.zeros(
         1,
-        np.dtype(
+        record_dtype(
             [
                 ("hessian", "f8", (n_max * n_max,)),
                 ("gradient", "f8", (n_max,)),
@@ -50,8 +50,7 @@ def make_workspace(n_max: int, m_max: int) -> NDArray[Any]:
                 ("result", "i4", (32,)),
                 ("settings", "u1", (_SETTINGS_BYTES,)),
                 ("sense", "i4", (m_max,)),
-            ],
-            align=True,
+            ]
         ),
     )
 
@@ -87,10 +86,12 @@ def _library() -> Any:
 _quadprog = types.ExternalFunction("daqp_quadprog", types.void(types.voidptr, types.voidptr, types.voidptr))
 
 
-def _solve_python(n: int, m: int, ms: int, hessian: Array, gradient: Array, rows: Array, upper: Array, lower: Array, x: Array) -> int:
+def _solve_python(
+    n: int, m: int, ms: int, hessian: Array, gradient: Array, rows: Array, upper: Array, lower: Array
+) -> tuple[int, Array, Array]:
     import daqp
 
-    solution, _, flag, _ = daqp.solve(
+    solution, _, flag, info = daqp.solve(
         hessian[: n * n].reshape(n, n).copy(),
         gradient[:n].copy(),
         rows[: (m - ms) * n].reshape(m - ms, n).copy(),
@@ -98,8 +99,7 @@ def _solve_python(n: int, m: int, ms: int, hessian: Array, gradient: Array, rows
         lower[:m].copy(),
         np.zeros(m, np.intc),
     )
-    x[:n] = solution
-    return int(flag)
+    return int(flag), solution, info["lam"]
 
 
 @kernel
@@ -112,13 +112,16 @@ def _solve_native(w: Any, n: int, m: int, ms: int) -> int:
 
 @kernel
 def _solve_object(w: Any, n: int, m: int, ms: int) -> int:
-    with objmode(flag="int64"):
-        flag = _solve_python(n, m, ms, w.hessian, w.gradient, w.rows, w.upper, w.lower, w.x)
+    # arrays of a record arrive in Python as copies: results have to be handed back
+    with objmode(flag="int64", x="float64[::1]", dual="float64[::1]"):
+        flag, x, dual = _solve_python(n, m, ms, w.hessian, w.gradient, w.rows, w.upper, w.lower)
+    w.x[:n], w.dual[:m] = x, dual
     return flag
 
 
 def _solve_plain(w: Any, n: int, m: int, ms: int) -> int:
-    return _solve_python(n, m, ms, w.hessian, w.gradient, w.rows, w.upper, w.lower, w.x)
+    flag, w.x[:n], w.dual[:m] = _solve_python(n, m, ms, w.hessian, w.gradient, w.rows, w.upper, w.lower)
+    return flag
 
 
 def _native_works() -> bool:

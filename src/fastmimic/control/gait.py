@@ -29,9 +29,10 @@ def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, force_z: float) -
     free = force_z < config.release_threshold
     memory.unloaded_time[leg] = memory.unloaded_time[leg] + config.dt if free else 0.0
     if config.planner_full == 0:
-        lifted = memory.stance[leg] == 1 and not wanted
-        memory.stance[leg] = 1 if wanted else 0
-        return lifted
+        stood = memory.stance[leg] == 1
+        if wanted != stood:
+            _switch(memory, leg, 1 if wanted else 0)
+        return stood and not wanted
     may_switch = memory.since_switch[leg] >= config.min_switch_time
     if memory.stance[leg] == 1:
         if loaded:

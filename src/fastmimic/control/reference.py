@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fastmimic.control.sway import pendulum_sway
 from fastmimic.errors import MotionError
-from fastmimic.jit import inlined, kernel
+from fastmimic.jit import inlined, kernel, record_dtype
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.rotations import (
@@ -26,7 +26,7 @@ from fastmimic.rotations import (
 
 Array = NDArray[np.float64]
 
-SAMPLE: Final = np.dtype(
+SAMPLE: Final = record_dtype(
     [
         ("root_pos", "f8", (3,)),
         ("root_quat", "f8", (4,)),
@@ -42,14 +42,12 @@ SAMPLE: Final = np.dtype(
         ("sway_pos", "f8", (2,)),
         ("sway_vel", "f8", (2,)),
         ("sway_acc", "f8", (2,)),
-    ],
-    align=True,
+    ]
 )
 """One instant of a reference, relative to the heading frame of the period's first sample; the sway in its own heading frame."""
 
-CLOCK: Final = np.dtype(
-    [("sample", "i8"), ("cycle", "i8"), ("origin", "f8", (3,)), ("cycle_step", "f8", (3,)), ("jump", "f8")],
-    align=True,
+CLOCK: Final = record_dtype(
+    [("sample", "i8"), ("cycle", "i8"), ("origin", "f8", (3,)), ("cycle_step", "f8", (3,)), ("jump", "f8")]
 )
 """Where a robot is in its reference: sample, period, (x, y, yaw) of the period's origin, one period's displacement, and
 the sum of the distances by which synchronisation has moved the origin, m."""

@@ -5,10 +5,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.jit import record_dtype
+
 if TYPE_CHECKING:
     from fastmimic.robot import Robot
 
-OBSERVATION: Final = np.dtype(
+OBSERVATION: Final = record_dtype(
     [
         ("root_pos", "f8", (3,)),
         ("root_quat", "f8", (4,)),
@@ -18,25 +20,23 @@ OBSERVATION: Final = np.dtype(
         ("joint_vel", "f8", (12,)),
         ("foot_force", "f8", (4, 3)),
         ("other_contact", "f8"),
-    ],
-    align=True,
+    ]
 )
 """One robot's state: base pose and velocities in the world frame, joints, ground force on each foot (world frame, N),
 and the number of contacts of anything but the feet with the ground."""
 
-COMMAND: Final = np.dtype(
+COMMAND: Final = record_dtype(
     [
         ("joint_pos", "f8", (12,)),
         ("joint_vel", "f8", (12,)),
         ("stiffness", "f8", (12,)),
         ("damping", "f8", (12,)),
         ("torque", "f8", (12,)),
-    ],
-    align=True,
+    ]
 )
 """One robot's command: the motors apply torque + stiffness (joint_pos − q) + damping (joint_vel − dq)."""
 
-MEMORY: Final = np.dtype(
+MEMORY: Final = record_dtype(
     [
         ("stance", "i8", (4,)),
         ("early", "i8", (4,)),
@@ -49,12 +49,11 @@ MEMORY: Final = np.dtype(
         ("qp_failures", "i8"),
         ("failed_in_a_row", "i8"),
         ("early_touchdowns", "i8"),
-    ],
-    align=True,
+    ]
 )
 """What the controller remembers of one robot: each leg's state (stance 1, swing 0), timers, last forces (heading frame)."""
 
-MODEL: Final = np.dtype(
+MODEL: Final = record_dtype(
     [
         ("geometry", "f8", (4, 12)),
         ("mass", "f8"),
@@ -68,8 +67,7 @@ MODEL: Final = np.dtype(
         ("upper", "f8", (12,)),
         ("torque_limit", "f8", (12,)),
         ("foot_radius", "f8"),
-    ],
-    align=True,
+    ]
 )
 """The robot as the controller's model knows it."""
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.control.controller import quat_to_matrix
-from fastmimic.jit import inlined, kernel
+from fastmimic.jit import inlined, kernel, record_dtype
 from fastmimic.robot.kinematics import leg_forward
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ _HEIGHT_WEIGHT: Final = 3.0  # of the end-effector term's height, from the imple
 MAX_DISTANCE: Final = 1.0  # m from the reference
 MAX_ANGLE: Final = np.pi / 2  # rad from the reference
 
-TALLY: Final = np.dtype(
+TALLY: Final = record_dtype(
     [
         ("steps", "i8"),  # until the fall
         ("fallen", "i8"),
@@ -33,12 +33,13 @@ TALLY: Final = np.dtype(
         ("clearance_sum", "f8", (4,)),
         ("swings", "i8", (4,)),
         ("was_swing", "i8", (4,)),
-        ("slip", "f8", (4,)),  # path of loaded feet in stance, sum, m
+        ("slip", "f8", (4,)),  # path that the contact points of loaded feet slide in stance, sum, m
         ("stances", "i8", (4,)),
         ("foot_xy", "f8", (4, 2)),  # world, last step
-        ("jump", "f8"),  # sum of the distances hidden by the synchronisation, m
-    ],
-    align=True,
+        ("jump", "f8"),  # sum of the distances hidden by the synchronisation until the fall, m
+        ("early_touchdowns", "i8"),  # until the fall
+        ("qp_failures", "i8"),  # until the fall
+    ]
 )
 """Running sums of one robot's episode."""
 
@@ -50,7 +51,16 @@ def _gaussian(scale: float, squared: float) -> float:
 
 @kernel
 def score_step(
-    geometry: Array, foot_radius: float, threshold: float, table: Any, clocks: Any, observations: Any, tallies: Any, work: Array
+    geometry: Array,
+    foot_radius: float,
+    threshold: float,
+    dt: float,
+    table: Any,
+    clocks: Any,
+    observations: Any,
+    memories: Any,
+    tallies: Any,
+    work: Array,
 ) -> None:
     """Scores the present state of all robots against the demonstration and adds to their tallies.
 
@@ -58,18 +68,33 @@ def score_step(
         geometry: (4, 12) leg geometry rows.
         foot_radius: m.
         threshold: vertical force above which a foot is loaded, N.
+        dt: control step, s.
         table: (t,) of `SAMPLE`, the demonstration.
-        clocks, observations, tallies: (n,) records.
+        clocks, observations, memories, tallies: (n,) records.
         work: (2, 3, 3) scratch.
     """
     for i in range(observations.shape[0]):
         if tallies[i].fallen == 0:
-            _score_robot(geometry, foot_radius, threshold, table[clocks[i].sample], clocks[i], observations[i], tallies[i], work)
+            tally, clock = tallies[i], clocks[i]
+            # what is counted elsewhere goes on counting after a fall
+            tally.jump = clock.jump
+            tally.early_touchdowns = memories[i].early_touchdowns
+            tally.qp_failures = memories[i].qp_failures
+            ref = table[clock.sample]
+            _score_robot(geometry, foot_radius, threshold, dt, ref, clock, observations[i], tally, work)
 
 
 @kernel
 def _score_robot(
-    geometry: Array, foot_radius: float, threshold: float, ref: Any, clock: Any, obs: Any, tally: Any, work: Array
+    geometry: Array,
+    foot_radius: float,
+    threshold: float,
+    dt: float,
+    ref: Any,
+    clock: Any,
+    obs: Any,
+    tally: Any,
+    work: Array,
 ) -> None:
     rotation, reference = work[0], work[1]
     quat_to_matrix(obs.root_quat, rotation)
@@ -102,18 +127,19 @@ def _score_robot(
     wy = s * ref.ang_vel[0] + c * ref.ang_vel[1] - obs.ang_vel[1]
     wz = ref.ang_vel[2] - obs.ang_vel[2]
 
-    feet = _score_feet(geometry, foot_radius, threshold, ref, obs, tally, rotation, reference)
+    linear_sq, angular_sq = vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz
 
-    valid = np.isfinite(pose + velocity + distance_sq + feet)
+    valid = np.isfinite(pose + velocity + distance_sq + trace + linear_sq + angular_sq)
     upright = distance_sq < MAX_DISTANCE * MAX_DISTANCE and angle < MAX_ANGLE
     if not valid or not upright or obs.other_contact > 0.5:
         tally.fallen = 1
         return
+    feet = _score_feet(geometry, foot_radius, threshold, dt, ref, obs, tally, rotation, reference)
     tally.reward[0] = _gaussian(5.0, pose)
     tally.reward[1] = _gaussian(0.1, velocity)
     tally.reward[2] = _gaussian(40.0, feet)
     tally.reward[3] = np.exp(-20.0 * distance_sq - 10.0 * angle * angle)
-    tally.reward[4] = np.exp(-2.0 * (vx * vx + vy * vy + vz * vz) - (wx * wx + wy * wy + wz * wz))
+    tally.reward[4] = np.exp(-2.0 * linear_sq - angular_sq)
     for k in range(5):
         tally.terms[k] += tally.reward[k]
         tally.reward_sum += WEIGHTS[k] * tally.reward[k]
@@ -122,7 +148,15 @@ def _score_robot(
 
 @inlined
 def _score_feet(
-    geometry: Array, foot_radius: float, threshold: float, ref: Any, obs: Any, tally: Any, rotation: Array, reference: Array
+    geometry: Array,
+    foot_radius: float,
+    threshold: float,
+    dt: float,
+    ref: Any,
+    obs: Any,
+    tally: Any,
+    rotation: Array,
+    reference: Array,
 ) -> float:
     """Squared end-effector error, relative to the root in each one's heading frame, height in the world, m²."""
     total = 0.0
@@ -146,13 +180,22 @@ def _score_feet(
         dy = (-s * wx + c * wy) - (-sr * ux + cr * uy)
         dz = height - height_ref
         total += dx * dx + dy * dy + _HEIGHT_WEIGHT * dz * dz
-        _count_foot(tally, leg, ref.contact[leg] == 1, obs.foot_force[leg, 2] > threshold, height - foot_radius,
-                    obs.root_pos[0] + wx, obs.root_pos[1] + wy)  # fmt: skip
+        # the sphere rolls: its centre moves on by ω × r without any slip
+        pitching = obs.joint_vel[3 * leg + 1] + obs.joint_vel[3 * leg + 2]
+        ex, ey, ez = obs.joint_vel[3 * leg], pitching * np.cos(q[0]), pitching * np.sin(q[0])
+        turn_x = obs.ang_vel[0] + rotation[0, 0] * ex + rotation[0, 1] * ey + rotation[0, 2] * ez
+        turn_y = obs.ang_vel[1] + rotation[1, 0] * ex + rotation[1, 1] * ey + rotation[1, 2] * ez
+        loaded = obs.foot_force[leg, 2] > threshold
+        x, y = obs.root_pos[0] + wx, obs.root_pos[1] + wy
+        roll_x, roll_y = foot_radius * turn_y * dt, -foot_radius * turn_x * dt
+        _count_foot(tally, leg, ref.contact[leg] == 1, loaded, height - foot_radius, x, y, roll_x, roll_y)
     return total
 
 
 @inlined
-def _count_foot(tally: Any, leg: int, wanted: bool, loaded: bool, height: float, x: float, y: float) -> None:
+def _count_foot(
+    tally: Any, leg: int, wanted: bool, loaded: bool, height: float, x: float, y: float, roll_x: float, roll_y: float
+) -> None:
     """Swing clearance by the demonstration's schedule, and the way that loaded feet slide while they should stand."""
     if wanted:
         if tally.was_swing[leg] == 1:
@@ -160,7 +203,7 @@ def _count_foot(tally: Any, leg: int, wanted: bool, loaded: bool, height: float,
             tally.swings[leg] += 1
             tally.stances[leg] += 1
         if loaded and tally.steps > 0:
-            tally.slip[leg] += np.hypot(x - tally.foot_xy[leg, 0], y - tally.foot_xy[leg, 1])
+            tally.slip[leg] += np.hypot(x - tally.foot_xy[leg, 0] - roll_x, y - tally.foot_xy[leg, 1] - roll_y)
         tally.was_swing[leg] = 0
     else:
         if tally.was_swing[leg] == 0:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.control.controller import Controller
-from fastmimic.control.reference import advance_clocks, make_clocks, place_clocks, reference_table, world_root
+from fastmimic.control.reference import advance_clocks, make_clocks, place_clocks, stack_tables, world_root
 from fastmimic.control.state import COMMAND, OBSERVATION
 from fastmimic.conventions import GRAVITY
-from fastmimic.errors import ConfigError
+from fastmimic.errors import ConfigError, MotionError
 from fastmimic.imitation.reward import TALLY, TERMS, WEIGHTS, score_step
 from fastmimic.motion.motion import Motion
 from fastmimic.robot.kinematics import foot_positions
@@ -109,10 +109,10 @@ class Rollout:
         duration_s: length of an episode, s.
         drift: (n,) m/s that the synchronisation of the reference hides.
         clearance: (n, 4) mean over the swings of each foot's greatest height above the ground, m; NaN without swings.
-        slip: (n, 4) mean path of a loaded foot in a stance, m.
+        slip: (n, 4) mean path that a loaded foot's contact point slides in a stance, m.
         early_contacts: (n,) touch-downs before their time, per second.
         foot_rmse: (n, 4, 3) against the demonstration, body frame, until the fall, m.
-        qp_failures: (n,) steps at which the stance QP failed.
+        qp_failures: (n,) steps at which the stance QP failed, until the fall.
         log: the whole course, if it was asked for.
     """
 
@@ -159,10 +159,11 @@ class ClosedLoop:
         self.n = n
         self.controller = Controller(robot, [demonstration], n, config)
         self.simulation = MujocoSimulation(robot, n, control_rate_hz=config.rate_hz, threads=threads)
-        self._table = reference_table(demonstration, robot)
+        self._table = self.controller.tables[0]
         self._clocks = make_clocks(demonstration, n)
         self._tallies = np.zeros(n, TALLY)
         self._work = np.zeros((2, 3, 3))
+        self._dt = 1.0 / config.rate_hz
         self._threshold = config.gait.contact_threshold * robot.mass * GRAVITY
 
     def run(
@@ -175,6 +176,10 @@ class ClosedLoop:
             start: of n episodes.
             steps: control steps.
             log: whether to keep the whole course.
+
+        Raises:
+            ConfigError: starts or references are not as many as there are robots, or at another rate.
+            MotionError: the references' period is not the demonstration's.
         """
         self._reset(references, start)
         controller, simulation, clocks, tallies = self.controller, self.simulation, self._clocks, self._tallies
@@ -189,9 +194,11 @@ class ClosedLoop:
                 geometry,
                 self.robot.foot_radius,
                 self._threshold,
+                self._dt,
                 self._table,
                 clocks,
                 observation,
+                controller.memory,
                 tallies,
                 self._work,
             )
@@ -205,12 +212,7 @@ class ClosedLoop:
         if start.n != self.n:
             raise ConfigError(f"this loop holds {self.n} robots; {start.n} starts were given")
         demo = self.demonstration
-        if references is None:
-            self.controller.tables = self._table[None]
-        elif isinstance(references, np.ndarray):
-            self.controller.tables = references
-        else:
-            self.controller.tables = np.stack([reference_table(m, self.robot) for m in references])
+        self.controller.tables = self._tables(references)
         pose = np.zeros((self.n, 3))
         place_clocks(self._clocks, start.sample, self._table, pose)
         position, quat = world_root(self._table, start.sample, self._clocks["origin"])
@@ -233,6 +235,29 @@ class ClosedLoop:
         self.controller.reset(start.sample)
         self._tallies[...] = np.zeros((), TALLY)
 
+    def _tables(self, references: Sequence[Motion] | NDArray[Any] | None) -> NDArray[Any]:
+        """What the controller follows, (1 or n, t) of `SAMPLE`, in step with the demonstration."""
+        if references is None:
+            return self._table[None]
+        if isinstance(references, np.ndarray):
+            tables = references
+        else:
+            rate = self.controller.config.rate_hz
+            for motion in references:
+                if abs(motion.rate_hz - rate) > 1e-9:
+                    raise ConfigError(
+                        f"reference '{motion.name}' has {motion.rate_hz:g} samples a second; expected {rate:g}"
+                    )
+            tables = stack_tables(references, self.robot)
+        if len(tables) not in (1, self.n):
+            raise ConfigError(f"{self.n} robots need 1 or {self.n} references, found {len(tables)}")
+        if tables.shape[1] != len(self._table):
+            raise MotionError(
+                f"the reference has {tables.shape[1]} samples and the demonstration '{self.demonstration.name}'"
+                f" {len(self._table)}; a reference must keep the demonstration's period"
+            )
+        return tables
+
     def _result(self, steps: int, log: Log | None) -> Rollout:
         t, rate = self._tallies, self.controller.config.rate_hz
         lived = np.maximum(t["steps"], 1)
@@ -245,12 +270,12 @@ class ClosedLoop:
             fell=t["fallen"].astype(bool),
             steps=t["steps"].copy(),
             duration_s=steps / rate,
-            drift=self._clocks["jump"] / (lived / rate),
+            drift=t["jump"] / (lived / rate),
             clearance=clearance,
             slip=slip,
-            early_contacts=self.controller.memory["early_touchdowns"] / (lived / rate),
+            early_contacts=t["early_touchdowns"] / (lived / rate),
             foot_rmse=np.sqrt(t["foot_error_sq"] / lived[:, None, None]),
-            qp_failures=self.controller.memory["qp_failures"].copy(),
+            qp_failures=t["qp_failures"].copy(),
             log=log,
         )
 

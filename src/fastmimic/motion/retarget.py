@@ -23,7 +23,7 @@ from fastmimic.motion.contacts import (
     foot_activity,
 )
 from fastmimic.motion.motion import Motion
-from fastmimic.motion.retarget_balance import BalanceConfig, Deviation, TrunkSpline, balance
+from fastmimic.motion.retarget_balance import BalanceConfig, Deviation, Footing, TrunkSpline, balance
 from fastmimic.motion.retarget_cycle import Track, cycle_displacement, pose_mismatch, track_cycle, track_open
 from fastmimic.motion.retarget_dynamics import Demand, ground_demand
 from fastmimic.motion.retarget_fidelity import Before, make_report
@@ -130,9 +130,9 @@ def retarget(
     own = _is_own_body(clip, robot, scale)
     offset = np.zeros((4, 2)) if own else foot_offsets(robot, track, stances, config.stance_width)
     height = source.hip_height + robot.foot_radius - (0.0 if own else config.crouch_m * scale / DOG_SCALE)
-    balanced, offset = _balance(robot, track, stances, offset, height, rate_hz, config)
     raw_w = _raw_feet(robot, track, offset)
-    pose, smoothed = _fit_within_limits(robot, balanced, raw_w, stances, height, rate_hz, config)
+    balanced, holds = _balance(robot, track, raw_w, stances, height, rate_hz, config)
+    pose, smoothed = _fit_within_limits(robot, balanced, raw_w, stances, holds, height, rate_hz, config)
     motion = _motion(pose, balanced, stances, rate_hz)
     before = Before(scale, duration, cycle_reason, aligned, raw_w, detected, offset, changes, smoothed)
     report = make_report(motion, robot, source, balanced, stances, pose, before)
@@ -147,25 +147,27 @@ def retarget(
 
 
 def _balance(
-    robot: Robot, track: Track, stances: Stances, offset: Array, height: float, rate_hz: float, config: RetargetConfig
-) -> tuple[Track, Array]:
-    """The trunk as the standing feet can move it, and the offsets of the feet that go with it."""
+    robot: Robot, track: Track, raw_w: Array, stances: Stances, height: float, rate_hz: float, config: RetargetConfig
+) -> tuple[Track, list[list[Array]]]:
+    """The trunk as the standing feet can move it, and the footholds that go with it."""
     n = len(track.root_z)
     spline = TrunkSpline(n, rate_hz, track.cycle is not None, config.balance.hz)
     sample = np.arange(0, n, max(1, round(config.balance.sample_s * rate_hz)))
-    side = np.stack([np.zeros(4), np.where(LEFT, 1.0, -1.0)], axis=-1)
     reach = Reach.of_robot(robot, height, REACH_MARGIN_RAD)
+    linger = round(config.swing.linger_s * rate_hz)
+
+    def applied(deviation: Deviation) -> tuple[Track, list[list[Array]]]:
+        moved = track.deviated(spline.values(deviation.trunk))
+        return moved, footholds(raw_w, moved, stances, reach, linger, deviation.feet)
 
     def demand_of(deviation: Deviation) -> Demand:
-        moved = track.deviated(spline.values(deviation.trunk))
-        raw_w = _raw_feet(robot, track, offset + deviation.width * side)
-        holds = footholds(raw_w, track, stances, reach, round(config.swing.linger_s * rate_hz))
+        moved, holds = applied(deviation)
         feet_w = plant_feet(raw_w, moved, stances, holds, reach, robot.foot_radius, rate_hz, config.swing)
         pose = unlimited_pose(robot, moved, feet_w, height)
         return ground_demand(robot, _motion(pose, moved, stances, rate_hz), sample)
 
-    deviation = balance(robot, spline, demand_of, config.balance)
-    return track.deviated(spline.values(deviation.trunk)), offset + deviation.width * side
+    footing = Footing.of_gait(stances, track, sample)
+    return applied(balance(robot, spline, footing, demand_of, config.balance))
 
 
 def _motion(pose: Pose, track: Track, stances: Stances, rate_hz: float) -> Motion:
@@ -270,11 +272,17 @@ def _raw_feet(robot: Robot, track: Track, offset: Array) -> Array:
 
 
 def _fit_within_limits(
-    robot: Robot, track: Track, raw_w: Array, stances: Stances, height: float, rate_hz: float, config: RetargetConfig
+    robot: Robot,
+    track: Track,
+    raw_w: Array,
+    stances: Stances,
+    holds: list[list[Array]],
+    height: float,
+    rate_hz: float,
+    config: RetargetConfig,
 ) -> tuple[Pose, tuple[int, int, int, int]]:
     """Feet and joints; the swings of a leg that would exceed joint speed are smoothed further."""
     reach = Reach.of_robot(robot, height, REACH_MARGIN_RAD)
-    holds = footholds(raw_w, track, stances, reach, round(config.swing.linger_s * rate_hz))
     limit = config.speed_share * robot.joint_speed_limit
     evenness = np.full(4, config.swing.evenness)
     times = np.zeros(4, dtype=int)

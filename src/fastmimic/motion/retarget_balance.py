@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.conventions import GRAVITY, LEFT
+from fastmimic.conventions import GRAVITY
+from fastmimic.motion.contacts import Stances
+from fastmimic.motion.retarget_cycle import Track
 from fastmimic.motion.retarget_dynamics import Demand, push_directions
 from fastmimic.robot import Robot
 
@@ -29,8 +31,10 @@ class BalanceConfig:
         hz: fastest motion of the correction.
         linear_weight, angular_weight: of a residual acceleration, s⁴, against the deviation from the animal.
         outlier: weighted residual beyond which the cost grows only linearly: landings and lift-offs are shorter than any correction.
-        width_weight: of a change of the half stance width, 1/m².
+        foot_weight: of a foothold's displacement while the foot stands, 1/m².
         friction: coefficient that the motion may count on.
+        force_weight: of the pushes squared, in quarters of the weight: spreads the load over the feet and keeps the centre of
+            pressure in the middle of the support, so that the robot can correct.
         min_load: of each standing foot, share of an even load: a foot that is said to stand must be felt to stand, and the
             centre of pressure keeps that far from the edge of the support.
         sample_s: time between the instants that are looked at.
@@ -41,17 +45,16 @@ class BalanceConfig:
     linear_weight: float = 1.0
     angular_weight: float = 0.2
     outlier: float = 3.0
-    width_weight: float = 100.0
+    foot_weight: float = 150.0
     friction: float = 0.6
-    min_load: float = 0.3
+    force_weight: float = 0.5
+    min_load: float = 0.2
     sample_s: float = 0.01
 
 
 _POSITION_COST = np.array([20.0, 20.0, 100.0, 10.0, 10.0, 10.0])
 _VELOCITY_COST = np.array([2.0, 2.0, 10.0, 1.0, 1.0, 1.0])
 """Exponents of the imitation reward: root position, orientation; linear and angular velocity."""
-_FORCE_COST = 1e-4
-"""Of the square of a push, in quarters of the weight, against a squared m/s²: spreads the load over the feet."""
 _ADMM_STEP = 3.0
 _ADMM_ROUNDS = 200
 
@@ -89,43 +92,78 @@ class TrunkSpline:
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """How the robot's trunk and stance differ from the scaled animal's.
+    """How the robot's trunk and footholds differ from the scaled animal's.
 
     Attributes:
         trunk: (size, 6) spline coefficients of x, y, z, roll, pitch, yaw in the heading frame, m and rad.
-        width: change of the half stance width, m.
+        feet: (stances, 2) displacement of the foothold of each stance, in the heading frame of its middle, m.
     """
 
     trunk: Array
-    width: float
+    feet: Array
 
     def vector(self) -> Array:
-        return np.concatenate([self.trunk.reshape(-1), [self.width]])
+        return np.concatenate([self.trunk.reshape(-1), self.feet.reshape(-1)])
+
+    def plus(self, step: Array) -> "Deviation":
+        vector = self.vector() + step
+        split = self.trunk.size
+        return Deviation(vector[:split].reshape(-1, 6), vector[split:].reshape(-1, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class Footing:
+    """Which foothold each foot stands on.
+
+    Attributes:
+        count: number of stances of all legs.
+        stance: (k, 4) index of the stance of each leg at each sample, −1 in swing.
+        turn: (k, 4) heading at the middle of that stance minus heading at the sample, rad.
+    """
+
+    count: int
+    stance: NDArray[np.int_]
+    turn: Array
 
     @classmethod
-    def of_vector(cls, vector: Array) -> "Deviation":
-        return cls(vector[:-1].reshape(-1, 6), float(vector[-1]))
+    def of_gait(cls, stances: Stances, track: Track, sample: NDArray[np.int_]) -> "Footing":
+        n = len(track.heading)
+        stance, turn = np.full((n, 4), -1), np.zeros((n, 4))
+        count = 0
+        for leg, spans in enumerate(stances):
+            for span in spans:
+                index = np.arange(*span)
+                heading = track.heading_at(index)
+                stance[index % n, leg] = count
+                turn[index % n, leg] = heading[len(index) // 2] - heading
+                count += 1
+        return cls(count, stance[sample], turn[sample])
 
 
 def balance(
-    robot: Robot, spline: TrunkSpline, demand_of: Callable[[Deviation], Demand], config: BalanceConfig
+    robot: Robot,
+    spline: TrunkSpline,
+    footing: Footing,
+    demand_of: Callable[[Deviation], Demand],
+    config: BalanceConfig,
 ) -> Deviation:
     """The deviation that makes a motion feasible at the least change.
 
     Args:
         robot: mass and inertia.
-        spline: of the deviation.
+        spline: of the trunk's deviation.
+        footing: which foot stands where.
         demand_of: what the motion with a deviation asks of the ground, at the same samples each time.
         config: weights.
     """
-    best = Deviation(np.zeros((spline.size, 6)), 0.0)
+    best = Deviation(np.zeros((spline.size, 6)), np.zeros((footing.count, 2)))
     if config.rounds == 0:
         return best
-    problem = _Problem(robot, spline, demand_of(best), best, config)
+    problem = _Problem(robot, spline, footing, demand_of(best), best, config)
     damping = 0.01
     for _ in range(config.rounds):
         trial = problem.solve(damping)
-        trial_problem = _Problem(robot, spline, demand_of(trial), trial, config)
+        trial_problem = _Problem(robot, spline, footing, demand_of(trial), trial, config)
         gain = 1.0 - trial_problem.cost / problem.cost
         if gain > 0:
             best, problem, damping = trial, trial_problem, damping / 5
@@ -144,27 +182,36 @@ class _Problem:
     """
 
     def __init__(
-        self, robot: Robot, spline: TrunkSpline, demand: Demand, present: Deviation, config: BalanceConfig
+        self,
+        robot: Robot,
+        spline: TrunkSpline,
+        footing: Footing,
+        demand: Demand,
+        present: Deviation,
+        config: BalanceConfig,
     ) -> None:
-        self._present = present
+        self._present, self._footing = present, footing
         self._weight = np.sqrt(np.array([config.linear_weight] * 3 + [config.angular_weight] * 3))
         self._scale = self._weight / np.array([robot.mass] * 3 + list(robot.inertia_b.diagonal()))
         self._index, self._basis = spline.rows(demand.sample)
-        self._k, self._size = len(demand.sample), 6 * spline.size + 1
+        self._k, self._size = len(demand.sample), 6 * spline.size + 2 * footing.count
         self._push_force, push_wrench, self._can = push_directions(demand, config.friction)
         self._unit = robot.mass * GRAVITY / 4
+        self._force_weight = config.force_weight
         self._pushes = self._unit * np.swapaxes(push_wrench * self._scale, 1, 2) * self._can[:, None, :]
         even = np.clip(demand.wrench[:, 2], 0.0, None) / np.maximum(demand.stands.sum(axis=1), 1)
         least = np.repeat((config.min_load * even / (4 * self._unit))[:, None], 16, axis=1)  # on four edges a foot
         self._least = least
         self._demand = demand.wrench * self._scale - np.einsum("kri,ki->kr", self._pushes, least)
+        self._column = self._columns(6 * spline.size)
         self._change = self._change_cost(config)
         best = self._best_pushes()
         residual = self._demand - np.einsum("kri,ki->kr", self._pushes, best)
         size, c = np.linalg.norm(residual, axis=1), config.outlier
         vector = present.vector()
         self.residual = residual / self._weight
-        self.cost = float(np.where(size < c, size**2, c * (2 * size - c)).sum() + vector @ (self._change @ vector))
+        misfit = np.where(size < c, size**2, c * (2 * size - c)).sum() + config.force_weight * np.sum(best**2)
+        self.cost = float(misfit + vector @ (self._change @ vector))
         self._trust = np.minimum(1.0, c / np.maximum(size, 1e-9))[:, None]
         self._start = best
         self._slope = self._slope_at(best)
@@ -176,7 +223,7 @@ class _Problem:
 
         G, B, trust = self._pushes, self._slope, self._trust[:, :, None]
         gain = np.swapaxes(G, 1, 2) * trust
-        inverse = np.linalg.inv(gain @ G + (_FORCE_COST + _ADMM_STEP) * np.eye(16))
+        inverse = np.linalg.inv(gain @ G + (self._force_weight + _ADMM_STEP) * np.eye(16))
         weight = trust * np.eye(6) - np.swapaxes(gain, 1, 2) @ inverse @ gain
         curvature = self._scatter(np.swapaxes(B, 1, 2) @ weight @ B)
         hold = damping * (diags(curvature.diagonal() + 1e-9) + self._change)
@@ -189,18 +236,18 @@ class _Problem:
             aim = _ADMM_STEP * (z - u)
             given = np.einsum("krc,kir,kij,kj->kc", B, gain, inverse, aim, optimize=True)
             step = factor.solve(self._gather(given - fixed) - self._change @ vector)
-            wanted = self._demand + np.einsum("krc,kc->kr", B, step[self._columns()])
+            wanted = self._demand + np.einsum("krc,kc->kr", B, step[self._column])
             x = np.einsum("kij,kj->ki", inverse, np.einsum("kir,kr->ki", gain, wanted) + aim)
             x = 1.6 * x - 0.6 * z
             z = np.maximum(x + u, 0.0) * self._can
             u = (u + x - z) * self._can
-        return Deviation.of_vector(vector + step)
+        return self._present.plus(step)
 
     def _best_pushes(self) -> Array:
         """The pushes (k, 16) that come nearest to the demand, in units of a quarter of the weight."""
         from scipy.optimize import nnls
 
-        small = np.sqrt(_FORCE_COST) * np.eye(16)
+        small = np.sqrt(self._force_weight) * np.eye(16)
         return np.stack(
             [
                 nnls(np.concatenate([matrix, small]), np.concatenate([wanted, np.zeros(16)]))[0]
@@ -209,33 +256,35 @@ class _Problem:
         )
 
     def _slope_at(self, pushes: Array) -> Array:
-        """B (k, 6, 25): by the deviation's acceleration, by the ground forces' moment about the displaced centre of mass, and by
-        the feet's displacement when the stance widens."""
+        """B (k, 6, 32): by the trunk's acceleration, by the ground forces' moment about the displaced centre of mass, and by that of
+        the displaced feet."""
         forces = self._unit * (self._push_force * ((pushes + self._least) * self._can)[..., None]).reshape(self._k, 4, 4, 3).sum(axis=2)
         lever = np.zeros((self._k, 6, 6))
         for axis in range(3):
             lever[:, 3:, axis] = np.cross(np.eye(3)[axis], forces.sum(axis=1)) * self._scale[3:]
-        side = np.where(LEFT, 1.0, -1.0)[None, :, None] * np.array([0.0, 1.0, 0.0])
-        wider = np.zeros((self._k, 6, 1))
-        wider[:, 3:, 0] = -np.cross(side, forces).sum(axis=1) * self._scale[3:]
-        accelerate = np.diag(self._weight)
-        trunk = accelerate[None, :, :, None] * self._basis[2][:, None, None, :] + lever[..., None] * self._basis[0][:, None, None, :]
-        return np.concatenate([trunk.reshape(self._k, 6, 24), wider], axis=2)
+        trunk = np.diag(self._weight)[None, :, :, None] * self._basis[2][:, None, None, :]
+        trunk = trunk + lever[..., None] * self._basis[0][:, None, None, :]
+        c, s, zero = np.cos(self._footing.turn), np.sin(self._footing.turn), np.zeros_like(self._footing.turn)
+        moved = np.stack([np.stack([c, s, zero], axis=-1), np.stack([-s, c, zero], axis=-1)], axis=2)  # (k, 4, 2, 3)
+        feet = np.zeros((self._k, 6, 8))
+        feet[:, 3:] = np.swapaxes(-np.cross(moved, forces[:, :, None]).reshape(self._k, 8, 3) * self._scale[3:], 1, 2)
+        return np.concatenate([trunk.reshape(self._k, 6, 24), feet], axis=2)
 
-    def _columns(self) -> NDArray[np.int_]:
-        """Which unknowns act at each sample, (k, 25)."""
+    def _columns(self, first_foot: int) -> NDArray[np.int_]:
+        """Which unknowns act at each sample, (k, 32)."""
         trunk = 6 * self._index[:, None, :] + np.arange(6)[None, :, None]
-        return np.concatenate([trunk.reshape(self._k, 24), np.full((self._k, 1), self._size - 1)], axis=1)
+        feet = first_foot + 2 * np.maximum(self._footing.stance, 0)[:, :, None] + np.arange(2)
+        return np.concatenate([trunk.reshape(self._k, 24), feet.reshape(self._k, 8)], axis=1)
 
     def _gather(self, per_sample: Array) -> Array:
-        """Sums (k, 25) into (size,)."""
-        return np.bincount(self._columns().ravel(), per_sample.ravel(), minlength=self._size)
+        """Sums (k, 32) into (size,)."""
+        return np.bincount(self._column.ravel(), per_sample.ravel(), minlength=self._size)
 
     def _scatter(self, per_sample: Array):  # type: ignore[no-untyped-def]
-        """Sums (k, 25, 25) into a sparse (size, size)."""
+        """Sums (k, 32, 32) into a sparse (size, size)."""
         from scipy.sparse import csr_matrix
 
-        columns = self._columns()
+        columns = self._column
         rows = np.broadcast_to(columns[:, :, None], per_sample.shape)
         other = np.broadcast_to(columns[:, None, :], per_sample.shape)
         return csr_matrix((per_sample.ravel(), (rows.ravel(), other.ravel())), shape=(self._size, self._size))
@@ -243,10 +292,12 @@ class _Problem:
     def _change_cost(self, config: BalanceConfig):  # type: ignore[no-untyped-def]
         """Quadratic form (size, size) of the deviation from the animal."""
         value, first = self._basis[0], self._basis[1]
-        per_sample = np.zeros((self._k, 25, 25))
+        per_sample = np.zeros((self._k, 32, 32))
         blocks = np.einsum("ka,kb,c->kcab", value, value, _POSITION_COST)
         blocks += np.einsum("ka,kb,c->kcab", first, first, _VELOCITY_COST)
         for c in range(6):
             per_sample[:, 4 * c : 4 * c + 4, 4 * c : 4 * c + 4] = blocks[:, c]
-        per_sample[:, 24, 24] = config.width_weight
+        for leg in range(4):
+            for column in (24 + 2 * leg, 25 + 2 * leg):
+                per_sample[:, column, column] = config.foot_weight * (self._footing.stance[:, leg] >= 0)
         return self._scatter(per_sample)

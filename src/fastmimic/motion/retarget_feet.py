@@ -88,7 +88,9 @@ class Reach:
         return self.hip_height - self.shortest
 
 
-def footholds(raw_w: Array, track: Track, stances: Stances, reach: Reach, linger: int) -> list[list[Array]]:
+def footholds(
+    raw_w: Array, track: Track, stances: Stances, reach: Reach, linger: int, displacement: Array
+) -> list[list[Array]]:
     """Where each foot stands in each of its stances, (2,) in the world, m.
 
     The mean of the animal's path in stance, weighted towards mid-stance, moved by what it lacks to be within reach
@@ -100,7 +102,9 @@ def footholds(raw_w: Array, track: Track, stances: Stances, reach: Reach, linger
         stances: of each leg.
         reach: of the robot's legs.
         linger: samples before touch-down and after lift-off in which the foothold must be in reach as well.
+        displacement: (stances, 2) of the foothold of each stance, all legs in order, in the heading frame of its middle, m.
     """
+    displacements = iter(displacement)
     trunk = WorldPath(np.concatenate([track.root_xy, track.root_z[:, None] - track.root_z.mean()], axis=1), track)
     result = []
     for leg, spans in enumerate(stances):
@@ -108,7 +112,8 @@ def footholds(raw_w: Array, track: Track, stances: Stances, reach: Reach, linger
         holds = []
         for span in spans:
             index = np.arange(*span)
-            hold = _mean_foothold(path.read(index))
+            middle = track.heading_at(index[[len(index) // 2]])[0]
+            hold = _mean_foothold(path.read(index)) + rotate_planar(middle, next(displacements))
             ends = index[[0, -1]] + np.array([-linger, linger])
             if not path.periodic:
                 ends = np.clip(ends, 0, path.n - 1)

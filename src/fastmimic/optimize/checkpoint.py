@@ -5,6 +5,7 @@ single episode, checks that the replayed candidates are the recorded ones, bit f
 """
 
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -19,6 +20,12 @@ Array = NDArray[np.float64]
 
 FILE_NAME: Final = "checkpoint.npz"
 _VERSION: Final = 1
+_UNREADABLE: Final = (
+    *(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error),
+    RuntimeError,  # zipfile: encrypted, or compressed in a way that it does not know
+    TypeError,  # a lone .npy
+)
+"""What NumPy and zipfile raise for a damaged archive."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +73,7 @@ class Checkpoint:
                 )
         except FileNotFoundError:
             raise CheckpointError(f"{path}: no checkpoint to resume from; leave out --resume to start anew") from None
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        except _UNREADABLE as error:
             raise CheckpointError(f"{path}: damaged checkpoint ({error}); leave out --resume to start anew") from None
         if version != _VERSION:
             raise CheckpointError(f"{path}: checkpoint version {version}; this release reads version {_VERSION}")

@@ -137,6 +137,7 @@ class _Search:
         self.candidates: list[Array] = []
         self.scores: list[Array] = []
         self.sigma: list[float] = []
+        self.validated = 0
         own = {k: v for k, v in asdict(settings).items() if k != "iterations"}
         self.identity = hashlib.sha256(f"{problem.identity}{own}".encode()).hexdigest()
 
@@ -196,15 +197,17 @@ class _Search:
         Checkpoint(self.identity, np.array(self.candidates), np.array(self.scores), elapsed).save(self.checkpoint)
 
     def _choose(self, baseline: float) -> tuple[Array, float, float]:
-        """The candidate with the best mean objective over the validation episodes."""
+        """The candidate with the best mean objective over the validation episodes, of those no worse than the unmodulated one."""
         rows = [self.problem.initial]
         scores = [baseline]
         if self.scores:
             flat, u = np.concatenate(self.scores), np.concatenate(self.candidates)
             best = np.argsort(-flat, kind="stable")[:VALIDATED]
+            best = best[flat[best] >= baseline]
             rows += list(self._physical(u[best]))
             scores += list(flat[best])
         x = np.array(rows)
+        self.validated = len(x)
         rng = np.random.default_rng([self.settings.seed, 1])
         start = perturbed_start(VALIDATION_EPISODES, self.problem.demonstration.n_samples, rng)
         steps = round(VALIDATION_S * self.problem.config.rate_hz)
@@ -218,7 +221,7 @@ class _Search:
         return float(np.mean(np.concatenate([self.problem.score(r) for r in rollouts])))
 
     def _evaluations(self) -> int:
-        return 1 + sum(len(s) for s in self.scores) + (1 + min(VALIDATED, sum(map(len, self.scores)))) * VALIDATION_EPISODES
+        return 1 + sum(len(s) for s in self.scores) + self.validated * VALIDATION_EPISODES
 
     def _history(self, baseline: float) -> History:
         scores = np.array(self.scores).reshape(len(self.scores), -1)

@@ -1,0 +1,291 @@
+"""`fastmimic imitate`: what it writes, that it can be repeated, interrupted and resumed, and what it never overwrites."""
+
+import json
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from running import TINY, Run, wait_for_iteration
+
+from fastmimic.commands.imitate import Imitate
+from fastmimic.conventions import LEGS
+from fastmimic.motion.motion import Motion
+
+Start = Callable[..., "subprocess.Popen[str]"]
+TIMES = ("wall_s", "video_s", "realtime_factor")
+
+
+def arrays(folder: Path) -> dict[str, Any]:
+    with np.load(folder / "motion.npz") as file:
+        return {name: file[name] for name in file.files}
+
+
+def metrics(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "metrics.json").read_text())
+
+
+def assert_same_run(a: Path, b: Path) -> None:
+    """The same motion to the last bit, and the same figures but for how long it took."""
+    one, other = arrays(a), arrays(b)
+    assert one.keys() == other.keys()
+    for name in one:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+    figures = [{k: v for k, v in metrics(f).items() if k not in TIMES} for f in (a, b)]
+    assert figures[0] == figures[1]
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_writes_the_motion_figures_and_numbers(run: Run, in_folder: Path) -> None:
+    done = run("imitate", "trot", *TINY)
+    assert done.status == 0
+    out = in_folder / "runs" / "trot-a1-mbc-dmp-0"
+    assert {path.name for path in out.iterdir()} == {
+        "motion.npz",
+        "metrics.json",
+        "config.json",
+        "convergence.png",
+        "tracking.png",
+        "checkpoint.npz",
+    }
+    assert "results in runs/trot-a1-mbc-dmp-0" in done.out
+    assert "trot: built-in gait 'trot', scale 0.825" in done.err
+    motion = Motion.load(out / "motion.npz")
+    assert motion.demonstration is not None
+    assert motion.meta["robot"] == "a1"
+
+
+def test_metrics_hold_all_figures(run: Run, in_folder: Path) -> None:
+    run("imitate", "trot", *TINY, "--out", "run")
+    found = metrics(in_folder / "run")
+    assert (found["motion"], found["robot"], found["method"], found["seed"]) == ("trot", "a1", "mbc-dmp", 0)
+    assert found["duration_s"] == 0.6
+    assert set(found["reward"]) == {"before", "after", "components_before", "components_after"}
+    assert set(found["reward"]["components_after"]) == {
+        "pose",
+        "velocity",
+        "end_effector",
+        "root_pose",
+        "root_velocity",
+    }
+    assert found["fell"] == {"before": False, "after": False}
+    for name in ("drift_m_per_s", "early_contacts_per_s", "stance_slip_m", "foot_z_rmse_m", "foot_x_rmse_m"):
+        assert set(found[name]) == {"before", "after"}
+        assert all(value >= 0 for value in found[name].values())
+    assert set(found["swing_clearance_m"]) == {"demonstration", "before", "after"}
+    assert all(len(legs) == 4 for legs in found["swing_clearance_m"].values())
+    assert found["iterations"] == 3
+    assert found["evaluations"] >= 3 * 4
+    assert found["wall_s"] > 0
+    assert found["video_s"] is None
+    assert found["realtime_factor"] == pytest.approx(found["simulated_s"] / found["wall_s"])
+    assert [p["name"] for p in found["parameters"]] == [
+        *(f"{leg}_foot_z.goal" for leg in LEGS),
+        *(f"{leg}_foot_z.amplitude" for leg in LEGS),
+    ]
+    assert all(
+        p["lower"] <= p["value"] <= p["upper"] and p["unit"] in ("m", "1") for p in found["parameters"]
+    )
+    assert {"python", "fastmimic", "mujoco", "numpy"} <= set(found["versions"])
+
+
+def test_the_table_shows_the_figures_of_the_metrics(run: Run, in_folder: Path) -> None:
+    printed = run("imitate", "trot", *TINY, "--out", "run").out.splitlines()
+    reward = metrics(in_folder / "run")["reward"]
+    assert printed[1].split() == ["before", "after"]
+    assert printed[2].split() == ["reward", f"{reward['before']:.3f}", f"{reward['after']:.3f}"]
+
+
+def test_config_holds_the_arguments_and_the_controller(run: Run, in_folder: Path) -> None:
+    run("imitate", "turn", *TINY, "--yaw-rate", "-0.8", "--config", "paper", "--out", "run")
+    config = json.loads((in_folder / "run" / "config.json").read_text())
+    assert config["arguments"]["motion"] == "turn"
+    assert config["arguments"]["yaw_rate"] == -0.8
+    assert config["controller"]["name"] == "paper"
+    assert config["controller"]["stance"]["adaptation"] == "paper"
+    assert metrics(in_folder / "run")["config"] == "paper"
+
+
+def test_without_optimisation_the_motion_is_the_retargeted_one(run: Run, in_folder: Path) -> None:
+    assert run("imitate", "trot", *TINY, "--no-optimize").status == 0
+    out = in_folder / "runs" / "trot-a1-mbc-0"
+    assert not (out / "convergence.png").exists()
+    assert not (out / "checkpoint.npz").exists()
+    found = metrics(out)
+    assert (found["method"], found["evaluations"], found["parameters"]) == ("mbc", 0, [])
+    assert found["reward"]["before"] == found["reward"]["after"]
+    assert Motion.load(out / "motion.npz").demonstration is None
+
+
+def test_the_robot_of_a_motion_is_known(run: Run, in_folder: Path) -> None:
+    run("retarget", "walk", "--robot", "go1", "--out", "walk.npz")
+    assert run("imitate", "walk.npz", *TINY, "--out", "run").status == 0
+    assert metrics(in_folder / "run")["robot"] == "go1"
+
+
+def test_an_optimised_motion_is_optimised_anew_against_its_demonstration(run: Run, in_folder: Path) -> None:
+    run("imitate", "trot", *TINY, "--out", "first")
+    run("imitate", "first/motion.npz", *TINY, "--out", "second")
+    one, other = arrays(in_folder / "first"), arrays(in_folder / "second")
+    np.testing.assert_array_equal(one["demonstration_joint_pos"], other["demonstration_joint_pos"])
+
+
+def test_the_number_of_workers_does_not_change_a_bit(run: Run, in_folder: Path) -> None:
+    for workers in (1, 2):
+        run("imitate", "trot", *TINY, "--workers", workers, "--out", f"with-{workers}")
+    assert_same_run(in_folder / "with-1", in_folder / "with-2")
+
+
+def test_another_seed_is_another_search(run: Run, in_folder: Path) -> None:
+    for seed in (0, 1):
+        run("imitate", "trot", *TINY, "--seed", seed, "--out", f"seed-{seed}")
+    values = [[p["value"] for p in metrics(in_folder / f"seed-{seed}")["parameters"]] for seed in (0, 1)]
+    with np.load(in_folder / "seed-0/checkpoint.npz") as a, np.load(in_folder / "seed-1/checkpoint.npz") as b:
+        assert not np.array_equal(a["candidates"], b["candidates"])
+    assert len(values[0]) == len(values[1]) == 8
+
+
+def test_default_folders_are_numbered(run: Run, in_folder: Path) -> None:
+    (in_folder / "runs" / "trot-a1-mbc-0").mkdir(parents=True)  # empty: not taken
+    names = []
+    for _ in range(3):
+        names.append(run("imitate", "trot", *TINY, "--no-optimize").out.splitlines()[-1].split()[-1])
+    assert names == ["runs/trot-a1-mbc-0", "runs/trot-a1-mbc-0-2", "runs/trot-a1-mbc-0-3"]
+
+
+def test_another_run_is_not_overwritten(run: Run, in_folder: Path) -> None:
+    run("imitate", "trot", *TINY, "--out", "run")
+    before = content(in_folder / "run")
+    refused = run("imitate", "trot", *TINY, "--out", "run", "--seed", "1")
+    assert refused.error.startswith("run holds another run (seed 0); choose another --out")
+    assert content(in_folder / "run") == before
+    assert run("imitate", "trot", *TINY, "--out", "run", "--seed", "1", "--overwrite").status == 0
+    assert metrics(in_folder / "run")["seed"] == 1
+
+
+def test_the_same_run_again_takes_the_place_of_the_first(run: Run, in_folder: Path) -> None:
+    run("imitate", "trot", *TINY, "--out", "run")
+    (in_folder / "first").mkdir()
+    for path in (in_folder / "run").iterdir():
+        (in_folder / "first" / path.name).write_bytes(path.read_bytes())
+    again = run("imitate", "trot", *TINY, "--out", "run", "--workers", "1")
+    assert "replacing the run in run" in again.err
+    assert_same_run(in_folder / "first", in_folder / "run")
+
+
+def test_files_of_something_else_are_not_overwritten(run: Run, in_folder: Path) -> None:
+    (in_folder / "mine").mkdir()
+    (in_folder / "mine" / "config.json").write_text('{"mine": true}')
+    assert "mine holds config.json of something else" in run("imitate", "trot", *TINY, "--out", "mine").error
+    assert content(in_folder / "mine") == {"config.json": b'{"mine": true}'}
+
+
+def test_files_of_an_earlier_run_do_not_stay_behind(run: Run, in_folder: Path) -> None:
+    run("imitate", "trot", *TINY, "--out", "run")
+    (in_folder / "run" / "video.mp4").write_bytes(b"old")
+    run("imitate", "trot", *TINY, "--no-optimize", "--out", "run", "--overwrite")
+    assert {path.name for path in (in_folder / "run").iterdir()} == {
+        "motion.npz",
+        "metrics.json",
+        "config.json",
+        "tracking.png",
+    }
+
+
+def test_more_iterations_go_on_from_a_finished_run(run: Run, in_folder: Path) -> None:
+    """The search itself does not depend on how many iterations were planned."""
+    run("imitate", "trot", *TINY, "--out", "short")
+    run("imitate", "trot", *TINY, "--iterations", "6", "--out", "short", "--resume")
+    run("imitate", "trot", *TINY, "--iterations", "6", "--out", "long")
+    assert metrics(in_folder / "short")["iterations"] == 6
+    assert_same_run(in_folder / "short", in_folder / "long")
+
+
+def test_resuming_another_problem_is_refused_and_changes_nothing(run: Run, in_folder: Path) -> None:
+    run("imitate", "trot", *TINY, "--out", "run")
+    before = content(in_folder / "run")
+    for other in (
+        ["pace"],
+        ["trot", "--seed", "1"],
+        ["trot", "--config", "paper"],
+        ["trot", "--robot", "go1"],
+    ):
+        done = run("imitate", *other, *TINY, "--out", "run", "--resume")
+        assert done.status == 2
+        assert "this checkpoint is of another problem" in done.err.splitlines()[-1]
+        assert content(in_folder / "run") == before
+
+
+def test_a_damaged_checkpoint_is_refused(run: Run, in_folder: Path) -> None:
+    run("imitate", "trot", *TINY, "--out", "run")
+    checkpoint = in_folder / "run" / "checkpoint.npz"
+    checkpoint.write_bytes(checkpoint.read_bytes()[:300])
+    done = run("imitate", "trot", *TINY, "--out", "run", "--resume")
+    assert done.status == 2
+    assert "damaged checkpoint" in done.err.splitlines()[-1]
+
+
+LONGER = ("--iterations", "30", "--population", "4", "--duration", "0.6", "--no-video")
+
+
+def test_resuming_after_kill_9_gives_the_same_bits(run: Run, start: Start, in_folder: Path) -> None:
+    process = start("imitate", "trot", *LONGER, "--out", "killed")
+    wait_for_iteration(process, 9)
+    process.kill()
+    assert process.wait() == -signal.SIGKILL
+    assert {path.name for path in (in_folder / "killed").iterdir()} == {"config.json", "checkpoint.npz"}
+    assert run("imitate", "trot", *LONGER, "--out", "killed", "--resume").status == 0
+    assert run("imitate", "trot", *LONGER, "--out", "whole").status == 0
+    assert_same_run(in_folder / "killed", in_folder / "whole")
+
+
+def test_resume_without_a_folder_takes_the_last_of_the_name(run: Run, start: Start, in_folder: Path) -> None:
+    run("imitate", "trot", *LONGER[2:], "--iterations", "3")
+    process = start("imitate", "trot", *LONGER)
+    wait_for_iteration(process, 9)
+    process.kill()
+    process.wait()
+    done = run("imitate", "trot", *LONGER, "--resume")
+    assert done.out.splitlines()[-1] == "results in runs/trot-a1-mbc-dmp-0-2"
+    assert metrics(in_folder / "runs/trot-a1-mbc-dmp-0-2")["iterations"] == 30
+
+
+def test_ctrl_c_leaves_a_usable_result(run: Run, start: Start, in_folder: Path) -> None:
+    endless = ("--iterations", "100000", "--population", "4", "--duration", "0.6", "--no-video")
+    process = start("imitate", "trot", *endless, "--out", "stopped")
+    assert process.stderr is not None
+    for line in (
+        process.stderr
+    ):  # a search this long reports its progress every 10 000 iterations: look at the folder
+        if line.startswith("trot"):
+            break
+    while not (in_folder / "stopped" / "checkpoint.npz").exists():
+        assert process.poll() is None, process.communicate()
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate()
+    assert process.returncode == 130, err
+    assert "results in stopped" in out
+    assert "interrupted after" in err.splitlines()[-1]
+    found = metrics(in_folder / "stopped")
+    assert found["interrupted"] is True
+    assert 5 <= found["iterations"] < 100_000
+    done = run("evaluate", "stopped/motion.npz", "--duration", "0.6", "--json")
+    assert json.loads(done.out)["reward_mean"] == pytest.approx(found["reward"]["after"], abs=1e-12)
+
+
+def test_ctrl_c_before_there_is_anything_leaves_nothing(
+    run: Run, in_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Imitate, "_imitate", interrupted)
+    done = run("imitate", "trot", *TINY, "--out", "deep/run")
+    assert (done.status, done.out) == (130, "")
+    assert list(in_folder.iterdir()) == []

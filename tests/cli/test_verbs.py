@@ -1,0 +1,228 @@
+"""The other verbs, each on something real."""
+
+import http.server
+import json
+import threading
+from collections.abc import Iterator
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import pytest
+from running import TINY, Run
+from sample_files import csv_text, keypoint_text
+
+from fastmimic.motion.catalogue import RECORDED
+from fastmimic.motion.data import Dataset
+from fastmimic.motion.motion import Motion
+from fastmimic.motion.synthesis import GAITS
+from fastmimic.report.offscreen import NoRendererError, Offscreen
+from fastmimic.robot import ROBOT_NAMES
+
+EVALUATION_KEYS = {
+    *("reward_mean", "reward_std", "components", "fell", "drift_m_per_s"),
+    *("swing_clearance_m", "foot_z_rmse_m", "foot_x_rmse_m"),
+}
+
+
+def test_evaluate_json_is_one_object_and_nothing_else(run: Run) -> None:
+    done = run("evaluate", "trot", "--duration", "0.6", "--json")
+    assert done.status == 0
+    found = json.loads(done.out)
+    assert set(found) >= EVALUATION_KEYS
+    assert 0 < found["reward_mean"] <= 1
+    assert found["reward_std"] == 0  # of one episode
+    assert len(found["swing_clearance_m"]) == 4
+
+
+def test_evaluate_of_several_episodes_depends_on_the_seed_alone(run: Run) -> None:
+    def evaluate(seed: int) -> dict:
+        done = run("evaluate", "trot", "--duration", "0.6", "--episodes", "3", "--seed", seed, "--json")
+        return json.loads(done.out)
+
+    assert evaluate(0) == evaluate(0)
+    assert evaluate(0)["reward_mean"] != evaluate(1)["reward_mean"]
+    assert evaluate(0)["reward_std"] > 0
+
+
+def test_evaluate_in_words(run: Run) -> None:
+    lines = run("evaluate", "trot", "--duration", "0.6", "--episodes", "2").out.splitlines()
+    assert lines[0] == "trot on a1, 2 episodes of 0.6 s"
+    assert lines[1].startswith("reward ")
+    assert "±" in lines[1]
+
+
+def test_retarget_writes_a_motion_that_the_other_verbs_take(run: Run, in_folder: Path) -> None:
+    done = run("retarget", "pace", "--out", "deep/pace.npz")
+    assert done.out.splitlines()[0].startswith("scale 0.825; one cycle")
+    assert "slip in stance" in done.out
+    motion = Motion.load(in_folder / "deep" / "pace.npz")
+    assert motion.cycle is not None
+    assert run("inspect", "deep/pace.npz").status == 0
+    evaluated = run("evaluate", "deep/pace.npz", "--duration", "0.6", "--json")
+    assert evaluated.out == run("evaluate", "pace", "--duration", "0.6", "--json").out
+
+
+def test_options_reach_the_clip(run: Run, in_folder: Path) -> None:
+    (in_folder / "clip.txt").write_text(keypoint_text(40))
+    done = run(
+        "retarget",
+        "clip.txt",
+        "--frames",
+        "4:36",
+        "--fps",
+        "50",
+        "--up",
+        "y",
+        "--scale",
+        "0.7",
+        "--out",
+        "o.npz",
+    )
+    assert done.status == 0, done.err
+    meta = Motion.load(in_folder / "o.npz").meta
+    assert meta["source"]["frames"] == [4, 36]
+    assert meta["retarget"]["scale"] == 0.7
+    assert meta["retarget"]["period_before_s"] == pytest.approx(31 / 50)  # 32 frames, not a cycle
+
+
+def test_inspect_says_what_a_clip_is(run: Run, in_folder: Path) -> None:
+    (in_folder / "clip.dat").write_text(keypoint_text(40))
+    lines = run("inspect", "clip.dat").out.splitlines()
+    assert lines[0] == "format     dog keypoints, 81 columns of text"
+    assert lines[1] == "frames     40 at 60 Hz, 0.667 s"
+    assert any(line.startswith("assumed    y is up") for line in lines)
+    assert any(line.startswith("travel     not periodic") for line in lines)
+
+
+def test_inspect_of_a_robot_csv(run: Run, in_folder: Path) -> None:
+    (in_folder / "clip.csv").write_text(csv_text(40))
+    done = run("inspect", "clip.csv")
+    assert done.out.startswith("format     retargeted robot motion, 19 columns")
+
+
+def test_inspect_of_an_optimised_motion_names_its_parameters(run: Run, in_folder: Path) -> None:
+    run("imitate", "trot", *TINY, "--out", "run")
+    with np.load(in_folder / "run" / "motion.npz") as file:
+        meta = json.loads(str(file["meta_json"]))
+    changed = [a != 1 for a in meta["dmp"]["amplitude"]]
+    text = run("inspect", "run/motion.npz").out
+    assert "optimised  carries its demonstration" in text
+    for name, differs in zip(meta["dmp"]["names"], changed, strict=True):
+        assert (f"  {name} " in text) == differs
+
+
+def test_inspect_draws(run: Run, in_folder: Path) -> None:
+    assert run("inspect", "walk", "--figure", "walk.png").status == 0
+    assert (in_folder / "walk.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_motions_lists_every_name(run: Run) -> None:
+    done = run("motions")
+    rows = {line.split()[0]: line for line in done.out.splitlines()[1:]}
+    assert set(rows) == {*GAITS, *RECORDED}
+    assert " yes " in rows["trot"]
+    assert " no " in rows["dog:pace"]
+    assert "'fastmimic data fetch'" in done.err
+
+
+def test_robots(run: Run) -> None:
+    lines = run("robots").out.splitlines()
+    assert tuple(line.split()[0] for line in lines[1:]) == ROBOT_NAMES
+
+
+CONTENT = keypoint_text(40).encode()
+DATASET = Dataset(
+    name="dog_keypoints",
+    about="a stiff dog",
+    origin="retarget_motion/data",
+    files={"dog_pace_joint_pos.txt": sha256(CONTENT).hexdigest()},
+)
+
+
+@pytest.fixture
+def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A server on this machine that has the dataset of one small file."""
+    monkeypatch.setattr("fastmimic.motion.data.DATASETS", (DATASET,))
+    folder = tmp_path / "served" / DATASET.origin
+    folder.mkdir(parents=True)
+    (folder / "dog_pace_joint_pos.txt").write_bytes(CONTENT)
+
+    class Quiet(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *arguments: object) -> None: ...
+
+    handler = partial(Quiet, directory=str(tmp_path / "served"))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as httpd:
+        thread = threading.Thread(target=httpd.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{httpd.server_address[1]}"
+        httpd.shutdown()
+        thread.join()
+
+
+def test_data_is_fetched_and_listed(server: str, run: Run, in_folder: Path) -> None:
+    assert "dog_keypoints  0 of 1" in run("data", "list", "--folder", "here").out
+    done = run("data", "fetch", "--folder", "here", "--base-url", server)
+    assert done.status == 0, done.err
+    assert "1 files, verified, in here" in done.out
+    assert "CC BY-NC 4.0" in done.out
+    assert (in_folder / "here/dog_keypoints/dog_pace_joint_pos.txt").read_bytes() == CONTENT
+    assert "dog_keypoints  1 of 1" in run("data", "list", "--folder", "here").out
+
+
+def test_data_with_other_content_is_refused(server: str, run: Run, in_folder: Path) -> None:
+    (in_folder / "served" / DATASET.origin / "dog_pace_joint_pos.txt").write_bytes(b"something else")
+    error = run("data", "fetch", "--folder", "here", "--base-url", server).error
+    assert "SHA-256 differs" in error
+    assert not (in_folder / "here/dog_keypoints/dog_pace_joint_pos.txt").exists()
+
+
+@pytest.fixture
+def opengl() -> None:
+    """Skips a test where nothing can be drawn."""
+    import mujoco
+
+    try:
+        with Offscreen(mujoco.MjModel.from_xml_string("<mujoco/>")):
+            pass
+    except NoRendererError as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.usefixtures("opengl")
+@pytest.mark.parametrize("how", [[], ["--kinematic"]])
+def test_render(how: list[str], run: Run, in_folder: Path) -> None:
+    done = run("render", "trot", *how, "--duration", "0.2", "--size", "160x120", "--out", "trot.mp4")
+    assert done.out == "6 frames, 0.2 s, in trot.mp4\n"
+    assert b"ftyp" in (in_folder / "trot.mp4").read_bytes()[:12]
+
+
+def test_render_without_opengl_is_one_line(
+    run: Run, monkeypatch: pytest.MonkeyPatch, in_folder: Path
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    done = run("render", "trot", "--kinematic", "--duration", "0.2", "--out", "trot.mp4")
+    assert done.status == 2
+    assert "there is no OpenGL to draw with" in done.err.splitlines()[-1]
+    assert not (in_folder / "trot.mp4").exists()
+
+
+@pytest.mark.usefixtures("opengl")
+def test_imitate_adds_the_video_and_its_time(run: Run, in_folder: Path) -> None:
+    done = run("imitate", "trot", *TINY[:-1], "--out", "run")
+    assert done.status == 0
+    assert b"ftyp" in (in_folder / "run" / "video.mp4").read_bytes()[:12]
+    found = json.loads((in_folder / "run" / "metrics.json").read_text())
+    assert found["video_s"] > 0
+
+
+def test_imitate_without_opengl_does_all_but_the_video(
+    run: Run, monkeypatch: pytest.MonkeyPatch, in_folder: Path
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    done = run("imitate", "trot", *TINY[:-1], "--out", "run")
+    assert done.status == 0
+    assert "video.mp4 was not written" in done.err
+    assert not (in_folder / "run" / "video.mp4").exists()
+    assert (in_folder / "run" / "metrics.json").exists()
