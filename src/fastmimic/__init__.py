@@ -18,11 +18,11 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from fastmimic.control.config import ControllerConfig
     from fastmimic.errors import FastMimicError
-    from fastmimic.pipeline import Evaluation, Imitation, evaluate, imitate, load_motion
     from fastmimic.motion.catalogue import motion_names, open_clip
     from fastmimic.motion.clip import Clip
     from fastmimic.motion.motion import Motion
     from fastmimic.motion.retarget import retarget
+    from fastmimic.pipeline import Evaluation, Imitation, evaluate, imitate, load_motion
     from fastmimic.primitive import MotionDmp
     from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 

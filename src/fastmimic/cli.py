@@ -40,9 +40,7 @@ class Command(Protocol):
 VERBS: Final = {
     "imitate": Verb("imitate", "Imitate", "turn a motion into one that the robot can execute"),
     "evaluate": Verb("evaluate", "Evaluate", "run a motion under the controller and score it"),
-    "retarget": Verb(
-        "retarget", "Retarget", "turn an animal's clip into a robot motion, without optimising it"
-    ),
+    "retarget": Verb("retarget", "Retarget", "turn an animal's clip into a robot motion, without optimising it"),
     "inspect": Verb("inspect", "Inspect", "say what a clip or a robot motion is"),
     "render": Verb("render", "Render", "write a video of a motion"),
     "motions": Verb("motions", "Motions", "list the motions that have a name"),
@@ -112,11 +110,7 @@ def _dispatch(arguments: list[str]) -> int:
 
 def _unknown(word: str) -> str:
     close = difflib.get_close_matches(word, VERBS, n=2, cutoff=0.5)
-    hint = (
-        f"did you mean {' or '.join(repr(c) for c in close)}?"
-        if close
-        else f"the verbs are {', '.join(VERBS)}"
-    )
+    hint = f"did you mean {' or '.join(repr(c) for c in close)}?" if close else f"the verbs are {', '.join(VERBS)}"
     return f"unknown {'option' if word.startswith('-') else 'verb'} '{word}'; {hint}"
 
 
@@ -161,13 +155,17 @@ def _raise_usage(box: str) -> NoReturn:
     raise _UsageError(said)
 
 
+class _Stderr(logging.Handler):
+    """One line for each record, on what is stderr at that time."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        _say(f"{record.levelname.lower()}: {record.getMessage()}")
+
+
 def _log_to_stderr() -> None:
-    """The library's warnings, one line each."""
     logger = logging.getLogger("fastmimic")
     if not logger.handlers:
-        handler = logging.StreamHandler()
-        handler.setFormatter(logging.Formatter("fastmimic: %(levelname)s: %(message)s"))
-        logger.addHandler(handler)
+        logger.addHandler(_Stderr(logging.WARNING))
 
 
 def _say(text: str) -> None:

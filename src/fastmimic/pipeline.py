@@ -46,7 +46,9 @@ class Imitation:
         values: (k,) the values found, physical units.
         history: the course of the optimisation; None without one.
         seed: of the optimiser.
-        evaluations: episodes run by the optimisation, iterations: generations.
+        evaluations: episodes run by the optimisation.
+        simulated_s: simulated time in all, s.
+        iterations: generations.
         wall_s: time for all this, s; after a resume, with the time before it.
         interrupted: whether the optimisation was stopped early.
     """
@@ -63,6 +65,7 @@ class Imitation:
     seed: int
     duration_s: float
     evaluations: int
+    simulated_s: float
     iterations: int
     wall_s: float
     interrupted: bool
@@ -75,7 +78,6 @@ class Imitation:
     def metrics(self) -> dict[str, Any]:
         """All figures of the run, JSON-serialisable; numbers that do not exist (no swing, no step) are None."""
         before, after = self.before, self.after
-        simulated = (self.evaluations + 2) * self.duration_s
         return {
             "motion": self.motion.name,
             "robot": self.robot.name,
@@ -105,8 +107,8 @@ class Imitation:
             "iterations": self.iterations,
             "interrupted": self.interrupted,
             "wall_s": self.wall_s,
-            "simulated_s": simulated,
-            "realtime_factor": simulated / self.wall_s if self.wall_s > 0 else None,
+            "simulated_s": self.simulated_s,
+            "realtime_factor": self.simulated_s / self.wall_s if self.wall_s > 0 else None,
             "parameters": [
                 {
                     "name": p.name,
@@ -205,6 +207,7 @@ def imitate(
             seed=seed,
             duration_s=duration_s,
             evaluations=0,
+            simulated_s=duration_s,
             iterations=0,
             wall_s=time.perf_counter() - began,
             interrupted=False,
@@ -228,6 +231,7 @@ def imitate(
         seed=seed,
         duration_s=duration_s,
         evaluations=optimum.evaluations,
+        simulated_s=optimum.simulated_s + 2 * duration_s,
         iterations=len(optimum.history.best),
         wall_s=prepared + optimum.elapsed_s,
         interrupted=optimum.interrupted,

@@ -12,12 +12,14 @@ from running import QUICK_MAIN, Outcome, Run
 from fastmimic.cli import main
 
 
-@pytest.fixture(autouse=True)
-def short_validation(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module", autouse=True)
+def short_validation() -> Iterator[None]:
     """As in `quick_main`, for the commands that run in this process."""
-    monkeypatch.setattr("fastmimic.optimize.cma_es.VALIDATION_S", 0.4)
-    monkeypatch.setattr("fastmimic.optimize.cma_es.VALIDATION_EPISODES", 2)
-    monkeypatch.setattr("fastmimic.optimize.cma_es.VALIDATED", 2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fastmimic.optimize.cma_es.VALIDATION_S", 0.4)
+        patch.setattr("fastmimic.optimize.cma_es.VALIDATION_EPISODES", 2)
+        patch.setattr("fastmimic.optimize.cma_es.VALIDATED", 2)
+        yield
 
 
 @pytest.fixture

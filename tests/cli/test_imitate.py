@@ -1,16 +1,20 @@
-"""`fastmimic imitate`: what it writes, that it can be repeated, interrupted and resumed, and what it never overwrites."""
+"""`fastmimic imitate`: what it writes; repeated, interrupted and resumed; and what it never overwrites."""
 
+import contextlib
+import io
 import json
+import shutil
 import signal
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from running import TINY, Run, wait_for_iteration
+from running import TINY, Outcome, Run, wait_for_iteration
 
+from fastmimic.cli import main
 from fastmimic.commands.imitate import Imitate
 from fastmimic.conventions import LEGS
 from fastmimic.motion.motion import Motion
@@ -42,10 +46,25 @@ def content(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_writes_the_motion_figures_and_numbers(run: Run, in_folder: Path) -> None:
-    done = run("imitate", "trot", *TINY)
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Outcome]]:
+    """A finished run of `trot` in its default folder, and what was printed. Not to be changed."""
+    folder = tmp_path_factory.mktemp("first")
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = main(["imitate", "trot", *TINY])
+    yield folder / "runs" / "trot-a1-mbc-dmp-0", Outcome(status, out.getvalue(), err.getvalue())
+
+
+@pytest.fixture
+def copy(first: tuple[Path, Outcome], in_folder: Path) -> Path:
+    """A copy of that run, in the working folder `run`."""
+    return Path(shutil.copytree(first[0], in_folder / "run"))
+
+
+def test_writes_the_motion_figures_and_numbers(first: tuple[Path, Outcome]) -> None:
+    out, done = first
     assert done.status == 0
-    out = in_folder / "runs" / "trot-a1-mbc-dmp-0"
     assert {path.name for path in out.iterdir()} == {
         "motion.npz",
         "metrics.json",
@@ -61,9 +80,8 @@ def test_writes_the_motion_figures_and_numbers(run: Run, in_folder: Path) -> Non
     assert motion.meta["robot"] == "a1"
 
 
-def test_metrics_hold_all_figures(run: Run, in_folder: Path) -> None:
-    run("imitate", "trot", *TINY, "--out", "run")
-    found = metrics(in_folder / "run")
+def test_metrics_hold_all_figures(first: tuple[Path, Outcome]) -> None:
+    found = metrics(first[0])
     assert (found["motion"], found["robot"], found["method"], found["seed"]) == ("trot", "a1", "mbc-dmp", 0)
     assert found["duration_s"] == 0.6
     assert set(found["reward"]) == {"before", "after", "components_before", "components_after"}
@@ -89,15 +107,13 @@ def test_metrics_hold_all_figures(run: Run, in_folder: Path) -> None:
         *(f"{leg}_foot_z.goal" for leg in LEGS),
         *(f"{leg}_foot_z.amplitude" for leg in LEGS),
     ]
-    assert all(
-        p["lower"] <= p["value"] <= p["upper"] and p["unit"] in ("m", "1") for p in found["parameters"]
-    )
+    assert all(p["lower"] <= p["value"] <= p["upper"] and p["unit"] in ("m", "1") for p in found["parameters"])
     assert {"python", "fastmimic", "mujoco", "numpy"} <= set(found["versions"])
 
 
-def test_the_table_shows_the_figures_of_the_metrics(run: Run, in_folder: Path) -> None:
-    printed = run("imitate", "trot", *TINY, "--out", "run").out.splitlines()
-    reward = metrics(in_folder / "run")["reward"]
+def test_the_table_shows_the_figures_of_the_metrics(first: tuple[Path, Outcome]) -> None:
+    printed = first[1].out.splitlines()
+    reward = metrics(first[0])["reward"]
     assert printed[1].split() == ["before", "after"]
     assert printed[2].split() == ["reward", f"{reward['before']:.3f}", f"{reward['after']:.3f}"]
 
@@ -129,54 +145,47 @@ def test_the_robot_of_a_motion_is_known(run: Run, in_folder: Path) -> None:
     assert metrics(in_folder / "run")["robot"] == "go1"
 
 
-def test_an_optimised_motion_is_optimised_anew_against_its_demonstration(run: Run, in_folder: Path) -> None:
-    run("imitate", "trot", *TINY, "--out", "first")
-    run("imitate", "first/motion.npz", *TINY, "--out", "second")
-    one, other = arrays(in_folder / "first"), arrays(in_folder / "second")
+def test_an_optimised_motion_is_optimised_anew_against_its_demonstration(run: Run, copy: Path) -> None:
+    run("imitate", "run/motion.npz", *TINY, "--out", "second")
+    one, other = arrays(copy), arrays(copy.parent / "second")
     np.testing.assert_array_equal(one["demonstration_joint_pos"], other["demonstration_joint_pos"])
 
 
 def test_the_number_of_workers_does_not_change_a_bit(run: Run, in_folder: Path) -> None:
-    for workers in (1, 2):
+    for workers in (1, 2, 3):
         run("imitate", "trot", *TINY, "--workers", workers, "--out", f"with-{workers}")
     assert_same_run(in_folder / "with-1", in_folder / "with-2")
+    assert_same_run(in_folder / "with-1", in_folder / "with-3")
 
 
-def test_another_seed_is_another_search(run: Run, in_folder: Path) -> None:
-    for seed in (0, 1):
-        run("imitate", "trot", *TINY, "--seed", seed, "--out", f"seed-{seed}")
-    values = [[p["value"] for p in metrics(in_folder / f"seed-{seed}")["parameters"]] for seed in (0, 1)]
-    with np.load(in_folder / "seed-0/checkpoint.npz") as a, np.load(in_folder / "seed-1/checkpoint.npz") as b:
+def test_another_seed_is_another_search(run: Run, copy: Path) -> None:
+    run("imitate", "trot", *TINY, "--seed", 1, "--out", "other")
+    with np.load(copy / "checkpoint.npz") as a, np.load(copy.parent / "other/checkpoint.npz") as b:
+        assert a["candidates"].shape == b["candidates"].shape == (3, 4, 8)
         assert not np.array_equal(a["candidates"], b["candidates"])
-    assert len(values[0]) == len(values[1]) == 8
 
 
 def test_default_folders_are_numbered(run: Run, in_folder: Path) -> None:
     (in_folder / "runs" / "trot-a1-mbc-0").mkdir(parents=True)  # empty: not taken
-    names = []
-    for _ in range(3):
-        names.append(run("imitate", "trot", *TINY, "--no-optimize").out.splitlines()[-1].split()[-1])
-    assert names == ["runs/trot-a1-mbc-0", "runs/trot-a1-mbc-0-2", "runs/trot-a1-mbc-0-3"]
+    said = [run("imitate", "trot", *TINY, "--no-optimize").out.splitlines()[-1] for _ in range(3)]
+    name = "results in runs/trot-a1-mbc-0"
+    assert said == [name, f"{name}-2", f"{name}-3"]
 
 
-def test_another_run_is_not_overwritten(run: Run, in_folder: Path) -> None:
-    run("imitate", "trot", *TINY, "--out", "run")
-    before = content(in_folder / "run")
+def test_another_run_is_not_overwritten(run: Run, copy: Path) -> None:
+    before = content(copy)
     refused = run("imitate", "trot", *TINY, "--out", "run", "--seed", "1")
     assert refused.error.startswith("run holds another run (seed 0); choose another --out")
-    assert content(in_folder / "run") == before
+    assert content(copy) == before
     assert run("imitate", "trot", *TINY, "--out", "run", "--seed", "1", "--overwrite").status == 0
-    assert metrics(in_folder / "run")["seed"] == 1
+    assert metrics(copy)["seed"] == 1
 
 
-def test_the_same_run_again_takes_the_place_of_the_first(run: Run, in_folder: Path) -> None:
-    run("imitate", "trot", *TINY, "--out", "run")
-    (in_folder / "first").mkdir()
-    for path in (in_folder / "run").iterdir():
-        (in_folder / "first" / path.name).write_bytes(path.read_bytes())
-    again = run("imitate", "trot", *TINY, "--out", "run", "--workers", "1")
+def test_the_same_run_again_takes_the_place_of_the_first(run: Run, copy: Path, first: tuple[Path, Outcome]) -> None:
+    again = run("imitate", "trot", *TINY, "--out", "run")
     assert "replacing the run in run" in again.err
-    assert_same_run(in_folder / "first", in_folder / "run")
+    assert metrics(copy)["wall_s"] != metrics(first[0])["wall_s"]  # it ran
+    assert_same_run(copy, first[0])
 
 
 def test_files_of_something_else_are_not_overwritten(run: Run, in_folder: Path) -> None:
@@ -186,11 +195,10 @@ def test_files_of_something_else_are_not_overwritten(run: Run, in_folder: Path) 
     assert content(in_folder / "mine") == {"config.json": b'{"mine": true}'}
 
 
-def test_files_of_an_earlier_run_do_not_stay_behind(run: Run, in_folder: Path) -> None:
-    run("imitate", "trot", *TINY, "--out", "run")
-    (in_folder / "run" / "video.mp4").write_bytes(b"old")
+def test_files_of_an_earlier_run_do_not_stay_behind(run: Run, copy: Path) -> None:
+    (copy / "video.mp4").write_bytes(b"old")
     run("imitate", "trot", *TINY, "--no-optimize", "--out", "run", "--overwrite")
-    assert {path.name for path in (in_folder / "run").iterdir()} == {
+    assert {path.name for path in copy.iterdir()} == {
         "motion.npz",
         "metrics.json",
         "config.json",
@@ -260,9 +268,7 @@ def test_ctrl_c_leaves_a_usable_result(run: Run, start: Start, in_folder: Path) 
     endless = ("--iterations", "100000", "--population", "4", "--duration", "0.6", "--no-video")
     process = start("imitate", "trot", *endless, "--out", "stopped")
     assert process.stderr is not None
-    for line in (
-        process.stderr
-    ):  # a search this long reports its progress every 10 000 iterations: look at the folder
+    for line in process.stderr:  # a search this long reports its progress every 10 000 iterations: look at the folder
         if line.startswith("trot"):
             break
     while not (in_folder / "stopped" / "checkpoint.npz").exists():

@@ -47,9 +47,7 @@ def test_importing_the_package_and_help_load_nothing_heavy() -> None:
 
 
 def test_a_verbs_help_loads_nothing_heavy() -> None:
-    code = (
-        f"from fastmimic.cli import main\nfor verb in {list(cli.VERBS)}: assert main([verb, '--help']) == 0"
-    )
+    code = f"from fastmimic.cli import main\nfor verb in {list(cli.VERBS)}: assert main([verb, '--help']) == 0"
     loaded = modules_after(code)
     assert "tyro" in loaded
     assert not loaded & set(HEAVY)

@@ -14,9 +14,7 @@ MILLIMETRES: Final = ("stance_slip_m", "foot_z_rmse_m", "foot_x_rmse_m")
 def comparison(result: "Imitation") -> list[str]:
     """Lines for a human; the figures are those of `metrics.json`."""
     metrics = result.metrics()
-    columns = (
-        {"before": "before", "after": "after"} if result.history is not None else {"before": "not optimised"}
-    )
+    columns = {"before": "before", "after": "after"} if result.history is not None else {"before": "not optimised"}
     cells = {column: _column(metrics, column) for column in columns}
     names = list(cells["before"])
     rows = [["", *columns.values()], *([name, *(cells[c][name] for c in columns)] for name in names)]

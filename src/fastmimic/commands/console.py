@@ -10,9 +10,7 @@ if TYPE_CHECKING:
     from fastmimic.optimize.cma_es import Progress
 
 SLOW_START_S: Final = 3.0
-SLOW_START: Final = (
-    "preparing; the first use compiles the controller, which takes about a minute and happens once"
-)
+SLOW_START: Final = "preparing; the first use compiles the controller, which takes about a minute and happens once"
 CHOOSING: Final = "choosing among the best candidates by longer episodes"
 PLAIN_STEPS: Final = 10  # lines in all, where there is no terminal to draw a bar on
 

@@ -28,9 +28,7 @@ class Data:
     def run(self) -> int:
         """Does it; returns the exit status."""
         if self.action not in ACTIONS:
-            raise ConfigError(
-                f"data takes list or fetch, found '{self.action}'{did_you_mean(self.action, ACTIONS)}"
-            )
+            raise ConfigError(f"data takes list or fetch, found '{self.action}'{did_you_mean(self.action, ACTIONS)}")
         return self._list() if self.action == "list" else self._fetch()
 
     def _list(self) -> int:
@@ -40,9 +38,7 @@ class Data:
 
         found = list_datasets(self.folder)
         rows = [("dataset", "files here", "what it is")]
-        rows += [
-            (s.dataset.name, f"{len(s.present)} of {len(s.dataset.files)}", s.dataset.about) for s in found
-        ]
+        rows += [(s.dataset.name, f"{len(s.present)} of {len(s.dataset.files)}", s.dataset.about) for s in found]
         for line in table(rows):
             put(line)
         put(f"folder: {found[0].folder}")
@@ -52,9 +48,12 @@ class Data:
     def _fetch(self) -> int:
         from fastmimic.motion.data import data_folder, fetch
 
+        begun = set()
+
         def progress(name: str, done: int, total: int) -> None:
-            if done == total:
-                note(f"{name}  {total / 1e6:.1f} MB")
+            if name not in begun:
+                begun.add(name)
+                note(f"{name}  {total / 1e6:.2f} MB" if total else name)
 
         names = list(self.datasets) or None
         paths = fetch(names, folder=self.folder, base_url=self.base_url, progress=progress)

@@ -73,9 +73,7 @@ def describe_motion(motion: "Motion", robot: "Robot") -> list[str]:
     least = margin.reshape(-1, 4, 3).min(axis=(0, 1))
     limits = [
         f"{joint} {margin:.2f} rad, {fast:.1f} of {limit:g} rad/s"
-        for joint, margin, fast, limit in zip(
-            JOINTS_PER_LEG, least, speed, robot.joint_speed_limit, strict=False
-        )
+        for joint, margin, fast, limit in zip(JOINTS_PER_LEG, least, speed, robot.joint_speed_limit, strict=False)
     ]
     lines = [
         f"motion     {provenance(motion)}",
@@ -112,9 +110,7 @@ def _travel(motion: "Motion") -> str:
         mean = np.linalg.norm(motion.root_lin_vel_w[:, :2], axis=1).mean()
         return f"not periodic; mean speed {mean:.2f} m/s"
     dx, dy, dyaw = motion.cycle / motion.period_s
-    return (
-        f"{dx:+.3f} m/s forward, {dy:+.3f} m/s left, {dyaw:+.3f} rad/s (one cycle of {motion.period_s:.3f} s)"
-    )
+    return f"{dx:+.3f} m/s forward, {dy:+.3f} m/s left, {dyaw:+.3f} rad/s (one cycle of {motion.period_s:.3f} s)"
 
 
 def _optimised(motion: "Motion") -> list[str]:

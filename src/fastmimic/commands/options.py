@@ -83,9 +83,7 @@ def parse_frames(text: str) -> tuple[int, int]:
     """(first, end) from `A:B`; raises `ConfigError`."""
     found = re.fullmatch(r"\s*(\d+)\s*:\s*(\d+)\s*", text)
     if found is None:
-        raise ConfigError(
-            f"--frames takes FIRST:END, 0-based, end exclusive, such as 162:201; found '{text}'"
-        )
+        raise ConfigError(f"--frames takes FIRST:END, 0-based, end exclusive, such as 162:201; found '{text}'")
     return int(found[1]), int(found[2])
 
 

@@ -72,8 +72,6 @@ class Render(MotionOptions):
         from fastmimic.report.tracks import motion_track
 
         ghost = (
-            None
-            if motion.demonstration is None
-            else motion_track(motion.demonstration, self.duration, "demonstration")
+            None if motion.demonstration is None else motion_track(motion.demonstration, self.duration, "demonstration")
         )
         return motion_track(motion, self.duration, f"{motion.name}, no physics", ghost), motion.rate_hz

@@ -17,8 +17,7 @@ class Robots:
         for name in ROBOT_NAMES:
             robot = load_robot(name)
             torque, speed = (
-                " ".join(f"{v:g}" for v in limit[:3])
-                for limit in (robot.torque_limit, robot.joint_speed_limit)
+                " ".join(f"{v:g}" for v in limit[:3]) for limit in (robot.torque_limit, robot.joint_speed_limit)
             )
             rows.append((name, f"{robot.mass:.2f}", f"{robot.leg_length:.3f}", torque, speed))
         for line in table(rows):

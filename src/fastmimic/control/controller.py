@@ -9,25 +9,26 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.control.adaptation import stance_leg
 from fastmimic.control.config import ControllerConfig, default_config, pack_config
 from fastmimic.control.daqp import make_workspace
 from fastmimic.control.gait import plan_leg
 from fastmimic.control.reference import stack_tables
 from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, invert_symmetric_3x3, stance_forces
 from fastmimic.control.state import COMMAND, MEMORY, pack_model
+from fastmimic.control.swing import swing_errors, swing_leg, swing_target
+from fastmimic.control.vectors import heading_vector, quat_to_matrix, rotation_error, transposed_times, turn_rows
 from fastmimic.conventions import GRAVITY
 from fastmimic.errors import ConfigError
 from fastmimic.jit import inlined, kernel, record_dtype
 from fastmimic.motion.motion import Motion
 from fastmimic.robot.dynamics import leg_inverse_dynamics, leg_mass_moment
-from fastmimic.robot.kinematics import leg_forward, leg_inverse, leg_jacobian
+from fastmimic.robot.kinematics import leg_forward
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot
 
 Array = NDArray[np.float64]
-
-_DAMPING_AFTER_FAILURE: Final = 5.0  # N·m·s/rad on standing legs once the QP has failed for too long
 
 
 SCRATCH: Final = record_dtype(
@@ -51,52 +52,6 @@ SCRATCH: Final = record_dtype(
 
 
 @inlined
-def quat_to_matrix(q: Array, out: Array) -> None:
-    """Rotation matrix of the unit quaternion (w, x, y, z)."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    out[0, 0], out[0, 1], out[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    out[1, 0], out[1, 1], out[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-
-
-@inlined
-def turn_rows(c: float, s: float, m: Array) -> None:
-    """Rz(θ) m in place, with (c, s) the cosine and sine of θ."""
-    for j in range(3):
-        m0, m1 = m[0, j], m[1, j]
-        m[0, j], m[1, j] = c * m0 - s * m1, s * m0 + c * m1
-
-
-@inlined
-def rotation_error(a: Array, b: Array, out: Array) -> None:
-    """Rotation vector of A Bᵀ: what turns b into a, in their common frame."""
-    x = y = z = trace = 0.0
-    for k in range(3):
-        x += a[2, k] * b[1, k] - a[1, k] * b[2, k]
-        y += a[0, k] * b[2, k] - a[2, k] * b[0, k]
-        z += a[1, k] * b[0, k] - a[0, k] * b[1, k]
-        trace += a[0, k] * b[0, k] + a[1, k] * b[1, k] + a[2, k] * b[2, k]
-    sine = 0.5 * np.sqrt(x * x + y * y + z * z)
-    angle = np.arctan2(sine, 0.5 * (trace - 1.0))
-    factor = 0.5 if sine < 1e-9 else 0.5 * angle / sine
-    out[0], out[1], out[2] = factor * x, factor * y, factor * z
-
-
-@inlined
-def times(m: Array, v: Array, out: Array) -> None:
-    """m v for a 3 × 3 matrix."""
-    for i in range(3):
-        out[i] = m[i, 0] * v[0] + m[i, 1] * v[1] + m[i, 2] * v[2]
-
-
-@inlined
-def transposed_times(m: Array, v: Array, out: Array) -> None:
-    """mᵀ v for a 3 × 3 matrix."""
-    for i in range(3):
-        out[i] = m[0, i] * v[0] + m[1, i] * v[1] + m[2, i] * v[2]
-
-
-@inlined
 def _desired_acceleration(config: Any, error: Array, velocity_error: Array, feedforward: Array, out: Array, at: int) -> None:
     """k_p e + k_d ė + feed-forward, clipped, into out[at:at + 3]."""
     for i in range(3):
@@ -104,12 +59,6 @@ def _desired_acceleration(config: Any, error: Array, velocity_error: Array, feed
         a += config.reference_acceleration * feedforward[i]
         limit = config.acceleration_limit[at + i]
         out[at + i] = min(max(a, -limit), limit)
-
-
-@inlined
-def _heading_vector(c: float, s: float, v: Array, out: Array) -> None:
-    """Rz(−ψ) v with (c, s) of ψ."""
-    out[0], out[1], out[2] = c * v[0] + s * v[1], -s * v[0] + c * v[1], v[2]
 
 
 @kernel
@@ -151,10 +100,10 @@ def _control_robot(
 
     error, velocity_error, feedforward = vectors[0], vectors[1], vectors[2]
     v_ref, w_ref, v, w = vectors[3], vectors[4], vectors[5], vectors[6]
-    _heading_vector(cd, -sd, ref.lin_vel, v_ref)
-    _heading_vector(cd, -sd, ref.ang_vel, w_ref)
-    _heading_vector(c, s, obs.lin_vel, v)
-    _heading_vector(c, s, obs.ang_vel, w)
+    heading_vector(cd, -sd, ref.lin_vel, v_ref)
+    heading_vector(cd, -sd, ref.ang_vel, w_ref)
+    heading_vector(c, s, obs.lin_vel, v)
+    heading_vector(c, s, obs.ang_vel, w)
     co, so = np.cos(clock.origin[2]), np.sin(clock.origin[2])
     x = clock.origin[0] + co * ref.root_pos[0] - so * ref.root_pos[1] - obs.root_pos[0]
     y = clock.origin[1] + so * ref.root_pos[0] + co * ref.root_pos[1] - obs.root_pos[1]
@@ -162,7 +111,7 @@ def _control_robot(
     height_error = error[2]
     for k in range(3):
         velocity_error[k] = v_ref[k] - v[k]
-    _heading_vector(cd, -sd, ref.lin_acc, feedforward)
+    heading_vector(cd, -sd, ref.lin_acc, feedforward)
     # the pendulum's sway, from the reference's heading into the robot's
     yaw_error = np.arctan2(reference_rotation[1, 0], reference_rotation[0, 0])
     cy, sy = np.cos(yaw_error), np.sin(yaw_error)
@@ -170,7 +119,7 @@ def _control_robot(
     for k in range(3):
         source = ref.sway_pos if k == 0 else (ref.sway_vel if k == 1 else ref.sway_acc)
         sway[k, 0], sway[k, 1] = cy * source[0] - sy * source[1], sy * source[0] + cy * source[1]
-    _swing_errors(config, rotation, error, velocity_error, sway, memory, scratch.position_error, vectors[7])
+    swing_errors(config, rotation, error, velocity_error, sway, memory, scratch.position_error, vectors[7])
     for k in range(2):
         error[k] += config.stance_sway * sway[0, k]
         velocity_error[k] += config.stance_sway * sway[1, k]
@@ -179,7 +128,7 @@ def _control_robot(
     rotation_error(reference_rotation, rotation, error)
     for k in range(3):
         velocity_error[k] = w_ref[k] - w[k]
-    _heading_vector(cd, -sd, ref.ang_acc, feedforward)
+    heading_vector(cd, -sd, ref.ang_acc, feedforward)
     _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 3)
 
     # the reference's velocities in its own body frame
@@ -192,7 +141,7 @@ def _control_robot(
     for leg in range(4):
         lifted = plan_leg(config, memory, leg, ref.contact[leg] == 1, obs.foot_force[leg, 2])
         if lifted:
-            _swing_target(config, ref, rotation, reference_rotation, height_error, leg, vectors[7])
+            swing_target(config, ref, rotation, reference_rotation, height_error, leg, vectors[7])
             for k in range(3):
                 memory.liftoff_offset[leg, k] = feet[leg, k] - vectors[7][k]
     solved = stance_forces(
@@ -207,37 +156,15 @@ def _control_robot(
     transposed_times(rotation, w, vectors[4])
     for leg in range(4):
         if memory.stance[leg] == 1:
-            _stance_leg(config, model, obs, memory, command, scratch, leg, v_ref_b, w_ref_b, solved)
+            stance_leg(config, model, obs, memory, command, scratch, leg, v_ref_b, w_ref_b, solved)
         else:
-            _swing_leg(config, model, obs, ref, memory, command, scratch, leg, height_error)
+            swing_leg(config, model, obs, ref, memory, command, scratch, leg, height_error)
         _leg_dynamics(config, model, obs, ref, memory, command, scratch, leg)
         for j in range(3 * leg, 3 * leg + 3):
             lower, upper = model.lower[j] + config.joint_margin, model.upper[j] - config.joint_margin
             command.joint_pos[j] = min(max(command.joint_pos[j], lower), upper)
             limit = model.torque_limit[j]
             command.torque[j] = min(max(command.torque[j], -limit), limit)
-
-
-@inlined
-def _swing_errors(
-    config: Any,
-    rotation: Array,
-    error: Array,
-    velocity_error: Array,
-    sway: Array,
-    memory: Any,
-    position_error_b: Array,
-    work: Array,
-) -> None:
-    """Errors that the swing feet make up for, body frame: position, and velocity low-passed."""
-    for k in range(3):
-        work[k] = error[k] + (config.swing_sway * sway[0, k] if k < 2 else 0.0)
-    transposed_times(rotation, work, position_error_b)
-    for k in range(3):
-        work[k] = velocity_error[k] + (config.swing_sway * sway[1, k] if k < 2 else 0.0)
-    for k in range(2):
-        v = rotation[0, k] * work[0] + rotation[1, k] * work[1] + rotation[2, k] * work[2]
-        memory.velocity_error[k] += config.filter_gain * (v - memory.velocity_error[k])
 
 
 @inlined
@@ -271,101 +198,6 @@ def _heading_inertia(inertia: Array, rotation: Array, out: Array) -> None:
                     total += rotation[i, a] * inertia[a, b] * rotation[j, b]
             out[i, j] = total
             out[j, i] = total
-
-
-@inlined
-def _swing_target(
-    config: Any, ref: Any, rotation: Array, reference_rotation: Array, height_error: float, leg: int, out: Array
-) -> None:
-    """Reference foot in the robot's body frame, levelled to gravity and ground by the factor `config.level`."""
-    x, y, z = ref.foot_pos[leg, 0], ref.foot_pos[leg, 1], ref.foot_pos[leg, 2]
-    hx = reference_rotation[0, 0] * x + reference_rotation[0, 1] * y + reference_rotation[0, 2] * z
-    hy = reference_rotation[1, 0] * x + reference_rotation[1, 1] * y + reference_rotation[1, 2] * z
-    hz = reference_rotation[2, 0] * x + reference_rotation[2, 1] * y + reference_rotation[2, 2] * z
-    # a yaw error is not the swing foot's to make up for
-    yaw = np.arctan2(reference_rotation[1, 0], reference_rotation[0, 0])
-    cy, sy = np.cos(yaw), np.sin(yaw)
-    hx, hy = cy * hx + sy * hy, -sy * hx + cy * hy
-    hz += height_error
-    lx = rotation[0, 0] * hx + rotation[1, 0] * hy + rotation[2, 0] * hz
-    ly = rotation[0, 1] * hx + rotation[1, 1] * hy + rotation[2, 1] * hz
-    lz = rotation[0, 2] * hx + rotation[1, 2] * hy + rotation[2, 2] * hz
-    out[0] = x + config.level * (lx - x)
-    out[1] = y + config.level * (ly - y)
-    out[2] = z + config.level * (lz - z)
-
-
-@inlined
-def _swing_leg(
-    config: Any,
-    model: Any,
-    obs: Any,
-    ref: Any,
-    memory: Any,
-    command: Any,
-    scratch: Any,
-    leg: int,
-    height_error: float,
-) -> None:
-    """Paper, eq. 3: reference foot minus K (v̄ − v), and a share of the position error, by inverse kinematics."""
-    target = scratch.vectors[7]
-    _swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
-    for k in range(2):
-        target[k] -= config.velocity_feedback * memory.velocity_error[k]
-        target[k] -= config.position_feedback * scratch.position_error[k]
-    if memory.since_switch[leg] < config.blend_time:
-        left = 1.0 - memory.since_switch[leg] / config.blend_time
-        fade = left * left * (3.0 - 2.0 * left)
-        for k in range(3):
-            target[k] += fade * memory.liftoff_offset[leg, k]
-    a, h, k, _ = leg_inverse(model.geometry[leg], target[0], target[1], target[2])
-    j = 3 * leg
-    command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
-    for j in range(3 * leg, 3 * leg + 3):
-        command.joint_vel[j] = ref.joint_vel[j]
-        command.stiffness[j] = config.swing_kp
-        command.damping[j] = config.swing_kd
-        command.torque[j] = 0.0
-
-
-@inlined
-def _stance_leg(
-    config: Any,
-    model: Any,
-    obs: Any,
-    memory: Any,
-    command: Any,
-    scratch: Any,
-    leg: int,
-    v_ref_b: Array,
-    w_ref_b: Array,
-    solved: bool,
-) -> None:
-    """τ = −Jᵀ Rᵀ f, and low-gain feedback towards where the foot will be (paper, eq. 2)."""
-    j, foot = 3 * leg, scratch.feet[leg]
-    q = obs.joint_pos[j : j + 3]
-    leg_jacobian(model.geometry[leg], q[0], q[1], q[2], scratch.jacobian)
-    force_b = scratch.vectors[7]
-    transposed_times(scratch.rotation, memory.force[leg], force_b)
-    transposed_times(scratch.jacobian, force_b, scratch.torque)
-    stiffness, damping = 0.0, 0.0
-    if not solved and memory.force[leg, 2] == 0.0:
-        damping = _DAMPING_AFTER_FAILURE
-    a, h, k = q[0], q[1], q[2]
-    if config.adaptation > 0:
-        stiffness, damping = config.stance_kp, max(damping, config.stance_kd)
-        turning = 1.0 if config.adaptation == 2 else 0.0
-        dx = v_ref_b[0] + turning * (w_ref_b[1] * foot[2] - w_ref_b[2] * foot[1])
-        dy = v_ref_b[1] + turning * (w_ref_b[2] * foot[0] - w_ref_b[0] * foot[2])
-        dz = v_ref_b[2] + turning * (w_ref_b[0] * foot[1] - w_ref_b[1] * foot[0])
-        dt = config.dt
-        a, h, k, _ = leg_inverse(model.geometry[leg], foot[0] - dx * dt, foot[1] - dy * dt, foot[2] - dz * dt)
-    command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
-    for i in range(3):
-        command.joint_vel[j + i] = (command.joint_pos[j + i] - q[i]) / config.dt
-        command.stiffness[j + i] = stiffness
-        command.damping[j + i] = damping
-        command.torque[j + i] = -scratch.torque[i]
 
 
 @inlined

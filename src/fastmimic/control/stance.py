@@ -111,7 +111,10 @@ def stance_forces(
                 qp.rows[row * n + k + 2 * i + side] = sign
                 qp.upper[k + row], qp.lower[k + row] = 0.0, -INFINITY
                 row += 1
-    if solve_qp(qp, n, k + row, k) != OPTIMAL:
+    solved = solve_qp(qp, n, k + row, k) == OPTIMAL
+    for i in range(n):
+        solved = solved and np.isfinite(qp.x[i])  # DAQP calls a problem with a NaN in it solved
+    if not solved:
         memory.qp_failures += 1
         memory.failed_in_a_row += 1
         for leg in range(4):

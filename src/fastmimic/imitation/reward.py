@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.controller import quat_to_matrix
+from fastmimic.control.vectors import quat_to_matrix
 from fastmimic.jit import inlined, kernel, record_dtype
 from fastmimic.robot.kinematics import leg_forward
 

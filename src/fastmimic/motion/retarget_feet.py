@@ -31,7 +31,7 @@ class SwingConfig:
     """
 
     knot_s: float = 0.025
-    stiffness: float = 0.02
+    stiffness: float = 0.2
     evenness: float = 0.0
     min_clearance_m: float = 0.02
     linger_s: float = 0.02

@@ -76,6 +76,7 @@ class Optimum:
         validation: its mean objective over the validation episodes.
         history: how it came about.
         evaluations: number of episodes run for it, those before a resume included.
+        simulated_s: their length in all, s.
         elapsed_s: time spent, that before a resume included, s.
         interrupted: whether it was stopped early.
     """
@@ -85,6 +86,7 @@ class Optimum:
     validation: float
     history: History
     evaluations: int
+    simulated_s: float
     elapsed_s: float
     interrupted: bool
 
@@ -165,8 +167,16 @@ class _Search:
         elapsed = before + time.perf_counter() - began
         if self.checkpoint is not None and self.scores:
             self._save(elapsed)
+        searched, validated = 1 + sum(len(s) for s in self.scores), self.validated * VALIDATION_EPISODES
         return Optimum(
-            x, score, validation, self._history(baseline), self._evaluations(), elapsed, interrupted
+            x=x,
+            score=score,
+            validation=validation,
+            history=self._history(baseline),
+            evaluations=searched + validated,
+            simulated_s=searched * self.problem.objective.duration_s + validated * VALIDATION_S,
+            elapsed_s=elapsed,
+            interrupted=interrupted,
         )
 
     def _physical(self, u: Array) -> Array:
@@ -219,9 +229,6 @@ class _Search:
     def _validate(self, table: NDArray[Any], start: Start, steps: int) -> float:
         rollouts = self.problem.rollout(np.repeat(table[None], start.n, axis=0), start, steps)
         return float(np.mean(np.concatenate([self.problem.score(r) for r in rollouts])))
-
-    def _evaluations(self) -> int:
-        return 1 + sum(len(s) for s in self.scores) + self.validated * VALIDATION_EPISODES
 
     def _history(self, baseline: float) -> History:
         scores = np.array(self.scores).reshape(len(self.scores), -1)

@@ -1,0 +1,54 @@
+"""Standing legs: the torques of the ground forces, and the paper's online adaptation (eq. 2)."""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.vectors import transposed_times
+from fastmimic.jit import inlined
+from fastmimic.robot.kinematics import leg_inverse, leg_jacobian
+
+Array = NDArray[np.float64]
+
+_DAMPING_AFTER_FAILURE: Final = 5.0  # N·m·s/rad on standing legs once the QP has failed for too long
+
+
+@inlined
+def stance_leg(
+    config: Any,
+    model: Any,
+    obs: Any,
+    memory: Any,
+    command: Any,
+    scratch: Any,
+    leg: int,
+    v_ref_b: Array,
+    w_ref_b: Array,
+    solved: bool,
+) -> None:
+    """τ = −Jᵀ Rᵀ f, and low-gain feedback towards where the foot will be (paper, eq. 2)."""
+    j, foot = 3 * leg, scratch.feet[leg]
+    q = obs.joint_pos[j : j + 3]
+    leg_jacobian(model.geometry[leg], q[0], q[1], q[2], scratch.jacobian)
+    force_b = scratch.vectors[7]
+    transposed_times(scratch.rotation, memory.force[leg], force_b)
+    transposed_times(scratch.jacobian, force_b, scratch.torque)
+    stiffness, damping = 0.0, 0.0
+    if not solved and memory.force[leg, 2] == 0.0:
+        damping = _DAMPING_AFTER_FAILURE
+    a, h, k = q[0], q[1], q[2]
+    if config.adaptation > 0:
+        stiffness, damping = config.stance_kp, max(damping, config.stance_kd)
+        turning = 1.0 if config.adaptation == 2 else 0.0
+        dx = v_ref_b[0] + turning * (w_ref_b[1] * foot[2] - w_ref_b[2] * foot[1])
+        dy = v_ref_b[1] + turning * (w_ref_b[2] * foot[0] - w_ref_b[0] * foot[2])
+        dz = v_ref_b[2] + turning * (w_ref_b[0] * foot[1] - w_ref_b[1] * foot[0])
+        dt = config.dt
+        a, h, k, _ = leg_inverse(model.geometry[leg], foot[0] - dx * dt, foot[1] - dy * dt, foot[2] - dz * dt)
+    command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
+    for i in range(3):
+        command.joint_vel[j + i] = (command.joint_pos[j + i] - q[i]) / config.dt
+        command.stiffness[j + i] = stiffness
+        command.damping[j + i] = damping
+        command.torque[j + i] = -scratch.torque[i]

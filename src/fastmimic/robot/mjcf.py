@@ -1,0 +1,317 @@
+"""Reading a `Robot` from MuJoCo's description: legs are recognised by the geometry of the model, not by names."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.conventions import JOINTS_PER_LEG, LEGS
+from fastmimic.errors import RobotError
+from fastmimic.robot.robot import Robot
+
+if TYPE_CHECKING:
+    import mujoco
+
+DEFAULT_JOINT_SPEED_LIMIT: Final = 21.0
+"""rad/s, for a model without a `joint_speed_limit`: MJCF has no element for it."""
+
+_AXES: Final = {"abduction": (1.0, 0.0, 0.0), "hip": (0.0, 1.0, 0.0), "knee": (0.0, 1.0, 0.0)}
+_AXIS_TOLERANCE: Final = 1e-6
+
+Array = NDArray[np.float64]
+
+
+def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
+    """Reads a `Robot` from a MuJoCo specification; `where` names it in messages.
+
+    Raises:
+        RobotError: the model does not compile, or is not a twelve-joint quadruped; says what was found.
+    """
+    import mujoco
+
+    try:
+        _name_spheres(spec)
+        model = spec.compile()
+        xml = spec.to_xml()
+    except (ValueError, RuntimeError) as error:
+        raise RobotError(f"{where}: MuJoCo cannot compile this model ({one_line(error)})") from None
+    trunk = _trunk(model, where)
+    legs = [_leg(model, trunk, hip, where) for hip in _leg_roots(model, trunk, where)]
+    order = _order(model, legs, where)
+    legs = [legs[i] for i in order]
+
+    home = _home(model)
+    data = mujoco.MjData(model)
+    data.qpos[:] = home
+    mujoco.mj_forward(model, data)
+    joints = [j for leg in legs for j in leg.joints]
+    bodies = np.array([[model.jnt_bodyid[j] for j in leg.joints] for leg in legs])
+    links = [[_composite(model, int(b)) for b in row] for row in bodies]
+    trunk_link = _composite(model, trunk)
+    com_b, inertia_b = _whole_body(model, data, trunk)
+    speed, assumed = _speed_limit(model)
+    return Robot(
+        name=model.names[: model.names.index(b"\0")].decode() or Path(where).stem,
+        xml=xml,
+        mass=float(model.body_subtreemass[trunk]),
+        inertia_b=inertia_b,
+        com_b=com_b,
+        hip_pos_b=np.array([leg.hip_pos for leg in legs]),
+        lateral_offset=np.array([leg.lateral for leg in legs]),
+        thigh_vector=np.array([leg.thigh for leg in legs]),
+        calf_vector=np.array([leg.calf for leg in legs]),
+        hip_shift=np.array([leg.hip_shift for leg in legs]),
+        knee_sign=np.array([leg.knee_sign for leg in legs]),
+        foot_radius=legs[0].foot_radius,
+        joint_lower=model.jnt_range[joints, 0].copy(),
+        joint_upper=model.jnt_range[joints, 1].copy(),
+        torque_limit=_torque_limits(model, joints, where),
+        joint_speed_limit=np.tile(speed, 4),
+        armature=model.dof_armature[model.jnt_dofadr[joints]].copy(),
+        home_joint_pos=home[model.jnt_qposadr[joints]].copy(),
+        home_height=float(home[2]),
+        trunk_mass=trunk_link[0],
+        trunk_com_b=trunk_link[1],
+        link_mass=np.array([[link[0] for link in row] for row in links]),
+        link_com=_in_leg_plane(np.array([[link[1] for link in row] for row in links]), legs),
+        link_inertia=np.array([[link[2] for link in row] for row in links]),
+        joint_names=tuple(model.joint(j).name for j in joints),
+        foot_geoms=tuple(model.geom(leg.foot).name for leg in legs),
+        assumed=assumed,
+        base_spec=spec,
+    )
+
+
+@dataclass(frozen=True)
+class _Leg:
+    joints: tuple[int, int, int]
+    hip_pos: Array
+    hip_shift: Array
+    lateral: float
+    thigh: Array
+    calf: Array
+    knee_sign: float
+    foot: int
+    foot_radius: float
+
+
+def _name_spheres(spec: "mujoco.MjSpec") -> None:
+    """Gives unnamed spheres a name, because feet are addressed by name in every scene built from the model."""
+    import mujoco
+
+    for i, geom in enumerate(spec.geoms):
+        if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE and not geom.name:
+            geom.name = f"sphere_{i}"
+
+
+def one_line(error: Exception) -> str:
+    """An exception's message without line breaks."""
+    return " ".join(str(error).split())
+
+
+def _trunk(model: "mujoco.MjModel", where: str) -> int:
+    import mujoco
+
+    hinges = int(np.sum(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE))
+    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    if len(free) != 1 or hinges != 12 or model.njnt != 13:
+        raise RobotError(
+            f"{where}: expected one free joint and 12 hinge joints (abduction, hip, knee in each of four legs);"
+            f" found {len(free)} free, {hinges} hinge and {model.njnt - len(free) - hinges} other joints"
+        )
+    return int(model.jnt_bodyid[free[0]])
+
+
+def _leg_roots(model: "mujoco.MjModel", trunk: int, where: str) -> list[int]:
+    """Bodies with a hinge whose nearest jointed ancestor is the trunk."""
+    roots = [
+        int(b)
+        for b in range(trunk + 1, model.nbody)
+        if model.body_jntnum[b] and _moving_parent(model, b) == trunk
+    ]
+    if len(roots) != 4:
+        raise RobotError(f"{where}: expected 4 legs on body '{model.body(trunk).name}', found {len(roots)}")
+    return roots
+
+
+def _moving_parent(model: "mujoco.MjModel", body: int) -> int:
+    parent = int(model.body_parentid[body])
+    while parent and not model.body_jntnum[parent]:
+        parent = int(model.body_parentid[parent])
+    return parent
+
+
+def _leg(model: "mujoco.MjModel", trunk: int, root: int, where: str) -> _Leg:
+    import mujoco
+
+    chain = [root]
+    while True:
+        children = [b for b in range(model.nbody) if model.body_jntnum[b] and _moving_parent(model, b) == chain[-1]]
+        if not children:
+            break
+        chain.append(children[0])
+        if len(children) > 1 or len(chain) > 3:
+            break
+    label = f"the leg at body '{model.body(root).name}'"
+    if len(chain) != 3 or any(model.body_jntnum[b] != 1 for b in chain):
+        raise RobotError(f"{where}: {label} is not a chain of three links with one joint each")
+    data = mujoco.MjData(model)  # all joints at zero
+    data.qpos[:] = 0
+    data.qpos[model.jnt_qposadr[model.body_jntadr[trunk]] + 3] = 1
+    mujoco.mj_kinematics(model, data)
+    joints = tuple(int(model.body_jntadr[b]) for b in chain)
+    for joint, role in zip(joints, JOINTS_PER_LEG, strict=True):
+        axis = data.xaxis[joint]
+        if np.max(np.abs(axis - _AXES[role])) > _AXIS_TOLERANCE:
+            raise RobotError(
+                f"{where}: {role} joint '{model.joint(joint).name}' turns about {np.round(axis, 3).tolist()};"
+                f" expected {list(_AXES[role])} (x forward, y left) when all joints are at zero"
+            )
+        if not model.jnt_limited[joint]:
+            raise RobotError(f"{where}: joint '{model.joint(joint).name}' has no range")
+        if model.qpos0[model.jnt_qposadr[joint]] != 0:
+            raise RobotError(f"{where}: joint '{model.joint(joint).name}' has a reference angle; expected ref=0")
+    anchors = [data.xanchor[j] - data.xpos[trunk] for j in joints]
+    foot = _foot_geom(model, data, chain[-1], label, where)
+    foot_pos = data.geom_xpos[foot] - data.xpos[trunk]
+    to_hip, thigh, calf = anchors[1] - anchors[0], anchors[2] - anchors[1], foot_pos - anchors[2]
+    middle = float(np.mean(model.jnt_range[joints[2]]))
+    angle = np.arctan2(calf[0], -calf[2]) - np.arctan2(thigh[0], -thigh[2])
+    return _Leg(
+        joints=(joints[0], joints[1], joints[2]),
+        hip_pos=anchors[0].copy(),
+        hip_shift=to_hip[[0, 2]].copy(),
+        lateral=float(to_hip[1] + thigh[1] + calf[1]),
+        thigh=thigh.copy(),
+        calf=calf.copy(),
+        knee_sign=1.0 if middle - angle > 0 else -1.0,
+        foot=foot,
+        foot_radius=float(model.geom_size[foot, 0]),
+    )
+
+
+def _foot_geom(model: "mujoco.MjModel", data: "mujoco.MjData", calf: int, label: str, where: str) -> int:
+    """The lowest colliding sphere on the last link (or on what is fixed to it)."""
+    import mujoco
+
+    spheres = [
+        g
+        for g in range(model.ngeom)
+        if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE
+        and model.body_weldid[model.geom_bodyid[g]] == model.body_weldid[calf]
+        and (model.geom_contype[g] or model.geom_conaffinity[g])
+    ]
+    if not spheres:
+        raise RobotError(f"{where}: {label} has no colliding sphere on its last link to serve as the foot")
+    return min(spheres, key=lambda g: float(data.geom_xpos[g, 2]))
+
+
+def _order(model: "mujoco.MjModel", legs: list[_Leg], where: str) -> list[int]:
+    """Indices of FR, FL, RR, RL among the legs, by where their hips are."""
+    signs = {"FR": (1, -1), "FL": (1, 1), "RR": (-1, -1), "RL": (-1, 1)}
+    found = [tuple(np.sign(leg.hip_pos[:2]).astype(int)) for leg in legs]
+    order = [found.index(signs[leg]) for leg in LEGS if signs[leg] in found]
+    if len(order) != 4:
+        where_hips = ", ".join(str(np.round(leg.hip_pos[:2], 3).tolist()) for leg in legs)
+        raise RobotError(f"{where}: expected one leg front right, front left, rear right, rear left; hips at {where_hips}")
+    return order
+
+
+def _home(model: "mujoco.MjModel") -> Array:
+    for key in range(model.nkey):
+        if model.key(key).name == "home" or model.nkey == 1:
+            return np.array(model.key_qpos[key])
+    home = np.array(model.qpos0)
+    limited = np.flatnonzero(model.jnt_limited)
+    home[model.jnt_qposadr[limited]] = np.mean(model.jnt_range[limited], axis=1)
+    return home
+
+
+def _composite(model: "mujoco.MjModel", body: int) -> tuple[float, Array, Array]:
+    """Mass, centre of mass and inertia about it of a body and all that is fixed to it, in the body's frame."""
+    from fastmimic.rotations import matrix_from_quat, quat_multiply, quat_rotate
+
+    parts: list[tuple[float, Array, Array]] = []
+
+    def collect(b: int, pos: Array, quat: Array) -> None:
+        rotation = matrix_from_quat(quat_multiply(quat, model.body_iquat[b]))
+        com = pos + quat_rotate(quat, model.body_ipos[b])
+        parts.append((float(model.body_mass[b]), com, rotation @ np.diag(model.body_inertia[b]) @ rotation.T))
+        for child in range(b + 1, model.nbody):
+            if model.body_parentid[child] == b and not model.body_jntnum[child]:
+                collect(
+                    child,
+                    pos + quat_rotate(quat, model.body_pos[child]),
+                    quat_multiply(quat, model.body_quat[child]),
+                )
+
+    collect(body, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    return _combine(parts)
+
+
+def _combine(parts: list[tuple[float, Array, Array]]) -> tuple[float, Array, Array]:
+    mass = sum(m for m, _, _ in parts)
+    if mass <= 0:
+        return 0.0, np.zeros(3), np.zeros((3, 3))
+    com = sum((m * c for m, c, _ in parts), np.zeros(3)) / mass
+    inertia = np.zeros((3, 3))
+    for m, c, i in parts:
+        d = c - com
+        inertia += i + m * (d @ d * np.eye(3) - np.outer(d, d))
+    return mass, com, inertia
+
+
+def _whole_body(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int) -> tuple[Array, Array]:
+    """Centre of mass and inertia about it of the whole robot as it stands in `data`, body frame."""
+    rotation = data.xmat[trunk].reshape(3, 3)
+    parts = []
+    for body in range(trunk, model.nbody):
+        axes = data.ximat[body].reshape(3, 3)
+        inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+        parts.append((float(model.body_mass[body]), data.xipos[body] - data.xpos[trunk], inertia))
+    _, com, inertia = _combine(parts)
+    return rotation.T @ com, rotation.T @ inertia @ rotation
+
+
+def _torque_limits(model: "mujoco.MjModel", joints: list[int], where: str) -> Array:
+    """From the actuator's force range, its control range if it is a plain motor, or the joint's own force range."""
+    limits = np.zeros(len(joints))
+    for i, joint in enumerate(joints):
+        candidates = []
+        if model.jnt_actfrclimited[joint]:
+            candidates.append(model.jnt_actfrcrange[joint, 1])
+        for actuator in np.flatnonzero(model.actuator_trnid[:, 0] == joint):
+            gear = abs(model.actuator_gear[actuator, 0])
+            if model.actuator_forcelimited[actuator]:
+                candidates.append(gear * model.actuator_forcerange[actuator, 1])
+            elif model.actuator_ctrllimited[actuator] and model.actuator_biasprm[actuator, 1] == 0:
+                gain = model.actuator_gainprm[actuator, 0]
+                candidates.append(gear * gain * model.actuator_ctrlrange[actuator, 1])
+        if not candidates or min(candidates) <= 0:
+            raise RobotError(
+                f"{where}: joint '{model.joint(joint).name}' has no torque limit;"
+                " give its actuator a forcerange or the joint an actuatorfrcrange"
+            )
+        limits[i] = min(candidates)
+    return limits
+
+
+def _in_leg_plane(com: Array, legs: list[_Leg]) -> Array:
+    """Centres of mass (4, 3, 3) with the origins of thigh and calf moved sideways into the plane of the foot."""
+    for of_leg, leg in zip(com, legs, strict=True):
+        of_leg[1, 1] -= leg.thigh[1] + leg.calf[1]
+        of_leg[2, 1] -= leg.calf[1]
+    return com
+
+
+def _speed_limit(model: "mujoco.MjModel") -> tuple[Array, tuple[str, ...]]:
+    for i in range(model.nnumeric):
+        if model.numeric(i).name == "joint_speed_limit":
+            data = np.array(model.numeric(i).data, dtype=np.float64)
+            return (np.full(3, data[0]) if data.size == 1 else data[:3]), ()
+    text = (
+        f"no custom numeric 'joint_speed_limit' in the model: {DEFAULT_JOINT_SPEED_LIMIT:g} rad/s assumed"
+    )
+    return np.full(3, DEFAULT_JOINT_SPEED_LIMIT), (text,)
