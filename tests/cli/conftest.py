@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from running import QUICK_MAIN, Outcome, Run
 
+from cli.running import QUICK_MAIN, Outcome, Run
 from fastmimic.cli import main
 
 

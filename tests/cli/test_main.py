@@ -7,9 +7,9 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from running import Run
 
 import fastmimic
+from cli.running import Run
 from fastmimic import cli
 from fastmimic.commands.robots import Robots
 

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from running import TINY, Run
-from sample_files import csv_text, keypoint_text
 
+from cli.running import TINY, Run
 from fastmimic.motion.catalogue import RECORDED
 from fastmimic.motion.data import Dataset
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.synthesis import GAITS
 from fastmimic.report.offscreen import NoRendererError, Offscreen
 from fastmimic.robot import ROBOT_NAMES
+from motion.sample_files import csv_text, keypoint_text
 
 EVALUATION_KEYS = {
     *("reward_mean", "reward_std", "components", "fell", "drift_m_per_s"),
@@ -66,20 +66,8 @@ def test_retarget_writes_a_motion_that_the_other_verbs_take(run: Run, in_folder:
 
 def test_options_reach_the_clip(run: Run, in_folder: Path) -> None:
     (in_folder / "clip.txt").write_text(keypoint_text(40))
-    done = run(
-        "retarget",
-        "clip.txt",
-        "--frames",
-        "4:36",
-        "--fps",
-        "50",
-        "--up",
-        "y",
-        "--scale",
-        "0.7",
-        "--out",
-        "o.npz",
-    )
+    options = ("--frames", "4:36", "--fps", "50", "--up", "y", "--scale", "0.7")
+    done = run("retarget", "clip.txt", *options, "--out", "o.npz")
     assert done.status == 0, done.err
     meta = Motion.load(in_folder / "o.npz").meta
     assert meta["source"]["frames"] == [4, 36]
@@ -199,7 +187,7 @@ def test_render(how: list[str], run: Run, in_folder: Path) -> None:
     assert b"ftyp" in (in_folder / "trot.mp4").read_bytes()[:12]
 
 
-def test_render_without_opengl_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch, in_folder: Path) -> None:
+def test_render_without_opengl_is_an_error(run: Run, monkeypatch: pytest.MonkeyPatch, in_folder: Path) -> None:
     monkeypatch.setenv("MUJOCO_GL", "disable")
     done = run("render", "trot", "--kinematic", "--duration", "0.2", "--out", "trot.mp4")
     assert done.status == 2

@@ -34,7 +34,7 @@ class GaitConfig:
     """
 
     planner: Literal["schedule", "full"] = "full"
-    contact_threshold: float = 0.2
+    contact_threshold: float = 0.3
     release_threshold: float = 0.02
     min_switch_time: float = 0.1
     early_takeoff_time: float = 0.04
@@ -61,11 +61,11 @@ class StanceConfig:
         leg_dynamics: add the torques that carry and accelerate the leg itself.
     """
 
-    position_gain: Vector6 = (40.0, 40.0, 300.0, 300.0, 300.0, 300.0)
-    velocity_gain: Vector6 = (20.0, 20.0, 35.0, 50.0, 50.0, 50.0)
+    position_gain: Vector6 = (40.0, 40.0, 300.0, 600.0, 600.0, 600.0)
+    velocity_gain: Vector6 = (20.0, 20.0, 35.0, 75.0, 75.0, 75.0)
     reference_acceleration: float = 1.0
-    sway: float = 0.8
-    acceleration_limit: Vector6 = (10.0, 10.0, 15.0, 60.0, 60.0, 60.0)
+    sway: float = 0.5
+    acceleration_limit: Vector6 = (15.0, 15.0, 25.0, 150.0, 150.0, 150.0)
     acceleration_weight: Vector6 = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     force_weight: float = 1e-4
     friction: float = 0.6
@@ -73,7 +73,7 @@ class StanceConfig:
     max_force: float = 3.0
     adaptation: Literal["off", "paper", "full"] = "full"
     joint_stiffness: float = 30.0
-    joint_damping: float = 1.5
+    joint_damping: float = 2.5
     leg_dynamics: bool = True
 
 
@@ -94,10 +94,10 @@ class SwingConfig:
         liftoff_blend_time: time over which the foot's offset from the reference at lift-off fades, s.
     """
 
-    velocity_feedback: float = 0.1
-    sway: float = 0.8
+    velocity_feedback: float = 0.07
+    sway: float = 0.5
     filter_time: float = 0.03
-    position_feedback: float = 0.1
+    position_feedback: float = 0.15
     joint_stiffness: float = 120.0
     joint_damping: float = 3.5
     leg_dynamics: bool = True

@@ -31,7 +31,6 @@ class BalanceConfig:
         hz: fastest motion of the correction.
         linear_weight, angular_weight: of a residual acceleration, s⁴, against the deviation from the animal.
         outlier: weighted residual beyond which the cost grows only linearly: landings and lift-offs are shorter than any correction.
-        foot_weight: of a foothold's displacement while the foot stands, 1/m².
         friction: coefficient that the motion may count on.
         force_weight: of the pushes squared, in quarters of the weight: spreads the load over the feet and keeps the centre of
             pressure in the middle of the support, so that the robot can correct.
@@ -45,7 +44,6 @@ class BalanceConfig:
     linear_weight: float = 1.0
     angular_weight: float = 0.2
     outlier: float = 3.0
-    foot_weight: float = 150.0
     friction: float = 0.6
     force_weight: float = 0.5
     min_load: float = 0.2
@@ -88,56 +86,6 @@ class TrunkSpline:
         """(n, c) of coefficients (size, c)."""
         index, weight = self.rows(np.arange(self.n))
         return np.einsum("ka,kac->kc", weight[0], coefficients[index])
-
-
-@dataclass(frozen=True, eq=False)
-class Deviation:
-    """How the robot's trunk and footholds differ from the scaled animal's.
-
-    Attributes:
-        trunk: (size, 6) spline coefficients of x, y, z, roll, pitch, yaw in the heading frame, m and rad.
-        feet: (stances, 2) displacement of the foothold of each stance, in the heading frame of its middle, m.
-    """
-
-    trunk: Array
-    feet: Array
-
-    def vector(self) -> Array:
-        return np.concatenate([self.trunk.reshape(-1), self.feet.reshape(-1)])
-
-    def plus(self, step: Array) -> "Deviation":
-        vector = self.vector() + step
-        split = self.trunk.size
-        return Deviation(vector[:split].reshape(-1, 6), vector[split:].reshape(-1, 2))
-
-
-@dataclass(frozen=True, eq=False)
-class Footing:
-    """Which foothold each foot stands on.
-
-    Attributes:
-        count: number of stances of all legs.
-        stance: (k, 4) index of the stance of each leg at each sample, −1 in swing.
-        turn: (k, 4) heading at the middle of that stance minus heading at the sample, rad.
-    """
-
-    count: int
-    stance: NDArray[np.int_]
-    turn: Array
-
-    @classmethod
-    def of_gait(cls, stances: Stances, track: Track, sample: NDArray[np.int_]) -> "Footing":
-        n = len(track.heading)
-        stance, turn = np.full((n, 4), -1), np.zeros((n, 4))
-        count = 0
-        for leg, spans in enumerate(stances):
-            for span in spans:
-                index = np.arange(*span)
-                heading = track.heading_at(index)
-                stance[index % n, leg] = count
-                turn[index % n, leg] = heading[len(index) // 2] - heading
-                count += 1
-        return cls(count, stance[sample], turn[sample])
 
 
 def balance(

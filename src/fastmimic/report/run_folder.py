@@ -102,9 +102,7 @@ class RunFolder:
             try:
                 (self.path / name).unlink(missing_ok=True)
             except OSError as error:
-                raise OutputError(
-                    f"{self.path / name}: cannot be replaced ({error.strerror or error})"
-                ) from None
+                raise OutputError(f"{self.path / name}: cannot be replaced ({error.strerror or error})") from None
 
 
 @contextmanager
@@ -132,9 +130,7 @@ def open_run(
     if resume and overwrite:
         raise ConfigError("--resume goes on with a run and --overwrite replaces it: give one of them")
     if resume and not folder.checkpoint.is_file():
-        raise CheckpointError(
-            f"{folder.checkpoint}: no checkpoint to resume from; leave out --resume to start anew"
-        )
+        raise CheckpointError(f"{folder.checkpoint}: no checkpoint to resume from; leave out --resume to start anew")
     if not resume and not overwrite:
         _refuse_other_run(folder, same)
     created = [p for p in (path, *path.parents) if not p.exists()]
@@ -186,8 +182,7 @@ def _refuse_other_run(folder: RunFolder, same: Mapping[str, Any]) -> None:
     arguments = _arguments_of(folder.path / CONFIG)
     if arguments is None:
         raise OutputError(
-            f"{folder.path} holds {', '.join(found)} of something else;"
-            " choose another --out, or --overwrite them"
+            f"{folder.path} holds {', '.join(found)} of something else; choose another --out, or --overwrite them"
         )
     differ = [name for name, value in same.items() if arguments.get(name) != value]
     if differ:
