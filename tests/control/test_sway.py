@@ -142,6 +142,12 @@ class TestAlternatingSupport:
         np.testing.assert_allclose(acceleration[flight], 0.0, atol=1e-6)
 
 
+    def test_a_motion_without_any_stance_has_nothing_to_sway_over(self, robot: Robot) -> None:
+        motion = gait(robot)
+        for part in sway(dataclasses.replace(motion, contact=np.zeros_like(motion.contact)), robot):
+            np.testing.assert_array_equal(part, 0.0)
+
+
 class TestHeadings:
     def test_the_world_turned_by_any_angle_changes_nothing(self, robot: Robot) -> None:
         """The shift is given in the reference's own heading frame, its velocity and acceleration as well."""

@@ -59,6 +59,8 @@ def _bounded_solution(target: Array, stiffness: Array, dt: float) -> Array:
     from scipy.linalg import solve_banded
 
     k = len(target)
+    if not stiffness.any():  # never on the ground: nothing to sway over
+        return np.zeros_like(target)
     bands = np.zeros((3, k))
     bands[0, 1:] = bands[2, :-1] = -1.0
     bands[1] = 2.0 + dt**2 * stiffness

@@ -31,7 +31,8 @@ def swing_errors(
         work[k] = velocity_error[k] + (config.swing_sway * sway[1, k] if k < 2 else 0.0)
     for k in range(2):
         v = rotation[0, k] * work[0] + rotation[1, k] * work[1] + rotation[2, k] * work[2]
-        memory.velocity_error[k] += config.filter_gain * (v - memory.velocity_error[k])
+        if np.isfinite(v):  # a filter would never forget a NaN
+            memory.velocity_error[k] += config.filter_gain * (v - memory.velocity_error[k])
 
 
 @inlined

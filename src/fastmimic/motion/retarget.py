@@ -23,7 +23,7 @@ from fastmimic.motion.contacts import (
     foot_activity,
 )
 from fastmimic.motion.motion import Motion
-from fastmimic.motion.retarget_balance import BalanceConfig, Deviation, Footing, TrunkSpline, balance
+from fastmimic.motion.retarget_balance import BalanceConfig, balance
 from fastmimic.motion.retarget_cycle import Track, cycle_displacement, pose_mismatch, track_cycle, track_open
 from fastmimic.motion.retarget_dynamics import Demand, ground_demand
 from fastmimic.motion.retarget_fidelity import Before, make_report
@@ -31,6 +31,7 @@ from fastmimic.motion.retarget_feet import Reach, SwingConfig, footholds, plant_
 from fastmimic.motion.retarget_gait import GaitConfig, make_consistent
 from fastmimic.motion.retarget_pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
 from fastmimic.motion.retarget_report import RetargetReport
+from fastmimic.motion.retarget_spline import TrunkSpline
 from fastmimic.motion.retarget_source import Source, extract
 from fastmimic.robot import Robot
 from fastmimic.rotations import quat_rotate_inverse, rotate_planar
@@ -125,14 +126,17 @@ def retarget(
     n = max(2, round(duration * rate_hz))
     track = (track_cycle if periodic else track_open)(source, n, config.trunk_hz, config.foot_hz)
 
-    detected = detect(_activity(source, n, periodic, config.contact), rate_hz, periodic, config.contact)
-    stances, changes = make_consistent(detected, n, rate_hz, periodic, straight, config.gait)
     own = _is_own_body(clip, robot, scale)
+    detected = detect(_activity(source, n, periodic, config.contact), rate_hz, periodic, config.contact)
+    height = source.hip_height + robot.foot_radius - (0.0 if own else config.crouch_m * scale / DOG_SCALE)
+    reach = Reach.of_robot(robot, height, REACH_MARGIN_RAD)
+    longest = reach.longest_stance(_speed(track, duration), config.swing.linger_s)
+    stances, changes = make_consistent(detected, n, rate_hz, periodic, straight, longest, config.gait)
     offset = np.zeros((4, 2)) if own else foot_offsets(robot, track, stances, config.stance_width)
     height = source.hip_height + robot.foot_radius - (0.0 if own else config.crouch_m * scale / DOG_SCALE)
     raw_w = _raw_feet(robot, track, offset)
-    balanced, holds = _balance(robot, track, raw_w, stances, height, rate_hz, config)
-    pose, smoothed = _fit_within_limits(robot, balanced, raw_w, stances, holds, height, rate_hz, config)
+    balanced, raw_w = _balance(robot, track, raw_w, stances, height, rate_hz, config)
+    pose, smoothed = _fit_within_limits(robot, balanced, raw_w, stances, height, rate_hz, config)
     motion = _motion(pose, balanced, stances, rate_hz)
     before = Before(scale, duration, cycle_reason, aligned, raw_w, detected, offset, changes, smoothed)
     report = make_report(motion, robot, source, balanced, stances, pose, before)
@@ -148,26 +152,32 @@ def retarget(
 
 def _balance(
     robot: Robot, track: Track, raw_w: Array, stances: Stances, height: float, rate_hz: float, config: RetargetConfig
-) -> tuple[Track, list[list[Array]]]:
-    """The trunk as the standing feet can move it, and the footholds that go with it."""
+) -> tuple[Track, Array]:
+    """The trunk as the standing feet can move it, and the animal's foot paths shifted under it."""
     n = len(track.root_z)
     spline = TrunkSpline(n, rate_hz, track.cycle is not None, config.balance.hz)
     sample = np.arange(0, n, max(1, round(config.balance.sample_s * rate_hz)))
     reach = Reach.of_robot(robot, height, REACH_MARGIN_RAD)
     linger = round(config.swing.linger_s * rate_hz)
 
-    def applied(deviation: Deviation) -> tuple[Track, list[list[Array]]]:
-        moved = track.deviated(spline.values(deviation.trunk))
-        return moved, footholds(raw_w, moved, stances, reach, linger, deviation.feet)
 
-    def demand_of(deviation: Deviation) -> Demand:
-        moved, holds = applied(deviation)
-        feet_w = plant_feet(raw_w, moved, stances, holds, reach, robot.foot_radius, rate_hz, config.swing)
+    def applied(coefficients: Array) -> tuple[Track, Array]:
+        # a constant shift of the trunk over its feet is given to the feet, or a turning robot would travel at another speed
+        deviation = spline.values(coefficients)
+        shift = deviation[:, :2].mean(axis=0)
+        deviation[:, :2] -= shift
+        moved_w = raw_w.copy()
+        moved_w[..., :2] -= rotate_planar(track.heading, np.broadcast_to(shift, (n, 2)))[:, None]
+        return track.deviated(deviation), moved_w
+
+    def demand_of(coefficients: Array) -> Demand:
+        moved, moved_w = applied(coefficients)
+        holds = footholds(moved_w, track, stances, reach, linger)
+        feet_w = plant_feet(moved_w, moved, stances, holds, reach, robot.foot_radius, rate_hz, config.swing)
         pose = unlimited_pose(robot, moved, feet_w, height)
         return ground_demand(robot, _motion(pose, moved, stances, rate_hz), sample)
 
-    footing = Footing.of_gait(stances, track, sample)
-    return applied(balance(robot, spline, footing, demand_of, config.balance))
+    return applied(balance(robot, spline, demand_of, config.balance))
 
 
 def _motion(pose: Pose, track: Track, stances: Stances, rate_hz: float) -> Motion:
@@ -264,6 +274,11 @@ def _is_own_body(clip: Clip, robot: Robot, scale: float) -> bool:
     return bool(np.abs(hips - (robot.hip_pos_b - robot.hip_pos_b.mean(axis=0))).max() < 2e-3)
 
 
+def _speed(track: Track, duration_s: float) -> float:
+    """Mean horizontal speed along the trunk's path, m/s."""
+    return float(np.linalg.norm(np.diff(track.root_xy, axis=0), axis=1).sum() / duration_s)
+
+
 def _raw_feet(robot: Robot, track: Track, offset: Array) -> Array:
     """The animal's foot paths (t, 4, 3) under the robot's hips, world; z is the height above the ground."""
     local = robot.hip_pos_b[:, :2] + offset + track.toe_from_hip
@@ -276,13 +291,13 @@ def _fit_within_limits(
     track: Track,
     raw_w: Array,
     stances: Stances,
-    holds: list[list[Array]],
     height: float,
     rate_hz: float,
     config: RetargetConfig,
 ) -> tuple[Pose, tuple[int, int, int, int]]:
     """Feet and joints; the swings of a leg that would exceed joint speed are smoothed further."""
     reach = Reach.of_robot(robot, height, REACH_MARGIN_RAD)
+    holds = footholds(raw_w, track, stances, reach, round(config.swing.linger_s * rate_hz))
     limit = config.speed_share * robot.joint_speed_limit
     evenness = np.full(4, config.swing.evenness)
     times = np.zeros(4, dtype=int)

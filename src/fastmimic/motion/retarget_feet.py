@@ -31,7 +31,7 @@ class SwingConfig:
     """
 
     knot_s: float = 0.025
-    stiffness: float = 0.2
+    stiffness: float = 1.0
     evenness: float = 0.0
     min_clearance_m: float = 0.02
     linger_s: float = 0.02
@@ -82,6 +82,13 @@ class Reach:
         along = (drop - d * np.sin(a)) / np.cos(a)
         return np.asarray(along * np.sin(a) - d * np.cos(a))
 
+    def longest_stance(self, speed: float, linger_s: float) -> float:
+        """How long a foot can stand at a speed of travel, m/s, before its leg is at the end of its reach, s."""
+        sweep = 2 * min(
+            float(self.forward(leg, self.lateral_offset[[leg]], np.array([self.hip_height]))[0]) for leg in range(4)
+        )
+        return sweep / max(speed, 1e-3) - 2 * linger_s
+
     @property
     def clearance(self) -> float:
         """How high a foot can be lifted under its hip, m."""
@@ -89,7 +96,7 @@ class Reach:
 
 
 def footholds(
-    raw_w: Array, track: Track, stances: Stances, reach: Reach, linger: int, displacement: Array
+    raw_w: Array, track: Track, stances: Stances, reach: Reach, linger: int
 ) -> list[list[Array]]:
     """Where each foot stands in each of its stances, (2,) in the world, m.
 
@@ -102,25 +109,25 @@ def footholds(
         stances: of each leg.
         reach: of the robot's legs.
         linger: samples before touch-down and after lift-off in which the foothold must be in reach as well.
-        displacement: (stances, 2) of the foothold of each stance, all legs in order, in the heading frame of its middle, m.
     """
-    displacements = iter(displacement)
-    trunk = WorldPath(np.concatenate([track.root_xy, track.root_z[:, None] - track.root_z.mean()], axis=1), track)
+    sway = np.concatenate([track.root_xy, track.root_z[:, None] - track.root_z.mean()], axis=1)
+    trunk, tilt = WorldPath(sway, track), track.tilt
     result = []
     for leg, spans in enumerate(stances):
         path = WorldPath(raw_w[:, leg], track)
         holds = []
         for span in spans:
             index = np.arange(*span)
-            middle = track.heading_at(index[[len(index) // 2]])[0]
-            hold = _mean_foothold(path.read(index)) + rotate_planar(middle, next(displacements))
+            hold = _mean_foothold(path.read(index))
             ends = index[[0, -1]] + np.array([-linger, linger])
             if not path.periodic:
                 ends = np.clip(ends, 0, path.n - 1)
             heading = track.heading_at(ends)
             root = trunk.read(ends)
             local = rotate_planar(-heading, hold - root[:, :2]) - reach.hips[leg]
-            drop = reach.hip_height + root[:, 2]
+            roll, pitch = tilt[ends % path.n].T
+            x, y = reach.hips[leg]
+            drop = reach.hip_height + root[:, 2] - np.sin(pitch) * x + np.sin(roll) * y
             side = np.sign(reach.lateral_offset[leg])
             sideways = side * max(0.0, float((-reach.inward(leg, drop) - side * local[:, 1]).max()))
             limit = reach.forward(leg, local[:, 1] + sideways, drop)

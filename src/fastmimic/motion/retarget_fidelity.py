@@ -51,16 +51,15 @@ def make_report(
     motion: Motion, robot: Robot, source: Source, track: Track, stances: Stances, pose: Pose, before: Before
 ) -> RetargetReport:
     """The figures of one retargeting."""
+    heading = np.unwrap(yaw_from_quat(motion.root_quat_wxyz))
     n, periodic = motion.n_samples, track.cycle is not None
     feet = measure.feet_in_world(motion)
     planar = np.linalg.norm((feet - before.raw_w)[..., :2], axis=-1)
-    speed_before, yaw_before = _travel_of_source(source, periodic, before.duration_s)
-    end = track.moved(motion.root_pos_w[0, :2], 1) if periodic else None
+    speed_before, yaw_before = _travel_of_source(source, periodic)
     zero = measure.Closure(0.0, 0.0)
     closed_before = measure.closure_of_source(source) if periodic else zero
     closed_after = measure.closure_of_motion(motion, track) if periodic else zero
     peak = np.abs(motion.joint_vel).reshape(n, 4, 3).max(axis=(0, 1))
-    heading = np.unwrap(yaw_from_quat(motion.root_quat_wxyz))
     figures = {
         "slip_before_m": _four(measure.slip(before.raw_w, track, stances)),
         "slip_after_m": _four(measure.slip(feet, track, stances)),
@@ -71,7 +70,7 @@ def make_report(
         "duty_before": _four(duty_factors(before.stances, n)),
         "duty_after": _four(duty_factors(stances, n)),
         "speed_before_m_per_s": speed_before,
-        "speed_after_m_per_s": measure.mean_speed(motion.root_pos_w[:, :2], motion.period_s, end),
+        "speed_after_m_per_s": measure.mean_speed(motion.root_lin_vel_w[:, :2], heading),
         "yaw_before_deg": float(np.degrees(yaw_before)),
         "yaw_after_deg": float(np.degrees(track.cycle[2] if track.cycle is not None else heading[-1] - heading[0])),
         "clearance_before_m": _four(measure.mean_clearance(track.toe_height, stances, periodic)),
@@ -106,16 +105,15 @@ def make_report(
     return bounds.with_bounds(report)
 
 
-def _travel_of_source(source: Source, periodic: bool, duration_s: float) -> tuple[float, float]:
-    """Mean horizontal speed and heading change of the scaled animal."""
-    if not periodic:
-        return (
-            measure.mean_speed(source.root_xy, duration_s, None),
-            float(source.heading[-1] - source.heading[0]),
-        )
-    dx, dy, dyaw = cycle_displacement(source)
-    end = source.root_xy[0] + rotate_planar(source.heading[0], np.array([dx, dy]))
-    return measure.mean_speed(source.root_xy, duration_s, end), float(dyaw)
+def _travel_of_source(source: Source, periodic: bool) -> tuple[float, float]:
+    """Mean speed and heading change of the scaled animal, over one cycle or from the first frame to the last."""
+    steps = np.diff(source.root_xy, axis=0)
+    middle = 0.5 * (source.heading[1:] + source.heading[:-1])
+    local = rotate_planar(-middle, steps)
+    if periodic:
+        local = np.concatenate([local, 0.5 * (local[:1] + local[-1:])])
+    turn = cycle_displacement(source)[2] if periodic else source.heading[-1] - source.heading[0]
+    return measure.mean_speed(local * source.rate_hz, np.zeros(len(local))), float(turn)
 
 
 def _four(values: Array) -> tuple[float, float, float, float]:

@@ -45,7 +45,13 @@ class GaitChanges:
 
 
 def make_consistent(
-    stances: Stances, n: int, rate_hz: float, periodic: bool, straight: bool, config: GaitConfig
+    stances: Stances,
+    n: int,
+    rate_hz: float,
+    periodic: bool,
+    straight: bool,
+    longest_s: float,
+    config: GaitConfig,
 ) -> tuple[Stances, GaitChanges]:
     """Cleans detected contacts by one rule for every gait.
 
@@ -61,6 +67,7 @@ def make_consistent(
         rate_hz: of the samples.
         periodic: whether sample n repeats sample 0.
         straight: whether the motion is a gait straight ahead.
+        longest_s: no stance is extended beyond this, s: a leg's reach over the speed of travel.
         config: thresholds.
     """
     pairing = _find_pairing(stances, n, config.same_stance)
@@ -70,7 +77,9 @@ def make_consistent(
     if common:
         stances = _common_duty(stances, n, pairing is not None)
     stances, widened = _widen_swings(stances, n, round(config.swing_s * rate_hz), periodic)
-    stances, closed = _close_flights(stances, n, round(config.flight_s * rate_hz), periodic)
+    stances, closed = _close_flights(
+        stances, n, round(config.flight_s * rate_hz), longest_s * rate_hz, periodic
+    )
     return stances, GaitChanges(pairing, common, closed, widened)
 
 
@@ -156,18 +165,27 @@ def _widen_swings(stances: Stances, n: int, shortest: int, periodic: bool) -> tu
     return result, widened
 
 
-def _close_flights(stances: Stances, n: int, longest: int, periodic: bool) -> tuple[Stances, int]:
+def _close_flights(
+    stances: Stances, n: int, shortest: int, longest: float, periodic: bool
+) -> tuple[Stances, int]:
+    """Closes flights shorter than `shortest` from both sides, as far as no stance gets longer than `longest`."""
     supported = contact_mask(stances, n).any(axis=1)
     if supported.all() or not supported.any():
         return stances, 0
     closed = 0
     for start, end in stances_of(~supported, periodic):
-        if end - start <= longest and (periodic or (start > 0 and end < n)):
-            middle = (start + end) // 2
-            stances = [
-                sorted(_from_zero(s, n) for s in _moved(leg, start, middle, end, middle, n)) for leg in stances
-            ]
-            closed += 1
+        if end - start > shortest or not (periodic or (start > 0 and end < n)):
+            continue
+        half = (end - start) // 2
+        ending = [s for leg in stances for s in leg if (s.lift_off - start) % n == 0]
+        beginning = [s for leg in stances for s in leg if (s.touch_down - end) % n == 0]
+        later = min(half, max(0, min(int(longest) - s.duration for s in ending)))
+        earlier = min(end - start - half, max(0, min(int(longest) - s.duration for s in beginning)))
+        stances = [
+            sorted(_from_zero(s, n) for s in _moved(leg, start, start + later, end, end - earlier, n))
+            for leg in stances
+        ]
+        closed += later + earlier == end - start
     return stances, closed
 
 

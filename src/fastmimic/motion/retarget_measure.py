@@ -16,6 +16,7 @@ from fastmimic.rotations import (
     quat_from_yaw,
     quat_multiply,
     quat_rotate,
+    rotate_planar,
     rotvec_from_quat,
 )
 
@@ -90,10 +91,13 @@ def _continued(last_three: Array) -> Array:
     return a - 3 * b + 3 * c
 
 
-def mean_speed(root_xy: Array, duration_s: float, cycle_end: Array | None) -> float:
-    """Mean horizontal speed along the path (t, 2), which continues to `cycle_end` in a cycle, m/s."""
-    path = root_xy if cycle_end is None else np.concatenate([root_xy, cycle_end[None]])
-    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum() / duration_s)
+def mean_speed(velocity_xy: Array, heading: Array) -> float:
+    """Length of the mean velocity (t, 2) as seen from the trunk with `heading` (t,), m/s.
+
+    Unlike the path's length it does not grow with sway, and unlike the distance from start to end it means the same for
+    a gait that turns.
+    """
+    return float(np.linalg.norm(rotate_planar(-heading, velocity_xy).mean(axis=0)))
 
 
 def support_shares(contact: NDArray[np.bool_]) -> tuple[float, ...]:

@@ -8,6 +8,8 @@ from fastmimic.conventions import JOINTS_PER_LEG, LEGS
 Four = tuple[float, float, float, float]
 
 MAX_SPEED_CHANGE: Final = 0.03
+SLOW_M_PER_S: Final = 0.1
+"""Of a slower animal the change of speed is measured against this: a share of nothing says nothing."""
 MAX_YAW_CHANGE_DEG: Final = 2.0
 MIN_CLEARANCE_SHARE: Final = 0.8
 MAX_DUTY_CHANGE: Final = 0.1
@@ -53,7 +55,8 @@ class RetargetReport:
         common_duty: whether left and right were given one duty factor.
         closed_flights, widened_swings: how many moments without support were closed and short swings made longer.
         support_share: share of the time with 0, 1, 2, 3 and 4 feet on the ground.
-        speed_before_m_per_s, speed_after_m_per_s: mean horizontal speed of the root; before is scale × animal.
+        speed_before_m_per_s, speed_after_m_per_s: length of the mean velocity as seen from the trunk; before is
+            scale × animal.
         yaw_before_deg, yaw_after_deg: heading change over the motion (one cycle).
         clearance_before_m, clearance_after_m: mean height of each leg's swings above its stance; before is scale × animal.
         foot_path_rms_m: change of each foot's path in the world by planting.
@@ -146,7 +149,7 @@ class RetargetReport:
 
 def with_bounds(report: RetargetReport) -> RetargetReport:
     """The report with its figures held against the bounds; the reason stands beside each that is not met."""
-    speed = abs(report.speed_after_m_per_s / max(report.speed_before_m_per_s, 1e-3) - 1.0)
+    speed = abs(report.speed_after_m_per_s - report.speed_before_m_per_s) / max(report.speed_before_m_per_s, SLOW_M_PER_S)
     yaw = abs(report.yaw_after_deg - report.yaw_before_deg)
     clearance = min(
         after / max(before, 1e-3)
@@ -160,7 +163,7 @@ def with_bounds(report: RetargetReport) -> RetargetReport:
         _at_most("slip in stance, m", max(report.slip_after_m), MAX_SLIP_M, held),
         _at_most("cycle closure, m", report.closure_after_m, MAX_CLOSURE_M, held),
         _at_most("cycle closure, deg", report.closure_after_deg, MAX_CLOSURE_DEG, ""),
-        _at_most("speed change, share", speed, MAX_SPEED_CHANGE, "low-passing shortens a path this crooked"),
+        _at_most("speed change, share", speed, MAX_SPEED_CHANGE, "the path was smoothed and balanced"),
         _at_most("yaw change, deg", yaw, MAX_YAW_CHANGE_DEG, ""),
         Bound(
             "swing clearance, share of the animal's",

@@ -12,7 +12,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from fastmimic.control.state import OBSERVATION
-from fastmimic.conventions import LEGS
+from fastmimic.conventions import GRAVITY, LEGS
 from fastmimic.errors import ConfigError
 from fastmimic.jit import kernel
 
@@ -69,6 +69,7 @@ def build_model(robot: "Robot", physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ
             ],
         )
     spec.compiler.discardvisual = True  # geoms that only decorate would be moved at every step
+    spec.option.gravity = [0, 0, -GRAVITY]
     spec.option.timestep = 1.0 / physics_rate_hz
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0

@@ -1,0 +1,108 @@
+"""The README's table: every listed motion on the A1, before and after optimisation, one configuration for all.
+
+    python benchmarks/results.py [--motions dog:pace trot …] [--out runs/results] [--iterations 200] [--write]
+
+For each motion: optimise with the defaults (5 s episodes), then score demonstration and optimised motion over 10 s. Finished
+motions are kept in `--out` and not run again. `--write` puts the table between the markers in README.md. Motions of the dog
+need `fastmimic data fetch`, or FASTMIMIC_DATA.
+"""
+
+import argparse
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import fastmimic as fm
+from fastmimic.files import replace_file
+from fastmimic.imitation.rollout import swing_clearance
+
+CLAIMED = ("dog:pace", "dog:trot", "dog:right-turn", "anim:side-steps", "trot", "pace", "turn", "side-step")
+REPORTED = ("dog:left-turn", "dog:spin", "dog:canter", "anim:turn", "anim:in-place", "walk", "bound", "backward-trot", "spin")
+DURATION_S = 10.0
+README = Path(__file__).resolve().parent.parent / "README.md"
+
+
+def run(name: str, iterations: int, out: Path) -> dict[str, Any]:
+    """One row, from `out` if it is there."""
+    file = out / f"{name.replace(':', '_')}.json"
+    if file.exists():
+        return json.loads(file.read_text())
+    print(f"{name} …", file=sys.stderr, flush=True)
+    robot = fm.load_robot("a1")
+    result = fm.imitate(name, robot, iterations=iterations, checkpoint=file.with_suffix(".checkpoint.npz"))
+    before = fm.evaluate(result.demonstration, robot, duration_s=DURATION_S)
+    after = fm.evaluate(result.motion, robot, duration_s=DURATION_S)
+    perturbed = fm.evaluate(result.motion, robot, duration_s=DURATION_S, episodes=8)
+    wanted = swing_clearance(result.demonstration, robot.foot_radius)
+    result.motion.save(file.with_suffix(".npz"))
+    row = {
+        "motion": name,
+        "speed_m_s": float(np.linalg.norm(result.demonstration.root_lin_vel_w[:, :2].mean(axis=0))),
+        "yaw_rate_rad_s": float(result.demonstration.root_ang_vel_w[:, 2].mean()),
+        "before": before.as_dict(),
+        "after": after.as_dict(),
+        "perturbed": perturbed.as_dict(),
+        "clearance_share_before": share(before.rollout.clearance[0], wanted),
+        "clearance_share_after": share(after.rollout.clearance[0], wanted),
+        "metrics": result.metrics(),
+    }
+    replace_file(file, lambda f: f.write(json.dumps(row, indent=1).encode()))
+    return row
+
+
+def share(clearance: np.ndarray, wanted: np.ndarray) -> float | None:
+    """Least share of the demonstration's swing clearance over the legs; None where no leg swung."""
+    ratio = clearance / wanted
+    return float(np.nanmin(ratio)) if np.isfinite(ratio).any() else None
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows as Markdown."""
+    lines = [
+        "| motion | speed, m/s | turn, rad/s | reward before | reward after | fell before / after | least clearance | drift, m/s"
+        " | perturbed: reward, fell |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for r in rows:
+        before, after, rough = r["before"], r["after"], r["perturbed"]
+        clearance = "–" if r["clearance_share_after"] is None else f"{100 * r['clearance_share_after']:.0f} %"
+        lines.append(
+            f"| `{r['motion']}` | {r['speed_m_s']:.2f} | {r['yaw_rate_rad_s']:+.2f} | {before['reward_mean']:.3f}"
+            f" | **{after['reward_mean']:.3f}** | {yes(before['fell'])} / {yes(after['fell'])} | {clearance}"
+            f" | {after['drift_m_per_s']:.2f} | {rough['reward_mean']:.3f}, {round(8 * rough['fell'])} of 8 |"
+        )
+    return "\n".join(lines)
+
+
+def yes(fell: float) -> str:
+    """Whether a single episode ended in a fall."""
+    return "yes" if fell else "no"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--motions", nargs="*", default=[*CLAIMED, *REPORTED])
+    parser.add_argument("--out", type=Path, default=Path("runs/results"))
+    parser.add_argument("--iterations", type=int, default=200)
+    parser.add_argument("--write", action="store_true", help="put the table into README.md")
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    text = table([run(name, args.iterations, args.out) for name in args.motions])
+    print(text)
+    if args.write:
+        readme = README.read_text(encoding="utf-8")
+        marked = re.sub(
+            r"(<!-- results:begin -->\n).*?(<!-- results:end -->)",
+            lambda m: f"{m[1]}{text}\n{m[2]}",
+            readme,
+            flags=re.DOTALL,
+        )
+        replace_file(README, lambda f: f.write(marked.encode()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,47 @@
+"""Deviations of a trunk as functions of time: uniform cubic B-splines over a motion, periodic or not."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class TrunkSpline:
+    """Six coordinates (x, y, z, roll, pitch, yaw) as splines with common knots.
+
+    Attributes:
+        size: number of coefficients of one coordinate.
+    """
+
+    def __init__(self, n: int, rate_hz: float, periodic: bool, hz: float) -> None:
+        """
+        Args:
+            n: samples of the motion.
+            rate_hz: of the samples.
+            periodic: whether sample n repeats sample 0.
+            hz: fastest motion that the spline can follow: two knots a period.
+        """
+        duration = n / rate_hz
+        self._pieces = max(4, round(2 * hz * duration))
+        self._periodic = periodic
+        self._knot_s = duration / self._pieces
+        self._n = n
+        self.size = self._pieces if periodic else self._pieces + 3
+
+    def basis(self, sample: NDArray[np.int_]) -> tuple[NDArray[np.int_], Array]:
+        """Which coefficients act at samples (k,), (k, 4), and their weights (3, k, 4) in value, first and second derivative."""
+        at = sample / self._n * self._pieces
+        piece = np.minimum(at.astype(int), self._pieces - 1)
+        u = at - piece
+        value = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3], axis=-1) / 6
+        first = np.stack([-((1 - u) ** 2), 3 * u**2 - 4 * u, -3 * u**2 + 2 * u + 1, u**2], axis=-1) / 2
+        second = np.stack([1 - u, 3 * u - 2, -3 * u + 1, u], axis=-1)
+        index = piece[:, None] + np.arange(4)
+        if self._periodic:
+            index %= self.size
+        return index, np.stack([value, first / self._knot_s, second / self._knot_s**2])
+
+    def values(self, coefficients: Array) -> Array:
+        """All samples (n, 6) of coefficients (size, 6)."""
+        index, weight = self.basis(np.arange(self._n))
+        return np.einsum("ka,kac->kc", weight[0], coefficients[index])

@@ -1,0 +1,551 @@
+"""The controller as a whole: batches, frames, the laws of the paper, limits, and what is refused."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from control.motions import gait, standing
+from fastmimic.control.config import (
+    ControllerConfig,
+    StanceConfig,
+    SwingConfig,
+    controller_config,
+    default_config,
+    paper_config,
+)
+from fastmimic.control.controller import Controller
+from fastmimic.control.reference import make_clocks, place_clocks
+from fastmimic.control.stance import _HOLD_STEPS
+from fastmimic.control.state import OBSERVATION
+from fastmimic.conventions import GRAVITY
+from fastmimic.errors import ConfigError, MotionError
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
+from fastmimic.robot.kinematics import foot_jacobians, foot_positions
+from fastmimic.rotations import (
+    matrix_from_quat,
+    quat_from_rotvec,
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+    rotate_planar,
+)
+from robot.mjcf import Simulated
+
+FIELDS = ("joint_pos", "joint_vel", "stiffness", "damping", "torque")
+
+
+@pytest.fixture(scope="module")
+def trot(robot: Robot) -> Motion:
+    return gait(robot, (0.4, 0.1), 0.5)
+
+
+@pytest.fixture(scope="module")
+def stand(robot: Robot) -> Motion:
+    return standing(robot)
+
+
+def on_reference(motion: Motion, samples: np.ndarray) -> np.ndarray:
+    """Observations of robots that are exactly where the motion wants them, loaded as it wants."""
+    out = np.zeros(len(samples), OBSERVATION)
+    out["root_pos"], out["root_quat"] = motion.root_pos_w[samples], motion.root_quat_wxyz[samples]
+    out["lin_vel"], out["ang_vel"] = motion.root_lin_vel_w[samples], motion.root_ang_vel_w[samples]
+    out["joint_pos"], out["joint_vel"] = motion.joint_pos[samples], motion.joint_vel[samples]
+    out["foot_force"][..., 2] = np.where(motion.contact[samples], 60.0, 0.0)
+    return out
+
+
+def disturbed(observation: np.ndarray, rng: np.random.Generator, size: float = 1.0) -> np.ndarray:
+    out = observation.copy()
+    n = len(out)
+    out["root_pos"] += size * rng.normal(size=(n, 3)) * 0.03
+    out["root_quat"] = quat_multiply(out["root_quat"], quat_from_rotvec(size * rng.normal(size=(n, 3)) * 0.1))
+    for name, scale in (("lin_vel", 0.2), ("ang_vel", 0.5), ("joint_pos", 0.1), ("joint_vel", 2.0)):
+        out[name] += size * rng.normal(size=out[name].shape) * scale
+    out["foot_force"] += size * rng.normal(size=(n, 4, 3)) * 20
+    return out
+
+
+class Rig:
+    """A controller and clocks, robots at given samples of its motion, the reference's origin where the motion is."""
+
+    def __init__(self, robot: Robot, motions: list[Motion], samples: np.ndarray, config: ControllerConfig) -> None:
+        self.samples = np.asarray(samples)
+        self.controller = Controller(robot, motions, len(self.samples), config)
+        self.clocks = make_clocks(motions[0], len(self.samples))
+        first = motions[0].root_pos_w[0]
+        yaw = 2 * np.arctan2(motions[0].root_quat_wxyz[0, 3], motions[0].root_quat_wxyz[0, 0])
+        start = np.tile([first[0], first[1], yaw], (len(self.samples), 1))
+        place_clocks(self.clocks, np.zeros(len(self.samples), np.int64), self.controller.tables[0], start)
+        self.clocks["sample"] = self.samples
+        self.controller.reset(self.samples)
+
+    def step(self, observation: np.ndarray) -> np.ndarray:
+        return self.controller.step(observation, self.clocks).copy()
+
+
+def assert_same(a: np.ndarray, b: np.ndarray, atol: float = 0.0) -> None:
+    for name in FIELDS:
+        np.testing.assert_allclose(a[name], b[name], rtol=0, atol=atol, err_msg=name)
+
+
+class TestBatch:
+    """n = 1 is the same code as any n, bit for bit."""
+
+    SAMPLES = np.array([0, 30, 77, 140, 249])
+
+    def courses(self, motion: Motion, steps: int = 8) -> list[np.ndarray]:
+        rng = np.random.default_rng(0)
+        return [disturbed(on_reference(motion, self.SAMPLES), rng) for _ in range(steps)]
+
+    @pytest.mark.parametrize("name", ["default", "paper"])
+    def test_n_robots_in_one_call_are_n_single_calls(self, robot: Robot, trot: Motion, name: str) -> None:
+        config = controller_config(name)
+        together = Rig(robot, [trot], self.SAMPLES, config)
+        alone = [Rig(robot, [trot], self.SAMPLES[i : i + 1], config) for i in range(5)]
+        for observation in self.courses(trot):
+            commands = together.step(observation)
+            for i, rig in enumerate(alone):
+                assert rig.step(observation[i : i + 1]).tobytes() == commands[i : i + 1].tobytes()
+
+    def test_each_robot_follows_its_own_reference(self, robot: Robot, trot: Motion) -> None:
+        motions = [trot, *(gait(robot, (0.4, 0.1), 0.5, lift=h) for h in (0.03, 0.04, 0.06, 0.07))]
+        together = Rig(robot, motions, self.SAMPLES, default_config())
+        alone = [Rig(robot, [m], self.SAMPLES[i : i + 1], default_config()) for i, m in enumerate(motions)]
+        for observation in self.courses(trot):
+            commands = together.step(observation)
+            for i, rig in enumerate(alone):
+                assert rig.step(observation[i : i + 1]).tobytes() == commands[i : i + 1].tobytes()
+
+    def test_a_reset_forgets_everything(self, robot: Robot, trot: Motion) -> None:
+        used, fresh = (Rig(robot, [trot], self.SAMPLES, default_config()) for _ in range(2))
+        for observation in self.courses(trot):
+            used.step(observation)
+        used.controller.reset(self.SAMPLES)
+        last = self.courses(trot)[-1]
+        assert used.step(last).tobytes() == fresh.step(last).tobytes()
+
+    def test_legs_start_in_the_state_that_the_reference_wants(self, robot: Robot, trot: Motion) -> None:
+        rig = Rig(robot, [trot], self.SAMPLES, default_config())
+        np.testing.assert_array_equal(rig.controller.memory["stance"], trot.contact[self.SAMPLES])
+
+
+class TestFrames:
+    """Nothing depends on where the robot is in the world or which way it looks."""
+
+    @pytest.mark.parametrize("name", ["default", "paper"])
+    @pytest.mark.parametrize(("yaw", "shift"), [(0.8, (0.0, 0.0)), (-2.9, (5.0, -3.0)), (np.pi, (1.0, 1.0))])
+    def test_the_world_turned_and_shifted_gives_the_same_commands(
+        self, robot: Robot, trot: Motion, name: str, yaw: float, shift: tuple[float, float]
+    ) -> None:
+        samples = np.array([10, 60, 130, 200])
+        here, there = (Rig(robot, [trot], samples, controller_config(name)) for _ in range(2))
+        there.clocks["origin"][:, :2] = rotate_planar(yaw, there.clocks["origin"][:, :2]) + shift
+        there.clocks["origin"][:, 2] += yaw
+        rng = np.random.default_rng(1)
+        turn = quat_from_yaw(yaw)
+        for _ in range(6):
+            observation = disturbed(on_reference(trot, samples), rng)
+            turned = observation.copy()
+            turned["root_pos"] = quat_rotate(turn, observation["root_pos"]) + [*shift, 0.0]
+            turned["root_quat"] = quat_multiply(turn, observation["root_quat"])
+            for field in ("lin_vel", "ang_vel", "foot_force"):
+                turned[field] = quat_rotate(turn, observation[field])
+            assert_same(here.step(observation), there.step(turned), atol=1e-9 * 500)
+            np.testing.assert_allclose(
+                there.controller.memory["force"], here.controller.memory["force"], atol=1e-9 * 500
+            )
+
+    def test_the_sign_of_a_quaternion_means_nothing(self, robot: Robot, trot: Motion) -> None:
+        samples = np.array([10, 130])
+        here, there = (Rig(robot, [trot], samples, default_config()) for _ in range(2))
+        observation = disturbed(on_reference(trot, samples), np.random.default_rng(2))
+        negated = observation.copy()
+        negated["root_quat"] *= -1
+        assert_same(here.step(observation), there.step(negated), atol=1e-9)
+
+
+KP, KD = (20.0, 30.0, 40.0, 100.0, 110.0, 120.0), (5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
+
+
+def stance_law(**changes: object) -> ControllerConfig:
+    """A stance law with gains of its own, forces that cost nothing and no additions to the paper's terms."""
+    stance = StanceConfig(
+        position_gain=KP,
+        velocity_gain=KD,
+        reference_acceleration=0.0,
+        sway=0.0,
+        acceleration_limit=(100.0,) * 6,
+        acceleration_weight=(1.0,) * 6,
+        force_weight=1e-10,
+        friction=0.9,
+        min_force=0.0,
+        adaptation="off",
+        leg_dynamics=False,
+    )
+    return ControllerConfig(stance=dataclasses.replace(stance, **changes))
+
+
+class TestStanceLaw:
+    """Paper, eq. 1: what the forces on the standing feet do to the body, by Newton and Euler on MuJoCo's masses."""
+
+    def body_acceleration(self, robot: Robot, observation: np.ndarray, force_h: np.ndarray) -> np.ndarray:
+        """(6,) in the heading frame, forces in the heading frame."""
+        simulated = Simulated(robot)
+        simulated.pose(observation["joint_pos"], observation["root_pos"], observation["root_quat"])
+        rotation = simulated.rotation
+        yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
+        to_heading = matrix_from_quat(quat_from_yaw(-yaw))
+        contact = simulated.data.geom_xpos[simulated.feet] - [0, 0, robot.foot_radius]
+        arms = (contact - simulated.data.subtree_com[simulated.trunk]) @ to_heading.T
+        body = to_heading @ rotation
+        inertia = body @ robot.inertia_b @ body.T
+        linear = force_h.sum(axis=0) / robot.mass - [0, 0, GRAVITY]
+        return np.concatenate([linear, np.linalg.solve(inertia, np.cross(arms, force_h).sum(axis=0))])
+
+    @pytest.mark.parametrize("yaw", [0.0, 2.0])
+    def test_the_body_accelerates_by_gains_on_errors_in_the_heading_frame(
+        self, robot: Robot, stand: Motion, yaw: float
+    ) -> None:
+        rig = Rig(robot, [stand], np.array([0]), stance_law())
+        rig.clocks["origin"][:, 2] = yaw
+        observation = on_reference(stand, np.array([0]))
+        offset, twist = np.array([0.01, -0.02, 0.005]), np.array([0.02, -0.03, 0.04])
+        velocity, turning = np.array([0.05, 0.02, -0.03]), np.array([0.1, -0.05, 0.08])
+        turn = quat_from_yaw(yaw + twist[2])  # the robot's heading: errors are given in its frame
+        observation["root_pos"][0] += quat_rotate(turn, offset)
+        attitude = quat_from_rotvec(np.array([twist[0], twist[1], 0.0]))
+        observation["root_quat"][0] = quat_multiply(turn, attitude)
+        observation["lin_vel"][0], observation["ang_vel"][0] = quat_rotate(turn, velocity), quat_rotate(turn, turning)
+        rig.step(observation)
+        heading = np.arctan2(*matrix_from_quat(observation["root_quat"][0])[[1, 0], 0])
+        into = quat_from_yaw(-heading)
+        position_error = -quat_rotate(into, observation["root_pos"][0] - stand.root_pos_w[0])
+        reference = quat_multiply(into, quat_from_yaw(yaw))
+        robot_quat = quat_multiply(into, observation["root_quat"][0])
+        error = matrix_from_quat(reference) @ matrix_from_quat(robot_quat).T
+        wanted = np.concatenate(
+            [
+                np.array(KP[:3]) * position_error - np.array(KD[:3]) * quat_rotate(into, observation["lin_vel"][0]),
+                np.array(KP[3:]) * rotation_vector(error) - np.array(KD[3:]) * quat_rotate(into, observation["ang_vel"][0]),
+            ]
+        )
+        force = rig.controller.memory["force"][0]
+        np.testing.assert_allclose(self.body_acceleration(robot, observation[0], force), wanted, atol=2e-4)
+
+    def test_the_wanted_acceleration_is_clipped_in_each_axis(self, robot: Robot, stand: Motion) -> None:
+        limit = (0.5, 0.6, 0.7, 2.0, 2.1, 2.2)
+        rig = Rig(robot, [stand], np.array([0]), stance_law(acceleration_limit=limit))
+        observation = on_reference(stand, np.array([0]))
+        observation["lin_vel"], observation["ang_vel"] = (3.0, -3.0, 3.0), (-3.0, 3.0, -3.0)
+        rig.step(observation)
+        expected = np.array([-0.5, 0.6, -0.7, 2.0, -2.1, 2.2])
+        force = rig.controller.memory["force"][0]
+        np.testing.assert_allclose(self.body_acceleration(robot, observation[0], force), expected, atol=2e-4)
+
+    def test_standing_still_on_four_feet_carries_exactly_the_weight(self, robot: Robot, stand: Motion) -> None:
+        rig = Rig(robot, [stand], np.array([0]), stance_law())
+        rig.step(on_reference(stand, np.array([0])))
+        force = rig.controller.memory["force"][0]
+        np.testing.assert_allclose(force.sum(axis=0), [0, 0, robot.mass * GRAVITY], atol=1e-4)
+
+    def test_torques_press_the_feet_with_the_opposite_of_the_grounds_forces(self, robot: Robot, trot: Motion) -> None:
+        """τ = −Jᵀ Rᵀ f."""
+        samples = np.array([10, 60, 130, 200])
+        rig = Rig(robot, [trot], samples, stance_law())
+        observation = disturbed(on_reference(trot, samples), np.random.default_rng(3), 0.3)
+        commands = rig.step(observation)
+        memory = rig.controller.memory
+        jacobian = foot_jacobians(robot, observation["joint_pos"])
+        rotation = matrix_from_quat(observation["root_quat"])
+        yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+        force_w = quat_rotate(quat_from_yaw(yaw)[:, None], memory["force"])
+        force_b = quat_rotate_inverse(observation["root_quat"][:, None], force_w)
+        torque = -np.einsum("nlij,nli->nlj", jacobian, force_b).reshape(-1, 12)
+        torque = np.clip(torque, -robot.torque_limit, robot.torque_limit)
+        standing_legs = np.repeat(memory["stance"], 3, axis=1) == 1
+        assert standing_legs.any(axis=1).all()
+        np.testing.assert_allclose(commands["torque"][standing_legs], torque[standing_legs], atol=1e-9)
+
+    @pytest.mark.parametrize("kind", ["off", "paper", "full"])
+    def test_adaptation_moves_the_foot_against_the_bodys_motion(self, robot: Robot, trot: Motion, kind: str) -> None:
+        """Paper, eq. 2: x_f − v̄ δt; the full form adds −ω̄ × x_f δt; the gains are low."""
+        samples = np.array([5, 60, 130, 180])
+        config = stance_law(adaptation=kind, joint_stiffness=33.0, joint_damping=1.2)
+        rig = Rig(robot, [trot], samples, config)
+        observation = on_reference(trot, samples)
+        commands = rig.step(observation)
+        standing_legs = rig.controller.memory["stance"] == 1
+        feet = foot_positions(robot, observation["joint_pos"])
+        velocity = quat_rotate_inverse(trot.root_quat_wxyz, trot.root_lin_vel_w)[samples][:, None]
+        turning = quat_rotate_inverse(trot.root_quat_wxyz, trot.root_ang_vel_w)[samples][:, None]
+        expected = {
+            "off": feet,
+            "paper": feet - velocity * trot.dt,
+            "full": feet - (velocity + np.cross(turning, feet)) * trot.dt,
+        }[kind]
+        target = foot_positions(robot, commands["joint_pos"])
+        np.testing.assert_allclose(target[standing_legs], expected[standing_legs], atol=1e-9)
+        joints = np.repeat(standing_legs, 3, axis=1)
+        np.testing.assert_array_equal(commands["stiffness"][joints], 0.0 if kind == "off" else 33.0)
+        np.testing.assert_array_equal(commands["damping"][joints], 0.0 if kind == "off" else 1.2)
+        way = (commands["joint_pos"] - observation["joint_pos"]) / trot.dt
+        np.testing.assert_allclose(commands["joint_vel"][joints], way[joints], atol=1e-6)
+
+
+def rotation_vector(matrix: np.ndarray) -> np.ndarray:
+    """By the matrix logarithm's definition: angle from the trace, axis from the skew part."""
+    angle = np.arccos((np.trace(matrix) - 1) / 2)
+    skew = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])
+    return angle * skew / (2 * np.sin(angle))
+
+
+PLAIN_SWING = SwingConfig(
+    velocity_feedback=0.03,
+    sway=0.0,
+    filter_time=0.0,
+    position_feedback=0.0,
+    joint_stiffness=70.0,
+    joint_damping=2.0,
+    leg_dynamics=False,
+    level=0.0,
+    liftoff_blend_time=0.0,
+)
+
+
+class TestSwingLaw:
+    """Paper, eq. 3: x̄_f − K (v̄ − v) in x and y of the body frame, joint PD about its inverse kinematics."""
+
+    SAMPLES = np.array([20, 60, 160, 220])
+
+    def rig(self, robot: Robot, trot: Motion, **changes: object) -> Rig:
+        config = ControllerConfig(swing=dataclasses.replace(PLAIN_SWING, **changes))
+        return Rig(robot, [trot], self.SAMPLES, config)
+
+    def targets(self, robot: Robot, rig: Rig, observation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        commands = rig.step(observation)
+        swinging = rig.controller.memory["stance"] == 0
+        assert swinging.any()
+        return foot_positions(robot, commands["joint_pos"]), swinging
+
+    def test_on_the_reference_the_foot_is_the_references(self, robot: Robot, trot: Motion) -> None:
+        rig = self.rig(robot, trot)
+        target, swinging = self.targets(robot, rig, on_reference(trot, self.SAMPLES))
+        np.testing.assert_allclose(target[swinging], trot.foot_pos_b[self.SAMPLES][swinging], atol=1e-9)
+        joints = np.repeat(swinging, 3, axis=1)
+        commands = rig.controller.command
+        np.testing.assert_allclose(commands["joint_vel"][joints], trot.joint_vel[self.SAMPLES][joints])
+        np.testing.assert_array_equal(commands["stiffness"][joints], 70.0)
+        np.testing.assert_array_equal(commands["damping"][joints], 2.0)
+        np.testing.assert_array_equal(commands["torque"][joints], 0.0)
+
+    def test_the_foot_steps_against_the_velocity_error(self, robot: Robot, trot: Motion) -> None:
+        rig = self.rig(robot, trot)
+        observation = on_reference(trot, self.SAMPLES)
+        faster_b = np.array([0.3, -0.2, 0.0])
+        observation["lin_vel"] += quat_rotate(observation["root_quat"], faster_b)
+        target, swinging = self.targets(robot, rig, observation)
+        expected = trot.foot_pos_b[self.SAMPLES] + 0.03 * faster_b
+        np.testing.assert_allclose(target[swinging], expected[swinging], atol=1e-9)
+
+    def test_a_slow_filter_lets_the_foot_make_up_for_lasting_errors_only(self, robot: Robot, trot: Motion) -> None:
+        rig = self.rig(robot, trot, filter_time=0.05)
+        observation = on_reference(trot, self.SAMPLES)
+        faster_b = np.array([0.3, -0.2, 0.0])
+        observation["lin_vel"] += quat_rotate(observation["root_quat"], faster_b)
+        shares = []
+        for _ in range(100):  # the clocks stand still
+            target, swinging = self.targets(robot, rig, observation)
+            shares.append((target - trot.foot_pos_b[self.SAMPLES])[swinging][0, 0] / (0.03 * 0.3))
+        # a first-order lag: after one time constant (25 steps) 63 %, after four 98 %
+        assert shares[0] < 0.05
+        assert shares[24] == pytest.approx(1 - np.exp(-1), abs=0.02)
+        assert shares[-1] == pytest.approx(1 - np.exp(-4), abs=0.01)
+
+    def test_a_share_of_the_position_error_moves_the_foot_as_well(self, robot: Robot, trot: Motion) -> None:
+        rig = self.rig(robot, trot, position_feedback=0.5)
+        observation = on_reference(trot, self.SAMPLES)
+        ahead_b = np.array([0.04, 0.02, 0.0])
+        observation["root_pos"] += quat_rotate(observation["root_quat"], ahead_b)
+        target, swinging = self.targets(robot, rig, observation)
+        expected = trot.foot_pos_b[self.SAMPLES] + 0.5 * ahead_b
+        np.testing.assert_allclose(target[swinging], expected[swinging], atol=1e-9)
+
+    def test_a_levelled_swing_keeps_the_feet_in_the_world_while_the_trunk_tilts(self, robot: Robot, trot: Motion) -> None:
+        observation = on_reference(trot, self.SAMPLES)
+        tilt = quat_from_rotvec(np.array([0.06, -0.05, 0.0]))
+        observation["root_quat"] = quat_multiply(observation["root_quat"], tilt)
+        observation["root_pos"][:, 2] += 0.01
+        for level in (0.0, 1.0):
+            rig = self.rig(robot, trot, level=level)
+            target_b, swinging = self.targets(robot, rig, observation)
+            target_w = quat_rotate(observation["root_quat"][:, None], target_b) + observation["root_pos"][:, None]
+            wanted_w = quat_rotate(trot.root_quat_wxyz[:, None], trot.foot_pos_b) + trot.root_pos_w[:, None]
+            error = np.abs(target_w - wanted_w[self.SAMPLES])[swinging]
+            if level == 1.0:
+                assert error[:, 2].max() < 1e-9, "heights are the reference's exactly"
+                assert error.max() < 1e-3, "the yaw that tilting brings along is left out"
+            else:
+                assert error[:, 2].max() > 0.01
+
+    def test_at_lift_off_the_foot_leaves_from_where_it_is(self, robot: Robot, trot: Motion) -> None:
+        """The offset from the reference fades within the blend time instead of jumping."""
+        samples = np.flatnonzero(trot.contact[:, 0] & ~np.roll(trot.contact[:, 0], -1))[:1]
+        config = ControllerConfig(swing=dataclasses.replace(PLAIN_SWING, velocity_feedback=0.0, liftoff_blend_time=0.05))
+        rig = Rig(robot, [trot], samples, config)
+        observation = on_reference(trot, samples)
+        observation["joint_pos"][0, :3] += 0.1
+        rig.step(observation)
+        offsets = []
+        for _ in range(30):
+            rig.clocks["sample"] += 1
+            at = rig.clocks["sample"] % trot.n_samples
+            commands = rig.step(observation)
+            offsets.append(foot_positions(robot, commands["joint_pos"])[0, 0] - trot.foot_pos_b[at[0], 0])
+        start = foot_positions(robot, observation["joint_pos"])[0, 0] - trot.foot_pos_b[(samples[0] + 1), 0]
+        length = np.linalg.norm(offsets, axis=1)
+        np.testing.assert_allclose(offsets[0], start, atol=1e-9)
+        assert np.all(np.diff(length[:25]) < 1e-12)
+        np.testing.assert_allclose(length[26:], 0.0, atol=1e-9)
+
+
+class TestPaperConfiguration:
+    def test_it_is_eq_1_to_3_as_printed(self) -> None:
+        config = paper_config()
+        assert config.stance.reference_acceleration == 0
+        assert config.stance.sway == config.swing.sway == 0
+        assert config.stance.adaptation == "paper"
+        assert not config.stance.leg_dynamics
+        assert not config.swing.leg_dynamics
+        assert config.swing.filter_time == config.swing.position_feedback == config.swing.level == 0
+        assert config.swing.liftoff_blend_time == 0
+
+    def test_it_commands_something_else_than_the_default(self, robot: Robot, trot: Motion) -> None:
+        samples = np.array([20, 160])
+        observation = disturbed(on_reference(trot, samples), np.random.default_rng(4), 0.3)
+        commands = [Rig(robot, [trot], samples, c).step(observation) for c in (default_config(), paper_config())]
+        for name in ("joint_pos", "torque"):
+            assert np.abs(commands[0][name] - commands[1][name]).max() > 1e-3
+
+    def test_leg_dynamics_are_an_addition_to_the_same_torques(self, robot: Robot, trot: Motion) -> None:
+        """On the reference, the difference is the inverse dynamics of the legs on their moving trunk."""
+        from fastmimic.robot.dynamics import leg_torques
+
+        samples = np.array([20, 60, 160])
+        observation = on_reference(trot, samples)
+        without = stance_law()
+        without = dataclasses.replace(without, swing=PLAIN_SWING)
+        with_dynamics = dataclasses.replace(
+            without,
+            stance=dataclasses.replace(without.stance, leg_dynamics=True),
+            swing=dataclasses.replace(PLAIN_SWING, leg_dynamics=True),
+        )
+        rigs = [Rig(robot, [trot], samples, c) for c in (with_dynamics, without)]
+        a, b = (rig.step(observation) for rig in rigs)
+        table = rigs[0].controller.tables[0][samples]
+        turning_b = quat_rotate_inverse(observation["root_quat"], observation["ang_vel"])
+        up_b = quat_rotate_inverse(observation["root_quat"], np.tile([0, 0, GRAVITY], (3, 1)))
+        expected = leg_torques(
+            robot, observation["joint_pos"], observation["joint_vel"], table["joint_acc"], turning_b, up_b
+        )
+        free = np.abs(a["torque"]) < robot.torque_limit  # where nothing was clipped
+        assert free.mean() > 0.9
+        np.testing.assert_allclose((a["torque"] - b["torque"])[free], expected[free], atol=1e-6)
+
+
+class TestLimits:
+    @pytest.mark.parametrize("name", ["default", "paper"])
+    def test_commands_keep_to_joint_and_torque_limits_whatever_is_observed(
+        self, robot: Robot, trot: Motion, name: str
+    ) -> None:
+        config = controller_config(name)
+        rng = np.random.default_rng(5)
+        samples = rng.integers(trot.n_samples, size=50)
+        rig = Rig(robot, [trot], samples, config)
+        at_limit = False
+        for _ in range(10):
+            commands = rig.step(disturbed(on_reference(trot, samples), rng, 10.0))
+            for field in FIELDS:
+                assert np.isfinite(commands[field]).all()
+            assert np.all(commands["joint_pos"] >= robot.joint_lower + config.joint_margin)
+            assert np.all(commands["joint_pos"] <= robot.joint_upper - config.joint_margin)
+            assert np.all(np.abs(commands["torque"]) <= robot.torque_limit)
+            assert np.all(commands["stiffness"] >= 0)
+            assert np.all(commands["damping"] >= 0)
+            at_limit = at_limit or bool(np.any(np.abs(commands["torque"]) == robot.torque_limit))
+        assert at_limit, "the disturbances must be large enough to matter"
+
+
+class TestFailure:
+    """A stance QP that cannot be solved, here for a weight that is no number."""
+
+    @pytest.fixture
+    def rig(self, robot: Robot, stand: Motion) -> Rig:
+        return Rig(robot, [stand], np.array([0, 0]), default_config())
+
+    def test_the_last_torques_are_held_then_the_legs_are_damped(self, rig: Rig, robot: Robot, stand: Motion) -> None:
+        observation = on_reference(stand, np.array([0, 0]))
+        healthy = rig.step(observation)
+        force = rig.controller.memory["force"].copy()
+        rig.controller._config["q_weight"] = np.nan
+        for _ in range(_HOLD_STEPS):
+            held = rig.step(observation)
+            np.testing.assert_allclose(held["torque"], healthy["torque"], atol=1e-9)
+        np.testing.assert_array_equal(rig.controller.memory["force"], force)
+        dropped = rig.step(observation)
+        np.testing.assert_array_equal(rig.controller.memory["force"], 0.0)
+        assert np.all(dropped["damping"] >= healthy["damping"])
+        assert np.all(dropped["damping"] > 1.0), "N·m·s/rad, so that the robot sinks instead of dropping"
+        assert np.abs(dropped["torque"]).max() < 0.5 * np.abs(healthy["torque"]).max()
+        np.testing.assert_array_equal(rig.controller.memory["qp_failures"], _HOLD_STEPS + 1)
+
+    def test_one_robots_failure_is_its_own(self, rig: Rig, stand: Motion) -> None:
+        observation = on_reference(stand, np.array([0, 0]))
+        healthy = rig.step(observation)
+        broken = observation.copy()
+        broken["lin_vel"][0, 0] = np.nan
+        commands = rig.step(broken)
+        np.testing.assert_array_equal(rig.controller.memory["qp_failures"], [1, 0])
+        assert commands[1:].tobytes() == healthy[1:].tobytes()
+
+    def test_a_broken_observation_is_forgotten_once_it_is_over(self, robot: Robot, trot: Motion) -> None:
+        """Nothing that remembers (filters, offsets) may keep a value that is no number."""
+        samples = np.array([20, 160])
+        rig = Rig(robot, [trot], samples, default_config())
+        observation = on_reference(trot, samples)
+        rig.step(observation)
+        broken = observation.copy()
+        broken["lin_vel"] = np.nan
+        rig.step(broken)
+        commands = rig.step(observation)
+        for field in FIELDS:
+            assert np.isfinite(commands[field]).all(), field
+
+
+class TestRefused:
+    def test_a_reference_at_another_rate(self, robot: Robot, trot: Motion) -> None:
+        config = dataclasses.replace(default_config(), rate_hz=400.0)
+        with pytest.raises(ConfigError, match=r"'synthetic' has 500 samples a second .* runs at 400 Hz; retarget"):
+            Controller(robot, [trot], 1, config)
+
+    @pytest.mark.parametrize("count", [0, 2, 4])
+    def test_neither_one_reference_nor_one_for_each(self, robot: Robot, trot: Motion, count: int) -> None:
+        with pytest.raises(ConfigError, match=f"3 robots need 1 or 3 references, found {count}"):
+            Controller(robot, [trot] * count, 3)
+
+    def test_references_of_different_length(self, robot: Robot, trot: Motion) -> None:
+        with pytest.raises(MotionError, match="same number of samples"):
+            Controller(robot, [trot, gait(robot, n_samples=200)], 2)
+
+
+@pytest.mark.nojit
+def test_a_step_from_the_reference(robot: Robot, trot: Motion) -> None:
+    """The whole controller also runs as plain Python, with the same result."""
+    samples = np.array([20, 160])
+    rig = Rig(robot, [trot], samples, default_config())
+    commands = rig.step(disturbed(on_reference(trot, samples), np.random.default_rng(6), 0.3))
+    assert np.isfinite(commands["torque"]).all()
+    assert rig.controller.memory["qp_failures"].sum() == 0
+    assert np.abs(commands["torque"]).max() > 1.0
