@@ -15,11 +15,11 @@ from importlib import import_module
 from typing import Final, NamedTuple, NoReturn, Protocol
 
 from fastmimic import __version__
+from fastmimic.commands.console import EXIT_INTERRUPTED
 from fastmimic.errors import FastMimicError
 
 EXIT_ERROR: Final = 2
-EXIT_INTERRUPTED: Final = 130  # as a shell reports SIGINT
-EXIT_BROKEN_PIPE: Final = 141  # and SIGPIPE
+EXIT_BROKEN_PIPE: Final = 141  # as a shell reports SIGPIPE
 
 
 class Verb(NamedTuple):

@@ -1,6 +1,7 @@
 """The one way in which kernels are compiled: cached, without the GIL, IEEE arithmetic."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,14 +13,36 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
     With `NUMBA_DISABLE_JIT=1` the same Python code runs as it stands, for debugging.
     """
-    return njit(cache=True, nogil=True, error_model="numpy")(function)
+    return _stale_with_callees(njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     """Like `kernel`, for small functions that LLVM should inline into their callers."""
-    return njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function)
+    return _stale_with_callees(njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function))
 
 
 def record_dtype(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
     """A structured type for kernels: aligned, its fields attributes (`np.record`) also where the JIT is off."""
     return np.dtype((np.record, np.dtype(fields, align=True)))
+
+
+def depends_on(compiled: Callable[..., Any], *files: str) -> None:
+    """Makes the cache of a kernel, and of those decorated later that call it, stale when one of `files` changes."""
+    function: Any = getattr(compiled, "py_func", compiled)
+    function.source_files = getattr(function, "source_files", frozenset()) | set(files)
+    cache_file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
+    if cache_file is not None:
+        stats = (Path(name).stat() for name in sorted(function.source_files))
+        cache_file._source_stamp = tuple((s.st_mtime, s.st_size) for s in stats)
+
+
+def _stale_with_callees(compiled: Callable[..., Any]) -> Callable[..., Any]:
+    """Numba's cache looks at a kernel's own file only: after an update of a callee's, old code would go on running.
+
+    Whatever kernel its module knows by now counts as called, because kernels further down in the module may call it.
+    """
+    function = getattr(compiled, "py_func", compiled)
+    known = (getattr(value, "py_func", value) for value in function.__globals__.values() if callable(value))
+    files = frozenset({function.__code__.co_filename, __file__}).union(*(getattr(f, "source_files", ()) for f in known))
+    depends_on(compiled, *files)
+    return compiled

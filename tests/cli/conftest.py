@@ -48,11 +48,11 @@ def start(in_folder: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Starts a command in a process of its own; what is left of it is killed at the end of the test."""
     started: list[subprocess.Popen[str]] = []
 
-    def call(*arguments: str | Path) -> subprocess.Popen[str]:
+    def call(*arguments: str | Path, stderr: int = subprocess.PIPE) -> subprocess.Popen[str]:
         process = subprocess.Popen(
             [sys.executable, str(QUICK_MAIN), *map(str, arguments)],
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stderr=stderr,
             text=True,
             cwd=in_folder,
             env=os.environ | {"PYTHONUNBUFFERED": "1"},

@@ -3,6 +3,8 @@
 import contextlib
 import io
 import json
+import os
+import re
 import shutil
 import signal
 import subprocess
@@ -74,7 +76,7 @@ def test_writes_the_motion_figures_and_numbers(first: tuple[Path, Outcome]) -> N
         "checkpoint.npz",
     }
     assert "results in runs/trot-a1-mbc-dmp-0" in done.out
-    assert "trot: built-in gait 'trot', scale 0.825" in done.err
+    assert "trot: built in, scale 0.825" in done.err
     motion = Motion.load(out / "motion.npz")
     assert motion.demonstration is not None
     assert motion.meta["robot"] == "a1"
@@ -289,3 +291,18 @@ def test_ctrl_c_before_there_is_anything_leaves_nothing(
     done = run("imitate", "trot", *TINY, "--out", "deep/run")
     assert (done.status, done.out) == (130, "")
     assert list(in_folder.iterdir()) == []
+
+
+def test_a_terminal_gets_a_bar_with_the_best_reward_and_the_time_left(start: Start, in_folder: Path) -> None:
+    terminal, end = os.openpty()
+    process = start("imitate", "trot", *LONGER, stderr=end)
+    os.close(end)
+    shown = b""
+    with contextlib.suppress(OSError):  # how a terminal ends
+        while part := os.read(terminal, 4096):
+            shown += part
+    os.close(terminal)
+    assert process.wait() == 0, shown
+    text = shown.decode(errors="replace")
+    assert re.search(r"30/30.*best 0\.\d{3}  \d+ evaluations/s  0:00 left", text), text
+    assert "choosing among the best candidates" in text

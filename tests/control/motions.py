@@ -47,9 +47,7 @@ def gait(
         landed = time - share * period  # of the step that this sample belongs to
         contact[:, leg] = share < duty
         swing = np.clip((share - duty) / (1.0 - duty), 0.0, 1.0) if duty < 1.0 else np.zeros(n_samples)
-        holds = [
-            _foothold(landed + (k + 0.5 * duty) * period, home[leg], velocity, yaw_rate, yaw0) for k in (0, 1)
-        ]
+        holds = [_foothold(landed + (k + 0.5 * duty) * period, home[leg], velocity, yaw_rate, yaw0) for k in (0, 1)]
         smooth = swing - np.sin(2 * np.pi * swing) / (2 * np.pi)
         foot_w = holds[0] + smooth[:, None] * (holds[1] - holds[0])
         if duty < 1.0:

@@ -149,7 +149,7 @@ class TestFrames:
         for _ in range(6):
             observation = disturbed(on_reference(trot, samples), rng)
             turned = observation.copy()
-            turned["root_pos"] = quat_rotate(turn, observation["root_pos"]) + [*shift, 0.0]
+            turned["root_pos"] = quat_rotate(turn, observation["root_pos"]) + np.array([*shift, 0.0])
             turned["root_quat"] = quat_multiply(turn, observation["root_quat"])
             for field in ("lin_vel", "ang_vel", "foot_force"):
                 turned[field] = quat_rotate(turn, observation[field])
@@ -229,11 +229,32 @@ class TestStanceLaw:
         wanted = np.concatenate(
             [
                 np.array(KP[:3]) * position_error - np.array(KD[:3]) * quat_rotate(into, observation["lin_vel"][0]),
-                np.array(KP[3:]) * rotation_vector(error) - np.array(KD[3:]) * quat_rotate(into, observation["ang_vel"][0]),
+                np.array(KP[3:]) * rotation_vector(error)
+                - np.array(KD[3:]) * quat_rotate(into, observation["ang_vel"][0]),
             ]
         )
         force = rig.controller.memory["force"][0]
         np.testing.assert_allclose(self.body_acceleration(robot, observation[0], force), wanted, atol=2e-4)
+
+    def test_the_references_acceleration_and_sway_are_added_by_their_shares(self, robot: Robot, stand: Motion) -> None:
+        """The sway comes in the reference's heading frame, here 0.3 rad off the robot's."""
+        rig = Rig(robot, [stand], np.array([0]), stance_law(reference_acceleration=0.5, sway=0.8))
+        table = rig.controller.tables
+        table["lin_acc"] = acceleration = np.array([0.4, -0.2, 0.1])
+        table["sway_pos"], table["sway_vel"], table["sway_acc"] = sway = np.array(
+            [[0.01, -0.02], [0.03, 0.04], [0.2, 0.1]]
+        )
+        observation = on_reference(stand, np.array([0]))
+        observation["root_quat"] = quat_from_yaw(0.3)
+        rig.step(observation)
+        wanted = 0.5 * acceleration
+        wanted[:2] += 0.8 * 0.5 * sway[2]
+        wanted[:2] = rotate_planar(-0.3, wanted[:2])
+        for gain, part in ((KP, sway[0]), (KD, sway[1])):
+            wanted[:2] += 0.8 * np.array(gain[:2]) * rotate_planar(-0.3, part)
+        force = rig.controller.memory["force"][0]
+        found = self.body_acceleration(robot, observation[0], force)
+        np.testing.assert_allclose(found[:3], wanted, atol=2e-4)
 
     def test_the_wanted_acceleration_is_clipped_in_each_axis(self, robot: Robot, stand: Motion) -> None:
         limit = (0.5, 0.6, 0.7, 2.0, 2.1, 2.2)
@@ -373,7 +394,18 @@ class TestSwingLaw:
         expected = trot.foot_pos_b[self.SAMPLES] + 0.5 * ahead_b
         np.testing.assert_allclose(target[swinging], expected[swinging], atol=1e-9)
 
-    def test_a_levelled_swing_keeps_the_feet_in_the_world_while_the_trunk_tilts(self, robot: Robot, trot: Motion) -> None:
+    def test_the_sway_counts_as_the_references(self, robot: Robot, trot: Motion) -> None:
+        """A body that sways as the pendulum does has no error for the feet to make up for."""
+        rig = self.rig(robot, trot, position_feedback=0.5, sway=0.8)
+        rig.controller.tables["sway_pos"], rig.controller.tables["sway_vel"] = [0.02, -0.01], [0.1, 0.2]
+        target, swinging = self.targets(robot, rig, on_reference(trot, self.SAMPLES))
+        shift = -0.8 * (0.5 * np.array([0.02, -0.01]) + 0.03 * np.array([0.1, 0.2]))
+        expected = trot.foot_pos_b[self.SAMPLES] + [*shift, 0.0]
+        np.testing.assert_allclose(target[swinging], expected[swinging], atol=1e-9)
+
+    def test_a_levelled_swing_keeps_the_feet_in_the_world_while_the_trunk_tilts(
+        self, robot: Robot, trot: Motion
+    ) -> None:
         observation = on_reference(trot, self.SAMPLES)
         tilt = quat_from_rotvec(np.array([0.06, -0.05, 0.0]))
         observation["root_quat"] = quat_multiply(observation["root_quat"], tilt)
@@ -393,7 +425,9 @@ class TestSwingLaw:
     def test_at_lift_off_the_foot_leaves_from_where_it_is(self, robot: Robot, trot: Motion) -> None:
         """The offset from the reference fades within the blend time instead of jumping."""
         samples = np.flatnonzero(trot.contact[:, 0] & ~np.roll(trot.contact[:, 0], -1))[:1]
-        config = ControllerConfig(swing=dataclasses.replace(PLAIN_SWING, velocity_feedback=0.0, liftoff_blend_time=0.05))
+        config = ControllerConfig(
+            swing=dataclasses.replace(PLAIN_SWING, velocity_feedback=0.0, liftoff_blend_time=0.05)
+        )
         rig = Rig(robot, [trot], samples, config)
         observation = on_reference(trot, samples)
         observation["joint_pos"][0, :3] += 0.1
@@ -509,6 +543,28 @@ class TestFailure:
         commands = rig.step(broken)
         np.testing.assert_array_equal(rig.controller.memory["qp_failures"], [1, 0])
         assert commands[1:].tobytes() == healthy[1:].tobytes()
+
+    @pytest.mark.parametrize(
+        "field", ["root_pos", "root_quat", "lin_vel", "ang_vel", "joint_pos", "joint_vel", "foot_force"]
+    )
+    @pytest.mark.parametrize("value", [np.nan, np.inf])
+    def test_no_observation_makes_the_motors_a_command_that_is_no_number(
+        self, robot: Robot, trot: Motion, field: str, value: float
+    ) -> None:
+        """A robot whose sensors fail is damped: no torque of its own, no target to go to."""
+        samples = np.array([20, 160])
+        rig = Rig(robot, [trot], samples, default_config())
+        observation = on_reference(trot, samples)
+        rig.step(observation)
+        observation[field][0] = value
+        commands = rig.step(observation)
+        for name in FIELDS:
+            assert np.isfinite(commands[name]).all()
+        assert np.all(np.abs(commands["torque"]) <= robot.torque_limit)
+        lost = commands["stiffness"][0] == 0
+        np.testing.assert_array_equal(commands["torque"][0, lost], 0.0)
+        assert np.all(commands["damping"][0, lost] > 1.0)
+        assert not np.any(commands["stiffness"][1] == 0), "the other robot sees well"
 
     def test_a_broken_observation_is_forgotten_once_it_is_over(self, robot: Robot, trot: Motion) -> None:
         """Nothing that remembers (filters, offsets) may keep a value that is no number."""

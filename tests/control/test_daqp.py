@@ -24,6 +24,10 @@ if not numba_config.DISABLE_JIT:
     SOLVERS["object mode"] = _solve_object
 
 
+# the fallback cannot release the GIL, and Numba says so
+pytestmark = pytest.mark.filterwarnings("ignore:Code running in object mode")
+
+
 @pytest.fixture(params=list(SOLVERS))
 def solver(request: pytest.FixtureRequest) -> Callable[..., int]:
     """What kernels call here, and what they fall back to where DAQP's library is built differently."""

@@ -45,9 +45,7 @@ class TestTable:
         np.testing.assert_allclose(table["root_pos"][0], [0, 0, motion.root_pos_w[0, 2]], atol=1e-12)
         assert yaw_from_quat(table["root_quat"][0]) == pytest.approx(0, abs=1e-12)
 
-    def test_poses_and_velocities_are_the_motions_seen_from_there(
-        self, table: np.ndarray, motion: Motion
-    ) -> None:
+    def test_poses_and_velocities_are_the_motions_seen_from_there(self, table: np.ndarray, motion: Motion) -> None:
         back = quat_from_yaw(YAW0)
         origin = np.array([*motion.root_pos_w[0, :2], 0.0])
         np.testing.assert_allclose(quat_rotate(back, table["root_pos"]) + origin, motion.root_pos_w, atol=1e-12)

@@ -92,9 +92,7 @@ class Stance:
             lower.append(self.stance.min_force * WEIGHT)
             upper.append(self.stance.max_force * WEIGHT)
         equal = np.where(np.array(lower) == np.array(upper), 5, 0).astype(np.intc)  # DAQP's mark of an equality
-        x, _, flag, _ = daqp.solve(
-            hessian, gradient, np.array(rows), np.array(upper), np.array(lower), equal
-        )
+        x, _, flag, _ = daqp.solve(hessian, gradient, np.array(rows), np.array(upper), np.array(lower), equal)
         assert flag == 1
         return x.reshape(4, 3)
 

@@ -96,9 +96,7 @@ class TestAlternatingSupport:
         share = load(pace, PACE, DUTY)
         support = np.einsum("tl,tlk->tk", share, pace.foot_pos_b[..., :2]) / share.sum(axis=1, keepdims=True)
         height = pace.root_pos_w[0, 2] + light_legged.com_b[2]
-        expected = periodic_bounded_solution(
-            support - light_legged.com_b[:2], np.sqrt(GRAVITY / height), pace.dt
-        )
+        expected = periodic_bounded_solution(support - light_legged.com_b[:2], np.sqrt(GRAVITY / height), pace.dt)
         position, _, _ = sway(pace, light_legged)
         assert np.ptp(position[:, 1]) > 0.02, "there is something to sway for"
         # 2 ms samples of a support that moves by 0.26 m within 50 ms
@@ -118,9 +116,7 @@ class TestAlternatingSupport:
         np.testing.assert_allclose(velocity[1:-1], (after - before) / (2 * pace.dt), atol=1e-9)
         np.testing.assert_allclose(acceleration[1:-1], (after - 2 * now + before) / pace.dt**2, atol=1e-6)
 
-    def test_does_not_depend_on_the_sample_that_the_period_begins_with(
-        self, pace: Motion, light_legged: Robot
-    ) -> None:
+    def test_does_not_depend_on_the_sample_that_the_period_begins_with(self, pace: Motion, light_legged: Robot) -> None:
         position, _, _ = sway(pace, light_legged)
         later = gait(light_legged, touchdown=tuple((t - 0.3) % 1.0 for t in PACE), duty=DUTY)
         moved, _, _ = sway(later, light_legged)
@@ -134,13 +130,37 @@ class TestAlternatingSupport:
         wide_sway, narrow_sway = sway(pace, light_legged)[0], sway(narrow, light_legged)[0]
         assert np.ptp(narrow_sway[:, 1]) == pytest.approx(0.5 * np.ptp(wide_sway[:, 1]), rel=0.01)
 
+    def test_a_body_that_bounces_sways_by_the_force_that_carries_it(self, pace: Motion, light_legged: Robot) -> None:
+        """δ̈ = f_z / (m h) (δ − (p − z)): the harder the ground pushes, the faster the pendulum falls."""
+        rate = 2 * 2 * np.pi / pace.period_s  # twice a period
+        angle = 2 * 2 * np.pi * np.arange(pace.n_samples) / pace.n_samples
+        bounce = 0.006 * np.cos(angle)
+        feet = pace.foot_pos_b - np.stack([0 * bounce, 0 * bounce, bounce], axis=1)[:, None]
+        joints, _ = inverse_kinematics(light_legged, feet)
+        velocity = np.column_stack([0 * angle, 0 * angle, -0.006 * rate * np.sin(angle)])
+        position = pace.root_pos_w + np.column_stack([0 * angle, 0 * angle, bounce])
+        bouncing = dataclasses.replace(
+            pace, root_pos_w=position, root_lin_vel_w=velocity, foot_pos_b=feet, joint_pos=joints
+        )
+        share = load(bouncing, PACE, DUTY)
+        support = np.einsum("tl,tlk->tk", share, feet[..., :2]) / share.sum(axis=1, keepdims=True)
+        force = GRAVITY - rate**2 * bounce  # per kilogram: between 6 and 13 m/s²
+        stiffness = force / (position[:, 2] + light_legged.com_b[2])
+        shift, _, acceleration = sway(bouncing, light_legged)
+        expected = stiffness[:, None] * (shift - (support - light_legged.com_b[:2]))
+        scale = np.abs(expected[:, 1]).max()
+        np.testing.assert_allclose(acceleration[:, 1], expected[:, 1], atol=0.05 * scale)
+        constant = (
+            GRAVITY / (position[:, 2].mean() + light_legged.com_b[2]) * (shift - support + light_legged.com_b[:2])[:, 1]
+        )
+        assert np.abs(acceleration[:, 1] - constant).max() > 0.15 * scale, "the bounce is large enough to matter"
+
     def test_in_flight_nothing_can_push_the_body(self, light_legged: Robot) -> None:
         flying = gait(light_legged, touchdown=PACE, duty=0.3)
         _, _, acceleration = sway(flying, light_legged)
         flight = ~flying.contact.any(axis=1)
         assert flight.mean() == pytest.approx(0.4, abs=0.02)
         np.testing.assert_allclose(acceleration[flight], 0.0, atol=1e-6)
-
 
     def test_a_motion_without_any_stance_has_nothing_to_sway_over(self, robot: Robot) -> None:
         motion = gait(robot)
@@ -162,6 +182,18 @@ class TestHeadings:
         steps = np.linalg.norm(np.diff(position, axis=0, append=position[:1]), axis=1)
         assert steps[-1] < 1.2 * steps.max()
         assert steps.max() < 2e-3
+
+    def test_a_turn_may_be_given_with_or_without_its_whole_turns(self, robot: Robot) -> None:
+        """Ten steps of a turn on the spot, 6 rad in all, are the same as 6 − 2π."""
+        step = gait(robot, yaw_rate=1.2, touchdown=PACE)
+        parts = [turned(step, 0.6 * k) for k in range(10)]
+        names = ("root_pos_w", "root_quat_wxyz", "joint_pos", "joint_vel", "foot_pos_b", "contact")
+        names += ("root_lin_vel_w", "root_ang_vel_w")
+        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        expected = np.tile(sway(step, robot)[0], (10, 1))
+        for yaw in (6.0, 6.0 - 2 * np.pi):
+            whole = dataclasses.replace(step, **arrays, cycle=np.array([0.0, 0.0, yaw]))
+            np.testing.assert_allclose(sway(whole, robot)[0], expected, atol=2e-4 * np.ptp(expected))
 
 
 class TestOnce:

@@ -66,9 +66,7 @@ def lifted(motion: Motion, robot: Robot, factor: float) -> Motion:
     feet[..., 2] = ground + factor * (feet[..., 2] - ground)
     joints, _ = inverse_kinematics(robot, feet)
     velocity = (np.roll(joints, -1, axis=0) - np.roll(joints, 1, axis=0)) * (motion.rate_hz / 2)
-    return dataclasses.replace(
-        motion, foot_pos_b=feet, joint_pos=joints, joint_vel=velocity, demonstration=motion
-    )
+    return dataclasses.replace(motion, foot_pos_b=feet, joint_pos=joints, joint_vel=velocity, demonstration=motion)
 
 
 def same(a: Rollout, b: Rollout, rows_a: slice = slice(None), rows_b: slice = slice(None)) -> bool:
@@ -239,9 +237,7 @@ class TestDemonstration:
         self, robot: Robot, motion: Motion, modulated: Motion
     ) -> None:
         rollout = run_episodes(robot, modulated, duration_s=1.0)
-        np.testing.assert_allclose(
-            rollout.clearance[0], swing_clearance(modulated, robot.foot_radius), atol=0.008
-        )
+        np.testing.assert_allclose(rollout.clearance[0], swing_clearance(modulated, robot.foot_radius), atol=0.008)
 
     def test_references_may_be_motions_or_their_tables(self, robot: Robot, motion: Motion, modulated: Motion) -> None:
         loop = ClosedLoop(robot, motion, 2)
@@ -279,7 +275,9 @@ class TestFigures:
     def test_clearance_is_the_mean_peak_of_the_swings(self, logged: Rollout, robot: Robot) -> None:
         log = logged.log
         assert log is not None
-        feet = quat_rotate(log.observation["root_quat"][:, :, None], foot_positions(robot, log.observation["joint_pos"]))
+        feet = quat_rotate(
+            log.observation["root_quat"][:, :, None], foot_positions(robot, log.observation["joint_pos"])
+        )
         height = feet[..., 2] + log.observation["root_pos"][:, :, None, 2] - robot.foot_radius
         for leg in range(4):
             swing = ~log.wanted[0, :, leg]
@@ -349,7 +347,7 @@ class TestSwingClearance:
 
     def test_counts_the_trunks_own_height(self, robot: Robot) -> None:
         motion = gait(robot, lift=0.05)
-        raised = dataclasses.replace(motion, root_pos_w=motion.root_pos_w + [0, 0, 0.01])
+        raised = dataclasses.replace(motion, root_pos_w=motion.root_pos_w + np.array([0, 0, 0.01]))
         np.testing.assert_allclose(swing_clearance(raised, robot.foot_radius), 0.06, atol=1e-4)
 
 

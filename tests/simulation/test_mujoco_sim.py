@@ -55,9 +55,7 @@ def standing_height(robot: Robot, joints: np.ndarray) -> float:
     return robot.foot_radius - float(foot_positions(robot, joints)[:, 2].min())
 
 
-def at_rest(
-    robot: Robot, seconds: float = 1.0, home: np.ndarray | None = None
-) -> tuple[MujocoSimulation, np.ndarray]:
+def at_rest(robot: Robot, seconds: float = 1.0, home: np.ndarray | None = None) -> tuple[MujocoSimulation, np.ndarray]:
     """A robot that holds its home pose (or another one) on the ground, and its observation at the end."""
     simulation = MujocoSimulation(robot, 1)
     home = robot.home_joint_pos if home is None else home
@@ -148,11 +146,24 @@ class TestMotors:
 
 
 class TestObservation:
+    @pytest.mark.filterwarnings("ignore")
+    def test_a_simulation_that_explodes_is_seen_to(
+        self, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """MuJoCo would put the robot back into its default pose without a word, as if nothing had happened."""
+        monkeypatch.chdir(tmp_path)  # it writes a log there
+        simulation = MujocoSimulation(robot, 2)
+        place(simulation, np.array([0, 0, 1.0]), robot.home_joint_pos)
+        simulation.batch.bind("qvel")[0, 7] = np.nan
+        observation = simulation.step(hold(2, robot.home_joint_pos))
+        assert not np.isfinite(observation["joint_vel"][0]).all()
+        assert np.isfinite(observation["joint_vel"][1]).all()
+
     def test_is_mujocos_state_with_the_angular_velocity_in_the_world_frame(self, robot: Robot) -> None:
         rng = np.random.default_rng(1)
         n = 20
         simulation = MujocoSimulation(robot, n)
-        position, quat = rng.normal(size=(n, 3)) + [0, 0, 5], np.array([random_quat(rng) for _ in range(n)])
+        position, quat = rng.normal(size=(n, 3)) + np.array([0, 0, 5]), np.array([random_quat(rng) for _ in range(n)])
         joints = np.array([random_joints(robot, rng) for _ in range(n)])
         lin_vel, ang_vel_b, joint_vel = (rng.normal(size=(n, k)) for k in (3, 3, 12))
         place(simulation, position, joints, quat, lin_vel, ang_vel_b, joint_vel)
@@ -161,7 +172,11 @@ class TestObservation:
         trunk = int(plain.model.jnt_bodyid[0])
         for i in range(n):
             plain.data.qpos[:3], plain.data.qpos[3:7], plain.data.qpos[plain.qpos] = position[i], quat[i], joints[i]
-            plain.data.qvel[:3], plain.data.qvel[3:6], plain.data.qvel[plain.dofs] = lin_vel[i], ang_vel_b[i], joint_vel[i]
+            plain.data.qvel[:3], plain.data.qvel[3:6], plain.data.qvel[plain.dofs] = (
+                lin_vel[i],
+                ang_vel_b[i],
+                joint_vel[i],
+            )
             mujoco.mj_forward(plain.model, plain.data)
             velocity = np.empty(6)
             mujoco.mj_objectVelocity(plain.model, plain.data, mujoco.mjtObj.mjOBJ_XBODY, trunk, velocity, 0)

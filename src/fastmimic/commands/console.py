@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from fastmimic.optimize.cma_es import Progress
 
+EXIT_INTERRUPTED: Final = 130
+"""As a shell reports SIGINT."""
+
 SLOW_START_S: Final = 3.0
 SLOW_START: Final = "preparing; the first use compiles the controller, which takes about a minute and happens once"
 CHOOSING: Final = "choosing among the best candidates by longer episodes"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import Positional, arg
 
-from fastmimic.commands.console import count_progress, note, optimisation_progress, put
+from fastmimic.commands.console import EXIT_INTERRUPTED, count_progress, note, optimisation_progress, put
 from fastmimic.commands.options import MotionOptions, check_duration
 from fastmimic.errors import ConfigError
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from fastmimic.robot import Robot
 
 RUNS: Final = Path("runs")
-EXIT_INTERRUPTED: Final = 130
 _NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video")
 """Arguments that change where and how a run happens, not what comes out."""
 

@@ -11,7 +11,7 @@ from fastmimic.robot.kinematics import leg_inverse, leg_jacobian
 
 Array = NDArray[np.float64]
 
-_DAMPING_AFTER_FAILURE: Final = 5.0  # N·m·s/rad on standing legs once the QP has failed for too long
+DAMPING_AFTER_FAILURE: Final = 5.0  # N·m·s/rad where nothing better can be computed
 
 
 @inlined
@@ -36,7 +36,7 @@ def stance_leg(
     transposed_times(scratch.jacobian, force_b, scratch.torque)
     stiffness, damping = 0.0, 0.0
     if not solved and memory.force[leg, 2] == 0.0:
-        damping = _DAMPING_AFTER_FAILURE
+        damping = DAMPING_AFTER_FAILURE
     a, h, k = q[0], q[1], q[2]
     if config.adaptation > 0:
         stiffness, damping = config.stance_kp, max(damping, config.stance_kd)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.adaptation import stance_leg
+from fastmimic.control.adaptation import DAMPING_AFTER_FAILURE, stance_leg
 from fastmimic.control.config import ControllerConfig, default_config, pack_config
 from fastmimic.control.daqp import make_workspace
 from fastmimic.control.gait import plan_leg
@@ -161,10 +161,19 @@ def _control_robot(
             swing_leg(config, model, obs, ref, memory, command, scratch, leg, height_error)
         _leg_dynamics(config, model, obs, ref, memory, command, scratch, leg)
         for j in range(3 * leg, 3 * leg + 3):
-            lower, upper = model.lower[j] + config.joint_margin, model.upper[j] - config.joint_margin
-            command.joint_pos[j] = min(max(command.joint_pos[j], lower), upper)
-            limit = model.torque_limit[j]
-            command.torque[j] = min(max(command.torque[j], -limit), limit)
+            _keep_within_limits(config, model, command, j)
+
+
+@inlined
+def _keep_within_limits(config: Any, model: Any, command: Any, j: int) -> None:
+    """Clips the command of joint j; what a NaN among the observations made unknown becomes mere damping."""
+    if not np.isfinite(command.joint_pos[j] + command.joint_vel[j] + command.torque[j]):
+        command.joint_pos[j], command.joint_vel[j], command.torque[j] = 0.0, 0.0, 0.0
+        command.stiffness[j], command.damping[j] = 0.0, DAMPING_AFTER_FAILURE
+    lower, upper = model.lower[j] + config.joint_margin, model.upper[j] - config.joint_margin
+    command.joint_pos[j] = min(max(command.joint_pos[j], lower), upper)
+    limit = model.torque_limit[j]
+    command.torque[j] = min(max(command.torque[j], -limit), limit)
 
 
 @inlined

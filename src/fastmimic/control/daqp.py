@@ -16,7 +16,7 @@ from numba import config as numba_config
 from numba import objmode, types
 from numpy.typing import NDArray
 
-from fastmimic.jit import kernel, record_dtype
+from fastmimic.jit import depends_on, kernel, record_dtype
 
 Array = NDArray[np.float64]
 
@@ -139,8 +139,11 @@ def _native_works() -> bool:
 
 
 def _choose() -> Any:
-    if numba_config.DISABLE_JIT:
+    if numba_config.DISABLE_JIT:  # type: ignore[attr-defined]
         return _solve_plain
+    library = _library()
+    if library is not None:
+        depends_on(_solve_native, library._name)  # kernels in the cache were made for this build's structs
     return _solve_native if _native_works() else _solve_object
 
 

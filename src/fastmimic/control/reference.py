@@ -54,18 +54,19 @@ the sum of the distances by which synchronisation has moved the origin, m."""
 
 
 def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
-    """Packs a motion into an array of `SAMPLE`, shape (t,).
+    """Packs a motion into an array of `SAMPLE`, shape (t,), in the frame of its demonstration's first sample.
 
     Accelerations are central differences of the motion's velocities, periodic if the motion is.
     """
-    yaw0 = float(yaw_from_quat(motion.root_quat_wxyz[0]))
+    origin = motion.target  # a reference and its demonstration share one frame
+    yaw0 = float(yaw_from_quat(origin.root_quat_wxyz[0]))
     unturn = quat_from_yaw(-yaw0)
     dt = motion.dt
     turn = 0.0 if motion.cycle is None else float(motion.cycle[2])
     periodic = motion.cycle is not None
 
     table = np.zeros(motion.n_samples, SAMPLE)
-    position = motion.root_pos_w - np.array([*motion.root_pos_w[0, :2], 0.0])
+    position = motion.root_pos_w - np.array([*origin.root_pos_w[0, :2], 0.0])
     table["root_pos"] = planar_turned(position, -yaw0)
     table["root_quat"] = quat_continuous(quat_multiply(unturn[None], motion.root_quat_wxyz))
     for name, velocity in (("lin", motion.root_lin_vel_w), ("ang", motion.root_ang_vel_w)):

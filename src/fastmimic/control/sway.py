@@ -75,15 +75,7 @@ def _extended(yaw: Array, motion: Motion, reach: int) -> tuple[NDArray[np.int64]
     if motion.cycle is None:
         index = np.clip(index, 0, n - 1)
         return index, yaw[index]
-    return index % n, np.unwrap(yaw)[index % n] + (index // n) * _winding(yaw, motion)
-
-
-def _winding(yaw: Array, motion: Motion) -> float:
-    """Turn of one period along the way that the unwrapped yaw takes."""
-    assert motion.cycle is not None
-    travelled = np.unwrap(yaw)[-1] - yaw[0]
-    cycle = float(motion.cycle[2])
-    return cycle + 2 * np.pi * round((travelled - cycle) / (2 * np.pi))
+    return index % n, yaw[index % n] + (index // n) * motion.cycle[2]
 
 
 def _mismatch(motion: Motion, robot: Robot, acceleration: tuple[Array, Array, Array]) -> tuple[Array, Array]:

@@ -37,33 +37,46 @@ class ContactConfig:
     Attributes:
         enter: a foot lands when its activity (see `foot_activity`) falls below this.
         leave: it lifts off when its activity rises above this.
-        height_weight: of height against speed in the activity. Below 1, because an animal rolls over its toes: the marker
-            rises by a quarter of the swing's height while the foot still carries weight.
+        height_weight: of height against speed in the activity. Below 1, because an animal rolls over its toes: the
+            marker rises by a quarter of the swing's height while the foot still carries weight.
+        window_s: how far before and after a moment the motion is looked at to judge what is much and what is little.
+        least_height_m, least_speed_m_per_s: a foot that moves less than this in all that time is standing.
         shortest_s: stances and swings shorter than this are flicker.
     """
 
     enter: float = 0.25
     leave: float = 0.30
     height_weight: float = 0.5
-    shortest_s: float = 0.08
+    window_s: float = 0.75
+    least_height_m: float = 0.03
+    least_speed_m_per_s: float = 0.6
+    shortest_s: float = 0.06
 
 
-def foot_activity(toe_height: Array, toe_speed: Array, config: ContactConfig) -> Array:
+def foot_activity(toe_height: Array, toe_speed: Array, rate_hz: float, periodic: bool, config: ContactConfig) -> Array:
     """How much each foot is in motion, (t, 4): 0 at rest on the ground, about 1 in mid-swing.
 
-    The larger of height above the leg's own lowest tenth and horizontal speed in the world, each relative to its own largest
-    value. Relative measures do not depend on the animal's size or gait, and a marker that sits
-    higher on one leg than on another does not shorten that leg's contact.
+    The larger of height above the ground and horizontal speed in the world, each relative to its own largest value
+    nearby in time. Relative measures do not depend on the animal's size or gait, and a slow step in a take that also
+    holds fast ones is still a step.
 
     Args:
-        toe_height: (t, 4) m.
+        toe_height: (t, 4) above each leg's own ground, m.
         toe_speed: (t, 4) horizontal, world, m/s.
-        config: weight of the height.
+        rate_hz: of the samples.
+        periodic: whether sample t repeats sample 0.
+        config: weight of the height, window and least values.
     """
-    lift = np.maximum(toe_height - np.percentile(toe_height, 10, axis=0), 0)
-    highest = np.maximum(np.percentile(lift, 98, axis=0), 1e-3)
-    fastest = np.maximum(np.percentile(toe_speed, 98, axis=0), 1e-2)
-    return np.maximum(config.height_weight * lift / highest, toe_speed / fastest)
+    from scipy.ndimage import maximum_filter1d
+
+    window = 2 * round(config.window_s * rate_hz) + 1
+    mode = "wrap" if periodic else "nearest"
+
+    def relative(values: Array, least: float) -> Array:
+        return values / np.maximum(maximum_filter1d(values, window, axis=0, mode=mode), least)
+
+    height = relative(np.maximum(toe_height, 0.0), config.least_height_m)
+    return np.maximum(config.height_weight * height, relative(toe_speed, config.least_speed_m_per_s))
 
 
 def detect(activity: Array, rate_hz: float, periodic: bool, config: ContactConfig) -> Stances:

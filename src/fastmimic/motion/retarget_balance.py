@@ -1,17 +1,18 @@
 """Makes the trunk's motion one that the feet on the ground can bring about.
 
-An animal's trunk moves as its own mass, its light legs and its narrow stance demand. On a robot with heavy legs and a wider
-stance the same trunk motion asks for forces that the standing feet cannot give: on two feet, no moment about the line
-between them; in flight, nothing at all. Left as it is, the robot must deviate, in its own way and growing. Here the trunk
-is changed by the least that removes the contradiction; "least" is measured as the imitation reward measures a
-deviation.
+An animal's trunk moves as its own mass, its light legs and its narrow stance demand. On a robot with heavy legs and a
+wider stance the same trunk motion asks for forces that the standing feet cannot give: on two feet, no moment about
+the line between them; in flight, nothing at all. Left as it is, the robot must deviate, in its own way and growing.
+Here the trunk is changed by the least that removes the contradiction; "least" is measured as the imitation reward
+measures a deviation.
 
 The problem is least squares in the deviation d and in pushes x ≥ 0 along the edges of the feet's friction pyramids:
 
     min Σ ρ(r) + dᵀC d + ε‖x‖²,    r = r₀ + B d − G x
 
 with the demand r₀ of the present motion by inverse dynamics of the whole robot (as acceleration), linearised again at
-each step (Levenberg–Marquardt); the convex problem in between is solved by ADMM, the pushes eliminated sample by sample.
+each step (Levenberg–Marquardt); the convex problem in between is solved by ADMM, the pushes eliminated sample by
+sample.
 """
 
 from collections.abc import Callable
@@ -37,11 +38,11 @@ class BalanceConfig:
         rounds: linearisations at most; 0 leaves the trunk as the animal's.
         hz: fastest motion of the correction.
         linear_weight, angular_weight: of a residual acceleration, s⁴, against the deviation from the animal.
-        outlier: weighted residual beyond which its cost grows only linearly: the reaction to a leg that is thrown forwards is
-            shorter than any correction of the trunk could be.
+        outlier: weighted residual beyond which its cost grows only linearly: the reaction to a leg that is thrown
+            forwards is shorter than any correction of the trunk could be.
         friction: coefficient that the motion may count on.
-        force_weight: of the squared pushes, in quarters of the weight: spreads the load and keeps the centre of pressure in
-            the middle of the support, where the robot can correct either way.
+        force_weight: of the squared pushes, in quarters of the weight: spreads the load and keeps the centre of
+            pressure in the middle of the support, where the robot can correct either way.
         min_load: of each standing foot, share of an even load: a foot that is said to stand must be felt to stand.
         sample_s: time between the instants that are looked at.
     """
@@ -59,8 +60,8 @@ class BalanceConfig:
 
 _POSITION_COST: Final = np.array([20.0, 20.0, 500.0, 10.0, 10.0, 10.0])
 _VELOCITY_COST: Final = np.array([2.0, 2.0, 50.0, 1.0, 1.0, 1.0])
-"""Exponents of the imitation reward for root position and angle, linear and angular velocity; height counts much more, since by
-hopping in the right moment a trunk could avoid most contradictions, and would no longer move like the animal."""
+"""Exponents of the imitation reward for root position and angle, linear and angular velocity. Height counts much more:
+by hopping in the right moment a trunk could avoid most contradictions, and would no longer move like the animal."""
 _ADMM_STEP: Final = 3.0
 _ADMM_RELAXATION: Final = 1.6
 _ADMM_ROUNDS: Final = 200
@@ -68,9 +69,7 @@ _ENOUGH: Final = 0.01
 """Relative gain at which the solver stops."""
 
 
-def balance(
-    robot: Robot, spline: TrunkSpline, demand_of: Callable[[Array], Demand], config: BalanceConfig
-) -> Array:
+def balance(robot: Robot, spline: TrunkSpline, demand_of: Callable[[Array], Demand], config: BalanceConfig) -> Array:
     """The trunk's deviation that makes a motion feasible at the least change.
 
     Args:
@@ -173,7 +172,8 @@ class _Problem:
         )
 
     def _slope_of(self, basis: Array, ground_force: Array, scale: Array) -> Array:
-        """B (k, 6, 24): by the trunk's acceleration, and by the ground's moment about the displaced centre of mass."""
+        """B (k, 6, 24): by the trunk's acceleration, and by the ground's moment about the displaced centre of
+        mass."""
         lever = np.zeros((self._k, 6, 6))
         for axis in range(3):
             lever[:, 3:, axis] = np.cross(np.eye(3)[axis], ground_force) * scale[3:]
@@ -192,7 +192,8 @@ class _Problem:
 
     def _gather(self, per_sample: Array) -> Array:
         """Sums (k, 24) into (unknowns,)."""
-        return np.bincount(self._column.ravel(), per_sample.ravel(), minlength=self._present.size)
+        sums = np.bincount(self._column.ravel(), per_sample.ravel(), minlength=self._present.size)
+        return sums.astype(np.float64)
 
     def _scatter(self, per_sample: Array) -> Any:
         """Sums (k, 24, 24) into a sparse (unknowns, unknowns)."""

@@ -36,7 +36,8 @@ class Track:
     cycle: Array | None
 
     def deviated(self, deviation: Array) -> "Track":
-        """The trunk moved by (t, 6): x, y, z in the heading frame, m; roll, pitch, yaw, rad. The animal's toes do not move."""
+        """The trunk moved by (t, 6): x, y, z in the heading frame, m; roll, pitch, yaw, rad. The animal's toes do not
+        move."""
         root_xy = self.root_xy + rotate_planar(self.heading, deviation[:, :2])
         heading = self.heading + deviation[:, 5]
         cycle = None
@@ -132,13 +133,11 @@ def cycle_displacement(source: Source) -> Array:
 def pose_mismatch(source: Source) -> float:
     """How far the frame after the last is from frame 0, relative to how far poses differ within the clip.
 
-    Feet against the hips and height of feet and root enter, all in metres. 0 for a perfect cycle; about 1.4 for two unrelated
-    frames.
+    Feet against the hips and height of feet and root enter, all in metres. 0 for a perfect cycle; about 1.4 for two
+    unrelated frames.
     """
     n = len(source.root_z)
-    pose = np.concatenate(
-        [source.toe_from_hip.reshape(n, -1), source.toe_height, source.root_z[:, None]], axis=1
-    )
+    pose = np.concatenate([source.toe_from_hip.reshape(n, -1), source.toe_height, source.root_z[:, None]], axis=1)
     spread = np.sqrt(np.sum(np.var(pose, axis=0)))
     return float(np.linalg.norm(closing_error(pose)) / max(spread, 1e-6))
 
@@ -146,9 +145,9 @@ def pose_mismatch(source: Source) -> float:
 def track_cycle(source: Source, n_out: int, trunk_hz: float, foot_hz: float) -> Track:
     """A cycle on `n_out` samples, closed and low-passed.
 
-    Planar motion is taken relative to the constant-twist motion exp(share · log(dx, dy, dyaw)), in its moving frame, where a cycle
-    is periodic whether it turns or not. What keeps the frames from repeating is spread evenly over
-    the cycle; the Fourier series then closes position, velocity and acceleration.
+    Planar motion is taken relative to the constant-twist motion exp(share · log(dx, dy, dyaw)), in its moving frame,
+    where a cycle is periodic whether it turns or not. What keeps the frames from repeating is spread evenly over the
+    cycle; the Fourier series then closes position, velocity and acceleration.
     """
     n = len(source.root_xy)
     cycle = cycle_displacement(source)
@@ -161,9 +160,7 @@ def track_cycle(source: Source, n_out: int, trunk_hz: float, foot_hz: float) -> 
 
     def smooth(values: Array, cutoff_hz: float) -> Array:
         share = (np.arange(n) / n - 0.5).reshape(-1, *[1] * (values.ndim - 1))
-        return resample_periodic(
-            values - share * closing_error(values), source.rate_hz, n_out, cutoff_hz
-        )
+        return resample_periodic(values - share * closing_error(values), source.rate_hz, n_out, cutoff_hz)
 
     origin, angle = frame(np.arange(n) / n)
     local_xy = smooth(rotate_planar(-angle, source.root_xy - origin), trunk_hz)
@@ -171,7 +168,7 @@ def track_cycle(source: Source, n_out: int, trunk_hz: float, foot_hz: float) -> 
     origin, angle = frame(np.arange(n_out) / n_out)
     root_xy = origin + rotate_planar(angle, local_xy)
     heading = angle + local_yaw
-    end, end_angle = frame(np.float64(1.0))
+    end, end_angle = frame(np.ones(()))
     displacement = end + rotate_planar(end_angle, local_xy[0]) - root_xy[0]
     dx, dy = rotate_planar(-heading[0], displacement)
     return Track(

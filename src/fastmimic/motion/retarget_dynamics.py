@@ -11,7 +11,6 @@ from fastmimic.motion.retarget_measure import feet_in_world
 from fastmimic.motion.retarget_signal import differentiate, pad_open
 from fastmimic.robot import Robot
 from fastmimic.rotations import (
-    matrix_from_quat,
     quat_from_yaw,
     quat_rotate,
     quat_rotate_inverse,

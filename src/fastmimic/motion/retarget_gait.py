@@ -17,8 +17,8 @@ class GaitConfig:
 
     Attributes:
         same_stance: two stances of a pair's legs count as one when they share at least this part of their union.
-        flight_s: moments without any foot on the ground that are shorter than this are closed. Two edges, each known to about a
-            frame and a half of a 60 Hz recording, cannot tell a shorter flight from none.
+        flight_s: moments without any foot on the ground that are shorter than this are closed. Two edges, each known
+            to about a frame and a half of a 60 Hz recording, cannot tell a shorter flight from none.
         swing_s: a swing lasts at least this long; a motor needs the time.
     """
 
@@ -55,7 +55,8 @@ def make_consistent(
 ) -> tuple[Stances, GaitChanges]:
     """Cleans detected contacts by one rule for every gait.
 
-    1. Legs that land and lift off together (a trot's diagonals, a pace's sides) get their common mean times: thresholds
+    1. Legs that land and lift off together (a trot's diagonals, a pace's sides) get their common mean times:
+    thresholds
        see a hind foot, which rolls over its toes, land later and leave earlier than the front foot of its pair.
     2. In a straight cycle with one stance a leg, left and right (all four legs of a paired gait) get one duty
        factor, each stance about its own middle.
@@ -72,14 +73,12 @@ def make_consistent(
     """
     pairing = _find_pairing(stances, n, config.same_stance)
     if pairing is not None:
-        stances = _share_times(stances, pairing, n, config.same_stance)
+        stances = _share_times(stances, pairing, n, config.same_stance, round(config.swing_s * rate_hz), periodic)
     common = periodic and straight and all(len(leg) == 1 and leg[0].duration < n for leg in stances)
     if common:
         stances = _common_duty(stances, n, pairing is not None)
     stances, widened = _widen_swings(stances, n, round(config.swing_s * rate_hz), periodic)
-    stances, closed = _close_flights(
-        stances, n, round(config.flight_s * rate_hz), longest_s * rate_hz, periodic
-    )
+    stances, closed = _close_flights(stances, n, round(config.flight_s * rate_hz), longest_s * rate_hz, periodic)
     return stances, GaitChanges(pairing, common, closed, widened)
 
 
@@ -94,13 +93,14 @@ def _overlap(a: Stance, b: Stance, n: int) -> tuple[float, int]:
     return best
 
 
-def _partners(a: list[Stance], b: list[Stance], n: int, least: float) -> list[tuple[int, int, int]]:
-    """(index in a, index in b, shift of b) of the stances that are the same but for noise."""
+def _partners(a: list[Stance], b: list[Stance], n: int, least: float) -> list[tuple[int, int, int, float]]:
+    """Stances that are the same but for noise: index in `a`, index in `b`, shift of b, part shared; one to one."""
     pairs = []
     for i, stance in enumerate(a):
-        share, j, shift = max((*_overlap(stance, other, n)[:1], j, _overlap(stance, other, n)[1]) for j, other in enumerate(b))
-        if share >= least:
-            pairs.append((i, j, shift))
+        (share, shift), j = max((_overlap(stance, other, n), j) for j, other in enumerate(b))
+        back = max((_overlap(other, b[j], n)[0], k) for k, other in enumerate(a))[1]
+        if share >= least and back == i:
+            pairs.append((i, j, shift, share))
     return pairs
 
 
@@ -110,28 +110,34 @@ def _find_pairing(stances: Stances, n: int, least: float) -> str | None:
         return None
     total = sum(len(leg) for leg in stances) / 2
     scores = {
-        name: sum(
-            _overlap(stances[a][i], stances[b][j], n)[0]
-            for a, b in pairs
-            for i, j, _ in _partners(stances[a], stances[b], n, least)
-        )
-        / total
+        name: sum(share for a, b in pairs for *_, share in _partners(stances[a], stances[b], n, least)) / total
         for name, pairs in PAIRINGS.items()
     }
     name = max(scores, key=lambda key: scores[key])
     return name if scores[name] >= 0.8 * least else None
 
 
-def _share_times(stances: Stances, pairing: str, n: int, least: float) -> Stances:
+def _share_times(stances: Stances, pairing: str, n: int, least: float, shortest_swing: int, periodic: bool) -> Stances:
     result = [list(leg) for leg in stances]
     for a, b in PAIRINGS[pairing]:
-        for i, j, shift in _partners(stances[a], stances[b], n, least):
+        for i, j, shift, _ in _partners(stances[a], stances[b], n, least):
             x, y = stances[a][i], stances[b][j]
             start = round((x.touch_down + y.touch_down + shift) / 2)
             end = round((x.lift_off + y.lift_off + shift) / 2)
-            result[a][i] = _from_zero(Stance(start, end), n)
-            result[b][j] = _from_zero(Stance(start, end), n)
+            tried_a, tried_b = list(result[a]), list(result[b])
+            tried_a[i] = tried_b[j] = _from_zero(Stance(start, end), n)
+            if _swings_last(tried_a, n, shortest_swing, periodic) and _swings_last(
+                tried_b, n, shortest_swing, periodic
+            ):
+                result[a], result[b] = tried_a, tried_b
     return [sorted(leg) for leg in result]
+
+
+def _swings_last(spans: list[Stance], n: int, shortest: int, periodic: bool) -> bool:
+    """Whether one leg's stances leave at least `shortest` samples between them."""
+    spans = sorted(spans)
+    following = [*spans[1:], *([Stance(spans[0].touch_down + n, 0)] if periodic else [])]
+    return all(after.touch_down - before.lift_off >= shortest for before, after in zip(spans, following, strict=False))
 
 
 def _from_zero(stance: Stance, n: int) -> Stance:
@@ -151,25 +157,29 @@ def _common_duty(stances: Stances, n: int, paired: bool) -> Stances:
 
 
 def _widen_swings(stances: Stances, n: int, shortest: int, periodic: bool) -> tuple[Stances, int]:
-    """Takes what a short swing lacks from the stances on both sides of it."""
+    """Takes what a short swing lacks from the stances on both sides of it; a mere rest of a swing that the
+    recording's end cuts off becomes stance."""
     widened = 0
     result = [list(leg) for leg in stances]
     for leg, spans in enumerate(stances):
         for lift_off, touch_down in swings_of(spans, n, periodic):
             lack = shortest - (touch_down - lift_off)
-            if lack > 0 and (periodic or (lift_off > 0 and touch_down < n)):
-                moved = _moved(result[leg], lift_off, lift_off - lack // 2, touch_down, touch_down + lack - lack // 2, n)
+            if not periodic and (lift_off == 0 or touch_down == n):
+                if 2 * lack > shortest and spans:
+                    result[leg] = _moved(result[leg], lift_off, touch_down, touch_down, lift_off, 2 * n)
+            elif lack > 0:
+                moved = _moved(
+                    result[leg], lift_off, lift_off - lack // 2, touch_down, touch_down + lack - lack // 2, n
+                )
                 if all(span.duration > shortest // 2 for span in moved):
                     result[leg] = sorted(_from_zero(span, n) for span in moved)
                     widened += 1
     return result, widened
 
 
-def _close_flights(
-    stances: Stances, n: int, shortest: int, longest: float, periodic: bool
-) -> tuple[Stances, int]:
+def _close_flights(stances: Stances, n: int, shortest: int, longest: float, periodic: bool) -> tuple[Stances, int]:
     """Closes flights shorter than `shortest` from both sides, as far as no stance gets longer than `longest`."""
-    supported = contact_mask(stances, n).any(axis=1)
+    supported = np.asarray(contact_mask(stances, n).any(axis=1))
     if supported.all() or not supported.any():
         return stances, 0
     closed = 0

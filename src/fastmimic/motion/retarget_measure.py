@@ -94,10 +94,18 @@ def _continued(last_three: Array) -> Array:
 def mean_speed(velocity_xy: Array, heading: Array) -> float:
     """Length of the mean velocity (t, 2) as seen from the trunk with `heading` (t,), m/s.
 
-    Unlike the path's length it does not grow with sway, and unlike the distance from start to end it means the same for
-    a gait that turns.
+    Unlike the path's length it does not grow with sway, and unlike the distance from start to end it means the same
+    for a gait that turns.
     """
     return float(np.linalg.norm(rotate_planar(-heading, velocity_xy).mean(axis=0)))
+
+
+def trunk_change(animal: Track, robot: Track) -> Array:
+    """RMS change (6,) of the trunk's path about its mean: x, y, z in the heading frame, m; roll, pitch, yaw, rad."""
+    planar = rotate_planar(-animal.heading, robot.root_xy - animal.root_xy)
+    turned = (robot.heading - animal.heading)[:, None]
+    change = np.concatenate([planar, (robot.root_z - animal.root_z)[:, None], robot.tilt - animal.tilt, turned], axis=1)
+    return np.asarray(change.std(axis=0))
 
 
 def support_shares(contact: NDArray[np.bool_]) -> tuple[float, ...]:

@@ -45,7 +45,8 @@ class Pose:
 
 
 def trunk_quaternion(heading: Array, tilt: Array) -> Array:
-    """Orientation (t, 4) from heading (t,), then pitch, then roll about the body's x; `tilt` (t, 2) is roll, pitch."""
+    """Orientation (t, 4) from heading (t,), then pitch, then roll about the body's x; `tilt` (t, 2) is roll,
+    pitch."""
     zero = np.zeros_like(heading)
     roll = quat_from_rotvec(np.stack([tilt[:, 0], zero, zero], axis=-1))
     pitch = quat_from_rotvec(np.stack([zero, tilt[:, 1], zero], axis=-1))
@@ -109,9 +110,7 @@ def _root(track: Track, height: float) -> Array:
     return np.concatenate([track.root_xy, z[:, None]], axis=1)
 
 
-def _joints(
-    robot: Robot, track: Track, quat: Array, feet_w: Array, height: float
-) -> tuple[Array, NDArray[np.bool_]]:
+def _joints(robot: Robot, track: Track, quat: Array, feet_w: Array, height: float) -> tuple[Array, NDArray[np.bool_]]:
     foot_b = quat_rotate_inverse(quat[:, None], feet_w - _root(track, height)[:, None])
     return inverse_kinematics(robot, foot_b)
 

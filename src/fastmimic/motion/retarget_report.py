@@ -5,10 +5,12 @@ from typing import Any, Final
 
 from fastmimic.conventions import JOINTS_PER_LEG, LEGS
 
-Four = tuple[float, float, float, float]
+Floats = tuple[float, ...]
+Ints = tuple[int, ...]
 
+_ANGLES: Final = ("roll", "pitch", "yaw")
 MAX_SPEED_CHANGE: Final = 0.03
-SLOW_M_PER_S: Final = 0.1
+SLOW_M_PER_S: Final = 0.4
 """Of a slower animal the change of speed is measured against this: a share of nothing says nothing."""
 MAX_YAW_CHANGE_DEG: Final = 2.0
 MIN_CLEARANCE_SHARE: Final = 0.8
@@ -47,7 +49,8 @@ class RetargetReport:
         cycle_reason: see above.
         period_before_s, period_after_s: resampled to a whole number of control steps.
         slip_before_m, slip_after_m: largest horizontal motion of each foot within a stance.
-        closure_before_m, closure_after_m: largest distance of a foot or the root from where the cycle ends; 0 if not a cycle.
+        closure_before_m, closure_after_m: largest distance of a foot or the root from where the cycle ends; 0 if not
+            a cycle.
         closure_before_deg, closure_after_deg: the same for the trunk's orientation.
         duty_before, duty_after: share of the time in stance.
         stances: number of stances of each leg.
@@ -58,9 +61,12 @@ class RetargetReport:
         speed_before_m_per_s, speed_after_m_per_s: length of the mean velocity as seen from the trunk; before is
             scale × animal.
         yaw_before_deg, yaw_after_deg: heading change over the motion (one cycle).
-        clearance_before_m, clearance_after_m: mean height of each leg's swings above its stance; before is scale × animal.
+        clearance_before_m, clearance_after_m: mean height of each leg's swings above its stance; before is scale ×
+            animal.
         foot_path_rms_m: change of each foot's path in the world by planting.
         foot_offset_m: constant shift of the feet against the hips: front and rear along x, front and rear outwards.
+        trunk_change_m, trunk_change_deg: RMS change by balancing of x, y, z and of roll, pitch, yaw about their
+            means.
         base_height_m, lowered_m: mean height of the base, and how much of its lowering was for reach.
         unreachable: samples in which a leg could not reach, of `samples`.
         joint_limited: samples in which a joint was held at its limit, for abduction, hip and knee.
@@ -76,36 +82,38 @@ class RetargetReport:
     cycle_reason: str
     period_before_s: float
     period_after_s: float
-    slip_before_m: Four
-    slip_after_m: Four
+    slip_before_m: Floats
+    slip_after_m: Floats
     closure_before_m: float
     closure_after_m: float
     closure_before_deg: float
     closure_after_deg: float
-    duty_before: Four
-    duty_after: Four
-    stances: tuple[int, int, int, int]
+    duty_before: Floats
+    duty_after: Floats
+    stances: Ints
     pairing: str | None
     common_duty: bool
     closed_flights: int
     widened_swings: int
-    support_share: tuple[float, float, float, float, float]
+    support_share: Floats
     speed_before_m_per_s: float
     speed_after_m_per_s: float
     yaw_before_deg: float
     yaw_after_deg: float
-    clearance_before_m: Four
-    clearance_after_m: Four
-    foot_path_rms_m: Four
-    foot_offset_m: Four
+    clearance_before_m: Floats
+    clearance_after_m: Floats
+    foot_path_rms_m: Floats
+    foot_offset_m: Floats
+    trunk_change_m: Floats
+    trunk_change_deg: Floats
     base_height_m: float
     lowered_m: float
-    unreachable: tuple[int, int, int, int]
-    joint_limited: tuple[int, int, int]
+    unreachable: Ints
+    joint_limited: Ints
     samples: int
-    joint_speed_peak: tuple[float, float, float]
-    joint_speed_limit: tuple[float, float, float]
-    smoothed_legs: tuple[int, int, int, int]
+    joint_speed_peak: Floats
+    joint_speed_limit: Floats
+    smoothed_legs: Ints
     heading_aligned_deg: float
     bounds: tuple[Bound, ...]
 
@@ -125,31 +133,41 @@ class RetargetReport:
             f"{name} {peak:.1f} of {limit:.0f}"
             for name, peak, limit in zip(JOINTS_PER_LEG, self.joint_speed_peak, self.joint_speed_limit, strict=True)
         )
+        period = f"period {self.period_before_s:.4f} → {self.period_after_s:.4f} s"
+        speed = f"speed {self.speed_before_m_per_s:.3f} → {self.speed_after_m_per_s:.3f} m/s"
+        yaw = f"yaw {self.yaw_before_deg:.1f} → {self.yaw_after_deg:.1f}°"
+        distance = f"{1e3 * self.closure_before_m:.1f} → {1e3 * self.closure_after_m:.2f} mm"
+        angle = f"{self.closure_before_deg:.2f} → {self.closure_after_deg:.3f}°"
+        support = [f"{feet} feet {100 * share:.0f} %" for feet, share in enumerate(self.support_share) if share > 0]
+        change = [f"{a} {1e3 * v:.0f} mm" for a, v in zip("xyz", self.trunk_change_m, strict=True)]
+        change += [f"{a} {v:.1f}°" for a, v in zip(_ANGLES, self.trunk_change_deg, strict=True)]
+        clamps = f"reach {sum(self.unreachable)}, joint limits {sum(self.joint_limited)} of {self.samples} samples"
         lines = [
-            f"scale {self.scale:.3f}; {self.cycle_reason}; period {self.period_before_s:.4f} → {self.period_after_s:.4f} s",
-            f"speed {self.speed_before_m_per_s:.3f} → {self.speed_after_m_per_s:.3f} m/s;"
-            f" yaw {self.yaw_before_deg:.1f} → {self.yaw_after_deg:.1f}°; heading aligned by {self.heading_aligned_deg:.1f}°",
-            f"closure {1e3 * self.closure_before_m:.1f} → {1e3 * self.closure_after_m:.2f} mm,"
-            f" {self.closure_before_deg:.2f} → {self.closure_after_deg:.3f}°",
+            f"scale {self.scale:.3f}; {self.cycle_reason}; {period}",
+            f"{speed}; {yaw}; heading aligned by {self.heading_aligned_deg:.1f}°; closure {distance}, {angle}",
             f"{'':24}{legs}",
             _row("slip in stance, mm", self.slip_before_m, self.slip_after_m, 1e3, 1),
             _row("duty factor", self.duty_before, self.duty_after, 1, 2),
             _row("swing clearance, mm", self.clearance_before_m, self.clearance_after_m, 1e3, 0),
             _row("foot path RMS, mm", None, self.foot_path_rms_m, 1e3, 0),
-            "support: "
-            + ", ".join(f"{feet} feet {100 * share:.0f} %" for feet, share in enumerate(self.support_share) if share > 0),
-            f"base height {self.base_height_m:.3f} m (lowered {1e3 * self.lowered_m:.0f} mm for reach); joint speeds {speeds} rad/s;"
-            f" clamps: reach {sum(self.unreachable)}, joint limits {sum(self.joint_limited)} of {self.samples} samples",
+            f"support: {', '.join(support)}",
+            f"trunk changed by {', '.join(change)} RMS",
+            f"base height {self.base_height_m:.3f} m (lowered {1e3 * self.lowered_m:.0f} mm for reach)",
+            f"joint speeds {speeds} rad/s; clamps: {clamps}",
         ]
         for bound in self.bounds:
             why = f" ({bound.reason})" if bound.reason else ""
-            lines.append(f"{'ok ' if bound.met else 'NOT MET'} {bound.name}: {bound.value:.3g} of {bound.limit:.3g}{why}")
+            lines.append(
+                f"{'ok ' if bound.met else 'NOT MET'} {bound.name}: {bound.value:.3g} of {bound.limit:.3g}{why}"
+            )
         return lines
 
 
 def with_bounds(report: RetargetReport) -> RetargetReport:
     """The report with its figures held against the bounds; the reason stands beside each that is not met."""
-    speed = abs(report.speed_after_m_per_s - report.speed_before_m_per_s) / max(report.speed_before_m_per_s, SLOW_M_PER_S)
+    speed = abs(report.speed_after_m_per_s - report.speed_before_m_per_s) / max(
+        report.speed_before_m_per_s, SLOW_M_PER_S
+    )
     yaw = abs(report.yaw_after_deg - report.yaw_before_deg)
     clearance = min(
         after / max(before, 1e-3)
@@ -196,7 +214,7 @@ def _duty_reason(report: RetargetReport) -> str:
     return ", ".join(reasons)
 
 
-def _row(title: str, before: Four | None, after: Four, factor: float, digits: int) -> str:
+def _row(title: str, before: Floats | None, after: Floats, factor: float, digits: int) -> str:
     first = "" if before is None else " ".join(f"{factor * value:6.{digits}f}" for value in before) + "  →"
     return f"{title:24}{first}" + " ".join(f"{factor * value:6.{digits}f}" for value in after)
 

@@ -39,17 +39,15 @@ class Source:
 
     def turned(self, angle: float) -> "Source":
         """The same motion with the trunk's heading turned by `angle` rad; nothing moves in the world."""
-        return replace(
-            self, heading=self.heading + angle, toe_from_hip=rotate_planar(-angle, self.toe_from_hip)
-        )
+        return replace(self, heading=self.heading + angle, toe_from_hip=rotate_planar(-angle, self.toe_from_hip))
 
 
 def extract(clip: Clip, scale: float, roll_share: float) -> Source:
     """Trunk pose and toe targets of a clip, scaled.
 
-    Heading and pitch are those of the line from pelvis to neck, roll that of the mean of the lines between left and right shoulders
-    and hips. The mean roll and pitch are removed: where the markers sit on the body is not its neutral
-    attitude. If the clip knows its trunk's orientation, that is used as it is.
+    Heading and pitch are those of the line from pelvis to neck, roll that of the mean of the lines between left and
+    right shoulders and hips. The mean roll and pitch are removed: where the markers sit on the body is not its
+    neutral attitude. If the clip knows its trunk's orientation, that is used as it is.
 
     Args:
         clip: the animal.

@@ -29,7 +29,8 @@ class TrunkSpline:
         self.size = self._pieces if periodic else self._pieces + 3
 
     def basis(self, sample: NDArray[np.int_]) -> tuple[NDArray[np.int_], Array]:
-        """Which coefficients act at samples (k,), (k, 4), and their weights (3, k, 4) in value, first and second derivative."""
+        """Which coefficients act at samples (k,), (k, 4), and their weights (3, k, 4) in value, first and second
+        derivative."""
         at = sample / self._n * self._pieces
         piece = np.minimum(at.astype(int), self._pieces - 1)
         u = at - piece

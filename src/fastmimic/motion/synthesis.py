@@ -1,9 +1,9 @@
 """Built-in animal-like gaits: keypoints of a dog-sized animal, made by formula.
 
-They stand in for recordings where none may be shipped, and go through the very same retargeting. The animal has a dog's
-proportions; its trunk bobs, sways, rolls and pitches in step with its legs; its paws roll over the toes before they
-leave, swing in an asymmetric arc, front higher than hind, and reach back a little before they land. Everything is twice
-continuously differentiable in time.
+They stand in for recordings where none may be shipped, and go through the very same retargeting. The animal has a
+dog's proportions; its trunk bobs, sways, rolls and pitches in step with its legs; its paws roll over the toes before
+they leave, swing in an asymmetric arc, front higher than hind, and reach back a little before they land. Everything
+is twice continuously differentiable in time.
 """
 
 from dataclasses import dataclass, replace
@@ -189,10 +189,10 @@ def generate(
     """One cycle of a built-in gait as an animal's keypoints; for the arguments and errors see `gait`."""
     spec = gait(name, speed=speed, yaw_rate=yaw_rate, duty=duty)
     given = {k: v for k, v in (("speed", speed), ("yaw_rate", yaw_rate), ("duty", duty)) if v is not None}
-    meta = {
+    meta: dict[str, object] = {
         "name": name,
-        "source": f"built-in gait '{name}'",
-        "format": "synthetic",
+        "source": "built in",
+        "format": "built-in",
         "parameters": given,
         "assumed": [],
         "licence": "no recording: made by formula, free to use",
@@ -206,9 +206,7 @@ def keypoints(spec: GaitSpec, meta: dict[str, object] | None = None) -> Clip:
     share = np.arange(n) / n
     period = n / RATE_HZ
     animal = 1.0 / ROBOT_SCALE
-    twist = np.array(
-        [spec.speed * animal * period, spec.lateral_speed * animal * period, spec.yaw_rate * period]
-    )
+    twist = np.array([spec.speed * animal * period, spec.lateral_speed * animal * period, spec.yaw_rate * period])
     position, quat = _trunk(spec, share, twist, animal)
     points = [position + quat_rotate(quat, -_SPINE), position + quat_rotate(quat, _SPINE)]
     points += [position + quat_rotate(quat, hip) for hip in _HIP]
@@ -240,9 +238,7 @@ def _trunk(spec: GaitSpec, share: Array, twist: Array, animal: float) -> tuple[A
     zero = np.zeros_like(share)
     yaw = quat_from_yaw(heading + spec.yaw * np.sin(left))
     pitch = quat_from_rotvec(np.stack([zero, spec.pitch * np.cos(front - 0.6), zero], axis=-1))
-    roll = quat_from_rotvec(
-        np.stack([-spec.roll * np.cos(left - 0.4), zero, zero], axis=-1)
-    )  # standing side down
+    roll = quat_from_rotvec(np.stack([-spec.roll * np.cos(left - 0.4), zero, zero], axis=-1))  # standing side down
     return np.concatenate([xy, z[:, None]], axis=1), quat_multiply(yaw, quat_multiply(pitch, roll))
 
 
@@ -275,9 +271,9 @@ def _foothold(spec: GaitSpec, leg: int, middle: Array, twist: Array, animal: flo
 
 
 def _forward(u: Array) -> Array:
-    """Progress of a swing from rest to rest with continuous acceleration: quick to start, steady, and at the end a little too
-    far, so that the paw reaches back before it lands."""
-    ramp = 0.25
+    """Progress of a swing from rest to rest with continuous acceleration: quick to start, steady, and at the end a
+    little too far, so that the paw reaches back before it lands."""
+    ramp = 0.15
     start, end = np.minimum(u / ramp, 1.0), np.minimum((1.0 - u) / ramp, 1.0)
 
     def covered(w: Array) -> Array:  # integral of the smooth step 3w² − 2w³
@@ -290,7 +286,8 @@ def _forward(u: Array) -> Array:
 
 
 def _arc(u: Array, top: float) -> Array:
-    """Height of a swing, 1 at its top at `top` of its time; position, velocity and acceleration vanish at both ends."""
+    """Height of a swing, 1 at its top at `top` of its time; position, velocity and acceleration vanish at both
+    ends."""
     rise = 3.0 * top / (1.0 - top)
     peak = top**rise * (1 - top) ** 3.0
     return np.where((u > 0) & (u < 1), u**rise * (1 - u) ** 3.0 / peak, 0.0)

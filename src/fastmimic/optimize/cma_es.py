@@ -47,6 +47,8 @@ class CmaSettings:
             raise ConfigError(f"population must be at least 4 for CMA-ES, found {self.population}")
         if self.seed < 0:
             raise ConfigError(f"seed must not be negative, found {self.seed}")
+        if not 0 < self.step_size <= 1:
+            raise ConfigError(f"step_size must be a share of the ranges in (0, 1], found {self.step_size}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +165,8 @@ class _Search:
                     progress(Progress(done, self.settings.iterations, best, self.settings.population / each, remaining))
         except KeyboardInterrupt:
             interrupted = True
+            whole = len(self.sigma)  # it may have come while an iteration was being noted down
+            del self.candidates[whole:], self.scores[whole:]
         x, score, validation = self._choose(baseline)
         elapsed = before + time.perf_counter() - began
         if self.checkpoint is not None and self.scores:
@@ -189,7 +193,8 @@ class _Search:
         self.sigma.append(float(self.strategy.sigma))
 
     def _replay(self) -> float:
-        assert self.checkpoint is not None
+        if self.checkpoint is None:
+            raise CheckpointError("nothing to resume from: the checkpoint's file was not given")
         saved = Checkpoint.load(self.checkpoint, self.identity)
         for u, scores in zip(saved.candidates, saved.scores, strict=True):
             if len(self.scores) == self.settings.iterations:
@@ -231,10 +236,10 @@ class _Search:
         return float(np.mean(np.concatenate([self.problem.score(r) for r in rollouts])))
 
     def _history(self, baseline: float) -> History:
-        scores = np.array(self.scores).reshape(len(self.scores), -1)
-        if not len(scores):
+        if not self.scores:
             empty = np.zeros(0)
             return History(empty, empty, empty, empty, baseline)
+        scores = np.array(self.scores)
         return History(scores.max(axis=1), scores.mean(axis=1), scores.std(axis=1), np.array(self.sigma), baseline)
 
 

@@ -1,0 +1,111 @@
+"""The controller's parameters: named sets, refusal of nonsense, units for the kernels."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from fastmimic.control.config import (
+    CONFIGS,
+    ControllerConfig,
+    GaitConfig,
+    StanceConfig,
+    SwingConfig,
+    controller_config,
+    default_config,
+    pack_config,
+    paper_config,
+)
+from fastmimic.errors import ConfigError
+
+
+@pytest.mark.parametrize("name", sorted(CONFIGS))
+def test_sets_are_found_by_name_and_know_it(name: str) -> None:
+    assert controller_config(name).name == name
+
+
+def test_an_unknown_set_is_refused_with_the_names_there_are() -> None:
+    with pytest.raises(
+        ConfigError, match="unknown configuration 'defualt'; there are default, paper; did you mean 'default'"
+    ):
+        controller_config("defualt")
+
+
+def test_factories_return_fresh_and_equal_objects() -> None:
+    assert default_config() == default_config() == ControllerConfig()
+    assert default_config() is not default_config()
+    assert default_config() != paper_config()
+
+
+@pytest.mark.parametrize("name", sorted(CONFIGS))
+def test_a_set_can_be_written_to_a_file(name: str) -> None:
+    text = json.dumps(controller_config(name).as_dict(), allow_nan=False)
+    assert json.loads(text)["stance"]["friction"] == controller_config(name).stance.friction
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"rate_hz": 0.0}, "rate_hz must be positive"),
+        ({"gait": {"planner": "clever"}}, "gait.planner must be one of schedule, full"),
+        ({"gait": {"min_switch_time": -0.1}}, "gait.min_switch_time must not be negative"),
+        ({"gait": {"contact_threshold": 0.1, "release_threshold": 0.2}}, "gait.release_threshold must be in"),
+        ({"stance": {"adaptation": "some"}}, "stance.adaptation must be one of off, paper, full"),
+        ({"stance": {"friction": 0.0}}, "stance.friction must be positive"),
+        ({"stance": {"force_weight": 0.0}}, "stance.force_weight must be positive"),
+        ({"stance": {"min_force": 2.0, "max_force": 1.0}}, "stance.min_force must be in"),
+        ({"stance": {"acceleration_weight": (1, 1, 1, 1, 1, -1)}}, "stance.acceleration_weight must not be negative"),
+        ({"swing": {"liftoff_blend_time": -0.1}}, "swing.liftoff_blend_time must not be negative"),
+        ({"swing": {"filter_time": -0.1}}, "swing.filter_time must not be negative"),
+    ],
+)
+def test_nonsense_is_refused_by_name(changes: dict[str, object], message: str) -> None:
+    parts = {"gait": GaitConfig(), "stance": StanceConfig(), "swing": SwingConfig()}
+    given = {k: dataclasses.replace(parts[k], **v) if isinstance(v, dict) else v for k, v in changes.items()}
+    with pytest.raises(ConfigError, match=f"configuration 'mine': {message}"):
+        ControllerConfig(name="mine", **given)
+
+
+def test_forces_are_multiples_of_the_weight() -> None:
+    """One set for all robots: a robot twice as heavy is pushed and felt twice as hard."""
+    light, heavy = (pack_config(default_config(), weight)[0] for weight in (100.0, 200.0))
+    for name in ("contact_threshold", "release_threshold", "min_force", "max_force"):
+        assert heavy[name] == 2 * light[name]
+    assert light["max_force"] == 100.0 * default_config().stance.max_force
+
+
+def test_kernels_get_what_was_set() -> None:
+    stance = StanceConfig(position_gain=(1, 2, 3, 4, 5, 6), velocity_gain=(7, 8, 9, 10, 11, 12), friction=0.7)
+    swing = SwingConfig(velocity_feedback=0.04, filter_time=0.0)
+    packed = pack_config(ControllerConfig(rate_hz=250.0, stance=stance, swing=swing), 100.0)[0]
+    assert packed["dt"] == 0.004
+    np.testing.assert_array_equal(packed["kp"], [1, 2, 3, 4, 5, 6])
+    np.testing.assert_array_equal(packed["kd"], [7, 8, 9, 10, 11, 12])
+    assert packed["mu"] == 0.7
+    assert packed["velocity_feedback"] == 0.04
+    assert packed["filter_gain"] == 1.0, "no filter: the present error counts in full"
+
+
+def test_every_parameter_reaches_the_kernels() -> None:
+    """A setting that is accepted and ignored is worse than none."""
+    config = default_config()
+    packed = pack_config(config, 100.0).tobytes()
+    for part in ("gait", "stance", "swing"):
+        settings = getattr(config, part)
+        for field in dataclasses.fields(settings):
+            value = getattr(settings, field.name)
+            changed = {
+                "planner": "schedule" if value == "full" else "full",
+                "adaptation": "off" if value != "off" else "full",
+            }.get(field.name)
+            if changed is None:
+                changed = (
+                    not value
+                    if isinstance(value, bool)
+                    else tuple(1.01 * v + 0.001 for v in value)
+                    if isinstance(value, tuple)
+                    else 1.01 * value + 1e-4
+                )
+            other = dataclasses.replace(config, **{part: dataclasses.replace(settings, **{field.name: changed})})
+            assert pack_config(other, 100.0).tobytes() != packed, f"{part}.{field.name}"

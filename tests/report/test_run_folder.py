@@ -1,0 +1,81 @@
+"""The folder of a run: its name, its JSON, and that a run that fails leaves it as it was."""
+
+import json
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import pytest
+
+from fastmimic.errors import CheckpointError, ConfigError, OutputError
+from fastmimic.report.run_folder import RunFolder, default_folder, open_run, write_json
+
+CONFIG = {"arguments": {"motion": "trot", "seed": 0}}
+
+
+def new_run(path: Path) -> AbstractContextManager[RunFolder]:
+    return open_run(path, CONFIG, CONFIG["arguments"], resume=False, overwrite=False)
+
+
+def test_json_has_null_for_what_it_cannot_say(tmp_path: Path) -> None:
+    write_json(tmp_path / "a.json", {"a": float("nan"), "b": [1.5, float("inf")], "c": {"d": (True, None)}})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"a": None, "b": [1.5, None], "c": {"d": [True, None]}}
+
+
+def test_the_first_name_that_is_not_taken(tmp_path: Path) -> None:
+    assert default_folder(tmp_path, "run", resume=False) == tmp_path / "run"
+    for name in ("run", "run-2"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").touch()
+    assert default_folder(tmp_path, "run", resume=False) == tmp_path / "run-3"
+    (tmp_path / "run-3").mkdir()
+    assert default_folder(tmp_path, "run", resume=False) == tmp_path / "run-3"
+
+
+def test_resuming_takes_the_last_name_with_a_checkpoint(tmp_path: Path) -> None:
+    assert default_folder(tmp_path, "run", resume=True) == tmp_path / "run"
+    for name, file in (("run", "checkpoint.npz"), ("run-2", "checkpoint.npz"), ("run-3", "metrics.json")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / file).touch()
+    assert default_folder(tmp_path, "run", resume=True) == tmp_path / "run-2"
+
+
+def test_a_run_that_fails_leaves_no_trace(tmp_path: Path) -> None:
+    def work(folder: RunFolder) -> None:
+        assert json.loads((folder.path / "config.json").read_text()) == CONFIG
+        raise OutputError("full")
+
+    with pytest.raises(OutputError, match="full"), new_run(tmp_path / "a" / "b") as folder:
+        work(folder)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_fails_late_keeps_its_checkpoint(tmp_path: Path) -> None:
+    def work(folder: RunFolder) -> None:
+        folder.checkpoint.touch()
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), new_run(tmp_path / "a") as folder:
+        work(folder)
+    assert {path.name for path in (tmp_path / "a").iterdir()} == {"config.json", "checkpoint.npz"}
+
+
+def test_a_failing_rerun_keeps_the_results_and_their_config(tmp_path: Path) -> None:
+    write_json(tmp_path / "config.json", {**CONFIG, "first": True})
+    write_json(tmp_path / "metrics.json", {})
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(KeyboardInterrupt), new_run(tmp_path):
+        raise KeyboardInterrupt
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("resume", "overwrite", "error"),
+    [(False, False, OutputError), (True, True, ConfigError), (True, False, CheckpointError)],
+)
+def test_refusals(tmp_path: Path, resume: bool, overwrite: bool, error: type[Exception]) -> None:
+    write_json(tmp_path / "config.json", {"arguments": {"motion": "pace", "seed": 0}})
+    with (
+        pytest.raises(error),
+        open_run(tmp_path, CONFIG, CONFIG["arguments"], resume=resume, overwrite=overwrite),
+    ):
+        pytest.fail("the folder was opened")

@@ -1,0 +1,75 @@
+"""Compiled kernels: what the cache on disk may and may not keep."""
+
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fastmimic.jit import kernel, record_dtype
+
+CALLEE = """
+from fastmimic.jit import inlined
+
+@inlined
+def factor(x):
+    return {number}.0 * x
+"""
+CALLER = """
+from fastmimic.jit import kernel
+from callee import factor
+
+@kernel
+def between(x):
+    return factor(x)
+"""
+TOP = """
+from fastmimic.jit import kernel
+from caller import between
+
+@kernel
+def top(x):
+    return below(x) + 1.0
+
+@kernel
+def below(x):
+    return between(x)
+
+print(top(1.0), sum(top.stats.cache_hits.values()) if hasattr(top, "stats") else 0)
+"""
+
+
+def run(folder: Path) -> tuple[float, int]:
+    """The result of the kernel at the top, and whether its code came from the cache, in a process of its own."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache"), "NUMBA_DISABLE_JIT": "0"}
+    output = subprocess.run(
+        [sys.executable, "top.py"], cwd=folder, env=environment, capture_output=True, text=True, check=True
+    ).stdout.split()
+    return float(output[0]), int(output[1])
+
+
+def test_a_cached_kernel_is_compiled_anew_when_a_function_that_it_calls_changes(tmp_path: Path) -> None:
+    """Over two files and not its own: after an update, old and new code must never run mixed."""
+    for name, text in (("callee", CALLEE.format(number=2)), ("caller", CALLER), ("top", TOP)):
+        (tmp_path / f"{name}.py").write_text(textwrap.dedent(text))
+    assert run(tmp_path) == (3.0, 0)
+    assert run(tmp_path) == (3.0, 1), "the second process finds the first one's code"
+    (tmp_path / "callee.py").write_text(CALLEE.format(number=10))
+    assert run(tmp_path) == (11.0, 0)
+
+
+@pytest.mark.nojit
+def test_records_have_their_fields_as_attributes_with_and_without_the_compiler() -> None:
+    @kernel
+    def fill(records: np.ndarray) -> None:
+        for i in range(records.shape[0]):
+            records[i].count += i
+            records[i].vector[1] = 2.5
+
+    records = np.zeros(3, record_dtype([("count", "i8"), ("vector", "f8", (3,))]))
+    fill(records)
+    np.testing.assert_array_equal(records["count"], [0, 1, 2])
+    np.testing.assert_array_equal(records["vector"][:, 1], 2.5)
