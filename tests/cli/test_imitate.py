@@ -305,4 +305,4 @@ def test_a_terminal_gets_a_bar_with_the_best_reward_and_the_time_left(start: Sta
     assert process.wait() == 0, shown
     text = shown.decode(errors="replace")
     assert re.search(r"30/30.*best 0\.\d{3}  \d+ evaluations/s  0:00 left", text), text
-    assert "choosing among the best candidates" in text
+    assert "validating" in text

@@ -8,7 +8,6 @@ import pytest
 from control.motions import gait, standing
 from fastmimic.control.config import (
     ControllerConfig,
-    StanceConfig,
     SwingConfig,
     controller_config,
     default_config,
@@ -167,23 +166,22 @@ class TestFrames:
         assert_same(here.step(observation), there.step(negated), atol=1e-9)
 
 
-KP, KD = (20.0, 30.0, 40.0, 100.0, 110.0, 120.0), (5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
+KP, KD = (25.0, 25.0, 40.0, 100.0, 110.0, 120.0), (5.5, 5.5, 7.0, 8.0, 9.0, 10.0)
 
 
 def stance_law(**changes: object) -> ControllerConfig:
-    """A stance law with gains of its own, forces that cost nothing and no additions to the paper's terms."""
-    stance = StanceConfig(
+    """The paper's stance law with gains of its own and forces that cost nothing."""
+    stance = dataclasses.replace(
+        paper_config().stance,
         position_gain=KP,
         velocity_gain=KD,
-        reference_acceleration=0.0,
-        sway=0.0,
+        supported_gain=(KP[0], KD[0]),
         acceleration_limit=(100.0,) * 6,
         acceleration_weight=(1.0,) * 6,
         force_weight=1e-10,
         friction=0.9,
         min_force=0.0,
         adaptation="off",
-        leg_dynamics=False,
     )
     return ControllerConfig(stance=dataclasses.replace(stance, **changes))
 

@@ -101,7 +101,7 @@ def _on_bar(bar: Any) -> "Callable[[Progress], None]":
     def report(step: "Progress") -> None:
         bar.update(task, completed=step.iteration, total=step.iterations, visible=True, info=_figures(step))
         if step.iteration == step.iterations:
-            bar.update(task, description=CHOOSING)
+            bar.update(task, description="validating")
 
     return report
 

@@ -47,6 +47,10 @@ class StanceConfig:
     Attributes:
         position_gain: k_p, 1/s².
         velocity_gain: k_d, 1/s.
+        supported_gain: k_p and k_d of x and y while three or more feet stand and the horizontal position can be
+            controlled; on two feet it trades against the angle about their line, so the gains above are lower.
+        foothold_share: share of the x and y position error that is measured relative to where the standing feet are, the
+            rest relative to the world; 0 in the paper.
         reference_acceleration: factor on the reference's own acceleration in ẍ_des; 0 in the paper.
         sway: share of the inverted pendulum's sway over the reference's footholds that is added to the reference; 0 in
             the paper.
@@ -63,6 +67,8 @@ class StanceConfig:
 
     position_gain: Vector6 = (40.0, 40.0, 300.0, 600.0, 600.0, 600.0)
     velocity_gain: Vector6 = (20.0, 20.0, 35.0, 75.0, 75.0, 75.0)
+    supported_gain: tuple[float, float] = (100.0, 20.0)
+    foothold_share: float = 1.0
     reference_acceleration: float = 1.0
     sway: float = 0.5
     acceleration_limit: Vector6 = (15.0, 15.0, 25.0, 150.0, 150.0, 150.0)
@@ -156,7 +162,7 @@ def paper_config() -> ControllerConfig:
     """The paper's form: no feed-forward of accelerations or leg dynamics, eq. 2 and 3 as printed."""
     return ControllerConfig(
         name="paper",
-        stance=StanceConfig(reference_acceleration=0.0, sway=0.0, adaptation="paper", leg_dynamics=False),
+        stance=StanceConfig(supported_gain=(40.0, 20.0), foothold_share=0.0, reference_acceleration=0.0, sway=0.0, adaptation="paper", leg_dynamics=False),
         swing=SwingConfig(
             velocity_feedback=0.03,
             sway=0.0,
@@ -190,6 +196,8 @@ _DTYPE = record_dtype(
         ("early_takeoff_time", "f8"),
         ("kp", "f8", (6,)),
         ("kd", "f8", (6,)),
+        ("supported_gain", "f8", (2,)),
+        ("foothold_share", "f8"),
         ("reference_acceleration", "f8"),
         ("acceleration_limit", "f8", (6,)),
         ("q_weight", "f8", (6,)),
@@ -233,6 +241,8 @@ def pack_config(config: ControllerConfig, weight: float) -> NDArray[Any]:
     record["early_takeoff_time"] = gait.early_takeoff_time
     record["kp"] = stance.position_gain
     record["kd"] = stance.velocity_gain
+    record["supported_gain"] = stance.supported_gain
+    record["foothold_share"] = stance.foothold_share
     record["reference_acceleration"] = stance.reference_acceleration
     record["acceleration_limit"] = stance.acceleration_limit
     record["q_weight"] = stance.acceleration_weight

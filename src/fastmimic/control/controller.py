@@ -52,11 +52,15 @@ SCRATCH: Final = record_dtype(
 
 
 @inlined
-def _desired_acceleration(config: Any, error: Array, velocity_error: Array, feedforward: Array, out: Array, at: int) -> None:
+def _desired_acceleration(
+    config: Any, error: Array, velocity_error: Array, feedforward: Array, out: Array, at: int, supported: bool
+) -> None:
     """k_p e + k_d ė + feed-forward, clipped, into out[at:at + 3]."""
     for i in range(3):
-        a = config.kp[at + i] * error[i] + config.kd[at + i] * velocity_error[i]
-        a += config.reference_acceleration * feedforward[i]
+        kp, kd = config.kp[at + i], config.kd[at + i]
+        if supported and at + i < 2:
+            kp, kd = config.supported_gain[0], config.supported_gain[1]
+        a = kp * error[i] + kd * velocity_error[i] + config.reference_acceleration * feedforward[i]
         limit = config.acceleration_limit[at + i]
         out[at + i] = min(max(a, -limit), limit)
 
@@ -98,6 +102,8 @@ def _control_robot(
     cd, sd = np.cos(delta), np.sin(delta)
     turn_rows(cd, sd, reference_rotation)
 
+    _feet_and_com(model, obs, rotation, feet, scratch.arms, vectors[7])
+    standing = memory.stance[0] + memory.stance[1] + memory.stance[2] + memory.stance[3]
     error, velocity_error, feedforward = vectors[0], vectors[1], vectors[2]
     v_ref, w_ref, v, w = vectors[3], vectors[4], vectors[5], vectors[6]
     heading_vector(cd, -sd, ref.lin_vel, v_ref)
@@ -120,22 +126,22 @@ def _control_robot(
         source = ref.sway_pos if k == 0 else (ref.sway_vel if k == 1 else ref.sway_acc)
         sway[k, 0], sway[k, 1] = cy * source[0] - sy * source[1], sy * source[0] + cy * source[1]
     swing_errors(config, rotation, error, velocity_error, sway, memory, scratch.position_error, vectors[7])
+    _relative_to_feet(config.foothold_share, ref, rotation, reference_rotation, feet, memory, error)
     for k in range(2):
         error[k] += config.stance_sway * sway[0, k]
         velocity_error[k] += config.stance_sway * sway[1, k]
         feedforward[k] += config.stance_sway * sway[2, k]
-    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 0)
+    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 0, standing >= 3)
     rotation_error(reference_rotation, rotation, error)
     for k in range(3):
         velocity_error[k] = w_ref[k] - w[k]
     heading_vector(cd, -sd, ref.ang_acc, feedforward)
-    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 3)
+    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 3, standing >= 3)
 
     # the reference's velocities in its own body frame
     v_ref_b, w_ref_b = vectors[0], vectors[1]
     transposed_times(reference_rotation, v_ref, v_ref_b)
     transposed_times(reference_rotation, w_ref, w_ref_b)
-    _feet_and_com(model, obs, rotation, feet, scratch.arms, vectors[7])
     _heading_inertia(model.inertia, rotation, scratch.inertia)
     invert_symmetric_3x3(scratch.inertia, scratch.inverse_inertia)
     for leg in range(4):
@@ -162,6 +168,29 @@ def _control_robot(
         _leg_dynamics(config, model, obs, ref, memory, command, scratch, leg)
         for j in range(3 * leg, 3 * leg + 3):
             _keep_within_limits(config, model, command, j)
+
+
+@inlined
+def _relative_to_feet(
+    share: float, ref: Any, rotation: Array, reference_rotation: Array, feet: Array, memory: Any, error: Array
+) -> None:
+    """Mixes the position error with that relative to where the standing feet are (x and y, heading frame).
+
+    Over feet that did not land where the reference's did, the body has to be where it is over the reference's feet, not
+    where it is in the world: balance is a matter of the feet.
+    """
+    ex = ey = 0.0
+    n = 0
+    for leg in range(4):
+        if memory.stance[leg] == 0 or ref.contact[leg] == 0:
+            continue
+        for k in range(3):
+            ex += rotation[0, k] * feet[leg, k] - reference_rotation[0, k] * ref.foot_pos[leg, k]
+            ey += rotation[1, k] * feet[leg, k] - reference_rotation[1, k] * ref.foot_pos[leg, k]
+        n += 1
+    if n > 0:
+        error[0] += share * (ex / n - error[0])
+        error[1] += share * (ey / n - error[1])
 
 
 @inlined

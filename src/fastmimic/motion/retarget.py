@@ -42,6 +42,7 @@ DOG_LEG_LENGTH_M: Final = 0.4 / DOG_SCALE
 """Leg length that this scale implies for an animal whose own is not known, so that other robots scale by theirs."""
 MIN_FRAMES: Final = 8
 _SAME_BODY_M: Final = 2e-3
+_EXACT_FEET: Final = 0.2
 
 
 def retarget(
@@ -83,6 +84,8 @@ def retarget(
     track = (track_cycle if periodic else track_open)(source, n, config.trunk_hz, config.foot_hz)
 
     own = _is_own_body(clip, robot, scale)
+    if own:
+        config = _for_own_body(config)
     height = source.hip_height + robot.foot_radius - (0.0 if own else config.crouch_m * scale / DOG_SCALE)
     reach = Reach.of_robot(robot, height, config.reach_margin_rad)
     detected = _detect(source, n, rate_hz, periodic, config.contact)
@@ -126,8 +129,10 @@ def _decide_cycle(clip: Clip, source: Source, cycle: bool | None, config: Retarg
     if clip.is_cycle is not None:
         return clip.is_cycle, "one cycle, as the clip says" if clip.is_cycle else "not a cycle, as the clip says"
     mismatch = pose_mismatch(source)
-    closes = mismatch <= config.cycle_mismatch
-    found = f"its ends differ by {mismatch:.2f} of the spread of its poses; limit {config.cycle_mismatch:.2f}"
+    short = clip.n_frames / clip.rate_hz < config.short_s
+    limit = config.short_mismatch if short else config.cycle_mismatch
+    found = f"its ends differ by {mismatch:.2f} of the spread of its poses; limit {limit:.2f} for this length"
+    closes = mismatch <= limit
     return closes, f"taken as one cycle ({found})" if closes else f"not a cycle ({found})"
 
 
@@ -165,6 +170,14 @@ def _is_own_body(clip: Clip, robot: Robot, scale: float) -> bool:
     centre = clip.hips_w.mean(axis=1, keepdims=True)
     hips = scale * quat_rotate_inverse(clip.root_quat_wxyz[:, None], clip.hips_w - centre)
     return bool(np.abs(hips - (robot.hip_pos_b - robot.hip_pos_b.mean(axis=0))).max() < _SAME_BODY_M)
+
+
+def _for_own_body(config: RetargetConfig) -> RetargetConfig:
+    """A robot's own motion has its own balance, and its feet are known more exactly than an animal's paws."""
+    contact = replace(
+        config.contact, enter=_EXACT_FEET * config.contact.enter, leave=_EXACT_FEET * config.contact.leave
+    )
+    return replace(config, contact=contact, balance=replace(config.balance, rounds=0))
 
 
 def _speed(track: Track, duration_s: float) -> float:

@@ -32,8 +32,9 @@ class RetargetConfig:
         straight_yaw_deg, straight_travel_deg: a gait is straight if it turns less than the first a cycle and travels
             within the second of its heading; only then the heading is turned into the direction of travel.
         min_travel_m_per_s: slower motions have no direction of travel.
-        cycle_mismatch: a clip of which nothing is known is a cycle if it closes better than this (see
-            `pose_mismatch`).
+        cycle_mismatch: a clip of which nothing is known is a cycle if it closes better than this (see `pose_mismatch`).
+        short_s, short_mismatch: so is one shorter than this that closes better than that: who cuts out a second of a
+            recording means a cycle, and steps of a real animal differ.
         contact, gait, swing, balance: settings of these steps.
     """
 
@@ -50,6 +51,8 @@ class RetargetConfig:
     straight_travel_deg: float = 15.0
     min_travel_m_per_s: float = 0.2
     cycle_mismatch: float = 0.6
+    short_s: float = 1.5
+    short_mismatch: float = 1.5
     contact: ContactConfig = field(default_factory=ContactConfig)
     gait: GaitConfig = field(default_factory=GaitConfig)
     swing: SwingConfig = field(default_factory=SwingConfig)
