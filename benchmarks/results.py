@@ -46,6 +46,8 @@ def run(name: str, iterations: int, out: Path) -> dict[str, Any]:
         "before": before.as_dict(),
         "after": after.as_dict(),
         "perturbed": perturbed.as_dict(),
+        "trunk_change_m": result.demonstration.meta["retarget"]["trunk_change_m"],
+        "trunk_change_deg": result.demonstration.meta["retarget"]["trunk_change_deg"],
         "clearance_share_before": share(before.rollout.clearance[0], wanted),
         "clearance_share_after": share(after.rollout.clearance[0], wanted),
         "metrics": result.metrics(),
@@ -64,8 +66,8 @@ def table(rows: list[dict[str, Any]]) -> str:
     """The rows as Markdown."""
     lines = [
         "| motion | speed, m/s | turn, rad/s | reward before | reward after | fell before / after | least clearance | drift, m/s"
-        " | perturbed: reward, fell |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        " | perturbed: reward, fell | trunk changed |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for r in rows:
         before, after, rough = r["before"], r["after"], r["perturbed"]
@@ -73,7 +75,8 @@ def table(rows: list[dict[str, Any]]) -> str:
         lines.append(
             f"| `{r['motion']}` | {r['speed_m_s']:.2f} | {r['yaw_rate_rad_s']:+.2f} | {before['reward_mean']:.3f}"
             f" | **{after['reward_mean']:.3f}** | {yes(before['fell'])} / {yes(after['fell'])} | {clearance}"
-            f" | {after['drift_m_per_s']:.2f} | {rough['reward_mean']:.3f}, {round(8 * rough['fell'])} of 8 |"
+            f" | {after['drift_m_per_s']:.2f} | {rough['reward_mean']:.3f}, {round(8 * rough['fell'])} of 8"
+            f" | {1e3 * np.linalg.norm(r['trunk_change_m']):.0f} mm, {np.linalg.norm(r['trunk_change_deg']):.1f}° |"
         )
     return "\n".join(lines)
 

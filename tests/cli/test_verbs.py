@@ -8,16 +8,17 @@ from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from cli.running import TINY, Run
-from fastmimic.motion.catalogue import RECORDED
+from fastmimic.motion.catalogue import RECORDED, open_clip
 from fastmimic.motion.data import Dataset
 from fastmimic.motion.motion import Motion
+from fastmimic.motion.retarget import retarget
 from fastmimic.motion.synthesis import GAITS
+from fastmimic.primitive import MotionDmp
 from fastmimic.report.offscreen import NoRendererError, Offscreen
-from fastmimic.robot import ROBOT_NAMES
+from fastmimic.robot import ROBOT_NAMES, load_robot
 from motion.sample_files import csv_text, keypoint_text
 
 EVALUATION_KEYS = {
@@ -91,14 +92,20 @@ def test_inspect_of_a_robot_csv(run: Run, in_folder: Path) -> None:
 
 
 def test_inspect_of_an_optimised_motion_names_its_parameters(run: Run, in_folder: Path) -> None:
-    run("imitate", "trot", *TINY, "--out", "run")
-    with np.load(in_folder / "run" / "motion.npz") as file:
-        meta = json.loads(str(file["meta_json"]))
-    changed = [a != 1 for a in meta["dmp"]["amplitude"]]
-    text = run("inspect", "run/motion.npz").out
-    assert "optimised  carries its demonstration" in text
-    for name, differs in zip(meta["dmp"]["names"], changed, strict=True):
-        assert (f"  {name} " in text) == differs
+    robot = load_robot("a1")
+    dmp = MotionDmp.fit(retarget(open_clip("trot"), robot)[0], robot)
+    goal, amplitude = dmp.goal, dmp.amplitude
+    goal[dmp.index("FR_foot_z")] += 0.0123
+    amplitude[dmp.index("RL_foot_z")] = 1.25
+    dmp.motion(goal, amplitude).save("changed.npz")
+    dmp.motion().save("same.npz")
+    lines = run("inspect", "changed.npz").out.splitlines()
+    assert lines[-3:] == [
+        "optimised  carries its demonstration; these DMP parameters differ from it",
+        "  FR_foot_z    baseline +0.0123, amplitude 1.000",
+        "  RL_foot_z    baseline +0.0000, amplitude 1.250",
+    ]
+    assert run("inspect", "same.npz").out.splitlines()[-1].endswith("no DMP parameter differs from it")
 
 
 def test_inspect_draws(run: Run, in_folder: Path) -> None:

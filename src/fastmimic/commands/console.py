@@ -136,7 +136,7 @@ def _bar() -> Iterator[Any]:
 
     columns = (
         TextColumn("{task.description}"),
-        BarColumn(),
+        BarColumn(bar_width=16),  # so that all fits a terminal of 80 columns
         MofNCompleteColumn(),
         TextColumn("{task.fields[info]}"),
     )

@@ -118,10 +118,11 @@ def _optimised(motion: "Motion") -> list[str]:
     dmp = motion.meta.get("dmp")
     if motion.demonstration is None or not isinstance(dmp, dict):
         return []
-    lines = ["optimised  carries its demonstration; DMP parameters that differ from it:"]
+    lines = []
     for name, goal, fitted, amplitude in zip(
         dmp["names"], dmp["goal"], dmp["fitted_goal"], dmp["amplitude"], strict=True
     ):
         if goal != fitted or amplitude != 1.0:
             lines.append(f"  {name:12} baseline {goal - fitted:+.4f}, amplitude {amplitude:.3f}")
-    return lines
+    differ = "these DMP parameters" if lines else "no DMP parameter"
+    return [f"optimised  carries its demonstration; {differ} differ{'' if lines else 's'} from it", *lines]
