@@ -7,8 +7,8 @@ import sys
 
 import fastmimic as fm
 
-search = {"iterations": 3, "population": 4, "duration_s": 1.0} if "--fast" in sys.argv else {}
-result = fm.imitate("trot", robot="a1", seed=0, **search)
+iterations = 3 if "--fast" in sys.argv else 200
+result = fm.imitate("trot", robot="a1", iterations=iterations, population=10, duration_s=5.0, seed=0)
 
 metrics = result.metrics()
 for name in ("reward", "fell", "foot_z_rmse_m", "foot_x_rmse_m"):

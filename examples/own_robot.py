@@ -29,6 +29,5 @@ print(f"{robot.name}: {robot.mass:.2f} kg, legs {robot.leg_length:.3f} m, joints
 for sentence in robot.assumed:
     print(f"assumed: {sentence}")
 
-search = {"iterations": 3, "population": 4, "duration_s": 1.0} if "--fast" in sys.argv else {"iterations": 50}
-result = fm.imitate("pace", robot, **search)
+result = fm.imitate("pace", robot, iterations=3 if "--fast" in sys.argv else 200)
 print(f"pace: reward {result.before.reward[0]:.3f} before, {result.after.reward[0]:.3f} after")

@@ -20,8 +20,10 @@ def clip_from_arrays() -> fm.Clip:
 
 def clip_from_file(path: str, frames: str | None = None) -> fm.Clip:
     """The format is found by the file's content; a path goes through the same checks as on the command line."""
-    cut = None if frames is None else tuple(int(n) for n in frames.split(":"))
-    return fm.open_clip(path, robot=robot, frames=cut)
+    if frames is None:
+        return fm.open_clip(path, robot=robot)
+    first, end = (int(n) for n in frames.split(":"))
+    return fm.open_clip(path, robot=robot, frames=(first, end))
 
 
 robot = fm.load_robot("go2")

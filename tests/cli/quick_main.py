@@ -8,5 +8,5 @@ from fastmimic.cli import main
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a test runner in the background has it ignored
-    cma_es.VALIDATION_S, cma_es.VALIDATION_EPISODES, cma_es.VALIDATED = 0.4, 2, 2
+    vars(cma_es).update(VALIDATION_S=0.4, VALIDATION_EPISODES=2, VALIDATED=2)
     sys.exit(main())

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -16,7 +17,7 @@ from fastmimic.control.config import (
 from fastmimic.conventions import GRAVITY
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.robot.kinematics import foot_jacobians, foot_positions, inverse_kinematics
+from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 from fastmimic.rotations import (
     matrix_from_quat,
     quat_from_rotvec,
@@ -175,22 +176,39 @@ class TestStanceLaw:
         np.testing.assert_allclose(force.sum(axis=0), [0, 0, robot.mass * GRAVITY], atol=1e-4)
 
     def test_torques_press_the_feet_with_the_opposite_of_the_grounds_forces(self, robot: Robot, trot: Motion) -> None:
-        """τ = −Jᵀ Rᵀ f."""
+        """τ = −Jᵀ f with the Jacobian of the point under the foot sphere's centre, where the ground is felt."""
         samples = np.array([10, 60, 130, 200])
         rig = Rig(robot, [trot], samples, stance_law())
         observation = disturbed(on_reference(trot, samples), np.random.default_rng(3), 0.3)
         commands = rig.step(observation)
         memory = rig.controller.memory
-        jacobian = foot_jacobians(robot, observation["joint_pos"])
         rotation = matrix_from_quat(observation["root_quat"])
         yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
         force_w = quat_rotate(quat_from_yaw(yaw)[:, None], memory["force"])
-        force_b = quat_rotate_inverse(observation["root_quat"][:, None], force_w)
-        torque = -np.einsum("nlij,nli->nlj", jacobian, force_b).reshape(-1, 12)
+        torque = np.array([self.ground_torque(robot, o, f) for o, f in zip(observation, force_w, strict=True)])
         torque = np.clip(torque, -robot.torque_limit, robot.torque_limit)
         standing_legs = np.repeat(memory["stance"], 3, axis=1) == 1
         assert standing_legs.any(axis=1).all()
         np.testing.assert_allclose(commands["torque"][standing_legs], torque[standing_legs], atol=1e-9)
+
+    @staticmethod
+    def ground_torque(robot: Robot, observation: np.void, force_w: np.ndarray) -> np.ndarray:
+        """−Jᵀ f by MuJoCo's Jacobians, (12,)."""
+        model = robot.spec().compile()
+        data = mujoco.MjData(model)
+        joints = [model.joint(name).id for name in robot.joint_names]
+        data.qpos[:3], data.qpos[3:7] = observation["root_pos"], observation["root_quat"]
+        data.qpos[model.jnt_qposadr[joints]] = observation["joint_pos"]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        torque = np.zeros(model.nv)
+        for name, force in zip(robot.foot_geoms, force_w, strict=True):
+            geom = model.geom(name)
+            point = data.geom(name).xpos - [0, 0, robot.foot_radius]
+            jacobian = np.zeros((3, model.nv))
+            mujoco.mj_jac(model, data, jacobian, None, point, int(geom.bodyid[0]))
+            torque -= jacobian.T @ force
+        return torque[model.jnt_dofadr[joints]]
 
     @pytest.mark.parametrize("kind", ["off", "paper", "full"])
     def test_adaptation_moves_the_foot_against_the_bodys_motion(self, robot: Robot, trot: Motion, kind: str) -> None:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fastmimic.control.vectors import transposed_times
 from fastmimic.jit import inlined
+from fastmimic.robot.dynamics import cross
 from fastmimic.robot.kinematics import leg_inverse, leg_jacobian
 
 Array = NDArray[np.float64]
@@ -34,6 +35,14 @@ def stance_leg(
     force_b = scratch.vectors[7]
     transposed_times(scratch.rotation, memory.force[leg], force_b)
     transposed_times(scratch.jacobian, force_b, scratch.torque)
+    # the ground is felt below the sphere's centre: moment of the force about the centre, (−r z) × f in the body frame
+    zx, zy, zz = scratch.rotation[2, 0], scratch.rotation[2, 1], scratch.rotation[2, 2]
+    mx, my, mz = cross(zx, zy, zz, force_b[0], force_b[1], force_b[2])
+    r = model.foot_radius
+    pitching = -r * (np.cos(q[0]) * my + np.sin(q[0]) * mz)
+    scratch.torque[0] -= r * mx
+    scratch.torque[1] += pitching
+    scratch.torque[2] += pitching
     stiffness, damping = 0.0, 0.0
     if not solved and memory.force[leg, 2] == 0.0:
         damping = DAMPING_AFTER_FAILURE

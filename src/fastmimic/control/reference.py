@@ -77,8 +77,12 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
     table["joint_acc"] = _difference(motion.joint_vel, dt, 0.0 if periodic else None)
     table["foot_pos"] = motion.foot_pos_b
     table["contact"] = motion.contact
-    back = np.array([planar_turned(table[f"{name}_acc"], yaw0) for name in ("lin", "ang")])
-    sway = pendulum_sway(motion, robot, (back[0], back[1], table["joint_acc"]))
+    if motion.demonstration is not None:
+        # the sway belongs to the motion, not to its modulation: what is optimised is what is saved
+        sway = tuple(reference_table(motion.demonstration, robot)[f"sway_{k}"] for k in ("pos", "vel", "acc"))
+    else:
+        linear, angular = (planar_turned(table[f"{name}_acc"], yaw0) for name in ("lin", "ang"))
+        sway = pendulum_sway(motion, robot, (linear, angular, table["joint_acc"]))
     table["sway_pos"], table["sway_vel"], table["sway_acc"] = sway
     return table
 

@@ -364,11 +364,13 @@ def run_episodes(
         motion: what the controller follows, unless `references` are given.
         references: one reference for each episode.
         start: of the episodes; one from the motion's start if None.
-        duration_s: length of an episode, s.
+        duration_s: length of an episode, s; at most to the end of a motion that does not repeat.
         config: the controller's.
         log: whether to keep the whole course.
     """
     start = start if start is not None else nominal_start(1)
     loop = ClosedLoop(robot, motion.target, start.n, config)
     steps = max(1, math.ceil(duration_s * loop.controller.config.rate_hz - 1e-9))
+    if motion.cycle is None:  # it ends, and so do its episodes
+        steps = max(1, min(steps, motion.n_samples - 1 - int(start.sample.max())))
     return loop.run(list(references) if references is not None else [motion], start, steps, log=log)

@@ -167,6 +167,8 @@ class _Search:
             interrupted = True
             whole = len(self.sigma)  # it may have come while an iteration was being noted down
             del self.candidates[whole:], self.scores[whole:]
+        if self.checkpoint is not None and self.scores:
+            self._save(before + time.perf_counter() - began)
         x, score, validation = self._choose(baseline)
         elapsed = before + time.perf_counter() - began
         if self.checkpoint is not None and self.scores:

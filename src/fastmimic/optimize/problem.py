@@ -195,6 +195,8 @@ class ImitationProblem:
     def score(self, rollout: Rollout) -> Array:
         """Objective of each episode of a rollout, (n,)."""
         share = rollout.clearance / self._clearance
+        # a foot that never swung because the robot fell has no clearance
+        share = np.where(np.isnan(share) & rollout.fell[:, None] & np.isfinite(self._clearance), 0.0, share)
         missing = np.maximum(0.0, self.objective.clearance_floor - share)
         return rollout.reward - self.objective.clearance_weight * np.nansum(missing, axis=1)
 
