@@ -2,9 +2,9 @@
 
     python benchmarks/results.py [--motions dog:pace trot …] [--out runs/results] [--iterations 200] [--write]
 
-For each motion: optimise with the defaults (5 s episodes), then score demonstration and optimised motion over 10 s. Finished
-motions are kept in `--out` and not run again. `--write` puts the table between the markers in README.md. Motions of the dog
-need `fastmimic data fetch`, or FASTMIMIC_DATA.
+For each motion: optimise with the defaults (5 s episodes), then score demonstration and optimised motion over 10 s.
+Finished motions are kept in `--out` and not run again. `--write` puts the table between the markers in README.md.
+Motions of the dog need `fastmimic data fetch`, or FASTMIMIC_DATA.
 """
 
 import argparse
@@ -21,7 +21,17 @@ from fastmimic.files import replace_file
 from fastmimic.imitation.rollout import swing_clearance
 
 CLAIMED = ("dog:pace", "dog:trot", "dog:right-turn", "anim:side-steps", "trot", "pace", "turn", "side-step")
-REPORTED = ("dog:left-turn", "dog:spin", "dog:canter", "anim:turn", "anim:in-place", "walk", "bound", "backward-trot", "spin")
+REPORTED = (
+    "dog:left-turn",
+    "dog:spin",
+    "dog:canter",
+    "anim:turn",
+    "anim:in-place",
+    "walk",
+    "bound",
+    "backward-trot",
+    "spin",
+)
 DURATION_S = 10.0
 README = Path(__file__).resolve().parent.parent / "README.md"
 
@@ -65,8 +75,8 @@ def share(clearance: np.ndarray, wanted: np.ndarray) -> float | None:
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows as Markdown."""
     lines = [
-        "| motion | speed, m/s | turn, rad/s | reward before | reward after | fell before / after | least clearance | drift, m/s"
-        " | perturbed: reward, fell | trunk changed |",
+        "| motion | speed, m/s | turn, rad/s | reward before | reward after | fell before / after | least clearance"
+        " | drift, m/s | perturbed: reward, fell | trunk changed |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for r in rows:

@@ -21,7 +21,6 @@ import numpy as np
 import fastmimic as fm
 from fastmimic.imitation.rollout import ClosedLoop, nominal_start
 from fastmimic.optimize.problem import available_cores
-from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
 REPEATS = 7
 
@@ -163,7 +162,9 @@ def main() -> None:
         return
     step = figures["control_step_us"]
     print(f"closed loop over bare physics, 16 robots: {figures['closed_loop_over_physics']:.2f}")
-    print(f"controller step, one robot: median {step['median']:.1f} µs, p99 {step['p99']:.1f}, p99.9 {step['p999']:.1f}")
+    print(
+        f"controller step, one robot: median {step['median']:.1f} µs, p99 {step['p99']:.1f}, p99.9 {step['p999']:.1f}"
+    )
     for n, rate in figures["robot_steps_per_s"].items():
         print(f"{n:>4} robots: {rate:,.0f} control steps/s, {rate / 500:.0f} × real time in all")
 

@@ -2,10 +2,10 @@
 
     python benchmarks/tune.py [--iterations 30] [--seed 0] [--out runs/tune.json]
 
-The score is the mean over the tuning motions of the reward, unoptimised reference, one nominal and one perturbed start, plus a
-quarter of the mean of the worst three, minus half the share of swing clearance lost. The motions of the results table
-(`benchmarks/results.py`) are not among them: the two cuts of the dog are other cuts, the built-in gaits other gaits or other speeds.
-Needs `fastmimic data fetch`, or FASTMIMIC_DATA.
+The score is the mean over the tuning motions of the reward, unoptimised reference, one nominal and one perturbed
+start, plus a quarter of the mean of the worst three, minus half the share of swing clearance lost. The motions of
+the results table (`benchmarks/results.py`) are not among them: the two cuts of the dog are other cuts, the built-in
+gaits other gaits or other speeds. Needs `fastmimic data fetch`, or FASTMIMIC_DATA.
 """
 
 import argparse
@@ -143,8 +143,9 @@ def main() -> None:
             strategy.tell(candidates, list(-scores))
             if scores.max() > best[0]:
                 best = (float(scores.max()), np.array(candidates[int(scores.argmax())]))
+            elapsed_s = time.perf_counter() - began
             print(
-                f"{iteration + 1:3d} {time.perf_counter() - began:6.0f} s  best {best[0]:.4f}  mean {scores.mean():.4f}",
+                f"{iteration + 1:3d} {elapsed_s:6.0f} s  best {best[0]:.4f}  mean {scores.mean():.4f}",
                 file=sys.stderr,
                 flush=True,
             )

@@ -1,9 +1,9 @@
 """FastMimic: animal motions that a real quadruped can execute, under one model-based controller, without training.
 
-Conventions, everywhere: SI units; world frame with z up; body frame at the trunk's base with x forward, y left, z up; quaternions
-(w, x, y, z), unit, body → world; legs in the order FR, FL, RR, RL, joints abduction, hip, knee in each, flat index 3·leg + joint;
-arrays batch first, then time; contact True = stance; foot position = centre of the foot sphere; angular velocities in the
-world frame; float64.
+Conventions, everywhere: SI units; world frame with z up; body frame at the trunk's base with x forward, y left, z
+up; quaternions (w, x, y, z), unit, body → world; legs in the order FR, FL, RR, RL, joints abduction, hip, knee in
+each, flat index 3·leg + joint; arrays batch first, then time; contact True = stance; foot position = centre of the
+foot sphere; angular velocities in the world frame; float64.
 
     import fastmimic as fm
 

@@ -98,7 +98,10 @@ class Imitation:
                 "before": numbers(before.clearance[0]),
                 "after": numbers(after.clearance[0]),
             },
-            "early_contacts_per_s": {"before": float(before.early_contacts[0]), "after": float(after.early_contacts[0])},
+            "early_contacts_per_s": {
+                "before": float(before.early_contacts[0]),
+                "after": float(after.early_contacts[0]),
+            },
             "stance_slip_m": {"before": float(np.mean(before.slip[0])), "after": float(np.mean(after.slip[0]))},
             "foot_z_rmse_m": {"before": _rms(before.foot_rmse[0, :, 2]), "after": _rms(after.foot_rmse[0, :, 2])},
             "foot_x_rmse_m": {"before": _rms(before.foot_rmse[0, :, 0]), "after": _rms(after.foot_rmse[0, :, 0])},
@@ -145,7 +148,9 @@ def load_motion(source: str | Path | Clip | Motion, robot: Robot | str = "a1", *
         clip = source if isinstance(source, Clip) else open_clip(source, robot=robot, **given)
         return retarget(clip, robot)[0]
     if given:
-        raise ConfigError(f"{', '.join(sorted(given))} cannot be applied to '{motion.name}': it is already a robot motion")
+        raise ConfigError(
+            f"{', '.join(sorted(given))} cannot be applied to '{motion.name}': it is already a robot motion"
+        )
     of = motion.meta.get("robot")
     if of is not None and of != robot.name:
         raise MotionError(f"motion '{motion.name}' is for robot '{of}', not for '{robot.name}'; retarget its clip anew")
@@ -278,8 +283,8 @@ def evaluate(
 ) -> Evaluation:
     """Runs episodes of a motion and scores them against its demonstration.
 
-    Episode 0 starts at the motion's start, unperturbed; the others at a random phase with joints ± 0.05 rad and base velocity
-    ± 0.1 m/s.
+    Episode 0 starts at the motion's start, unperturbed; the others at a random phase with joints ± 0.05 rad and
+    base velocity ± 0.1 m/s.
 
     Raises:
         FastMimicError: something is wrong with what was given.

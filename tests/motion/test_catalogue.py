@@ -27,9 +27,7 @@ def heading(clip) -> np.ndarray:
 
 
 def test_names():
-    assert {"trot", "pace", "turn", "side-step", "walk", "bound", "backward-trot", "spin"} <= set(
-        motion_names()
-    )
+    assert {"trot", "pace", "turn", "side-step", "walk", "bound", "backward-trot", "spin"} <= set(motion_names())
     assert {*CUTS, *PERIODS_S} == set(RECORDED)
 
 
@@ -118,9 +116,7 @@ def test_options_of_built_in_gaits_do_not_apply_to_others(option: dict, tmp_path
 
 
 def test_a_name_without_its_data_says_what_to_run(tmp_path: Path):
-    with pytest.raises(
-        ClipError, match=r"dog_walk00_joint_pos\.txt, which is not in .*run 'fastmimic data fetch'"
-    ):
+    with pytest.raises(ClipError, match=r"dog_walk00_joint_pos\.txt, which is not in .*run 'fastmimic data fetch'"):
         open_clip("dog:pace", folder=tmp_path)
 
 

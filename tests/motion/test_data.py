@@ -139,9 +139,7 @@ def test_a_damaged_file_is_replaced(server: Server, tmp_path: Path):
         (failing(503), "answered 503"),
     ],
 )
-def test_a_failed_download_leaves_everything_as_it_was(
-    server: Server, tmp_path: Path, reply: Reply, problem: str
-):
+def test_a_failed_download_leaves_everything_as_it_was(server: Server, tmp_path: Path, reply: Reply, problem: str):
     (tmp_path / "here").mkdir()
     (tmp_path / "here" / "b.txt").write_bytes(b"an older one")
     (tmp_path / "mine.txt").write_bytes(b"not ours")

@@ -112,10 +112,7 @@ def test_overrides_apply_to_every_format(file, a1, name: str):
 def test_y_up_does_not_apply_to_robot_formats(file, a1, name: str):
     with pytest.raises(ClipError, match="y up does not apply"):
         read_clip(file(TEXTS[name]), robot=a1, up="y")
-    assert (
-        read_clip(file(TEXTS[name]), robot=a1, up="z").n_frames
-        == read_clip(file(TEXTS[name]), robot=a1).n_frames
-    )
+    assert read_clip(file(TEXTS[name]), robot=a1, up="z").n_frames == read_clip(file(TEXTS[name]), robot=a1).n_frames
 
 
 @pytest.mark.parametrize("name", TEXTS)
@@ -138,9 +135,7 @@ def test_an_unknown_axis_is_refused(file):
 
 @pytest.mark.parametrize("frames", [(0, 13), (-1, 5), (5, 5), (7, 3), (20, 30)])
 def test_frames_out_of_range_say_how_many_there_are(file, frames: tuple[int, int]):
-    with pytest.raises(
-        ClipError, match=rf"motion\.dat: frames {frames[0]}:{frames[1]} are not in this clip of 12"
-    ):
+    with pytest.raises(ClipError, match=rf"motion\.dat: frames {frames[0]}:{frames[1]} are not in this clip of 12"):
         read_clip(file(keypoint_text()), frames=frames)
 
 

@@ -134,9 +134,7 @@ def test_w_first_is_recognised_as_the_wrong_order(a1):
 def test_degrees_are_refused(a1):
     values = csv_values()
     values[:, 7:] = np.degrees(values[:, 7:])
-    with pytest.raises(
-        ClipError, match=r"line 1, FR_hip: 45.8366 is more than a turn; joints are in radians"
-    ):
+    with pytest.raises(ClipError, match=r"line 1, FR_hip: 45.8366 is more than a turn; joints are in radians"):
         csv_motion.parse(table_text(values, ","), robot=a1)
 
 

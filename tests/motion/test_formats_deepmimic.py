@@ -29,9 +29,7 @@ def test_feet_of_equal_angles_mirror_each_other():
 
 
 def test_positive_abduction_moves_both_feet_outwards():
-    out = deepmimic.laikago_feet(np.tile([0.3, 0.3, -0.9], 4)) - deepmimic.laikago_feet(
-        np.tile([0, 0.3, -0.9], 4)
-    )
+    out = deepmimic.laikago_feet(np.tile([0.3, 0.3, -0.9], 4)) - deepmimic.laikago_feet(np.tile([0, 0.3, -0.9], 4))
     assert np.all(out[:, 1] * [-1, 1, -1, 1] > 0.1)
 
 
@@ -111,9 +109,7 @@ def test_a_bad_value_names_line_frame_and_quantity(written: str, problem: str):
 def test_a_quaternion_that_is_not_unit_names_the_frame():
     lines = deepmimic_text().split("\n")
     lines[9] = lines[9].replace("0.5, 0.5, 0.5, 0.5", "0.5, 0.5, 0.5, 0.9")
-    with pytest.raises(
-        ClipError, match=r"line 10 \(frame 3\): the root quaternion .* norm 1\.249; expected 1"
-    ):
+    with pytest.raises(ClipError, match=r"line 10 \(frame 3\): the root quaternion .* norm 1\.249; expected 1"):
         deepmimic.parse("\n".join(lines))
 
 
@@ -128,9 +124,7 @@ def test_a_truncated_file_is_called_so():
         deepmimic.parse(text[:-1])
 
 
-@pytest.mark.parametrize(
-    "text", ["[1, 2]", '{"Frames": 3}', '{"Frames": [1]}', "{}", "[" * 5000, '{"frames": []}']
-)
+@pytest.mark.parametrize("text", ["[1, 2]", '{"Frames": 3}', '{"Frames": [1]}', "{}", "[" * 5000, '{"frames": []}'])
 def test_other_json_is_refused(text: str):
     with pytest.raises(ClipError, match=r"JSON|Frames"):
         deepmimic.parse(text)

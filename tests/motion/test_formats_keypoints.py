@@ -23,9 +23,7 @@ def test_points_are_named_by_leg_and_turned_z_up():
         ],
         atol=1e-5,
     )
-    np.testing.assert_allclose(
-        np.diff(clip.point("pelvis"), axis=0), np.tile([0.01, 0, 0], (11, 1)), atol=1e-5
-    )
+    np.testing.assert_allclose(np.diff(clip.point("pelvis"), axis=0), np.tile([0.01, 0, 0], (11, 1)), atol=1e-5)
 
 
 def test_rate_and_axis_are_assumed_and_said():

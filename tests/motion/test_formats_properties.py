@@ -27,9 +27,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
 
-TEXTS = [
-    text.encode() for text in (keypoint_text(5), deepmimic_text(5), csv_text(5), csv_text(5, header=True))
-]
+TEXTS = [text.encode() for text in (keypoint_text(5), deepmimic_text(5), csv_text(5), csv_text(5, header=True))]
 shared_fixtures = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 
 

@@ -30,9 +30,7 @@ def robot() -> Robot:
 def test_the_way_there_and_back_is_exact(robot: Robot, cycle: tuple[float, float, float]) -> None:
     motion = cyclic_motion(robot, cycle)
     twist = twist_of(motion)
-    position, quat, lin_vel, ang_vel = root_from_coordinates(
-        to_coordinates(motion, twist), twist, motion.period_s
-    )
+    position, quat, lin_vel, ang_vel = root_from_coordinates(to_coordinates(motion, twist), twist, motion.period_s)
     np.testing.assert_allclose(position, motion.root_pos_w, atol=1e-12)
     alignment = np.abs(np.sum(quat * motion.root_quat_wxyz, axis=1))
     np.testing.assert_allclose(alignment, 1.0, atol=1e-12)
@@ -66,9 +64,7 @@ def test_a_constant_twist_leaves_nothing(robot: Robot) -> None:
 
 
 @pytest.mark.parametrize("cycle", [CYCLES["straight"], CYCLES["sharp turn"], CYCLES["whole turn"]])
-def test_linear_velocities_are_the_rates_of_the_positions(
-    robot: Robot, cycle: tuple[float, float, float]
-) -> None:
+def test_linear_velocities_are_the_rates_of_the_positions(robot: Robot, cycle: tuple[float, float, float]) -> None:
     motion = cyclic_motion(robot, cycle)
     y = to_coordinates(motion, twist_of(motion))
     k = np.fft.rfftfreq(motion.n_samples, 1 / motion.rate_hz)[:, None]

@@ -133,9 +133,7 @@ def test_joints_feet_and_joint_velocities_are_consistent_and_periodic(dmp: Motio
     amplitude[list(FOOT_Z)] = 1.2
     made = dmp.motion(amplitude=amplitude)
     np.testing.assert_allclose(foot_positions(robot, made.joint_pos), made.foot_pos_b, atol=1e-9)
-    foot_vel = np.einsum(
-        "tlij,tlj->tli", foot_jacobians(robot, made.joint_pos), made.joint_vel.reshape(-1, 4, 3)
-    )
+    foot_vel = np.einsum("tlij,tlj->tli", foot_jacobians(robot, made.joint_pos), made.joint_vel.reshape(-1, 4, 3))
     differences = np.roll(made.foot_pos_b, -1, axis=0) - np.roll(made.foot_pos_b, 1, axis=0)
     # both are second-order in the 2 ms step, with feet that turn within a few samples at touch-down
     assert rms(foot_vel - differences * made.rate_hz / 2) < 0.02 * rms(foot_vel)

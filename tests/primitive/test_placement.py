@@ -9,9 +9,7 @@ from fastmimic.primitive.placement import basis_widths, normalised_basis, place_
 LONG = 3000  # samples: 6 s at 500 Hz
 
 
-def steps_and_pauses(
-    n: int, swings: tuple[float, ...] = (0.5, 1.5, 2.3, 4.0), swing_s: float = 0.2
-) -> np.ndarray:
+def steps_and_pauses(n: int, swings: tuple[float, ...] = (0.5, 1.5, 2.3, 4.0), swing_s: float = 0.2) -> np.ndarray:
     """A foot (t, 1) that stands through a loop of 6 s except for a few swings of 6 cm."""
     t = np.arange(n) * 6.0 / n
     y = np.zeros(n)

@@ -82,9 +82,7 @@ def test_the_integrated_form_stays_on_the_closed_form(dmp: RhythmicDmp, dt: floa
     amplitude=st.floats(-2, 3),
     period=st.floats(0.2, 6.0),
 )
-def test_from_rest_the_integrated_form_converges_to_g_plus_a_s(
-    goal: float, amplitude: float, period: float
-) -> None:
+def test_from_rest_the_integrated_form_converges_to_g_plus_a_s(goal: float, amplitude: float, period: float) -> None:
     dmp = RhythmicDmp.fit(cycle(60), PERIOD, n_basis=20)
     integrator = DmpIntegrator(dmp, position=np.zeros(3))
     integrator.goal = dmp.goal + goal

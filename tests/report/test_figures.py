@@ -91,10 +91,7 @@ def test_tracking_states_the_error_of_each_foot_in_millimetres(tmp_path: Path) -
 
 def test_tracking_shades_the_demonstrations_stance() -> None:
     figure = tracking_figure(TIME, feet(), feet(), feet(), contact())
-    spans = [
-        patch.get_extents().transformed(figure.axes[0].transData.inverted())
-        for patch in figure.axes[0].patches
-    ]
+    spans = [patch.get_extents().transformed(figure.axes[0].transData.inverted()) for patch in figure.axes[0].patches]
     np.testing.assert_allclose([(s.x0, s.x1) for s in spans], [(0.25, 0.5), (0.75, 1.0)], atol=0.011)
 
 

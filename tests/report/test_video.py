@@ -87,17 +87,13 @@ def test_only_the_tracks_that_have_a_ghost_show_one(a1: Robot, walk: Walk, tmp_p
 
 @pytest.mark.usefixtures("opengl")
 def test_slow_motion_takes_more_frames_of_the_same_motion(a1: Robot, walk: Walk, tmp_path: Path) -> None:
-    info = render_video(
-        a1, [walk(0.4)], tmp_path / "v.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE, slow_motion=4
-    )
+    info = render_video(a1, [walk(0.4)], tmp_path / "v.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE, slow_motion=4)
     assert info is not None
     assert info.frames == 16
 
 
 @pytest.mark.usefixtures("opengl")
-def test_one_pose_makes_one_frame_and_panels_may_differ_in_length(
-    a1: Robot, walk: Walk, tmp_path: Path
-) -> None:
+def test_one_pose_makes_one_frame_and_panels_may_differ_in_length(a1: Robot, walk: Walk, tmp_path: Path) -> None:
     single = walk(1 / RATE_HZ)
     info = render_video(a1, [single], tmp_path / "one.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE)
     assert info is not None
@@ -135,9 +131,7 @@ def test_resampling_interpolates_between_samples(walk: Walk) -> None:
 def test_resampling_takes_the_short_way_between_quaternions_of_opposite_sign(walk: Walk) -> None:
     track = walk(0.1)
     signs = np.array([1, -1, 1, -1, 1])[:, None]
-    poses = resample(
-        replace(track, root_quat_wxyz=signs * track.root_quat_wxyz), RATE_HZ, np.array([0.5]) / RATE_HZ
-    )
+    poses = resample(replace(track, root_quat_wxyz=signs * track.root_quat_wxyz), RATE_HZ, np.array([0.5]) / RATE_HZ)
     np.testing.assert_allclose(np.abs(poses[0, 3:7]), [1, 0, 0, 0], atol=1e-12)
 
 

@@ -61,9 +61,7 @@ def test_the_acceleration_part_is_the_leg_block_of_the_mass_matrix(robot: Robot)
     base = np.zeros((12, 3))
     rest = leg_torques(robot, np.tile(q, (12, 1)), np.tile(dq, (12, 1)), np.zeros((12, 12)), base, base)
     unit = leg_torques(robot, np.tile(q, (12, 1)), np.tile(dq, (12, 1)), np.eye(12), base, base)
-    np.testing.assert_allclose(
-        (unit - rest).T, full[np.ix_(simulated.dofs, simulated.dofs)], rtol=0, atol=EXACT
-    )
+    np.testing.assert_allclose((unit - rest).T, full[np.ix_(simulated.dofs, simulated.dofs)], rtol=0, atol=EXACT)
 
 
 def test_the_remainder_is_mujocos_bias_force(robot: Robot) -> None:

@@ -72,9 +72,7 @@ def test_a_built_in_robot_has_the_published_figures(name: str) -> None:
     x, y = published["hip"]
     expected = [(x, -y, 0), (x, y, 0), (-x, -y, 0), (-x, y, 0)]
     np.testing.assert_allclose(robot.hip_pos_b, expected, atol=1e-12)
-    np.testing.assert_allclose(
-        robot.lateral_offset, published["lateral"] * np.array([-1, 1, -1, 1]), atol=1e-12
-    )
+    np.testing.assert_allclose(robot.lateral_offset, published["lateral"] * np.array([-1, 1, -1, 1]), atol=1e-12)
     assert robot.thigh_length == pytest.approx(published["thigh"], abs=1e-12)
     assert robot.calf_length == pytest.approx(published["calf"], abs=1e-12)
     assert robot.foot_radius == published["foot"]
@@ -93,9 +91,7 @@ def test_a_built_in_robot_is_the_same_on_both_sides(name: str) -> None:
     inertias = robot.link_inertia * mirror * mirror[:, None]
     for right, left in ((0, 1), (2, 3)):
         legs = slice(0, 2) if name == "go1" else slice(None)  # Go1's description does not mirror the calves
-        np.testing.assert_allclose(
-            robot.link_com[right, legs] * mirror, robot.link_com[left, legs], atol=1e-12
-        )
+        np.testing.assert_allclose(robot.link_com[right, legs] * mirror, robot.link_com[left, legs], atol=1e-12)
         np.testing.assert_allclose(inertias[right, legs], robot.link_inertia[left, legs], atol=1e-12)
 
 
@@ -165,9 +161,7 @@ def test_a_robot_with_meshes_beside_its_file_can_be_simulated(tmp_path: Path) ->
     compiler = tree.find("compiler")
     assert compiler is not None
     compiler.set("meshdir", "assets")
-    ElementTree.SubElement(
-        ElementTree.SubElement(tree, "asset"), "mesh", {"name": "shell", "file": "shell.obj"}
-    )
+    ElementTree.SubElement(ElementTree.SubElement(tree, "asset"), "mesh", {"name": "shell", "file": "shell.obj"})
     shell = {"type": "mesh", "mesh": "shell", "contype": "0", "conaffinity": "0"}
     ElementTree.SubElement(find(tree, "body", "trunk"), "geom", shell)
     robot = load_robot(write(tree, tmp_path / "meshes.xml"))
@@ -181,9 +175,7 @@ def test_degrees_are_read_as_degrees(tmp_path: Path) -> None:
     compiler.set("angle", "degree")
     for joint in tree.iter("joint"):
         if "range" in joint.attrib:
-            joint.set(
-                "range", " ".join(f"{math.degrees(float(v)):.9f}" for v in joint.attrib["range"].split())
-            )
+            joint.set("range", " ".join(f"{math.degrees(float(v)):.9f}" for v in joint.attrib["range"].split()))
     robot = load_robot(write(tree, tmp_path / "degrees.xml"))
     np.testing.assert_allclose(robot.joint_upper, load_robot("a1").joint_upper, atol=1e-9)
 
@@ -227,9 +219,7 @@ def uneven_chains(tree: ElementTree.Element) -> None:
     calf = find(tree, "body", "FL_calf")
     ankle = ElementTree.SubElement(calf, "body", {"name": "FL_toe", "pos": "0 0 -0.2"})
     ElementTree.SubElement(ankle, "joint", {"name": "FL_ankle", "axis": "0 1 0", "range": "-1 1"})
-    ElementTree.SubElement(
-        ankle, "inertial", {"mass": "0.1", "pos": "0 0 0", "diaginertia": "1e-4 1e-4 1e-4"}
-    )
+    ElementTree.SubElement(ankle, "inertial", {"mass": "0.1", "pos": "0 0 0", "diaginertia": "1e-4 1e-4 1e-4"})
 
 
 def two_right_fore_legs(tree: ElementTree.Element) -> None:
@@ -288,9 +278,7 @@ def test_an_unknown_name_lists_the_names_there_are() -> None:
         load_robot("g01")
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"hello", b"\x00\xff\xfe", b"<mujoco><worldbody/></mujoco>", b"<robot/>"]
-)
+@pytest.mark.parametrize("content", [b"", b"hello", b"\x00\xff\xfe", b"<mujoco><worldbody/></mujoco>", b"<robot/>"])
 def test_a_file_that_is_no_quadruped_is_refused_in_one_line(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "junk.xml"
     path.write_bytes(content)

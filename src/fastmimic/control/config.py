@@ -47,8 +47,8 @@ class StanceConfig:
     Attributes:
         position_gain: k_p, 1/s².
         velocity_gain: k_d, 1/s.
-        supported_gain: k_p and k_d of x and y while three or more feet stand and the horizontal position can be
-            controlled; on two feet it trades against the angle about their line, so the gains above are lower.
+        supported_gain: k_p and k_d of x and y, in place of those above, while three or more feet stand and the horizontal
+            position can be controlled; on two feet it trades against the angle about their line.
         foothold_share: share of the x and y position error that is measured relative to where the standing feet are, the
             rest relative to the world; 0 in the paper.
         reference_acceleration: factor on the reference's own acceleration in ẍ_des; 0 in the paper.
@@ -162,7 +162,14 @@ def paper_config() -> ControllerConfig:
     """The paper's form: no feed-forward of accelerations or leg dynamics, eq. 2 and 3 as printed."""
     return ControllerConfig(
         name="paper",
-        stance=StanceConfig(supported_gain=(40.0, 20.0), foothold_share=0.0, reference_acceleration=0.0, sway=0.0, adaptation="paper", leg_dynamics=False),
+        stance=StanceConfig(
+            supported_gain=(40.0, 20.0),
+            foothold_share=0.0,
+            reference_acceleration=0.0,
+            sway=0.0,
+            adaptation="paper",
+            leg_dynamics=False,
+        ),
         swing=SwingConfig(
             velocity_feedback=0.03,
             sway=0.0,
@@ -181,7 +188,9 @@ CONFIGS: Final = {"default": default_config, "paper": paper_config}
 def controller_config(name: str) -> ControllerConfig:
     """Returns the configuration of that name; raises `ConfigError` if there is none."""
     if name not in CONFIGS:
-        raise ConfigError(f"unknown configuration '{name}'; there are {', '.join(CONFIGS)}{did_you_mean(name, CONFIGS)}")
+        raise ConfigError(
+            f"unknown configuration '{name}'; there are {', '.join(CONFIGS)}{did_you_mean(name, CONFIGS)}"
+        )
     return CONFIGS[name]()
 
 

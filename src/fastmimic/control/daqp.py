@@ -3,8 +3,9 @@
     min ½ xᵀHx + fᵀx   subject to   lower ≤ (x[:ms], A x) ≤ upper
 
 The wheel's extension module exports the C interface. Its symbols are made known to LLVM and declared as an external
-function, so that kernels which call it can be cached. The structs' layout is checked once by solving a known problem; if
-that fails (another build of DAQP), the Python function is called instead, slower but with the same results.
+function, so that kernels which call it can be cached. The structs' layout is checked once by solving a known
+problem; if that fails (another build of DAQP), the Python function is called instead, slower but with the same
+results.
 """
 
 import ctypes

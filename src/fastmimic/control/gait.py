@@ -1,8 +1,8 @@
 """Gait planner: each leg's state machine over schedule and measured contact (paper, §III-B1 and its figure).
 
-A leg leaves stance when the schedule says so (take-off), or when it has lost its load for a while although it should stand
-(early take-off). It enters stance when the schedule says so (touch-down), or when it meets the ground while it
-should swing (early touch-down). Two switches of a leg are at least `min_switch_time` apart.
+A leg leaves stance when the schedule says so (take-off), or when it has lost its load for a while although it
+should stand (early take-off). It enters stance when the schedule says so (touch-down), or when it meets the ground
+while it should swing (early touch-down). Two switches of a leg are at least `min_switch_time` apart.
 """
 
 from typing import Any

@@ -1,8 +1,8 @@
 """The reference in the form that the compiled loop reads: a table of samples and a clock for each robot.
 
-A table holds one period, relative to the heading frame of its sample 0. A robot's clock says which sample is now and
-where the period's origin lies in the world (x, y, yaw); at each wrap the origin moves on by the period's displacement and
-its x and y are re-synchronised to the robot, never its yaw.
+A table holds one period, relative to the heading frame of its sample 0. A robot's clock says which sample is now
+and where the period's origin lies in the world (x, y, yaw); at each wrap the origin moves on by the period's
+displacement and its x and y are re-synchronised to the robot, never its yaw.
 """
 
 from collections.abc import Sequence
@@ -44,7 +44,8 @@ SAMPLE: Final = record_dtype(
         ("sway_acc", "f8", (2,)),
     ]
 )
-"""One instant of a reference, relative to the heading frame of the period's first sample; the sway in its own heading frame."""
+"""One instant of a reference, relative to the heading frame of the period's first sample; the sway in its own
+heading frame."""
 
 CLOCK: Final = record_dtype(
     [("sample", "i8"), ("cycle", "i8"), ("origin", "f8", (3,)), ("cycle_step", "f8", (3,)), ("jump", "f8")]
@@ -181,5 +182,3 @@ def world_root(table: NDArray[Any], sample: NDArray[np.int64], origin: Array) ->
     position = np.array(table["root_pos"][sample])
     position[..., :2] = rotate_planar(origin[..., 2], position[..., :2]) + origin[..., :2]
     return position, quat_multiply(quat_from_yaw(origin[..., 2]), table["root_quat"][sample])
-
-

@@ -1,6 +1,7 @@
 """Stance: ground forces that accelerate the body as wanted (paper, eq. 1; Di Carlo et al. 2018).
 
-All vectors are in the heading frame: the world frame turned by the robot's yaw, so that gains keep their meaning in turns.
+All vectors are in the heading frame: the world frame turned by the robot's yaw, so that gains keep their meaning in
+turns.
 """
 
 from typing import Any

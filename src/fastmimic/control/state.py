@@ -51,7 +51,7 @@ MEMORY: Final = record_dtype(
         ("early_touchdowns", "i8"),
     ]
 )
-"""What the controller remembers of one robot: each leg's state (stance 1, swing 0), timers, last forces (heading frame)."""
+"""What the controller remembers of one robot: leg states (stance 1, swing 0), timers, last forces (heading frame)."""
 
 MODEL: Final = record_dtype(
     [

@@ -1,16 +1,16 @@
 """How the body has to sway over the reference's footholds: a dynamics filter for the horizontal motion.
 
-A retargeted reference is consistent as geometry, not as dynamics: over feet that stand wider than the animal's, the body
-cannot help swaying further than the reference does. The whole robot moving exactly along the reference would need its
-ground force at the zero-moment point z(t) (Vukobratović), which is seldom where the feet are. A small horizontal shift δ(t) of the
-body moves that point by δ − δ̈/ω², ω² = f_z / (m h) with the vertical force f_z and the height h of the centre of mass (linear
-inverted pendulum with a varying stiffness; Kajita et al. 2003). Bringing it under the load-weighted mean p(t) of the standing feet
-takes the bounded solution of
+A retargeted reference is consistent as geometry, not as dynamics: over feet that stand wider than the animal's, the
+body cannot help swaying further than the reference does. The whole robot moving exactly along the reference would
+need its ground force at the zero-moment point z(t) (Vukobratović), which is seldom where the feet are. A small
+horizontal shift δ(t) of the body moves that point by δ − δ̈/ω², ω² = f_z / (m h) with the vertical force f_z and
+the height h of the centre of mass (linear inverted pendulum with a varying stiffness; Kajita et al. 2003). Bringing
+it under the load-weighted mean p(t) of the standing feet takes the bounded solution of
 
     δ̈ = ω(t)² (δ − (p − z)),
 
-which in flight, where f_z = 0, is a straight line. The controller tracks the reference plus a share of δ, so that feedback does not
-fight what physics does anyway.
+which in flight, where f_z = 0, is a straight line. The controller tracks the reference plus a share of δ, so that
+feedback does not fight what physics does anyway.
 """
 
 from typing import Final
@@ -69,7 +69,8 @@ def _bounded_solution(target: Array, stiffness: Array, dt: float) -> Array:
 
 
 def _extended(yaw: Array, motion: Motion, reach: int) -> tuple[NDArray[np.int64], Array]:
-    """Samples and yaw of the motion continued by `reach` + 1 samples each way: repeated if it is periodic, else held."""
+    """Samples and yaw of the motion continued by `reach` + 1 samples each way: repeated if it is periodic, else
+    held."""
     n = motion.n_samples
     index = np.arange(-reach - 1, n + reach + 1)
     if motion.cycle is None:
@@ -79,7 +80,8 @@ def _extended(yaw: Array, motion: Motion, reach: int) -> tuple[NDArray[np.int64]
 
 
 def _mismatch(motion: Motion, robot: Robot, acceleration: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """Support point minus zero-moment point, (t, 2) world, m, and the pendulum's stiffness ω², (t,) 1/s², 0 in flight."""
+    """Support point minus zero-moment point, (t, 2) world, m, and the pendulum's stiffness ω², (t,) 1/s², 0 in
+    flight."""
     feet = motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
     load = np.stack([_load(c, motion) for c in motion.contact.T], axis=1)
     total = load.sum(axis=1)
@@ -123,7 +125,9 @@ def _load(contact: NDArray[np.bool_], motion: Motion) -> Array:
     if contact.all():
         return np.ones(len(contact))
     n = len(contact)
-    before, after = (contact, contact) if motion.cycle is not None else (np.full(n, contact[0]), np.full(n, contact[-1]))
+    before, after = (
+        (contact, contact) if motion.cycle is not None else (np.full(n, contact[0]), np.full(n, contact[-1]))
+    )
     c = np.concatenate([before, contact, after])
     index = np.arange(3 * n)
     since = index - np.maximum.accumulate(np.where(c, -1, index))

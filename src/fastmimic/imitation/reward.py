@@ -211,5 +211,3 @@ def _count_foot(
         tally.was_swing[leg] = 1
         tally.peak[leg] = max(tally.peak[leg], height)
     tally.foot_xy[leg, 0], tally.foot_xy[leg, 1] = x, y
-
-

@@ -58,7 +58,8 @@ def nominal_start(n: int) -> Start:
 
 
 def perturbed_start(n: int, n_samples: int, rng: np.random.Generator) -> Start:
-    """n episodes: the first from the start, unperturbed; the others at a random phase, joints and velocity perturbed."""
+    """n episodes: the first from the start, unperturbed; the others at a random phase, joints and velocity
+    perturbed."""
     start = nominal_start(n)
     for i in range(1, n):
         start.sample[i] = rng.integers(n_samples)
@@ -172,7 +173,8 @@ class ClosedLoop:
         """Runs one episode with each robot.
 
         Args:
-            references: what the controller follows: motions or tables (k, t) of `SAMPLE`, one or n; None for the demonstration.
+            references: what the controller follows: motions or tables (k, t) of `SAMPLE`, one or n; None for the
+                demonstration.
             start: of n episodes.
             steps: control steps.
             log: whether to keep the whole course.
@@ -332,7 +334,8 @@ def _lift_to_ground(robot: "Robot", position: Array, quat: Array, joints: Array)
 
 
 def swing_clearance(motion: Motion, foot_radius: float) -> Array:
-    """Mean over the swings of each foot's greatest height above the ground in a reference, (4,) m; NaN without swings."""
+    """Mean over the swings of each foot's greatest height above the ground in a reference, (4,) m; NaN without
+    swings."""
     feet = motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
     height = feet[..., 2] - foot_radius
     out = np.full(4, np.nan)

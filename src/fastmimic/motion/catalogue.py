@@ -63,16 +63,12 @@ RECORDED: Final = {
         "dog_walk09_joint_pos.txt",
         (2404, 2450),
     ),
-    "dog:spin": RecordedMotion(
-        "dog on a Laikago, spin to the left", "0.47 m/s, +2.3 rad/s", _ROBOT, "dog_spin.txt"
-    ),
+    "dog:spin": RecordedMotion("dog on a Laikago, spin to the left", "0.47 m/s, +2.3 rad/s", _ROBOT, "dog_spin.txt"),
     "anim:side-steps": RecordedMotion(
         "animator, side-steps out and back, 6 s", "0.34 m/s sideways", _ROBOT, "sidesteps.txt"
     ),
     "anim:turn": RecordedMotion("animator, turn by 180° and back, 4.6 s", "±180°", _ROBOT, "turn.txt"),
-    "anim:in-place": RecordedMotion(
-        "animator, steps on the spot, 6.2 s", "0 m/s", _ROBOT, "inplace_steps.txt"
-    ),
+    "anim:in-place": RecordedMotion("animator, steps on the spot, 6.2 s", "0 m/s", _ROBOT, "inplace_steps.txt"),
 }
 
 
@@ -101,8 +97,7 @@ def describe(folder: str | Path | None = None) -> list[MotionRow]:
 
     licences = {dataset.name: dataset.licence for dataset in DATASETS}
     built_in = [
-        MotionRow(name, spec.about, _speed(spec), "built in", BUILT_IN_LICENCE, True)
-        for name, spec in GAITS.items()
+        MotionRow(name, spec.about, _speed(spec), "built in", BUILT_IN_LICENCE, True) for name, spec in GAITS.items()
     ]
     recorded = [
         MotionRow(

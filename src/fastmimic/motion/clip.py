@@ -55,9 +55,7 @@ class Clip:
         if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
             raise ClipError(f"frame rate must be positive, found {self.rate_hz}")
         if self.root_quat_wxyz is not None and self.root_quat_wxyz.shape != (shape[0], 4):
-            raise ClipError(
-                f"trunk quaternions have shape {self.root_quat_wxyz.shape}; expected ({shape[0]}, 4)"
-            )
+            raise ClipError(f"trunk quaternions have shape {self.root_quat_wxyz.shape}; expected ({shape[0]}, 4)")
 
     @property
     def n_frames(self) -> int:

@@ -137,9 +137,7 @@ def fetch(
     """
     root = data_folder(folder)
     url = (base_url or os.environ.get(URL_VARIABLE) or DEFAULT_BASE_URL).rstrip("/")
-    return [
-        _fetch_file(root, dataset, name, url, progress) for dataset in _named(names) for name in dataset.files
-    ]
+    return [_fetch_file(root, dataset, name, url, progress) for dataset in _named(names) for name in dataset.files]
 
 
 def find_file(dataset: str, name: str, folder: str | Path | None = None) -> Path | None:
@@ -164,9 +162,7 @@ def _named(names: Iterable[str] | None) -> list[Dataset]:
     chosen = list(names)
     for name in chosen:
         if name not in known:
-            raise DataError(
-                f"unknown dataset '{name}': expected {' or '.join(known)}{did_you_mean(name, known)}"
-            )
+            raise DataError(f"unknown dataset '{name}': expected {' or '.join(known)}{did_you_mean(name, known)}")
     return [known[name] for name in chosen]
 
 
@@ -216,9 +212,7 @@ def _download(root: Path, local: str, digest: str, url: str, progress: Progress 
     except requests.exceptions.RequestException as error:
         raise DataError(f"{url}: cannot be fetched ({' '.join(str(error).split())[:200]})") from None
     except ValueError:  # pooch's word for a hash that differs
-        raise DataError(
-            f"{url}: the content is not the one expected (SHA-256 differs); nothing was kept"
-        ) from None
+        raise DataError(f"{url}: the content is not the one expected (SHA-256 differs); nothing was kept") from None
     except OSError as error:
         raise DataError(f"{root / local}: cannot be written ({error.strerror or error})") from None
     finally:

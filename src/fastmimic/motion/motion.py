@@ -152,9 +152,7 @@ class Motion:
             demonstration = None
             if any(key.startswith(_DEMONSTRATION) for key in arrays):
                 n = len(_DEMONSTRATION)
-                demonstration = _from_arrays(
-                    {k[n:]: v for k, v in arrays.items() if k.startswith(_DEMONSTRATION)}
-                )
+                demonstration = _from_arrays({k[n:]: v for k, v in arrays.items() if k.startswith(_DEMONSTRATION)})
             return _from_arrays(arrays, demonstration)
         except KeyError as error:
             raise MotionError(f"{path}: array {error} is missing") from None

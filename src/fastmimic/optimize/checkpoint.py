@@ -1,7 +1,8 @@
 """Checkpoints of an optimisation: what was asked and what was answered, without pickles.
 
-CMA-ES is deterministic given its seed and the scores it was told, so the history is its state: resuming replays it without running a
-single episode, checks that the replayed candidates are the recorded ones, bit for bit, and goes on from there.
+CMA-ES is deterministic given its seed and the scores it was told, so the history is its state: resuming replays it
+without running a single episode, checks that the replayed candidates are the recorded ones, bit for bit, and goes
+on from there.
 """
 
 import zipfile
@@ -68,9 +69,7 @@ class Checkpoint:
         try:
             with np.load(path, allow_pickle=False) as file:
                 version = int(file["version"])
-                found = cls(
-                    str(file["identity"]), file["candidates"], file["scores"], float(file["elapsed_s"])
-                )
+                found = cls(str(file["identity"]), file["candidates"], file["scores"], float(file["elapsed_s"]))
         except FileNotFoundError:
             raise CheckpointError(f"{path}: no checkpoint to resume from; leave out --resume to start anew") from None
         except _UNREADABLE as error:

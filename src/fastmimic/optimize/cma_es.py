@@ -114,9 +114,9 @@ def optimize(
 ) -> Optimum:
     """Maximises the problem's objective.
 
-    The result is chosen among the best candidates of all iterations, and the unmodulated motion, by longer episodes from
-    perturbed starts, so that it does not owe its score to one lucky episode. Ctrl-C ends the search early and leaves what was
-    found until then.
+    The result is chosen among the best candidates of all iterations, and the unmodulated motion, by longer episodes
+    from perturbed starts, so that it does not owe its score to one lucky episode. Ctrl-C ends the search early and
+    leaves what was found until then.
 
     Args:
         problem: what to score.
@@ -214,7 +214,8 @@ class _Search:
         Checkpoint(self.identity, np.array(self.candidates), np.array(self.scores), elapsed).save(self.checkpoint)
 
     def _choose(self, baseline: float) -> tuple[Array, float, float]:
-        """The candidate with the best mean objective over the validation episodes, of those no worse than the unmodulated one."""
+        """The candidate with the best mean objective over the validation episodes, of those no worse than the
+        unmodulated one."""
         rows = [self.problem.initial]
         scores = [baseline]
         if self.scores:

@@ -1,8 +1,8 @@
 """What is optimised: DMP parameters of a motion, scored by running the robot with its controller.
 
-Paper, §III-C: the baselines g and amplitudes a of the four feet's z move, the weights w (the style) stay. Left to itself an
-optimiser lowers the feet, because short lifts disturb the body less; so a candidate whose swing clearance falls below a share
-of the demonstration's is penalised.
+Paper, §III-C: the baselines g and amplitudes a of the four feet's z move, the weights w (the style) stay. Left to
+itself an optimiser lowers the feet, because short lifts disturb the body less; so a candidate whose swing clearance
+falls below a share of the demonstration's is penalised.
 """
 
 import hashlib
@@ -12,6 +12,7 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -173,7 +174,7 @@ class ImitationProblem:
     def rollout(self, tables: NDArray[Any], start: Start, steps: int) -> list[Rollout]:
         """Runs one episode for each table, spread over the workers; a result for each part, in order."""
         bounds = np.linspace(0, len(tables), min(self.workers, len(tables)) + 1).astype(int)
-        parts = [slice(a, b) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+        parts = [slice(a, b) for a, b in pairwise(bounds)]
 
         def run(worker: int) -> Rollout:
             part = parts[worker]
@@ -210,4 +211,3 @@ class ImitationProblem:
 def available_cores() -> int:
     """Processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-

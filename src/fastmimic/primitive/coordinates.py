@@ -49,9 +49,7 @@ def twist_of(motion: Motion) -> PlanarTwist:
         MotionError: the motion has no cycle.
     """
     if motion.cycle is None:
-        raise MotionError(
-            f"motion '{motion.name}' is not cyclic: rhythmic DMPs need one period and its 'cycle'"
-        )
+        raise MotionError(f"motion '{motion.name}' is not cyclic: rhythmic DMPs need one period and its 'cycle'")
     origin = np.array([*motion.root_pos_w[0, :2], yaw_from_quat(motion.root_quat_wxyz[0])])
     return PlanarTwist.from_cycle(origin, motion.cycle)
 
@@ -85,9 +83,7 @@ def to_coordinates(motion: Motion, twist: PlanarTwist) -> Array:
     return out
 
 
-def root_from_coordinates(
-    coordinates: Array, twist: PlanarTwist, period_s: float
-) -> tuple[Array, Array, Array, Array]:
+def root_from_coordinates(coordinates: Array, twist: PlanarTwist, period_s: float) -> tuple[Array, Array, Array, Array]:
     """World position (t, 3), quaternion (t, 4), linear and angular velocity (t, 3) of the root."""
     y = coordinates
     phase = phases(len(y))

@@ -59,9 +59,7 @@ class DmpIntegrator:
         y = decay * ((1 + c * delta) * offset + delta * self._z)
         z = decay * (-(c**2) * delta * offset + (1 - c * delta) * self._z)
         left = delta * (1 - _NODES)  # phase from each node to the end of the step
-        response = (delta * _NODE_WEIGHTS * np.exp(-c * left))[:, None] * self.dmp.forcing(
-            self.phase + delta * _NODES
-        )
+        response = (delta * _NODE_WEIGHTS * np.exp(-c * left))[:, None] * self.dmp.forcing(self.phase + delta * _NODES)
         self.position = self.goal + y + self.amplitude * (left @ response)
         self._z = z + self.amplitude * ((1 - c * left) @ response)
         self.phase = (self.phase + delta) % (2 * np.pi)

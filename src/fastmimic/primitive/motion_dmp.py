@@ -99,9 +99,7 @@ class MotionDmp:
             MotionError: a parameter array of another shape, or with a value that is not finite.
         """
         goal = _parameters("goal", self.goal if goal is None else goal, (len(NAMES),))
-        amplitude = _parameters(
-            "amplitude", self.amplitude if amplitude is None else amplitude, (len(NAMES),)
-        )
+        amplitude = _parameters("amplitude", self.amplitude if amplitude is None else amplitude, (len(NAMES),))
         y = goal + amplitude * self._shape
         position, quat, lin_vel, ang_vel = root_from_coordinates(y, self.twist, self.fitted.period_s)
         if quat[0] @ self.fitted.root_quat_wxyz[0] < 0:  # the same of the two quaternions of a rotation

@@ -67,6 +67,4 @@ def _equidistributed(density: Array, n_basis: int) -> Array:
     t = len(density)
     step = 0.5 * (density + np.roll(density, -1))
     cumulative = np.concatenate([[0.0], np.cumsum(step)])
-    return np.interp(
-        np.arange(n_basis) / n_basis * cumulative[-1], cumulative, 2 * np.pi * np.arange(t + 1) / t
-    )
+    return np.interp(np.arange(n_basis) / n_basis * cumulative[-1], cumulative, 2 * np.pi * np.arange(t + 1) / t)

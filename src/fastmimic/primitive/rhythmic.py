@@ -122,15 +122,11 @@ class RhythmicDmp:
         k = np.arange(len(self._harmonics))
         return _series(phase, 1j * k[:, None] * self._harmonics)
 
-    def position(
-        self, phase: Array | float, goal: Array | None = None, amplitude: Array | float = 1.0
-    ) -> Array:
+    def position(self, phase: Array | float, goal: Array | None = None, amplitude: Array | float = 1.0) -> Array:
         """Limit cycle y = g + a s(φ) at phases (...) → (..., d); `goal` and `amplitude` (d,) modulate it."""
         return (self.goal if goal is None else goal) + amplitude * self.shape(phase)
 
-    def velocity(
-        self, phase: Array | float, amplitude: Array | float = 1.0, period_s: float | None = None
-    ) -> Array:
+    def velocity(self, phase: Array | float, amplitude: Array | float = 1.0, period_s: float | None = None) -> Array:
         """ẏ = a s′(φ)/τ of the limit cycle at phases (...) → (..., d), per second."""
         tau = (self.period_s if period_s is None else period_s) / (2 * np.pi)
         return amplitude * self.shape_rate(phase) / tau

@@ -36,9 +36,7 @@ class VideoFile:
         ConfigError: width or height is odd or not positive.
     """
 
-    def __init__(
-        self, path: str | Path, source_size: tuple[int, int], size: tuple[int, int], fps: float
-    ) -> None:
+    def __init__(self, path: str | Path, source_size: tuple[int, int], size: tuple[int, int], fps: float) -> None:
         self._path = Path(path)
         if self._path.suffix.lower() != ".mp4":
             raise OutputError(f"{path}: a video's name must end in .mp4")

@@ -121,9 +121,7 @@ def tracking_figure(
         for leg, name in enumerate(LEGS):
             axes = grid[row, leg]
             shade(axes, time, stance[:, leg])
-            styles = zip(
-                drawn, (DEMONSTRATION, BEFORE, AFTER), ("demonstration", "before", "after"), strict=True
-            )
+            styles = zip(drawn, (DEMONSTRATION, BEFORE, AFTER), ("demonstration", "before", "after"), strict=True)
             for feet, line, label in styles:
                 axes.plot(time, feet[:, leg], **line.kwargs(), label=label)
             errors = [rmse(feet[:, leg], drawn[0][:, leg]) for feet in drawn[1:]]

@@ -68,9 +68,7 @@ def _draw_gait(axes: Axes, time: Array, dt: float, contact: NDArray[np.bool_]) -
         edges = np.diff(np.concatenate([[0], contact[:, leg].astype(np.int8), [0]]))
         starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
         bars = [(time[a], (b - a) * dt) for a, b in zip(starts, ends, strict=True)]
-        axes.broken_barh(
-            bars, (row - 0.36, 0.72), facecolor=LEG_LINES[leg].color, edgecolor=INK, linewidth=0.6
-        )
+        axes.broken_barh(bars, (row - 0.36, 0.72), facecolor=LEG_LINES[leg].color, edgecolor=INK, linewidth=0.6)
     duty = contact.mean(axis=0)
     axes.set_ylim(-0.6, len(LEGS) - 0.4)
     tidy(axes, "gait: a bar is stance; the number is the duty factor")

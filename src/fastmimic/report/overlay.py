@@ -114,9 +114,7 @@ def _legend_plate(color: tuple[float, float, float], name: str, unit: float) -> 
     plate = _plate([(name, _font(round(18 * unit)), _WHITE)], pad, unit, left=swatch + pad)
     top = (plate.height - swatch) // 2
     fill = (*(round(255 * c) for c in color), 255)
-    ImageDraw.Draw(plate).rounded_rectangle(
-        (pad, top, pad + swatch, top + swatch), radius=round(3 * unit), fill=fill
-    )
+    ImageDraw.Draw(plate).rounded_rectangle((pad, top, pad + swatch, top + swatch), radius=round(3 * unit), fill=fill)
     return plate
 
 

@@ -136,9 +136,7 @@ def _bare_robot(robot: "Robot") -> "mujoco.MjSpec":
     return spec
 
 
-def _find(
-    model: "mujoco.MjModel", robot: "Robot", prefix: str
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _find(model: "mujoco.MjModel", robot: "Robot", prefix: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Indices in `qpos` (19,) and a mask of the geoms (ngeom,) of the copy of the robot with this prefix."""
     import mujoco
 

@@ -72,7 +72,5 @@ def save(figure: Figure, path: str | Path) -> None:
     """
     suffix = Path(path).suffix.lower().lstrip(".")
     if suffix not in ("png", "pdf", "svg"):
-        raise OutputError(
-            f"{path}: a figure can be saved as .png, .pdf or .svg, not {suffix or 'without ending'!r}"
-        )
+        raise OutputError(f"{path}: a figure can be saved as .png, .pdf or .svg, not {suffix or 'without ending'!r}")
     replace_file(path, lambda file: figure.savefig(file, format=suffix, dpi=DPI))

@@ -23,7 +23,8 @@ Array = NDArray[np.float64]
 
 
 class LegGeometry(NamedTuple):
-    """What the kernels need of a robot's legs: (4, 12) rows of p₀ (3), d, s_x, s_z, t_x, t_z, c_x, c_z, knee sign, 0."""
+    """What the kernels need of a robot's legs: (4, 12) rows of p₀ (3), d, s_x, s_z, t_x, t_z, c_x, c_z, knee sign,
+    0."""
 
     rows: Array
 

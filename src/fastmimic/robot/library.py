@@ -32,9 +32,7 @@ def load_robot(robot: "str | Path | Robot") -> Robot:
     path = Path(robot)
     if not path.exists():
         hint = did_you_mean(name, ROBOT_NAMES)
-        raise RobotError(
-            f"unknown robot '{name}': not one of {', '.join(ROBOT_NAMES)} and not a file{hint}"
-        )
+        raise RobotError(f"unknown robot '{name}': not one of {', '.join(ROBOT_NAMES)} and not a file{hint}")
     if path.is_dir():
         raise RobotError(f"{path}: a folder; expected an MJCF file")
     try:

@@ -127,9 +127,7 @@ def _trunk(model: "mujoco.MjModel", where: str) -> int:
 def _leg_roots(model: "mujoco.MjModel", trunk: int, where: str) -> list[int]:
     """Bodies with a hinge whose nearest jointed ancestor is the trunk."""
     roots = [
-        int(b)
-        for b in range(trunk + 1, model.nbody)
-        if model.body_jntnum[b] and _moving_parent(model, b) == trunk
+        int(b) for b in range(trunk + 1, model.nbody) if model.body_jntnum[b] and _moving_parent(model, b) == trunk
     ]
     if len(roots) != 4:
         raise RobotError(f"{where}: expected 4 legs on body '{model.body(trunk).name}', found {len(roots)}")
@@ -215,7 +213,9 @@ def _order(model: "mujoco.MjModel", legs: list[_Leg], where: str) -> list[int]:
     order = [found.index(signs[leg]) for leg in LEGS if signs[leg] in found]
     if len(order) != 4:
         where_hips = ", ".join(str(np.round(leg.hip_pos[:2], 3).tolist()) for leg in legs)
-        raise RobotError(f"{where}: expected one leg front right, front left, rear right, rear left; hips at {where_hips}")
+        raise RobotError(
+            f"{where}: expected one leg front right, front left, rear right, rear left; hips at {where_hips}"
+        )
     return order
 
 
@@ -311,7 +311,5 @@ def _speed_limit(model: "mujoco.MjModel") -> tuple[Array, tuple[str, ...]]:
         if model.numeric(i).name == "joint_speed_limit":
             data = np.array(model.numeric(i).data, dtype=np.float64)
             return (np.full(3, data[0]) if data.size == 1 else data[:3]), ()
-    text = (
-        f"no custom numeric 'joint_speed_limit' in the model: {DEFAULT_JOINT_SPEED_LIMIT:g} rad/s assumed"
-    )
+    text = f"no custom numeric 'joint_speed_limit' in the model: {DEFAULT_JOINT_SPEED_LIMIT:g} rad/s assumed"
     return np.full(3, DEFAULT_JOINT_SPEED_LIMIT), (text,)

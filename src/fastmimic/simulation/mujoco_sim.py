@@ -27,7 +27,8 @@ GROUND_FRICTION: Final = 0.8
 
 
 def build_model(robot: "Robot", physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ) -> mujoco.MjModel:
-    """The robot on a floor, with motors that take stiffness and damping, and sensors for the ground's force on each foot.
+    """The robot on a floor, with motors that take stiffness and damping, and sensors for the ground's force on each
+    foot.
 
     Only the floor collides with the robot; its links do not collide with each other.
     """
@@ -136,7 +137,8 @@ class MujocoSimulation:
         substeps = physics_rate_hz / control_rate_hz
         if substeps < 1 or abs(substeps - round(substeps)) > 1e-9:
             raise ConfigError(
-                f"the physics rate ({physics_rate_hz:g} Hz) must be a multiple of the control rate ({control_rate_hz:g} Hz)"
+                f"the physics rate ({physics_rate_hz:g} Hz) must be a multiple of the control rate"
+                f" ({control_rate_hz:g} Hz)"
             )
         self.substeps = round(substeps)
         self.model = build_model(robot, physics_rate_hz)
@@ -151,7 +153,9 @@ class MujocoSimulation:
         joints = [self.model.joint(name).id for name in robot.joint_names]
         self._index = np.concatenate([self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]]).astype(np.int64)
 
-    def reset(self, root_pos: Array, root_quat: Array, joint_pos: Array, lin_vel: Array, ang_vel_b: Array, joint_vel: Array) -> None:
+    def reset(
+        self, root_pos: Array, root_quat: Array, joint_pos: Array, lin_vel: Array, ang_vel_b: Array, joint_vel: Array
+    ) -> None:
         """Puts the robots into given states; arrays (n, …), world frame but for the angular velocity (body frame)."""
         self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         self._qpos[:, :3], self._qpos[:, 3:7] = root_pos, root_quat

@@ -69,9 +69,7 @@ def read_clip(
         raise ClipError(f"{path}: {error}") from None
 
 
-def _read(
-    path: str | Path, robot: "Robot | None", fps: float | None, up: str | None, scale: float | None
-) -> Clip:
+def _read(path: str | Path, robot: "Robot | None", fps: float | None, up: str | None, scale: float | None) -> Clip:
     if up not in (None, "y", "z"):
         raise ClipError(f"the vertical axis must be 'y' or 'z', found '{up}'")
     if fps is not None:

@@ -110,9 +110,7 @@ def _columns(table: Table, header: list[str] | None) -> tuple[list[int], list[st
     for name, spellings in zip(COLUMN_NAMES, wanted, strict=True):
         found = [c for c, column in enumerate(plain) if column in spellings]
         if len(found) != 1:
-            problem = (
-                "no column" if not found else f"{len(found)} columns ({', '.join(plain[c] for c in found)})"
-            )
+            problem = "no column" if not found else f"{len(found)} columns ({', '.join(plain[c] for c in found)})"
             raise ClipError(
                 f"the header has {problem} for {name}, e.g. '{sorted(spellings)[0]}'"
                 f"{did_you_mean(name.lower(), plain)} (found: {', '.join(plain)[:300]})"
@@ -124,9 +122,7 @@ def _columns(table: Table, header: list[str] | None) -> tuple[list[int], list[st
 def _plain(name: str) -> str:
     """A column's name without case, quotes, SI units, and words that say nothing."""
     name = name.strip().strip("\"'").lower()
-    name = re.sub(
-        r"\s*[\[(]\s*(m|s|rad|-|1)?\s*[\])]$", "", name
-    )  # other units stay: such a column is not meant
+    name = re.sub(r"\s*[\[(]\s*(m|s|rad|-|1)?\s*[\])]$", "", name)  # other units stay: such a column is not meant
     name = re.sub(r"[\s.\-/:]+", "_", name)
     return re.sub(r"(_(joint|pos|position|angle|rad))+$", "", name)
 
@@ -152,9 +148,7 @@ def _joint_names(plain: list[str]) -> list[set[str]]:
 
 def _match_joint(name: str) -> bool:
     leg, _, joint = name.partition("_")
-    return any(leg in legs for legs in _LEG_SPELLINGS.values()) and any(
-        joint in row for row in JOINT_SPELLINGS
-    )
+    return any(leg in legs for legs in _LEG_SPELLINGS.values()) and any(joint in row for row in JOINT_SPELLINGS)
 
 
 def _rate(table: Table, names: list[str], values: Array, fps: float | None) -> tuple[float, list[str]]:
@@ -193,6 +187,5 @@ def _check_radians(table: Table, joints: Array, names: list[str]) -> None:
     if len(wrong):
         i, j = wrong[0]
         raise ClipError(
-            f"line {table.rows[i].number}, {names[j]}: {joints[i, j]:g} is more than a turn;"
-            " joints are in radians"
+            f"line {table.rows[i].number}, {names[j]}: {joints[i, j]:g} is more than a turn; joints are in radians"
         )

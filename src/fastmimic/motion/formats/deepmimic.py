@@ -31,9 +31,7 @@ _LOOP_KEYS: Final = ("LoopMode", "EnableCycleOffsetPosition", "EnableCycleOffset
 
 # The Laikago's model, m. Rows are FR, FL, RR, RL.
 _SIDE: Final = np.where(LEFT, 1.0, -1.0)
-_ABDUCTION_ORIGIN_B: Final = np.stack(
-    [np.where(FRONT, 0.1991, -0.2382), 0.0817 * _SIDE, np.full(4, -0.03)], -1
-)
+_ABDUCTION_ORIGIN_B: Final = np.stack([np.where(FRONT, 0.1991, -0.2382), 0.0817 * _SIDE, np.full(4, -0.03)], -1)
 _HIP_OFFSET: Final = _SIDE * np.where(LEFT, 0.055855, 0.053565)
 _THIGH: Final = np.stack([np.full(4, -0.1422), -0.02069 * _SIDE, np.full(4, -0.20833)], axis=-1)
 _CALF: Final = np.array([-0.022, 0.0, -0.25])
@@ -66,9 +64,7 @@ def parse(text: str, *, fps: float | None = None) -> Clip:
     if loop == "Wrap":  # the last frame is the first again
         gap = float(np.max(np.abs(joints[-1] - joints[0])))
         if gap > 0.01:
-            assumed.append(
-                f"the loop does not close exactly: joints of first and last frame differ by {gap:.2f} rad"
-            )
+            assumed.append(f"the loop does not close exactly: joints of first and last frame differ by {gap:.2f} rad")
         frames, joints, quat_file = frames[:-1], joints[:-1], quat_file[:-1]
         check_frames(len(frames))
     assumed.append("joint angles are the Laikago's, retargeted through its foot positions")
@@ -116,9 +112,7 @@ def _load(text: str) -> dict[str, Any]:
     except json.JSONDecodeError as error:
         near_end = not text[error.pos :].strip() or error.pos >= len(text) - 1
         hint = "; the file may be truncated" if near_end else ""
-        raise ClipError(
-            f"line {error.lineno}, column {error.colno}: not valid JSON ({error.msg}){hint}"
-        ) from None
+        raise ClipError(f"line {error.lineno}, column {error.colno}: not valid JSON ({error.msg}){hint}") from None
     except (ValueError, RecursionError) as error:  # a number of thousands of digits; thousands of brackets
         raise ClipError(f"not usable JSON ({str(error).split(';')[0]})") from None
     if not isinstance(document, dict):
@@ -146,9 +140,7 @@ def _frames(document: dict[str, Any], text: str) -> Array:
                 problem = f"{str(value)[:20]} is {'too large' if abs(value) < np.inf else 'not finite'}"
             else:
                 continue
-            raise ClipError(
-                f"line {_frame_line(text, i)} (frame {i}), number {c + 1} ({FRAME_NAMES[c]}): {problem}"
-            )
+            raise ClipError(f"line {_frame_line(text, i)} (frame {i}), number {c + 1} ({FRAME_NAMES[c]}): {problem}")
     return np.array(frames, dtype=np.float64).reshape(len(frames), len(FRAME_NAMES))
 
 

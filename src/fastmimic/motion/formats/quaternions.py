@@ -27,7 +27,5 @@ def unit_wxyz_from_xyzw(xyzw: NDArray[np.float64], where: Callable[[int], str]) 
     wrong = np.flatnonzero(np.abs(norm - 1) > NORM_TOLERANCE)
     if len(wrong):
         frame = int(wrong[0])
-        raise ClipError(
-            f"{where(frame)}: the root quaternion (x, y, z, w) has norm {norm[frame]:.4g}; expected 1"
-        )
+        raise ClipError(f"{where(frame)}: the root quaternion (x, y, z, w) has norm {norm[frame]:.4g}; expected 1")
     return quat_continuous((xyzw / norm[:, None])[:, [3, 0, 1, 2]])

@@ -101,17 +101,14 @@ def to_array(
         except ValueError:
             bad = next(c for c, field in enumerate(fields) if "_" in field or not is_number(field))
             raise ClipError(
-                f"line {number}, column {bad + 1} ({column_name(bad)}):"
-                f" '{fields[bad].strip()[:20]}' is not a number"
+                f"line {number}, column {bad + 1} ({column_name(bad)}): '{fields[bad].strip()[:20]}' is not a number"
             ) from None
     wrong = ~(np.isfinite(values) & (np.abs(values) <= largest))
     if np.any(wrong):
         i, c = np.argwhere(wrong)[0]
         value = values[i, c]
         problem = "too large" if np.isfinite(value) else "not finite"
-        raise ClipError(
-            f"line {rows[i].number}, column {c + 1} ({column_name(int(c))}): {value:g} is {problem}"
-        )
+        raise ClipError(f"line {rows[i].number}, column {c + 1} ({column_name(int(c))}): {value:g} is {problem}")
     return values
 
 
@@ -125,9 +122,7 @@ def check_rate(rate_hz: float) -> None:
     """Raises `ClipError` unless a frame rate is one that a motion can have."""
     check_positive(rate_hz, "the frame rate", "Hz")
     if not RATE_RANGE_HZ[0] <= rate_hz <= RATE_RANGE_HZ[1]:
-        raise ClipError(
-            f"the frame rate is {rate_hz:g} Hz; expected {RATE_RANGE_HZ[0]:g} to {RATE_RANGE_HZ[1]:g}"
-        )
+        raise ClipError(f"the frame rate is {rate_hz:g} Hz; expected {RATE_RANGE_HZ[0]:g} to {RATE_RANGE_HZ[1]:g}")
 
 
 def check_frames(count: int) -> None:
