@@ -47,10 +47,10 @@ class StanceConfig:
     Attributes:
         position_gain: k_p, 1/s².
         velocity_gain: k_d, 1/s.
-        supported_gain: k_p and k_d of x and y, in place of those above, while three or more feet stand and the horizontal
-            position can be controlled; on two feet it trades against the angle about their line.
-        foothold_share: share of the x and y position error that is measured relative to where the standing feet are, the
-            rest relative to the world; 0 in the paper.
+        supported_gain: k_p and k_d of x and y, in place of those above, while three or more feet stand and the
+            horizontal position can be controlled; on two feet it trades against the angle about their line.
+        foothold_share: share of the x and y position error that is measured relative to where the standing feet are,
+            the rest relative to the world; 0 in the paper.
         reference_acceleration: factor on the reference's own acceleration in ẍ_des; 0 in the paper.
         sway: share of the inverted pendulum's sway over the reference's footholds that is added to the reference; 0 in
             the paper.
