@@ -90,6 +90,9 @@ class SwingConfig:
     Attributes:
         velocity_feedback: K, s.
         sway: share of the inverted pendulum's sway that counts as the reference's in the feedback; 0 in the paper.
+        settled_time: a foot that lifts off after all four have stood for this long takes a deliberate step: it goes to
+            the reference's place in the world, without the feedback, which is that of a running gait; never in the
+            paper. On two feet such a step has the stance's `supported_gain`.
         filter_time: time constant of the low-pass on v̄ − v before K, s; 0 in the paper. A gait that sways within each
             step would otherwise step wider with every sway.
         position_feedback: the same for the base's position error, a fraction of it; 0 in the paper.
@@ -102,6 +105,7 @@ class SwingConfig:
 
     velocity_feedback: float = 0.07
     sway: float = 0.5
+    settled_time: float = 0.12
     filter_time: float = 0.03
     position_feedback: float = 0.15
     joint_stiffness: float = 120.0
@@ -173,6 +177,7 @@ def paper_config() -> ControllerConfig:
         swing=SwingConfig(
             velocity_feedback=0.03,
             sway=0.0,
+            settled_time=1e3,
             filter_time=0.0,
             position_feedback=0.0,
             leg_dynamics=False,
@@ -221,6 +226,7 @@ _DTYPE = record_dtype(
         ("stance_kd", "f8"),
         ("stance_dynamics", "f8"),
         ("velocity_feedback", "f8"),
+        ("settled_time", "f8"),
         ("filter_gain", "f8"),
         ("position_feedback", "f8"),
         ("swing_kp", "f8"),
@@ -266,6 +272,7 @@ def pack_config(config: ControllerConfig, weight: float) -> NDArray[Any]:
     record["stance_kd"] = stance.joint_damping
     record["stance_dynamics"] = float(stance.leg_dynamics)
     record["velocity_feedback"] = swing.velocity_feedback
+    record["settled_time"] = swing.settled_time
     record["filter_gain"] = 1.0 / (1.0 + swing.filter_time * config.rate_hz)
     record["position_feedback"] = swing.position_feedback
     record["swing_kp"] = swing.joint_stiffness

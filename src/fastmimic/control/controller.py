@@ -43,6 +43,7 @@ SCRATCH: Final = record_dtype(
         ("columns", "f8", (12, 6)),
         ("jacobian", "f8", (3, 3)),
         ("position_error", "f8", (3,)),  # reference minus robot, body frame
+        ("world_error", "f8", (3,)),  # the same without sway
         ("sway", "f8", (3, 2)),  # position, velocity, acceleration, robot's heading frame
         ("vectors", "f8", (8, 3)),
         ("torque", "f8", (3,)),
@@ -104,6 +105,11 @@ def _control_robot(
 
     _feet_and_com(model, obs, rotation, feet, scratch.arms, vectors[7])
     standing = memory.stance[0] + memory.stance[1] + memory.stance[2] + memory.stance[3]
+    stepping = False
+    for leg in range(4):
+        stepping = stepping or (memory.stance[leg] == 0 and memory.deliberate[leg] == 1)
+    supported = standing >= 3 or stepping
+    calm = stepping or memory.settled >= config.settled_time
     error, velocity_error, feedforward = vectors[0], vectors[1], vectors[2]
     v_ref, w_ref, v, w = vectors[3], vectors[4], vectors[5], vectors[6]
     heading_vector(cd, -sd, ref.lin_vel, v_ref)
@@ -125,18 +131,21 @@ def _control_robot(
     for k in range(3):
         source = ref.sway_pos if k == 0 else (ref.sway_vel if k == 1 else ref.sway_acc)
         sway[k, 0], sway[k, 1] = cy * source[0] - sy * source[1], sy * source[0] + cy * source[1]
+    transposed_times(rotation, error, scratch.world_error)
     swing_errors(config, rotation, error, velocity_error, sway, memory, scratch.position_error, vectors[7])
-    _relative_to_feet(config.foothold_share, ref, rotation, reference_rotation, feet, memory, error)
+    # deliberate steps go to places in the world, and so does the body over them
+    _relative_to_feet(0.0 if calm else config.foothold_share, ref, rotation, reference_rotation, feet, memory, error)
+    share = 0.0 if calm else config.stance_sway
     for k in range(2):
-        error[k] += config.stance_sway * sway[0, k]
-        velocity_error[k] += config.stance_sway * sway[1, k]
-        feedforward[k] += config.stance_sway * sway[2, k]
-    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 0, standing >= 3)
+        error[k] += share * sway[0, k]
+        velocity_error[k] += share * sway[1, k]
+        feedforward[k] += share * sway[2, k]
+    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 0, supported)
     rotation_error(reference_rotation, rotation, error)
     for k in range(3):
         velocity_error[k] = w_ref[k] - w[k]
     heading_vector(cd, -sd, ref.ang_acc, feedforward)
-    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 3, standing >= 3)
+    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 3, supported)
 
     # the reference's velocities in its own body frame
     v_ref_b, w_ref_b = vectors[0], vectors[1]
@@ -144,12 +153,16 @@ def _control_robot(
     transposed_times(reference_rotation, w_ref, w_ref_b)
     _heading_inertia(model.inertia, rotation, scratch.inertia)
     invert_symmetric_3x3(scratch.inertia, scratch.inverse_inertia)
+    memory.settled = memory.settled + config.dt if standing == 4 else 0.0
     for leg in range(4):
         lifted = plan_leg(config, memory, leg, ref.contact[leg] == 1, obs.foot_force[leg, 2])
         if lifted:
+            memory.deliberate[leg] = 1 if memory.settled >= config.settled_time else 0
             swing_target(config, ref, rotation, reference_rotation, height_error, leg, vectors[7])
             for k in range(3):
                 memory.liftoff_offset[leg, k] = feet[leg, k] - vectors[7][k]
+                if memory.deliberate[leg] == 1 and k < 2:
+                    memory.liftoff_offset[leg, k] -= scratch.world_error[k]
     solved = stance_forces(
         config, model.mass, scratch.inverse_inertia, scratch.arms, scratch.desired, memory, qp, scratch.columns
     )

@@ -41,6 +41,8 @@ MEMORY: Final = record_dtype(
         ("stance", "i8", (4,)),
         ("early", "i8", (4,)),
         ("was_loaded", "i8", (4,)),
+        ("deliberate", "i8", (4,)),
+        ("settled", "f8"),
         ("since_switch", "f8", (4,)),
         ("unloaded_time", "f8", (4,)),
         ("liftoff_offset", "f8", (4, 3)),

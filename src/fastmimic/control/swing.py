@@ -73,8 +73,11 @@ def swing_leg(
     target = scratch.vectors[7]
     swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
     for k in range(2):
-        target[k] -= config.velocity_feedback * memory.velocity_error[k]
-        target[k] -= config.position_feedback * scratch.position_error[k]
+        if memory.deliberate[leg] == 1:
+            target[k] += scratch.world_error[k]
+        else:
+            target[k] -= config.velocity_feedback * memory.velocity_error[k]
+            target[k] -= config.position_feedback * scratch.position_error[k]
     if memory.since_switch[leg] < config.blend_time:
         left = 1.0 - memory.since_switch[leg] / config.blend_time
         fade = left * left * (3.0 - 2.0 * left)
