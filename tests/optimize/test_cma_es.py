@@ -139,6 +139,7 @@ class Bowl:
         n_samples = 100
 
     config, objective, demonstration, identity = Config(), Objective(), Demonstration(), "bowl"
+    steps = 500
 
     def __init__(self) -> None:
         self.bounds = np.full(8, -0.03), np.array([0.03] * 4 + [1.8] * 4)

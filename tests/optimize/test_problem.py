@@ -210,3 +210,9 @@ class TestRefused:
     def test_a_duration_that_is_none(self, duration: float) -> None:
         with pytest.raises(ConfigError, match="duration must be positive"):
             Objective(duration_s=duration)
+
+
+def test_an_episode_holds_a_long_cycle_whole(make_problem: Callable[..., ImitationProblem]) -> None:
+    """What no episode reached would be optimised blindly."""
+    problem = make_problem(duration_s=0.1)
+    assert problem.steps == 1.5 * problem.demonstration.n_samples

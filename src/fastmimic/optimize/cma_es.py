@@ -180,7 +180,7 @@ class _Search:
             validation=validation,
             history=self._history(baseline),
             evaluations=searched + validated,
-            simulated_s=searched * self.problem.objective.duration_s + validated * VALIDATION_S,
+            simulated_s=searched * self.problem.steps / self.problem.config.rate_hz + validated * VALIDATION_S,
             elapsed_s=elapsed,
             interrupted=interrupted,
         )

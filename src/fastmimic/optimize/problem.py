@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 GOAL_RANGE: Final = 0.03  # m, each way from the fitted baseline
+_CYCLES: Final = 1.5  # cycles in an episode, for a motion whose cycle is longer than the episode asked for
 AMPLITUDE_RANGE: Final = (0.7, 1.8)
 
 
@@ -62,7 +63,7 @@ class Objective:
     """How a candidate is scored: mean reward of an episode minus the penalty for lost swing clearance.
 
     Attributes:
-        duration_s: length of the episode, s.
+        duration_s: length of the episode, s; one and a half cycles if it would not hold one.
         clearance_floor: share of the demonstration's clearance below which a foot is penalised. Above the share
             that a result must reach, because the clearance realised varies from step to step.
         clearance_weight: penalty for each foot and each unit of the share missing.
@@ -123,6 +124,8 @@ class ImitationProblem:
         self.config = config if config is not None else default_config()
         self.workers = workers if workers is not None else available_cores()
         self.steps = max(1, math.ceil(self.objective.duration_s * self.config.rate_hz - 1e-9))
+        if self.steps < demonstration.n_samples:  # what no episode reaches would be optimised blindly
+            self.steps = math.ceil(_CYCLES * demonstration.n_samples)
         self._clearance = swing_clearance(demonstration, robot.foot_radius)
         self._base = reference_table(dmp.motion(), robot)
         self._loops: dict[tuple[int, int], ClosedLoop] = {}
