@@ -30,6 +30,7 @@ types: $(VENV)/.installed-dev
 
 bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/rollout.py
+	$(BIN)/python benchmarks/mpc.py
 	$(BIN)/python benchmarks/imitate.py
 
 clean:

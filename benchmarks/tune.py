@@ -54,11 +54,11 @@ PARAMETERS: dict[str, tuple[str, str, tuple[int, ...] | None, bool]] = {
     "k_d x, y": ("stance", "velocity_gain", (0, 1), True),
     "k_d z": ("stance", "velocity_gain", (2,), True),
     "k_d angles": ("stance", "velocity_gain", (3, 4, 5), True),
-    "sway in stance": ("stance", "sway", None, False),
     "stance joint damping": ("stance", "joint_damping", None, True),
-    "K": ("swing", "velocity_feedback", None, True),
+    "K x": ("swing", "velocity_feedback", (0,), True),
+    "K y": ("swing", "velocity_feedback", (1,), True),
+    "foothold preview": ("stance", "foothold_preview", None, True),
     "position share": ("swing", "position_feedback", None, False),
-    "sway in swing": ("swing", "sway", None, False),
     "swing stiffness": ("swing", "joint_stiffness", None, True),
     "swing damping": ("swing", "joint_damping", None, True),
     "contact threshold": ("gait", "contact_threshold", None, True),
@@ -75,8 +75,6 @@ def configured(u: np.ndarray) -> ControllerConfig:
         values = np.array(old if index else [old], dtype=float)
         rows = list(index) if index else [0]
         values[rows] = values[rows] * np.exp(LOG_STEP * x) if logarithmic else values[rows] + LINEAR_STEP * x
-        if name == "sway":
-            values = np.clip(values, 0.0, 1.2)
         new = tuple(float(v) for v in values) if index else float(values[0])
         config = dataclasses.replace(config, **{part: dataclasses.replace(section, **{name: new})})
     return config

@@ -57,7 +57,11 @@ def test_a_set_can_be_written_to_a_file(name: str) -> None:
         ({"stance": {"min_force": 2.0, "max_force": 1.0}}, "stance.min_force must be in"),
         ({"stance": {"acceleration_weight": (1, 1, 1, 1, 1, -1)}}, "stance.acceleration_weight must not be negative"),
         ({"swing": {"liftoff_blend_time": -0.1}}, "swing.liftoff_blend_time must not be negative"),
-        ({"swing": {"filter_time": -0.1}}, "swing.filter_time must not be negative"),
+        ({"stance": {"foothold_preview": -0.1}}, "stance.foothold_preview must not be negative"),
+        ({"stance": {"friction": float("nan")}}, "stance.friction must be finite"),
+        ({"stance": {"position_gain": (1, 2, 3, 4, 5, float("inf"))}}, "stance.position_gain must be finite"),
+        ({"swing": {"velocity_feedback": (0.1, float("nan"))}}, "swing.velocity_feedback must be finite"),
+        ({"swing": {"joint_damping": -1.0}}, "swing.joint_damping must not be negative"),
     ],
 )
 def test_nonsense_is_refused_by_name(changes: dict[str, object], message: str) -> None:
@@ -77,25 +81,28 @@ def test_forces_are_multiples_of_the_weight() -> None:
 
 def test_kernels_get_what_was_set() -> None:
     stance = StanceConfig(position_gain=(1, 2, 3, 4, 5, 6), velocity_gain=(7, 8, 9, 10, 11, 12), friction=0.7)
-    swing = SwingConfig(velocity_feedback=0.04, filter_time=0.0)
+    swing = SwingConfig(velocity_feedback=(0.04, 0.05))
     packed = pack_config(ControllerConfig(rate_hz=250.0, stance=stance, swing=swing), 100.0)[0]
     assert packed["dt"] == 0.004
     np.testing.assert_array_equal(packed["kp"], [1, 2, 3, 4, 5, 6])
     np.testing.assert_array_equal(packed["kd"], [7, 8, 9, 10, 11, 12])
     assert packed["mu"] == 0.7
-    assert packed["velocity_feedback"] == 0.04
-    assert packed["filter_gain"] == 1.0, "no filter: the present error counts in full"
+    np.testing.assert_array_equal(packed["velocity_feedback"], [0.04, 0.05])
 
 
 def test_every_parameter_reaches_the_kernels() -> None:
     """A setting that is accepted and ignored is worse than none."""
     config = default_config()
     packed = pack_config(config, 100.0).tobytes()
-    for part in ("gait", "stance", "swing"):
+    for part in ("gait", "stance", "horizon", "swing"):
         settings = getattr(config, part)
         for field in dataclasses.fields(settings):
             value = getattr(settings, field.name)
             changed = {
+                "forces": "horizon" if value == "instant" else "instant",
+                "steps": 7,
+                "solve_rate_hz": 100.0,
+                "foothold": "raibert",
                 "planner": "schedule" if value == "full" else "full",
                 "adaptation": "off" if value != "off" else "full",
             }.get(field.name)

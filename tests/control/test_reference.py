@@ -1,13 +1,15 @@
 """The reference as a table of one period, and the clock that walks a robot through it."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from control.motions import gait, turned
+from control.motions import gait, standing, turned
 from fastmimic.control.reference import (
     advance_clocks,
+    ground_acceleration,
     make_clocks,
     place_clocks,
     reference_table,
@@ -16,7 +18,7 @@ from fastmimic.control.reference import (
 )
 from fastmimic.errors import MotionError
 from fastmimic.motion.motion import Motion
-from fastmimic.robot import Robot
+from fastmimic.robot import Robot, load_robot
 from fastmimic.rotations import (
     quat_from_rotvec,
     quat_from_yaw,
@@ -25,6 +27,7 @@ from fastmimic.rotations import (
     rotate_planar,
     yaw_from_quat,
 )
+from robot.mjcf import a1_tree, write
 
 YAW0 = 0.7
 
@@ -204,3 +207,70 @@ class TestClock:
 def test_references_of_one_batch_have_one_period(robot: Robot) -> None:
     with pytest.raises(MotionError, match=r"same number of samples, found \[200, 250\]"):
         stack_tables([gait(robot), gait(robot, n_samples=200)], robot)
+
+
+class TestStanceAhead:
+    def test_it_counts_down_to_the_lift_off_across_the_wrap(self, motion: Motion, table: np.ndarray) -> None:
+        contact, n = motion.contact, motion.n_samples
+        for leg in range(4):
+            for sample in range(0, n, 7):
+                steps = 0
+                while contact[(sample + steps) % n, leg]:
+                    steps += 1
+                assert table["remaining"][sample, leg] == pytest.approx(steps * motion.dt)
+
+    def test_a_foot_that_never_lifts_off_stands_for_ever(self, motion: Motion, robot: Robot) -> None:
+        for cycle in (motion.cycle, None):
+            standing = dataclasses.replace(motion, contact=np.ones_like(motion.contact), cycle=cycle)
+            assert np.all(np.isinf(reference_table(standing, robot)["remaining"]))
+
+    def test_a_motion_that_ends_stands_at_its_end(self, motion: Motion, robot: Robot) -> None:
+        contact = np.zeros_like(motion.contact)
+        contact[-5:] = True
+        ending = dataclasses.replace(motion, contact=contact, cycle=None)
+        remaining = reference_table(ending, robot)["remaining"]
+        assert np.all(remaining[:-5] == 0)
+        assert np.all(np.isinf(remaining[-5:]))
+
+
+class TestGroundAcceleration:
+    """What the ground gives, as acceleration of a body with the robot's mass and inertia."""
+
+    def test_a_robot_that_stands_takes_nothing_beyond_its_weight(self, robot: Robot) -> None:
+        linear, angular = ground_acceleration(standing(robot), robot)
+        np.testing.assert_allclose(linear, 0.0, atol=1e-9)
+        np.testing.assert_allclose(angular, 0.0, atol=1e-9)
+
+    def test_over_a_cycle_the_impulse_is_that_of_gravity(self, motion: Motion, robot: Robot) -> None:
+        """Momentum repeats with the motion, so its rate of change has no mean."""
+        straight = gait(robot, (0.5, 0.1), 0.0)
+        linear, angular = ground_acceleration(straight, robot)
+        np.testing.assert_allclose(linear.mean(axis=0), 0.0, atol=2e-3)
+        np.testing.assert_allclose(angular.mean(axis=0), 0.0, atol=2e-2)
+        assert np.ptp(linear, axis=0).max() > 0.1, "there is something to see"
+
+    def test_without_legs_it_is_the_trunks_own_acceleration(self, motion: Motion, robot: Robot, tmp_path: Path) -> None:
+        tree = a1_tree()
+        for body in tree.iter("body"):
+            inertial = body.find("inertial")
+            assert inertial is not None
+            if body.get("name") == "trunk":
+                inertial.set("pos", "0 0 0")
+            else:
+                inertial.set("mass", "1e-4")
+                inertial.set("fullinertia", "1e-7 1e-7 1e-7 0 0 0")
+        bodiless = load_robot(write(tree, tmp_path / "light.xml"))
+        heavy, light = (reference_table(motion, r) for r in (robot, bodiless))
+        for name, size in (("leg_lin_acc", 0.1), ("leg_ang_acc", 1.0)):
+            assert np.abs(heavy[name]).max() > size
+            assert np.abs(light[name]).max() < 0.02 * np.abs(heavy[name]).max(), name
+
+    def test_a_modulated_reference_keeps_its_demonstrations(self, motion: Motion, robot: Robot) -> None:
+        higher = dataclasses.replace(
+            motion,
+            foot_pos_b=motion.foot_pos_b + np.array([0, 0, 0.01]),
+            joint_vel=1.1 * motion.joint_vel,
+            demonstration=motion,
+        )
+        for name in ("leg_lin_acc", "leg_ang_acc"):
+            np.testing.assert_array_equal(reference_table(higher, robot)[name], reference_table(motion, robot)[name])

@@ -73,8 +73,34 @@ def lifted(motion: Motion, robot: Robot, factor: float) -> Motion:
 
 def same(a: Rollout, b: Rollout, rows_a: slice = slice(None), rows_b: slice = slice(None)) -> bool:
     """Whether all figures of some episodes agree bit for bit."""
-    names = [f.name for f in dataclasses.fields(Rollout) if f.name not in ("duration_s", "log")]
+    names = [f.name for f in dataclasses.fields(Rollout) if f.name not in ("duration_s", "log", "parts")]
     return all(getattr(a, n)[rows_a].tobytes() == getattr(b, n)[rows_b].tobytes() for n in names)
+
+
+class TestParts:
+    """An episode divided into parts, such as the segments of a stitched motion."""
+
+    def test_they_make_up_the_whole(self, loop: ClosedLoop, start: Start) -> None:
+        whole = loop.run(None, start, STEPS)
+        divided = loop.run(None, start, STEPS, divisions=[150, 400])
+        assert same(divided, whole)
+        assert [round(p.duration_s * 500) for p in divided.parts] == [150, 250, 200]
+        weights = np.array([150, 250, 200]) / STEPS
+        for name in ("reward", "terms"):
+            parts = np.stack([getattr(p, name) for p in divided.parts])
+            np.testing.assert_allclose(np.tensordot(weights, parts, axes=1), getattr(whole, name))
+        np.testing.assert_array_equal(sum(p.steps for p in divided.parts), whole.steps)
+        assert same(divided.parts[0], loop.run(None, start, 150))
+        assert whole.parts == ()
+
+    def test_a_fall_is_in_one_of_them_and_what_comes_after_counts_nothing(self, robot: Robot, motion: Motion) -> None:
+        rollout = ClosedLoop(robot, motion, 1).run(None, thrown(1), STEPS, divisions=[50, 300, 450])
+        assert rollout.fell.all()
+        fell = [bool(p.fell[0]) for p in rollout.parts]
+        assert sum(fell) == 1
+        at = fell.index(True)
+        assert [bool(p.steps[0] == 0) for p in rollout.parts[at + 1 :]] == [True] * (3 - at)
+        assert all(p.reward[0] == 0 for p in rollout.parts[at + 1 :])
 
 
 class TestEpisode:

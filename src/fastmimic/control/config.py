@@ -5,6 +5,7 @@ are given as multiples of the robot's weight.
 """
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -19,6 +20,9 @@ Vector3 = tuple[float, float, float]
 
 ADAPTATIONS: Final = ("off", "paper", "full")
 PLANNERS: Final = ("schedule", "full")
+FOOTHOLDS: Final = ("reference", "raibert")
+FORCES: Final = ("instant", "horizon")
+MAX_HORIZON_STEPS: Final = 20
 
 
 @dataclass(frozen=True)
@@ -45,15 +49,17 @@ class StanceConfig:
     """Forces of the standing legs (paper, eq. 1 and 2). Axes: x, y, z, roll, pitch, yaw in the heading frame.
 
     Attributes:
+        forces: "instant" for the QP over the present forces, "horizon" for model predictive control ahead of it
+            (`HorizonConfig`).
         position_gain: k_p, 1/s².
         velocity_gain: k_d, 1/s.
-        supported_gain: k_p and k_d of x and y, in place of those above, while three or more feet stand and the
-            horizontal position can be controlled; on two feet it trades against the angle about their line.
         foothold_share: share of the x and y position error that is measured relative to where the standing feet are,
             the rest relative to the world; 0 in the paper.
+        foothold_preview: s for which a foot has to go on standing, by the schedule, to count in full there: before a
+            foot leaves the ground the body has to be over those that stay.
         reference_acceleration: factor on the reference's own acceleration in ẍ_des; 0 in the paper.
-        sway: share of the inverted pendulum's sway over the reference's footholds that is added to the reference; 0 in
-            the paper.
+        leg_momentum: feed-forward of what the legs' own motion and the body's turning take from the ground, so that the
+            forces move the whole robot along the reference; not in the paper, whose legs weigh nothing.
         acceleration_limit: bound on each component of ẍ_des, m/s² and rad/s².
         acceleration_weight: diagonal of Q.
         force_weight: diagonal of R, 1/N² relative to Q.
@@ -65,12 +71,13 @@ class StanceConfig:
         leg_dynamics: add the torques that carry and accelerate the leg itself.
     """
 
-    position_gain: Vector6 = (40.0, 40.0, 300.0, 600.0, 600.0, 600.0)
-    velocity_gain: Vector6 = (20.0, 20.0, 35.0, 75.0, 75.0, 75.0)
-    supported_gain: tuple[float, float] = (100.0, 20.0)
+    forces: Literal["instant", "horizon"] = "instant"
+    position_gain: Vector6 = (150.0, 150.0, 300.0, 600.0, 600.0, 600.0)
+    velocity_gain: Vector6 = (25.0, 25.0, 35.0, 75.0, 75.0, 75.0)
     foothold_share: float = 1.0
+    foothold_preview: float = 0.6
     reference_acceleration: float = 1.0
-    sway: float = 0.5
+    leg_momentum: bool = True
     acceleration_limit: Vector6 = (15.0, 15.0, 25.0, 150.0, 150.0, 150.0)
     acceleration_weight: Vector6 = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     force_weight: float = 1e-4
@@ -84,35 +91,108 @@ class StanceConfig:
 
 
 @dataclass(frozen=True)
+class HorizonConfig:
+    """Convex model predictive control (Di Carlo et al. 2018), in force where `StanceConfig.forces` is "horizon".
+
+    Axes: x, y, z, roll, pitch, yaw in the heading frame. Motion and forces in multiples of the weight make the weights
+    independent of the robot's mass. Friction and the bounds on f_z are the stance's.
+
+    Attributes:
+        steps: of the horizon.
+        step_s: length of one, s.
+        solve_rate_hz: how often the forces ahead are planned anew. Below the controller's rate the stance QP tracks the
+            plan in between; at the controller's rate the planned forces are applied as they are.
+        position_weight: of the squared position and orientation error at the end of each step, 1/m² and 1/rad².
+        velocity_weight: of the squared linear and angular velocity error, s²/m² and s²/rad².
+        force_weight: of each squared force, in multiples of the robot's weight.
+    """
+
+    steps: int = 10
+    step_s: float = 0.03
+    solve_rate_hz: float = 50.0
+    position_weight: Vector6 = (100.0, 100.0, 1000.0, 1000.0, 1000.0, 30.0)
+    velocity_weight: Vector6 = (2.0, 2.0, 0.5, 0.02, 0.02, 1.0)
+    force_weight: float = 1e-2
+
+
+@dataclass(frozen=True)
 class SwingConfig:
     """Feet in the air (paper, eq. 3).
 
     Attributes:
-        velocity_feedback: K, s.
-        sway: share of the inverted pendulum's sway that counts as the reference's in the feedback; 0 in the paper.
-        settled_time: a foot that lifts off after all four have stood for this long takes a deliberate step: it goes to
-            the reference's place in the world, without the feedback, which is that of a running gait; never in the
-            paper. On two feet such a step has the stance's `supported_gain`.
-        filter_time: time constant of the low-pass on v̄ − v before K, s; 0 in the paper. A gait that sways within each
-            step would otherwise step wider with every sway.
+        velocity_feedback: K in x and y, s. In x the standing feet can hold the body back or push it on; in y, on two
+            feet, only the next step can.
         position_feedback: the same for the base's position error, a fraction of it; 0 in the paper.
         joint_stiffness, joint_damping: N·m/rad and N·m·s/rad.
         leg_dynamics: feed-forward of the leg's inverse dynamics along the reference.
         level: follow the reference foot relative to gravity and the ground (1) or to the trunk as it happens to be
             inclined (0); the paper's form is 0.
         liftoff_blend_time: time over which the foot's offset from the reference at lift-off fades, s.
+        foothold: "reference" for the reference's foot, as above; "raibert" for a path that takes nothing from the
+            animal: straight, at constant speed, to the Raibert foothold 0.5 T_s v − K (v̄ − v) from under the hip (Kang
+            et al. 2021, as the paper's §IV-B gives it).
+        swing_time: T_s of that path, s. The paper does not give it; this is the swing of the code that it builds on
+            (0.3 s of stance at a duty factor of 0.6), and among the best of a grid over eight motions.
+        swing_height: apex of its parabola, m; for all motions and legs. From the same grid; the code that the paper
+            builds on lifts 0.1 m, and falls more often.
     """
 
-    velocity_feedback: float = 0.07
-    sway: float = 0.5
-    settled_time: float = 0.12
-    filter_time: float = 0.03
+    velocity_feedback: tuple[float, float] = (0.02, 0.07)
     position_feedback: float = 0.15
     joint_stiffness: float = 120.0
     joint_damping: float = 3.5
     leg_dynamics: bool = True
     level: float = 1.0
     liftoff_blend_time: float = 0.03
+    foothold: Literal["reference", "raibert"] = "reference"
+    swing_time: float = 0.2
+    swing_height: float = 0.05
+
+
+def _horizon_checks(horizon: HorizonConfig, rate_hz: float, used: bool) -> tuple[tuple[bool, str], ...]:
+    """What a horizon must satisfy, and what to say where it does not; its rates matter only where it is used."""
+    weights = (*horizon.position_weight, *horizon.velocity_weight)
+    ratio = rate_hz / horizon.solve_rate_hz if math.isfinite(horizon.solve_rate_hz) and horizon.solve_rate_hz > 0 else 0
+    return (
+        (
+            isinstance(horizon.steps, int) and 1 <= horizon.steps <= MAX_HORIZON_STEPS,
+            f"horizon.steps must be a whole number from 1 to {MAX_HORIZON_STEPS}, not {horizon.steps}",
+        ),
+        (
+            not used or (math.isfinite(horizon.step_s) and horizon.step_s * rate_hz >= 1 - 1e-9),
+            f"horizon.step_s must be at least one control step, {1 / max(rate_hz, 1e-9):g} s, not {horizon.step_s:g}",
+        ),
+        (
+            not used or (ratio >= 1 - 1e-9 and abs(ratio - round(ratio)) < 1e-6),
+            f"horizon.solve_rate_hz must be rate_hz = {rate_hz:g} or a whole fraction of it, not"
+            f" {horizon.solve_rate_hz:g}",
+        ),
+        (len(horizon.position_weight) == 6, "horizon.position_weight must have six numbers"),
+        (len(horizon.velocity_weight) == 6, "horizon.velocity_weight must have six numbers"),
+        (
+            all(math.isfinite(w) and w >= 0 for w in weights) and any(w > 0 for w in weights),
+            "horizon.position_weight and velocity_weight must be finite, not negative and not all 0",
+        ),
+        (
+            math.isfinite(horizon.force_weight) and horizon.force_weight > 0,
+            "horizon.force_weight must be finite and positive",
+        ),
+    )
+
+
+def _number_checks(config: "ControllerConfig") -> list[tuple[bool, str]]:
+    """That every number is finite, and that none is negative that is a gain, a time, a share or a limit: all of them
+    but the feedback of the swing feet, which may point either way."""
+    found = []
+    for part in ("", "gait", "stance", "swing"):
+        settings = getattr(config, part) if part else config
+        for field in dataclasses.fields(settings):
+            value, name = getattr(settings, field.name), f"{part}.{field.name}" if part else field.name
+            numbers = [v for v in (value if isinstance(value, tuple) else (value,)) if isinstance(v, int | float)]
+            found.append((all(math.isfinite(v) for v in numbers), f"{name} must be finite"))
+            if not field.name.endswith("feedback"):
+                found.append((all(v >= 0 for v in numbers), f"{name} must not be negative"))
+    return found
 
 
 @dataclass(frozen=True)
@@ -129,24 +209,26 @@ class ControllerConfig:
     joint_margin: float = 0.01
     gait: GaitConfig = dataclasses.field(default_factory=GaitConfig)
     stance: StanceConfig = dataclasses.field(default_factory=StanceConfig)
+    horizon: HorizonConfig = dataclasses.field(default_factory=HorizonConfig)
     swing: SwingConfig = dataclasses.field(default_factory=SwingConfig)
 
     def __post_init__(self) -> None:
         checks = (
+            *_number_checks(self),
             (self.rate_hz > 0, "rate_hz must be positive"),
             (self.gait.planner in PLANNERS, f"gait.planner must be one of {', '.join(PLANNERS)}"),
             (
                 0 <= self.gait.release_threshold <= self.gait.contact_threshold,
                 "gait.release_threshold must be in [0, contact_threshold]",
             ),
-            (self.gait.min_switch_time >= 0, "gait.min_switch_time must not be negative"),
+            (self.stance.forces in FORCES, f"stance.forces must be one of {', '.join(FORCES)}"),
             (self.stance.adaptation in ADAPTATIONS, f"stance.adaptation must be one of {', '.join(ADAPTATIONS)}"),
             (self.stance.friction > 0, "stance.friction must be positive"),
             (self.stance.force_weight > 0, "stance.force_weight must be positive"),
             (0 <= self.stance.min_force < self.stance.max_force, "stance.min_force must be in [0, max_force)"),
-            (min(self.stance.acceleration_weight) >= 0, "stance.acceleration_weight must not be negative"),
-            (self.swing.liftoff_blend_time >= 0, "swing.liftoff_blend_time must not be negative"),
-            (self.swing.filter_time >= 0, "swing.filter_time must not be negative"),
+            *_horizon_checks(self.horizon, self.rate_hz, self.stance.forces == "horizon"),
+            (self.swing.foothold in FOOTHOLDS, f"swing.foothold must be one of {', '.join(FOOTHOLDS)}"),
+            (self.swing.swing_time > 0, "swing.swing_time must be positive"),
         )
         for ok, message in checks:
             if not ok:
@@ -167,18 +249,16 @@ def paper_config() -> ControllerConfig:
     return ControllerConfig(
         name="paper",
         stance=StanceConfig(
-            supported_gain=(40.0, 20.0),
+            position_gain=(40.0, 40.0, 300.0, 600.0, 600.0, 600.0),
+            velocity_gain=(20.0, 20.0, 35.0, 75.0, 75.0, 75.0),
             foothold_share=0.0,
             reference_acceleration=0.0,
-            sway=0.0,
+            leg_momentum=False,
             adaptation="paper",
             leg_dynamics=False,
         ),
         swing=SwingConfig(
-            velocity_feedback=0.03,
-            sway=0.0,
-            settled_time=1e3,
-            filter_time=0.0,
+            velocity_feedback=(0.03, 0.03),
             position_feedback=0.0,
             leg_dynamics=False,
             level=0.0,
@@ -210,9 +290,10 @@ _DTYPE = record_dtype(
         ("early_takeoff_time", "f8"),
         ("kp", "f8", (6,)),
         ("kd", "f8", (6,)),
-        ("supported_gain", "f8", (2,)),
         ("foothold_share", "f8"),
+        ("foothold_preview", "f8"),
         ("reference_acceleration", "f8"),
+        ("leg_momentum", "f8"),
         ("acceleration_limit", "f8", (6,)),
         ("q_weight", "f8", (6,)),
         ("r_weight", "f8"),
@@ -220,20 +301,26 @@ _DTYPE = record_dtype(
         ("min_force", "f8"),
         ("max_force", "f8"),
         ("adaptation", "i8"),
-        ("stance_sway", "f8"),
-        ("swing_sway", "f8"),
+        ("horizon", "i8"),
+        ("horizon_steps", "i8"),
+        ("horizon_step_s", "f8"),
+        ("horizon_interval", "i8"),
+        ("horizon_position_weight", "f8", (6,)),
+        ("horizon_velocity_weight", "f8", (6,)),
+        ("horizon_force_weight", "f8"),
         ("stance_kp", "f8"),
         ("stance_kd", "f8"),
         ("stance_dynamics", "f8"),
-        ("velocity_feedback", "f8"),
-        ("settled_time", "f8"),
-        ("filter_gain", "f8"),
+        ("velocity_feedback", "f8", (2,)),
         ("position_feedback", "f8"),
         ("swing_kp", "f8"),
         ("swing_kd", "f8"),
         ("swing_dynamics", "f8"),
         ("level", "f8"),
         ("blend_time", "f8"),
+        ("raibert", "i8"),
+        ("swing_time", "f8"),
+        ("swing_height", "f8"),
     ]
 )
 
@@ -245,7 +332,7 @@ def pack_config(config: ControllerConfig, weight: float) -> NDArray[Any]:
         config: the parameters.
         weight: the robot's weight, N.
     """
-    gait, stance, swing = config.gait, config.stance, config.swing
+    gait, stance, swing, horizon = config.gait, config.stance, config.swing, config.horizon
     record = np.zeros(1, _DTYPE)
     record["dt"] = 1.0 / config.rate_hz
     record["joint_margin"] = config.joint_margin
@@ -256,9 +343,10 @@ def pack_config(config: ControllerConfig, weight: float) -> NDArray[Any]:
     record["early_takeoff_time"] = gait.early_takeoff_time
     record["kp"] = stance.position_gain
     record["kd"] = stance.velocity_gain
-    record["supported_gain"] = stance.supported_gain
     record["foothold_share"] = stance.foothold_share
+    record["foothold_preview"] = stance.foothold_preview
     record["reference_acceleration"] = stance.reference_acceleration
+    record["leg_momentum"] = float(stance.leg_momentum)
     record["acceleration_limit"] = stance.acceleration_limit
     record["q_weight"] = stance.acceleration_weight
     record["r_weight"] = stance.force_weight
@@ -266,18 +354,24 @@ def pack_config(config: ControllerConfig, weight: float) -> NDArray[Any]:
     record["min_force"] = stance.min_force * weight
     record["max_force"] = stance.max_force * weight
     record["adaptation"] = ADAPTATIONS.index(stance.adaptation)
-    record["stance_sway"] = stance.sway
-    record["swing_sway"] = swing.sway
+    record["horizon"] = FORCES.index(stance.forces)
+    record["horizon_steps"] = horizon.steps
+    record["horizon_step_s"] = horizon.step_s
+    record["horizon_interval"] = round(config.rate_hz / horizon.solve_rate_hz)
+    record["horizon_position_weight"] = horizon.position_weight
+    record["horizon_velocity_weight"] = horizon.velocity_weight
+    record["horizon_force_weight"] = horizon.force_weight
     record["stance_kp"] = stance.joint_stiffness
     record["stance_kd"] = stance.joint_damping
     record["stance_dynamics"] = float(stance.leg_dynamics)
     record["velocity_feedback"] = swing.velocity_feedback
-    record["settled_time"] = swing.settled_time
-    record["filter_gain"] = 1.0 / (1.0 + swing.filter_time * config.rate_hz)
     record["position_feedback"] = swing.position_feedback
     record["swing_kp"] = swing.joint_stiffness
     record["swing_kd"] = swing.joint_damping
     record["swing_dynamics"] = float(swing.leg_dynamics)
     record["level"] = swing.level
     record["blend_time"] = swing.liftoff_blend_time
+    record["raibert"] = swing.foothold == "raibert"
+    record["swing_time"] = swing.swing_time
+    record["swing_height"] = swing.swing_height
     return record

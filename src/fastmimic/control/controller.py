@@ -13,10 +13,14 @@ from fastmimic.control.adaptation import DAMPING_AFTER_FAILURE, stance_leg
 from fastmimic.control.config import ControllerConfig, default_config, pack_config
 from fastmimic.control.daqp import make_workspace
 from fastmimic.control.gait import plan_leg
+from fastmimic.control.horizon import FORESIGHT, PLAN, plan_forces, track_plan
+from fastmimic.control.horizon import MAX_CONSTRAINTS as HORIZON_CONSTRAINTS
+from fastmimic.control.horizon import MAX_VARIABLES as HORIZON_VARIABLES
 from fastmimic.control.reference import stack_tables
 from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, invert_symmetric_3x3, stance_forces
 from fastmimic.control.state import COMMAND, MEMORY, pack_model
-from fastmimic.control.swing import swing_errors, swing_leg, swing_target
+from fastmimic.control.stopwatch import seconds_now
+from fastmimic.control.swing import lift_off, swing_leg
 from fastmimic.control.vectors import heading_vector, quat_to_matrix, rotation_error, transposed_times, turn_rows
 from fastmimic.conventions import GRAVITY
 from fastmimic.errors import ConfigError
@@ -42,11 +46,14 @@ SCRATCH: Final = record_dtype(
         ("desired", "f8", (6,)),
         ("columns", "f8", (12, 6)),
         ("jacobian", "f8", (3, 3)),
+        ("shift", "f8", (2,)),  # of the reference to where the standing feet are, heading frame
         ("position_error", "f8", (3,)),  # reference minus robot, body frame
-        ("world_error", "f8", (3,)),  # the same without sway
-        ("sway", "f8", (3, 2)),  # position, velocity, acceleration, robot's heading frame
+        ("velocity_error", "f8", (3,)),  # likewise
+        ("base_acc", "f8", (3,)),  # wanted of the base, heading frame
         ("vectors", "f8", (8, 3)),
         ("torque", "f8", (3,)),
+        ("velocity", "f8", (3,)),  # of the base, body frame
+        ("joint_acc", "f8", (12,)),  # of what the legs follow
     ]
 )
 """Work memory of the kernel, so that it allocates nothing. One record for each thread."""
@@ -54,16 +61,12 @@ SCRATCH: Final = record_dtype(
 
 @inlined
 def _desired_acceleration(
-    config: Any, error: Array, velocity_error: Array, feedforward: Array, out: Array, at: int, supported: bool
+    config: Any, error: Array, velocity_error: Array, feedforward: Array, out: Array, at: int
 ) -> None:
-    """k_p e + k_d ė + feed-forward, clipped, into out[at:at + 3]."""
+    """k_p e + k_d ė + feed-forward, into out[at:at + 3]."""
     for i in range(3):
-        kp, kd = config.kp[at + i], config.kd[at + i]
-        if supported and at + i < 2:
-            kp, kd = config.supported_gain[0], config.supported_gain[1]
-        a = kp * error[i] + kd * velocity_error[i] + config.reference_acceleration * feedforward[i]
-        limit = config.acceleration_limit[at + i]
-        out[at + i] = min(max(a, -limit), limit)
+        a = config.kp[at + i] * error[i] + config.kd[at + i] * velocity_error[i]
+        out[at + i] = a + config.reference_acceleration * feedforward[i]
 
 
 @kernel
@@ -75,20 +78,45 @@ def control_step(
     observations: Any,
     memories: Any,
     commands: Any,
+    plans: Any,
     qp: Any,
+    plan_qp: Any,
     scratch: Any,
+    foresight: Any,
 ) -> None:
     """Computes the commands of all robots; robot i follows table min(i, k − 1) at its clock."""
     for i in range(observations.shape[0]):
         table = tables[min(i, tables.shape[0] - 1)]
         _control_robot(
-            config[0], model[0], table, clocks[i], observations[i], memories[i], commands[i], qp[0], scratch[0]
+            config[0],
+            model[0],
+            table,
+            clocks[i],
+            observations[i],
+            memories[i],
+            commands[i],
+            plans[i],
+            qp[0],
+            plan_qp[0],
+            scratch[0],
+            foresight[0],
         )
 
 
 @kernel
 def _control_robot(
-    config: Any, model: Any, table: Any, clock: Any, obs: Any, memory: Any, command: Any, qp: Any, scratch: Any
+    config: Any,
+    model: Any,
+    table: Any,
+    clock: Any,
+    obs: Any,
+    memory: Any,
+    command: Any,
+    plan: Any,
+    qp: Any,
+    plan_qp: Any,
+    scratch: Any,
+    foresight: Any,
 ) -> None:
     ref = table[clock.sample]
     rotation, reference_rotation, feet = scratch.rotation, scratch.reference_rotation, scratch.feet
@@ -104,12 +132,6 @@ def _control_robot(
     turn_rows(cd, sd, reference_rotation)
 
     _feet_and_com(model, obs, rotation, feet, scratch.arms, vectors[7])
-    standing = memory.stance[0] + memory.stance[1] + memory.stance[2] + memory.stance[3]
-    stepping = False
-    for leg in range(4):
-        stepping = stepping or (memory.stance[leg] == 0 and memory.deliberate[leg] == 1)
-    supported = standing >= 3 or stepping
-    calm = stepping or memory.settled >= config.settled_time
     error, velocity_error, feedforward = vectors[0], vectors[1], vectors[2]
     v_ref, w_ref, v, w = vectors[3], vectors[4], vectors[5], vectors[6]
     heading_vector(cd, -sd, ref.lin_vel, v_ref)
@@ -124,28 +146,20 @@ def _control_robot(
     for k in range(3):
         velocity_error[k] = v_ref[k] - v[k]
     heading_vector(cd, -sd, ref.lin_acc, feedforward)
-    # the pendulum's sway, from the reference's heading into the robot's
-    yaw_error = np.arctan2(reference_rotation[1, 0], reference_rotation[0, 0])
-    cy, sy = np.cos(yaw_error), np.sin(yaw_error)
-    sway = scratch.sway
-    for k in range(3):
-        source = ref.sway_pos if k == 0 else (ref.sway_vel if k == 1 else ref.sway_acc)
-        sway[k, 0], sway[k, 1] = cy * source[0] - sy * source[1], sy * source[0] + cy * source[1]
-    transposed_times(rotation, error, scratch.world_error)
-    swing_errors(config, rotation, error, velocity_error, sway, memory, scratch.position_error, vectors[7])
-    # deliberate steps go to places in the world, and so does the body over them
-    _relative_to_feet(0.0 if calm else config.foothold_share, ref, rotation, reference_rotation, feet, memory, error)
-    share = 0.0 if calm else config.stance_sway
-    for k in range(2):
-        error[k] += share * sway[0, k]
-        velocity_error[k] += share * sway[1, k]
-        feedforward[k] += share * sway[2, k]
-    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 0, supported)
+    transposed_times(rotation, v, scratch.velocity)
+    scratch.joint_acc[:] = ref.joint_acc
+    transposed_times(rotation, error, scratch.position_error)
+    transposed_times(rotation, velocity_error, scratch.velocity_error)
+    scratch.shift[0], scratch.shift[1] = -error[0], -error[1]
+    _relative_to_feet(config, ref, rotation, reference_rotation, feet, memory, error)
+    scratch.shift[0] += error[0]
+    scratch.shift[1] += error[1]
+    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 0)
     rotation_error(reference_rotation, rotation, error)
     for k in range(3):
         velocity_error[k] = w_ref[k] - w[k]
     heading_vector(cd, -sd, ref.ang_acc, feedforward)
-    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 3, supported)
+    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 3)
 
     # the reference's velocities in its own body frame
     v_ref_b, w_ref_b = vectors[0], vectors[1]
@@ -153,24 +167,30 @@ def _control_robot(
     transposed_times(reference_rotation, w_ref, w_ref_b)
     _heading_inertia(model.inertia, rotation, scratch.inertia)
     invert_symmetric_3x3(scratch.inertia, scratch.inverse_inertia)
-    memory.settled = memory.settled + config.dt if standing == 4 else 0.0
     for leg in range(4):
         lifted = plan_leg(config, memory, leg, ref.contact[leg] == 1, obs.foot_force[leg, 2])
         if lifted:
-            memory.deliberate[leg] = 1 if memory.settled >= config.settled_time else 0
-            swing_target(config, ref, rotation, reference_rotation, height_error, leg, vectors[7])
-            for k in range(3):
-                memory.liftoff_offset[leg, k] = feet[leg, k] - vectors[7][k]
-                if memory.deliberate[leg] == 1 and k < 2:
-                    memory.liftoff_offset[leg, k] -= scratch.world_error[k]
-    solved = stance_forces(
-        config, model.mass, scratch.inverse_inertia, scratch.arms, scratch.desired, memory, qp, scratch.columns
+            lift_off(config, ref, memory, scratch, feet[leg], leg, height_error, vectors[7])
+    planned = config.horizon == 1 and _plan_ahead(
+        config, model, table, clock, obs, memory, scratch, plan, foresight, plan_qp
     )
+    for k in range(6):
+        limit = config.acceleration_limit[k]
+        scratch.desired[k] = min(max(scratch.desired[k], -limit), limit)
+    for k in range(3):
+        scratch.base_acc[k] = scratch.desired[k]
+    _add_leg_momentum(config, ref, cd, sd, scratch.desired, vectors[2])
+    if planned and config.horizon_interval == 1:
+        solved = True
+    else:
+        solved = stance_forces(
+            config, model.mass, scratch.inverse_inertia, scratch.arms, scratch.desired, memory, qp, scratch.columns
+        )
 
     # acceleration of the base minus gravity, and turning, for the legs' own dynamics (body frame)
     feedforward = vectors[3]
     for k in range(3):
-        vectors[7][k] = scratch.desired[k] + (GRAVITY if k == 2 else 0.0)
+        vectors[7][k] = scratch.base_acc[k] + (GRAVITY if k == 2 else 0.0)
     transposed_times(rotation, vectors[7], feedforward)
     transposed_times(rotation, w, vectors[4])
     for leg in range(4):
@@ -178,32 +198,78 @@ def _control_robot(
             stance_leg(config, model, obs, memory, command, scratch, leg, v_ref_b, w_ref_b, solved)
         else:
             swing_leg(config, model, obs, ref, memory, command, scratch, leg, height_error)
-        _leg_dynamics(config, model, obs, ref, memory, command, scratch, leg)
+        _leg_dynamics(config, model, obs, memory, command, scratch, leg)
         for j in range(3 * leg, 3 * leg + 3):
             _keep_within_limits(config, model, command, j)
 
 
+@kernel
+def _plan_ahead(
+    config: Any,
+    model: Any,
+    table: Any,
+    clock: Any,
+    obs: Any,
+    memory: Any,
+    scratch: Any,
+    plan: Any,
+    foresight: Any,
+    qp: Any,
+) -> bool:
+    """Plans when it is time to, and where a cycle starts, since the reference may jump there.
+
+    ẍ_des, and with a plan for every control step the forces, are then the plan's.
+
+    Returns:
+        False if there is no plan, because the solver failed: what the stance wants at present stays in force.
+    """
+    plan.age += 1
+    memory.solve_time = 0.0
+    if plan.valid == 0 or plan.age >= config.horizon_interval or table[clock.sample].sync == 1:
+        began = seconds_now(foresight.time)
+        plan_forces(config, model, table, clock, obs, memory, scratch, plan, foresight, qp)
+        memory.solve_time = seconds_now(foresight.time) - began
+    if plan.valid == 0:
+        return False
+    track_plan(config, obs, plan, foresight, scratch.desired)
+    if config.horizon_interval == 1:
+        memory.force[:, :] = plan.force[0]
+        memory.failed_in_a_row = 0
+    return True
+
+
+@inlined
+def _add_leg_momentum(config: Any, ref: Any, c: float, s: float, desired: Array, work: Array) -> None:
+    """Adds to ẍ_des (6,) what the legs' motion takes beyond it; (c, s) of the reference's heading from the robot's."""
+    heading_vector(c, -s, ref.leg_lin_acc, work)
+    for k in range(3):
+        desired[k] += config.leg_momentum * work[k]
+    heading_vector(c, -s, ref.leg_ang_acc, work)
+    for k in range(3):
+        desired[3 + k] += config.leg_momentum * work[k]
+
+
 @inlined
 def _relative_to_feet(
-    share: float, ref: Any, rotation: Array, reference_rotation: Array, feet: Array, memory: Any, error: Array
+    config: Any, ref: Any, rotation: Array, reference_rotation: Array, feet: Array, memory: Any, error: Array
 ) -> None:
     """Mixes the position error with that relative to where the standing feet are (x and y, heading frame).
 
     Over feet that did not land where the reference's did, the body has to be where it is over the reference's feet, not
-    where it is in the world: balance is a matter of the feet.
+    where it is in the world: balance is a matter of the feet. Those that are about to leave count less and less.
     """
-    ex = ey = 0.0
-    n = 0
+    ex = ey = total = 0.0
     for leg in range(4):
         if memory.stance[leg] == 0 or ref.contact[leg] == 0:
             continue
+        weight = min(ref.remaining[leg], config.foothold_preview + config.dt)
         for k in range(3):
-            ex += rotation[0, k] * feet[leg, k] - reference_rotation[0, k] * ref.foot_pos[leg, k]
-            ey += rotation[1, k] * feet[leg, k] - reference_rotation[1, k] * ref.foot_pos[leg, k]
-        n += 1
-    if n > 0:
-        error[0] += share * (ex / n - error[0])
-        error[1] += share * (ey / n - error[1])
+            ex += weight * (rotation[0, k] * feet[leg, k] - reference_rotation[0, k] * ref.foot_pos[leg, k])
+            ey += weight * (rotation[1, k] * feet[leg, k] - reference_rotation[1, k] * ref.foot_pos[leg, k])
+        total += weight
+    if total > 0:
+        error[0] += config.foothold_share * (ex / total - error[0])
+        error[1] += config.foothold_share * (ey / total - error[1])
 
 
 @inlined
@@ -252,10 +318,8 @@ def _heading_inertia(inertia: Array, rotation: Array, out: Array) -> None:
 
 
 @inlined
-def _leg_dynamics(
-    config: Any, model: Any, obs: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int
-) -> None:
-    """Adds the torques that carry and move the leg itself along the reference."""
+def _leg_dynamics(config: Any, model: Any, obs: Any, memory: Any, command: Any, scratch: Any, leg: int) -> None:
+    """Adds the torques that carry and move the leg itself along what it follows."""
     weight = config.stance_dynamics if memory.stance[leg] == 1 else config.swing_dynamics
     if weight == 0.0:
         return
@@ -267,14 +331,14 @@ def _leg_dynamics(
         model.link_inertia[leg],
         obs.joint_pos[part],
         obs.joint_vel[part],
-        ref.joint_acc[part],
+        scratch.joint_acc[part],
         scratch.vectors[4],
         scratch.vectors[3],
         scratch.torque,
     )
     for i in range(3):
         j = 3 * leg + i
-        command.torque[j] += weight * (scratch.torque[i] + model.armature[j] * ref.joint_acc[j])
+        command.torque[j] += weight * (scratch.torque[i] + model.armature[j] * scratch.joint_acc[j])
 
 
 class Controller:
@@ -317,6 +381,9 @@ class Controller:
         self._config = pack_config(self.config, robot.mass * GRAVITY)
         self._qp = make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS)
         self._scratch = np.zeros(1, SCRATCH)
+        self.plan = np.zeros(n, PLAN)
+        self._plan_qp = make_workspace(HORIZON_VARIABLES, HORIZON_CONSTRAINTS)
+        self._foresight = np.zeros(1, FORESIGHT)
 
     def reset(self, sample: NDArray[np.int64]) -> None:
         """Starts each robot in the leg states that its reference wants at `sample` (n,)."""
@@ -324,6 +391,7 @@ class Controller:
         rows = np.minimum(np.arange(len(self.memory)), len(self.tables) - 1)
         self.memory["stance"] = self.tables["contact"][rows, sample]
         self.memory["since_switch"] = 1e3
+        self.plan["valid"] = 0
 
     def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
         """Commands for the next control step.
@@ -343,7 +411,10 @@ class Controller:
             observation,
             self.memory,
             self.command,
+            self.plan,
             self._qp,
+            self._plan_qp,
             self._scratch,
+            self._foresight,
         )
         return self.command

@@ -1,8 +1,9 @@
 """The reference in the form that the compiled loop reads: a table of samples and a clock for each robot.
 
 A table holds one period, relative to the heading frame of its sample 0. A robot's clock says which sample is now
-and where the period's origin lies in the world (x, y, yaw); at each wrap the origin moves on by the period's
-displacement and its x and y are re-synchronised to the robot, never its yaw.
+and where the period's origin lies in the world (x, y, yaw). At each wrap the origin moves on by the period's
+displacement; at each start of a cycle, which is the wrap of a cyclic motion and a marked sample of a stitched one, its
+x and y are re-synchronised to the robot, never its yaw.
 """
 
 from collections.abc import Sequence
@@ -11,15 +12,18 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.sway import pendulum_sway
+from fastmimic.conventions import GRAVITY
 from fastmimic.errors import MotionError
 from fastmimic.jit import inlined, kernel, record_dtype
 from fastmimic.motion.motion import Motion
+from fastmimic.motion.retarget_dynamics import ground_demand
 from fastmimic.robot import Robot
 from fastmimic.rotations import (
     quat_continuous,
     quat_from_yaw,
     quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
     rotate_planar,
     yaw_from_quat,
 )
@@ -39,19 +43,29 @@ SAMPLE: Final = record_dtype(
         ("joint_acc", "f8", (12,)),
         ("foot_pos", "f8", (4, 3)),
         ("contact", "i8", (4,)),
-        ("sway_pos", "f8", (2,)),
-        ("sway_vel", "f8", (2,)),
-        ("sway_acc", "f8", (2,)),
+        ("remaining", "f8", (4,)),
+        ("leg_lin_acc", "f8", (3,)),
+        ("leg_ang_acc", "f8", (3,)),
+        ("sync", "i8"),
     ]
 )
-"""One instant of a reference, relative to the heading frame of the period's first sample; the sway in its own
-heading frame."""
+"""One instant of a reference, relative to the heading frame of the period's first sample. `remaining` is the time for
+which a foot goes on standing, s, 0 in swing. `leg_lin_acc` and `leg_ang_acc` are what the motion takes from the ground
+beyond its body's acceleration (`leg_momentum`). `sync` is 1 where a cycle starts and the origin is
+re-synchronised."""
 
 CLOCK: Final = record_dtype(
-    [("sample", "i8"), ("cycle", "i8"), ("origin", "f8", (3,)), ("cycle_step", "f8", (3,)), ("jump", "f8")]
+    [
+        ("sample", "i8"),
+        ("cycle", "i8"),
+        ("repeats", "i8"),
+        ("origin", "f8", (3,)),
+        ("cycle_step", "f8", (3,)),
+        ("jump", "f8"),
+    ]
 )
-"""Where a robot is in its reference: sample, period, (x, y, yaw) of the period's origin, one period's displacement, and
-the sum of the distances by which synchronisation has moved the origin, m."""
+"""Where a robot is in its reference: sample, period, whether the motion repeats, (x, y, yaw) of the period's origin,
+one period's displacement, and the sum of the distances by which synchronisation has moved the origin, m."""
 
 
 def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
@@ -78,14 +92,54 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
     table["joint_acc"] = _difference(motion.joint_vel, dt, 0.0 if periodic else None)
     table["foot_pos"] = motion.foot_pos_b
     table["contact"] = motion.contact
+    table["remaining"] = _remaining_stance(motion.contact, dt, periodic)
     if motion.demonstration is not None:
-        # the sway belongs to the motion, not to its modulation: what is optimised is what is saved
-        sway = tuple(reference_table(motion.demonstration, robot)[f"sway_{k}"] for k in ("pos", "vel", "acc"))
+        # that of the motion, not of its modulation, which moves the feet by little: what is optimised is what is saved
+        demonstration = reference_table(motion.demonstration, robot)
+        for name in ("leg_lin_acc", "leg_ang_acc"):
+            table[name] = demonstration[name]
     else:
-        linear, angular = (planar_turned(table[f"{name}_acc"], yaw0) for name in ("lin", "ang"))
-        sway = pendulum_sway(motion, robot, (linear, angular, table["joint_acc"]))
-    table["sway_pos"], table["sway_vel"], table["sway_acc"] = sway
+        linear, angular = ground_acceleration(motion, robot)
+        table["leg_lin_acc"] = planar_turned(linear, -yaw0) - table["lin_acc"]
+        table["leg_ang_acc"] = planar_turned(angular, -yaw0) - table["ang_acc"]
+    table["sync"][origin.cycle_starts] = 1
     return table
+
+
+def ground_acceleration(motion: Motion, robot: Robot) -> tuple[Array, Array]:
+    """What the ground has to give for a motion, by inverse dynamics of the whole robot, as acceleration of one body.
+
+    A body that had the robot's mass and inertia and no legs would accelerate like this under the forces that the motion
+    takes: F/m − g and I⁻¹τ about the centre of mass. The difference from the trunk's acceleration is what legs and
+    turning take (momentum of the legs, position of the centre of mass, gyroscopic moment). A QP that leaves it out
+    gives a robot with heavy legs some newtons too much or too little at each swing, and the body sways at every step.
+
+    Returns:
+        Linear (t, 3), m/s², and angular (t, 3), rad/s², world frame.
+    """
+    demand = ground_demand(robot, motion, np.arange(motion.n_samples))
+    yaw = yaw_from_quat(motion.root_quat_wxyz)
+    linear = demand.wrench[:, :3] / robot.mass - np.array([0.0, 0.0, GRAVITY])
+    level = quat_multiply(quat_from_yaw(-yaw), motion.root_quat_wxyz)  # body → heading frame
+    moment_b = quat_rotate_inverse(level, demand.wrench[:, 3:])
+    angular = quat_rotate(level, np.asarray(np.linalg.solve(robot.inertia_b, moment_b.T).T, dtype=np.float64))
+    return _planar_turned_each(linear, yaw), _planar_turned_each(angular, yaw)
+
+
+def _planar_turned_each(v: Array, angle: Array) -> Array:
+    """Vectors (t, 3), each turned by its own angle (t,) about z."""
+    out = np.array(v)
+    out[:, :2] = rotate_planar(angle, out[:, :2])
+    return out
+
+
+def _remaining_stance(contact: NDArray[np.bool_], dt: float, periodic: bool) -> Array:
+    """Time (t, 4) until each foot lifts off by the schedule, s: 0 in swing, infinite if it never does."""
+    n = len(contact)
+    wide = np.concatenate([contact, contact if periodic else np.ones_like(contact)])
+    swing = np.where(wide, np.inf, np.arange(len(wide))[:, None])
+    next_swing = np.minimum.accumulate(swing[::-1], axis=0)[::-1]
+    return np.asarray(dt * (next_swing[:n] - np.arange(n)[:, None]))
 
 
 def planar_turned(v: Array, angle: float) -> Array:
@@ -110,6 +164,7 @@ def _difference(v: Array, dt: float, turn: float | None) -> Array:
 def make_clocks(motion: Motion, n: int) -> NDArray[Any]:
     """Clocks of n robots at the start of the motion, (n,) of `CLOCK`."""
     clocks = np.zeros(n, CLOCK)
+    clocks["repeats"] = motion.cycle is not None
     clocks["cycle_step"] = (0.0, 0.0, 0.0) if motion.cycle is None else motion.cycle
     return clocks
 
@@ -134,18 +189,21 @@ def place_clocks(clocks: NDArray[Any], sample: NDArray[np.int64], table: NDArray
 
 @inlined
 def advance_clock(clock: Any, n_samples: int, x: float, y: float, table: Any) -> None:
-    """One control step on; at a wrap the origin moves by one period and is re-synchronised to the robot at (x, y)."""
+    """One control step on. At a wrap the origin moves by one period; where a cycle starts it is re-synchronised to the
+    robot at (x, y)."""
     clock.sample += 1
-    if clock.sample < n_samples:
+    moved_x, moved_y = clock.origin[0], clock.origin[1]
+    if clock.sample >= n_samples:
+        clock.sample = 0
+        clock.cycle += 1
+        c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
+        moved_x += c * clock.cycle_step[0] - s * clock.cycle_step[1]
+        moved_y += s * clock.cycle_step[0] + c * clock.cycle_step[1]
+        clock.origin[2] += clock.cycle_step[2]
+    if table[clock.sample].sync == 0:
         return
-    clock.sample = 0
-    clock.cycle += 1
     c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
-    moved_x = clock.origin[0] + c * clock.cycle_step[0] - s * clock.cycle_step[1]
-    moved_y = clock.origin[1] + s * clock.cycle_step[0] + c * clock.cycle_step[1]
-    clock.origin[2] += clock.cycle_step[2]
-    c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
-    root = table[0].root_pos
+    root = table[clock.sample].root_pos
     clock.origin[0] = x - (c * root[0] - s * root[1])
     clock.origin[1] = y - (s * root[0] + c * root[1])
     clock.jump += np.hypot(clock.origin[0] - moved_x, clock.origin[1] - moved_y)

@@ -35,7 +35,7 @@ def invert_symmetric_3x3(a: Array, out: Array) -> None:
 
 
 @inlined
-def _column(inverse_inertia: Array, arm: Array, axis: int, mass: float, out: Array) -> None:
+def force_column(inverse_inertia: Array, arm: Array, axis: int, mass: float, out: Array) -> None:
     """Acceleration (6,) of the body by a unit force along `axis` at `arm` from the centre of mass."""
     out[0], out[1], out[2] = 0.0, 0.0, 0.0
     out[axis] = 1.0 / mass
@@ -85,9 +85,9 @@ def stance_forces(
     for leg in range(4):
         if memory.stance[leg] == 0:
             continue
-        _column(inverse_inertia, arms[leg], 2, mass, columns[index])
-        _column(inverse_inertia, arms[leg], 0, mass, columns[k + 2 * index])
-        _column(inverse_inertia, arms[leg], 1, mass, columns[k + 2 * index + 1])
+        force_column(inverse_inertia, arms[leg], 2, mass, columns[index])
+        force_column(inverse_inertia, arms[leg], 0, mass, columns[k + 2 * index])
+        force_column(inverse_inertia, arms[leg], 1, mass, columns[k + 2 * index + 1])
         index += 1
     for i in range(n):
         gradient = 0.0

@@ -41,19 +41,19 @@ MEMORY: Final = record_dtype(
         ("stance", "i8", (4,)),
         ("early", "i8", (4,)),
         ("was_loaded", "i8", (4,)),
-        ("deliberate", "i8", (4,)),
-        ("settled", "f8"),
         ("since_switch", "f8", (4,)),
         ("unloaded_time", "f8", (4,)),
         ("liftoff_offset", "f8", (4, 3)),
         ("force", "f8", (4, 3)),
-        ("velocity_error", "f8", (2,)),
         ("qp_failures", "i8"),
         ("failed_in_a_row", "i8"),
+        ("horizon_failures", "i8"),
+        ("solve_time", "f8"),
         ("early_touchdowns", "i8"),
     ]
 )
-"""What the controller remembers of one robot: leg states (stance 1, swing 0), timers, last forces (heading frame)."""
+"""What the controller remembers of one robot: leg states (stance 1, swing 0), timers, last forces (heading frame), and
+the s that planning ahead took in the last step, 0 if it did not plan."""
 
 MODEL: Final = record_dtype(
     [

@@ -5,34 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.vectors import transposed_times
 from fastmimic.jit import inlined
 from fastmimic.robot.kinematics import leg_inverse
 
 Array = NDArray[np.float64]
-
-
-@inlined
-def swing_errors(
-    config: Any,
-    rotation: Array,
-    error: Array,
-    velocity_error: Array,
-    sway: Array,
-    memory: Any,
-    position_error_b: Array,
-    work: Array,
-) -> None:
-    """Errors that the swing feet make up for, body frame: position, and velocity low-passed."""
-    for k in range(3):
-        work[k] = error[k] + (config.swing_sway * sway[0, k] if k < 2 else 0.0)
-    transposed_times(rotation, work, position_error_b)
-    for k in range(3):
-        work[k] = velocity_error[k] + (config.swing_sway * sway[1, k] if k < 2 else 0.0)
-    for k in range(2):
-        v = rotation[0, k] * work[0] + rotation[1, k] * work[1] + rotation[2, k] * work[2]
-        if np.isfinite(v):  # a filter would never forget a NaN
-            memory.velocity_error[k] += config.filter_gain * (v - memory.velocity_error[k])
 
 
 @inlined
@@ -58,6 +34,75 @@ def swing_target(
 
 
 @inlined
+def lift_off(
+    config: Any, ref: Any, memory: Any, scratch: Any, foot: Array, leg: int, height_error: float, target: Array
+) -> None:
+    """Remembers where a foot (3,), body frame, leaves the ground: its offset from the reference, or the path's start.
+
+    `target` (3,) is scratch.
+    """
+    if config.raibert == 1:
+        rotation = scratch.rotation
+        for k in range(3):
+            level = rotation[k, 0] * foot[0] + rotation[k, 1] * foot[1] + rotation[k, 2] * foot[2]
+            level -= height_error if k == 2 else 0.0
+            memory.liftoff_offset[leg, k] = foot[k] + config.level * (level - foot[k])
+        return
+    swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
+    for k in range(3):
+        memory.liftoff_offset[leg, k] = foot[k] - target[k]
+
+
+@inlined
+def raibert_path(
+    config: Any, model: Any, ref: Any, memory: Any, scratch: Any, leg: int, share: float, height_error: float
+) -> tuple[float, float, float]:
+    """Joints at a share of the straight path to the Raibert foothold (Kang et al. 2021; paper, §IV-B).
+
+    From where the foot lifted off to 0.5 T_s v − K (v̄ − v) from under the hip, on the ground: x and y linear in time, z
+    over a parabola. Velocities in the body frame, as in eq. 3, and of the base alone, in turns as well. The path keeps
+    level with the ground as the reference does, by the factor `config.level`.
+    """
+    g, rotation, start = model.geometry[leg], scratch.rotation, memory.liftoff_offset[leg]
+    forward = 0.5 * config.swing_time
+    x = g[0] + g[4] + forward * scratch.velocity[0] - config.velocity_feedback[0] * scratch.velocity_error[0]
+    y = g[1] + g[3] + forward * scratch.velocity[1] - config.velocity_feedback[1] * scratch.velocity_error[1]
+    z = model.foot_radius - ref.root_pos[2]
+    x = start[0] + share * (x - start[0])
+    y = start[1] + share * (y - start[1])
+    z = start[2] + share * (z - start[2]) + 4.0 * config.swing_height * share * (1.0 - share)
+    hz = z + height_error
+    lx = rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * hz
+    ly = rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * hz
+    lz = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * hz
+    a, h, k, _ = leg_inverse(g, x + config.level * (lx - x), y + config.level * (ly - y), z + config.level * (lz - z))
+    return a, h, k
+
+
+@inlined
+def raibert_leg(
+    config: Any, model: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int, height_error: float
+) -> None:
+    """A leg on its way to the Raibert foothold, and after T_s holding it until contact; nothing is the animal's."""
+    share = min(memory.since_switch[leg] / config.swing_time, 1.0)
+    step = config.dt / config.swing_time
+    a, h, k = raibert_path(config, model, ref, memory, scratch, leg, share, height_error)
+    j = 3 * leg
+    command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
+    if share < 1.0:
+        a0, h0, k0 = raibert_path(config, model, ref, memory, scratch, leg, share - step, height_error)
+        a1, h1, k1 = raibert_path(config, model, ref, memory, scratch, leg, share + step, height_error)
+    else:
+        a0, h0, k0 = a, h, k
+        a1, h1, k1 = a, h, k
+    half, square = 0.5 / config.dt, 1.0 / (config.dt * config.dt)
+    command.joint_vel[j], command.joint_vel[j + 1] = half * (a1 - a0), half * (h1 - h0)
+    command.joint_vel[j + 2] = half * (k1 - k0)
+    scratch.joint_acc[j], scratch.joint_acc[j + 1] = square * (a1 - 2 * a + a0), square * (h1 - 2 * h + h0)
+    scratch.joint_acc[j + 2] = square * (k1 - 2 * k + k0)
+
+
+@inlined
 def swing_leg(
     config: Any,
     model: Any,
@@ -70,14 +115,18 @@ def swing_leg(
     height_error: float,
 ) -> None:
     """Paper, eq. 3: reference foot minus K (v̄ − v), and a share of the position error, by inverse kinematics."""
+    for j in range(3 * leg, 3 * leg + 3):
+        command.stiffness[j] = config.swing_kp
+        command.damping[j] = config.swing_kd
+        command.torque[j] = 0.0
+    if config.raibert == 1:
+        raibert_leg(config, model, ref, memory, command, scratch, leg, height_error)
+        return
     target = scratch.vectors[7]
     swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
     for k in range(2):
-        if memory.deliberate[leg] == 1:
-            target[k] += scratch.world_error[k]
-        else:
-            target[k] -= config.velocity_feedback * memory.velocity_error[k]
-            target[k] -= config.position_feedback * scratch.position_error[k]
+        target[k] -= config.velocity_feedback[k] * scratch.velocity_error[k]
+        target[k] -= config.position_feedback * scratch.position_error[k]
     if memory.since_switch[leg] < config.blend_time:
         left = 1.0 - memory.since_switch[leg] / config.blend_time
         fade = left * left * (3.0 - 2.0 * left)
@@ -88,6 +137,3 @@ def swing_leg(
     command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
     for j in range(3 * leg, 3 * leg + 3):
         command.joint_vel[j] = ref.joint_vel[j]
-        command.stiffness[j] = config.swing_kp
-        command.damping[j] = config.swing_kd
-        command.torque[j] = 0.0

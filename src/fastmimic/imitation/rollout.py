@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -79,6 +80,7 @@ class Log:
         stance: (n, t, 4) bool, the gait planner's leg states.
         wanted: (n, t, 4) bool, the schedule.
         force: (n, t, 4, 3) forces that the stance QP asked for, heading frame, N.
+        solve_time: (n, t) s that the controller took to plan ahead, 0 in steps in which it did not.
         terms: (n, t, 5) the reward's terms in the order of `TERMS`; 0 after a fall.
         demonstration: (n, t) of `SAMPLE`, the demonstration in force, its root and feet in the world and body frame.
     """
@@ -89,6 +91,7 @@ class Log:
     stance: NDArray[np.bool_]
     wanted: NDArray[np.bool_]
     force: Array
+    solve_time: Array
     terms: Array
     demonstration: NDArray[Any]
 
@@ -115,6 +118,7 @@ class Rollout:
         foot_rmse: (n, 4, 3) against the demonstration, body frame, until the fall, m.
         qp_failures: (n,) steps at which the stance QP failed, until the fall.
         log: the whole course, if it was asked for.
+        parts: the same of each part of the episodes, if they were divided; a robot that fell does so in one of them.
     """
 
     reward: Array
@@ -129,6 +133,7 @@ class Rollout:
     foot_rmse: Array
     qp_failures: NDArray[np.int64]
     log: Log | None = None
+    parts: "tuple[Rollout, ...]" = ()
 
     def components(self, episode: int) -> dict[str, float]:
         """The reward's terms of one episode by name."""
@@ -168,7 +173,13 @@ class ClosedLoop:
         self._threshold = config.gait.contact_threshold * robot.mass * GRAVITY
 
     def run(
-        self, references: Sequence[Motion] | NDArray[Any] | None, start: Start, steps: int, *, log: bool = False
+        self,
+        references: Sequence[Motion] | NDArray[Any] | None,
+        start: Start,
+        steps: int,
+        *,
+        log: bool = False,
+        divisions: Sequence[int] = (),
     ) -> Rollout:
         """Runs one episode with each robot.
 
@@ -178,6 +189,7 @@ class ClosedLoop:
             start: of n episodes.
             steps: control steps.
             log: whether to keep the whole course.
+            divisions: control steps, ascending, at which one part of the episodes ends and the next begins.
 
         Raises:
             ConfigError: starts or references are not as many as there are robots, or at another rate.
@@ -188,6 +200,8 @@ class ClosedLoop:
         geometry = self.robot.geometry.rows
         recorder = _Recorder(self, steps) if log else None
         observation = simulation.observation
+        cuts = [0, *(d for d in divisions if 0 < d < steps), steps] if len(divisions) else []
+        counted = [tallies.copy()]
         for step in range(steps):
             commands = controller.step(observation, clocks)
             observation = simulation.step(commands)
@@ -206,9 +220,16 @@ class ClosedLoop:
             )
             if recorder is not None:
                 recorder.add(step)
+            if step + 1 in cuts:
+                counted.append(tallies.copy())
             if step % 64 == 63 and tallies["fallen"].all() and recorder is None:
                 break
-        return self._result(steps, recorder.log() if recorder is not None else None)
+        counted += [tallies.copy() for _ in range(len(cuts) - len(counted))]  # all fell before
+        parts = tuple(
+            self._result(b - a, None, _since(before, after))
+            for (a, b), (before, after) in zip(pairwise(cuts), pairwise(counted), strict=True)
+        )
+        return self._result(steps, recorder.log() if recorder is not None else None, tallies, parts)
 
     def _reset(self, references: Sequence[Motion] | NDArray[Any] | None, start: Start) -> None:
         if start.n != self.n:
@@ -260,8 +281,9 @@ class ClosedLoop:
             )
         return tables
 
-    def _result(self, steps: int, log: Log | None) -> Rollout:
-        t, rate = self._tallies, self.controller.config.rate_hz
+    def _result(self, steps: int, log: Log | None, t: NDArray[Any], parts: tuple[Rollout, ...] = ()) -> Rollout:
+        """What the tallies `t` of some steps amount to."""
+        rate = self.controller.config.rate_hz
         lived = np.maximum(t["steps"], 1)
         with np.errstate(invalid="ignore", divide="ignore"):
             clearance = t["clearance_sum"] / t["swings"]
@@ -279,7 +301,16 @@ class ClosedLoop:
             foot_rmse=np.sqrt(t["foot_error_sq"] / lived[:, None, None]),
             qp_failures=t["qp_failures"].copy(),
             log=log,
+            parts=parts,
         )
+
+
+def _since(before: NDArray[Any], after: NDArray[Any]) -> NDArray[Any]:
+    """What was counted between two states of the tallies."""
+    between = after.copy()
+    for name in after.dtype.names or ():
+        between[name] = after[name] - before[name]
+    return between
 
 
 class _Recorder:
@@ -292,6 +323,7 @@ class _Recorder:
         self._command = np.zeros((n, steps), COMMAND)
         self._stance = np.zeros((n, steps, 4), np.bool_)
         self._force = np.zeros((n, steps, 4, 3))
+        self._solve_time = np.zeros((n, steps))
         self._terms = np.zeros((n, steps, 5))
         self._sample = np.zeros((n, steps), np.int64)
         self._origin = np.zeros((n, steps, 3))
@@ -302,6 +334,7 @@ class _Recorder:
         self._command[:, step] = loop.controller.command
         self._stance[:, step] = loop.controller.memory["stance"]
         self._force[:, step] = loop.controller.memory["force"]
+        self._solve_time[:, step] = loop.controller.memory["solve_time"]
         alive = loop._tallies["fallen"] == 0
         self._terms[alive, step] = loop._tallies["reward"][alive]
         self._sample[:, step] = loop._clocks["sample"]
@@ -322,6 +355,7 @@ class _Recorder:
             stance=self._stance,
             wanted=demonstration["contact"].astype(bool),
             force=self._force,
+            solve_time=self._solve_time,
             terms=self._terms,
             demonstration=demonstration,
         )
@@ -376,4 +410,7 @@ def run_episodes(
     steps = max(1, math.ceil(duration_s * loop.controller.config.rate_hz - 1e-9))
     if motion.cycle is None:  # it ends, and so do its episodes
         steps = max(1, min(steps, motion.n_samples - 1 - int(start.sample.max())))
-    return loop.run(list(references) if references is not None else [motion], start, steps, log=log)
+    divisions = [first for first in motion.target.segment_starts if first] if not start.sample.any() else []
+    return loop.run(
+        list(references) if references is not None else [motion], start, steps, log=log, divisions=divisions
+    )

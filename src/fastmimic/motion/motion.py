@@ -26,6 +26,7 @@ _ARRAYS: Final = {  # name -> trailing shape
     "root_ang_vel_w": (3,),
 }
 _DEMONSTRATION: Final = "demonstration_"
+_PART: Final = "part{}_"
 _UNREADABLE: Final = (
     *(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error),
     RuntimeError,  # zipfile: encrypted, or compressed in a way that it does not know
@@ -53,6 +54,7 @@ class Motion:
         cycle: (dx, dy, dyaw) of one period in sample 0's heading frame, m and rad; None if not periodic.
         meta: provenance, JSON-serialisable: `name`, `robot`, `source`, `licence`, `retarget`, `dmp`, ….
         demonstration: the motion that an optimised one is scored against; None for a demonstration itself.
+        parts: of a stitched demonstration, the cyclic motions that it is made of (see `fastmimic.motion.stitch`).
     """
 
     rate_hz: float
@@ -67,6 +69,7 @@ class Motion:
     cycle: NDArray[np.float64] | None = None
     meta: dict[str, Any] = field(default_factory=dict)
     demonstration: "Motion | None" = None
+    parts: "tuple[Motion, ...]" = ()
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
@@ -112,6 +115,17 @@ class Motion:
     @property
     def name(self) -> str:
         return str(self.meta.get("name", "motion"))
+
+    @property
+    def cycle_starts(self) -> NDArray[np.int64]:
+        """Samples at which a cycle starts: the first, and of a stitched motion those in its `meta`."""
+        later = self.meta.get("stitch", {}).get("cycle_starts", ())
+        return np.array([0, *(int(i) for i in later if 0 < int(i) < self.n_samples)], dtype=np.int64)
+
+    @property
+    def segment_starts(self) -> tuple[int, ...]:
+        """Samples at which the segments of a stitched motion start, the first one included; empty for others."""
+        return tuple(int(s["first"]) for s in self.meta.get("stitch", {}).get("segments", ()))
 
     @property
     def target(self) -> "Motion":
@@ -161,7 +175,10 @@ class Motion:
 
 
 def _to_arrays(motion: Motion) -> dict[str, Any]:
-    return {
+    parts: dict[str, Any] = {}
+    for i, part in enumerate(motion.parts):
+        parts |= {_PART.format(i) + k: v for k, v in _to_arrays(part).items()}
+    return parts | {
         "format_version": np.int64(FORMAT_VERSION),
         "rate_hz": np.float64(motion.rate_hz),
         **{name: getattr(motion, name) for name in _ARRAYS},
@@ -171,10 +188,14 @@ def _to_arrays(motion: Motion) -> dict[str, Any]:
 
 
 def _from_arrays(arrays: dict[str, Any], demonstration: Motion | None = None) -> Motion:
+    parts: list[Motion] = []
+    while any(key.startswith(prefix := _PART.format(len(parts))) for key in arrays):
+        parts.append(_from_arrays({k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)}))
     return Motion(
         rate_hz=float(arrays["rate_hz"]),
         **{name: arrays[name] for name in _ARRAYS},
         cycle=arrays["cycle"] if arrays["cycle"].size else None,
         meta=json.loads(str(arrays["meta_json"])),
         demonstration=demonstration,
+        parts=tuple(parts),
     )

@@ -48,10 +48,10 @@ class BalanceConfig:
     """
 
     rounds: int = 8
-    hz: float = 6.0
-    linear_weight: float = 1.0
-    angular_weight: float = 0.2
-    outlier: float = 3.0
+    hz: float = 12.0
+    linear_weight: float = 16.0
+    angular_weight: float = 3.0
+    outlier: float = 6.0
     friction: float = 0.6
     force_weight: float = 1.0
     min_load: float = 0.2
