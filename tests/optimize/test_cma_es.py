@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fastmimic.errors import CheckpointError, ConfigError, OutputError
+from fastmimic.imitation.rollout import Rollout, Start, nominal_start
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.checkpoint import FILE_NAME, Checkpoint
 from fastmimic.optimize.cma_es import CmaSettings, Optimum, Progress, optimize
@@ -132,18 +133,11 @@ class Bowl:
     class Config:
         rate_hz = 500.0
 
-    class Objective:
-        duration_s = 1.0
-
-    class Demonstration:
-        n_samples = 100
-
-    config, objective, demonstration, identity = Config(), Objective(), Demonstration(), "bowl"
-    steps = 500
+    config, identity, steps = Config(), "bowl", 500
 
     def __init__(self) -> None:
         self.bounds = np.full(8, -0.03), np.array([0.03] * 4 + [1.8] * 4)
-        self.initial = np.array([0.0] * 4 + [1.0] * 4)
+        self.initial = self.start = np.array([0.0] * 4 + [1.0] * 4)
         self.optimum = np.array([0.01, -0.02, 0.0, 0.02, 0.5, 1.2, 0.9, 1.6])
 
     def evaluate(self, x: np.ndarray) -> np.ndarray:
@@ -157,6 +151,9 @@ class Bowl:
 
     def score(self, rollout: np.ndarray) -> np.ndarray:
         return self.evaluate(rollout)
+
+    def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
+        return nominal_start(episodes), 500
 
 
 def optimize_nothing(problem: ImitationProblem) -> Optimum:
@@ -305,6 +302,38 @@ class TestInterrupted:
         np.testing.assert_array_equal(optimum.x, problem.initial)
         assert optimum.history.best.shape == (0,)
         assert optimum.score == optimum.history.baseline
+
+    @pytest.mark.parametrize("validated", [0, 1])
+    def test_during_the_final_choice_it_is_the_best_of_those_validated(
+        self, make_problem: Callable[..., ImitationProblem], validated: int
+    ) -> None:
+        problem, calls = make_problem(workers=1), 0
+        rollout, evaluate = problem.rollout, problem.evaluate
+
+        def poor_baseline(x: np.ndarray) -> np.ndarray:
+            return evaluate(x) - (1.0 if len(x) == 1 else 0.0)
+
+        def interrupted(tables: np.ndarray, start: Start, steps: int) -> list[Rollout]:
+            nonlocal calls
+            if start.joint_offset.any():  # only the episodes of the final choice are perturbed
+                calls += 1
+                if calls > validated:
+                    raise KeyboardInterrupt
+            return rollout(tables, start, steps)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(problem, "evaluate", poor_baseline)
+            patch.setattr(problem, "rollout", interrupted)
+            optimum = optimize(problem, SETTINGS)
+        assert calls == validated + 1
+        assert optimum.interrupted
+        if validated == 0:
+            assert np.isnan(optimum.validation)
+            assert optimum.score == optimum.history.best.max()
+            assert optimum.score == evaluate(optimum.x[None])[0]
+        else:
+            assert np.isfinite(optimum.validation)
+            np.testing.assert_array_equal(optimum.x, problem.initial)
 
     def test_it_can_be_resumed(
         self, make_problem: Callable[..., ImitationProblem], straight: Optimum, tmp_path: Path

@@ -66,15 +66,13 @@ class TestReferences:
             np.testing.assert_allclose(table[name], expected[name], rtol=0, atol=1e-9, err_msg=name)
 
     def test_candidates_are_the_motions_that_they_stand_for(self, problem: ImitationProblem, robot: Robot) -> None:
-        """What the optimiser runs is what `motion(x)` saves, but for the sway, which stays the unmodulated one's."""
+        """What the optimiser runs is what `motion(x)` saves."""
         x = candidates(problem, 3)
         tables = problem.tables(x)
         for i in range(3):
             expected = reference_table(problem.motion(x[i]), robot)
-            for name in set(tables.dtype.names or ()) - {"sway_pos", "sway_vel", "sway_acc"}:
+            for name in tables.dtype.names or ():
                 np.testing.assert_allclose(tables[i][name], expected[name], rtol=0, atol=1e-9, err_msg=name)
-            # raising the feet moves the sway by far less than the controller can follow
-            np.testing.assert_allclose(tables[i]["sway_pos"], expected["sway_pos"], atol=3e-3)
 
     def test_a_candidate_moves_the_feet_up_and_down_and_nothing_else(self, problem: ImitationProblem) -> None:
         x = problem.initial[None].copy()

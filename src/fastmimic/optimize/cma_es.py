@@ -12,15 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.errors import CheckpointError, ConfigError
-from fastmimic.imitation.rollout import Start, perturbed_start
+from fastmimic.imitation.rollout import Start
 from fastmimic.optimize.checkpoint import Checkpoint
-from fastmimic.optimize.problem import ImitationProblem
+from fastmimic.optimize.problem import Problem
 
 Array = NDArray[np.float64]
 
 CHECKPOINT_EVERY: Final = 5  # iterations
 VALIDATED: Final = 8  # candidates that compete for being the result
-VALIDATION_EPISODES: Final = 4  # each: one from the start, the others at a random phase and perturbed
+VALIDATION_EPISODES: Final = 4  # each: one from the start, the others perturbed
 VALIDATION_S: Final = 10.0
 
 
@@ -75,7 +75,7 @@ class Optimum:
     Attributes:
         x: (k,) the parameters, physical units.
         score: its objective in the optimisation's episode.
-        validation: its mean objective over the validation episodes.
+        validation: its mean objective over the validation episodes; NaN if Ctrl-C came before them.
         history: how it came about.
         evaluations: number of episodes run for it, those before a resume included.
         simulated_s: their length in all, s.
@@ -105,7 +105,7 @@ class Progress:
 
 
 def optimize(
-    problem: ImitationProblem,
+    problem: Problem,
     settings: CmaSettings,
     *,
     checkpoint: str | Path | None = None,
@@ -133,22 +133,25 @@ def optimize(
 
 
 class _Search:
-    def __init__(self, problem: ImitationProblem, settings: CmaSettings, checkpoint: Path | None) -> None:
+    def __init__(self, problem: Problem, settings: CmaSettings, checkpoint: Path | None) -> None:
         self.problem, self.settings, self.checkpoint = problem, settings, checkpoint
         self.lower, upper = problem.bounds
         self.span = upper - self.lower
-        self.strategy = _make_strategy((problem.initial - self.lower) / self.span, settings)
+        self.strategy = _make_strategy((problem.start - self.lower) / self.span, settings)
+        start, initial = self.problem.start, self.problem.initial
+        self.given = initial[None] if np.array_equal(start, initial) else np.stack([initial, start])
         self.candidates: list[Array] = []
         self.scores: list[Array] = []
         self.sigma: list[float] = []
-        self.validated = 0
+        self.validated = self.validation_steps = 0
         own = {k: v for k, v in asdict(settings).items() if k != "iterations"}
         self.identity = hashlib.sha256(f"{problem.identity}{own}".encode()).hexdigest()
 
     def run(self, resume: bool, progress: Callable[[Progress], None] | None) -> Optimum:
         before = self._replay() if resume else 0.0
         began, done_before = time.perf_counter(), len(self.scores)
-        baseline = float(self.problem.evaluate(self.problem.initial[None])[0])
+        given = self.problem.evaluate(self.given)
+        baseline = float(given[0])
         interrupted = False
         try:
             while len(self.scores) < self.settings.iterations:
@@ -169,20 +172,21 @@ class _Search:
             del self.candidates[whole:], self.scores[whole:]
         if self.checkpoint is not None and self.scores:
             self._save(before + time.perf_counter() - began)
-        x, score, validation = self._choose(baseline)
+        x, score, validation, hurried = self._choose(given)
         elapsed = before + time.perf_counter() - began
         if self.checkpoint is not None and self.scores:
             self._save(elapsed)
-        searched, validated = 1 + sum(len(s) for s in self.scores), self.validated * VALIDATION_EPISODES
+        searched, validated = len(given) + sum(len(s) for s in self.scores), self.validated * VALIDATION_EPISODES
         return Optimum(
             x=x,
             score=score,
             validation=validation,
             history=self._history(baseline),
             evaluations=searched + validated,
-            simulated_s=searched * self.problem.steps / self.problem.config.rate_hz + validated * VALIDATION_S,
+            simulated_s=(searched * self.problem.steps + validated * self.validation_steps)
+            / self.problem.config.rate_hz,
             elapsed_s=elapsed,
-            interrupted=interrupted,
+            interrupted=interrupted or hurried,
         )
 
     def _physical(self, u: Array) -> Array:
@@ -213,26 +217,32 @@ class _Search:
         assert self.checkpoint is not None
         Checkpoint(self.identity, np.array(self.candidates), np.array(self.scores), elapsed).save(self.checkpoint)
 
-    def _choose(self, baseline: float) -> tuple[Array, float, float]:
+    def _choose(self, given: Array) -> tuple[Array, float, float, bool]:
         """The candidate with the best mean objective over the validation episodes, of those no worse than the
-        unmodulated one."""
-        rows = [self.problem.initial]
-        scores = [baseline]
+        unmodulated one, that one, and the search's start; with its score, its validation, and whether Ctrl-C left it at
+        those that were validated by then, if any."""
+        rows = list(self.given)
+        scores = list(given)
         if self.scores:
             flat, u = np.concatenate(self.scores), np.concatenate(self.candidates)
             best = np.argsort(-flat, kind="stable")[:VALIDATED]
-            best = best[flat[best] >= baseline]
+            best = best[flat[best] >= given[0]]
             rows += list(self._physical(u[best]))
             scores += list(flat[best])
         x = np.array(rows)
-        self.validated = len(x)
         rng = np.random.default_rng([self.settings.seed, 1])
-        start = perturbed_start(VALIDATION_EPISODES, self.problem.demonstration.n_samples, rng)
-        steps = round(VALIDATION_S * self.problem.config.rate_hz)
+        start, steps = self.problem.validation(VALIDATION_EPISODES, VALIDATION_S, rng)
+        self.validation_steps = steps
         tables = self.problem.tables(x)
-        validation = np.array([self._validate(table, start, steps) for table in tables])
-        chosen = int(np.argmax(validation))
-        return x[chosen], float(scores[chosen]), float(validation[chosen])
+        validation, hurried = np.full(len(x), np.nan), False
+        try:
+            for i, table in enumerate(tables):
+                validation[i] = self._validate(table, start, steps)
+        except KeyboardInterrupt:
+            hurried = True
+        self.validated = int(np.isfinite(validation).sum())
+        chosen = int(np.nanargmax(validation)) if self.validated else int(np.argmax(scores))
+        return x[chosen], float(scores[chosen]), float(validation[chosen]), hurried
 
     def _validate(self, table: NDArray[Any], start: Start, steps: int) -> float:
         rollouts = self.problem.rollout(np.repeat(table[None], start.n, axis=0), start, steps)

@@ -9,6 +9,8 @@ import hashlib
 import json
 import math
 import os
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -22,7 +24,7 @@ from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.control.reference import reference_table
 from fastmimic.conventions import LEGS
 from fastmimic.errors import ConfigError
-from fastmimic.imitation.rollout import ClosedLoop, Rollout, Start, nominal_start, swing_clearance
+from fastmimic.imitation.rollout import ClosedLoop, Rollout, Start, nominal_start, perturbed_start, swing_clearance
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive import MotionDmp
 
@@ -89,8 +91,129 @@ def foot_height_parameters(dmp: MotionDmp) -> tuple[Parameter, ...]:
     return (*goals, *amplitudes)
 
 
-class ImitationProblem:
-    """Scores vectors of parameters in closed loop, in parallel, the same bits at any number of workers."""
+class Problem(ABC):
+    """Scores vectors of parameters in closed loop, in parallel, the same bits at any number of workers.
+
+    What a vector stands for, `tables` and `motion`, is the subclass's.
+    """
+
+    def __init__(
+        self,
+        robot: "Robot",
+        demonstration: Motion,
+        parameters: Sequence[Parameter],
+        *,
+        objective: Objective,
+        config: ControllerConfig | None = None,
+        workers: int | None = None,
+    ) -> None:
+        """
+        Args:
+            robot: the robot.
+            demonstration: what candidates are scored against.
+            parameters: what the entries of a vector are.
+            objective: how candidates are scored.
+            config: the controller's.
+            workers: threads; one for each core if None.
+
+        Raises:
+            ConfigError: fewer than one worker.
+        """
+        if workers is not None and workers < 1:
+            raise ConfigError(f"workers must be at least 1, found {workers}")
+        self.robot = robot
+        self.demonstration = demonstration
+        self.parameters = tuple(parameters)
+        self.objective = objective
+        self.config = config if config is not None else default_config()
+        self.workers = workers if workers is not None else available_cores()
+        self.divisions: tuple[int, ...] = ()  # control steps at which episodes are divided into parts
+        self._loops: dict[tuple[int, int], ClosedLoop] = {}
+
+    @property
+    @abstractmethod
+    def steps(self) -> int:
+        """Control steps in an episode."""
+
+    @abstractmethod
+    def motion(self, x: Array) -> Motion:
+        """The reference of one candidate (k,), carrying the demonstration."""
+
+    @abstractmethod
+    def tables(self, x: Array) -> NDArray[Any]:
+        """References of n candidates (n, k) for the controller, (n, t) of `SAMPLE`."""
+
+    @abstractmethod
+    def score(self, rollout: Rollout) -> Array:
+        """Objective of each episode of a rollout, (n,)."""
+
+    @abstractmethod
+    def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
+        """How the episodes begin that the best candidates are compared by, the first unperturbed, and their control
+        steps."""
+
+    @property
+    def initial(self) -> Array:
+        """(k,) the unmodulated motion."""
+        return np.array([p.initial for p in self.parameters])
+
+    @property
+    def start(self) -> Array:
+        """(k,) where the search begins."""
+        return self.initial
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds, (k,) each."""
+        return np.array([p.lower for p in self.parameters]), np.array([p.upper for p in self.parameters])
+
+    @cached_property
+    def identity(self) -> str:
+        """A digest of all that determines a candidate's score, to recognise checkpoints by."""
+        digest = hashlib.sha256()
+        digest.update(self.tables(self.initial[None]).tobytes())
+        digest.update(reference_table(self.demonstration, self.robot).tobytes())
+        digest.update(self.robot.xml.encode())
+        settings = {
+            "config": self.config.as_dict(),
+            "objective": asdict(self.objective),
+            "parameters": [asdict(p) for p in self.parameters],
+            "start": self.start.tolist(),
+        }
+        digest.update(json.dumps(settings, sort_keys=True).encode())
+        return digest.hexdigest()
+
+    def rollout(self, tables: NDArray[Any], start: Start, steps: int) -> list[Rollout]:
+        """Runs one episode for each table, spread over the workers; a result for each part, in order."""
+        bounds = np.linspace(0, len(tables), min(self.workers, len(tables)) + 1).astype(int)
+        parts = [slice(a, b) for a, b in pairwise(bounds)]
+
+        def run(worker: int) -> Rollout:
+            part = parts[worker]
+            loop = self._loop(worker, part.stop - part.start)
+            return loop.run(tables[part], start.part(part), steps, divisions=self.divisions)
+
+        if len(parts) == 1:
+            return [run(0)]
+        for worker, part in enumerate(parts):
+            self._loop(worker, part.stop - part.start)  # compiled and built before the threads start
+        with ThreadPoolExecutor(len(parts)) as pool:
+            return list(pool.map(run, range(len(parts))))
+
+    def evaluate(self, x: Array) -> Array:
+        """Scores of n candidates (n, k), greater is better, (n,)."""
+        rollouts = self.rollout(self.tables(x), nominal_start(len(x)), self.steps)
+        return np.concatenate([self.score(r) for r in rollouts])
+
+    def _loop(self, worker: int, n: int) -> ClosedLoop:
+        key = (worker, n)
+        if key not in self._loops:
+            self._loops[key] = ClosedLoop(self.robot, self.demonstration, n, self.config)
+        return self._loops[key]
+
+
+class ImitationProblem(Problem):
+    """A cyclic motion's foot height parameters, scored in episodes of its repeated cycle."""
 
     def __init__(
         self,
@@ -114,46 +237,20 @@ class ImitationProblem:
         Raises:
             ConfigError: fewer than one worker.
         """
-        if workers is not None and workers < 1:
-            raise ConfigError(f"workers must be at least 1, found {workers}")
-        self.robot = robot
-        self.demonstration = demonstration
+        objective = objective if objective is not None else Objective()
+        parameters = foot_height_parameters(dmp)
+        super().__init__(robot, demonstration, parameters, objective=objective, config=config, workers=workers)
         self.dmp = dmp
-        self.parameters = foot_height_parameters(dmp)
-        self.objective = objective if objective is not None else Objective()
-        self.config = config if config is not None else default_config()
-        self.workers = workers if workers is not None else available_cores()
-        self.steps = max(1, math.ceil(self.objective.duration_s * self.config.rate_hz - 1e-9))
-        if self.steps < demonstration.n_samples:  # what no episode reaches would be optimised blindly
-            self.steps = math.ceil(_CYCLES * demonstration.n_samples)
+        self._steps = max(1, math.ceil(self.objective.duration_s * self.config.rate_hz - 1e-9))
+        if self._steps < demonstration.n_samples:  # what no episode reaches would be optimised blindly
+            self._steps = math.ceil(_CYCLES * demonstration.n_samples)
         self._clearance = swing_clearance(demonstration, robot.foot_radius)
         self._base = reference_table(dmp.motion(), robot)
-        self._loops: dict[tuple[int, int], ClosedLoop] = {}
 
     @property
-    def initial(self) -> Array:
-        """(k,) the unmodulated motion."""
-        return np.array([p.initial for p in self.parameters])
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds, (k,) each."""
-        return np.array([p.lower for p in self.parameters]), np.array([p.upper for p in self.parameters])
-
-    @cached_property
-    def identity(self) -> str:
-        """A digest of all that determines a candidate's score, to recognise checkpoints by."""
-        digest = hashlib.sha256()
-        digest.update(self._base.tobytes())
-        digest.update(reference_table(self.demonstration, self.robot).tobytes())
-        digest.update(self.robot.xml.encode())
-        settings = {
-            "config": self.config.as_dict(),
-            "objective": asdict(self.objective),
-            "parameters": [asdict(p) for p in self.parameters],
-        }
-        digest.update(json.dumps(settings, sort_keys=True).encode())
-        return digest.hexdigest()
+    def steps(self) -> int:
+        """Control steps in an episode."""
+        return self._steps
 
     def motion(self, x: Array) -> Motion:
         """The reference of one candidate (k,), carrying the demonstration."""
@@ -174,41 +271,29 @@ class ImitationProblem:
         tables["joint_acc"] = (np.roll(v, -1, axis=1) - np.roll(v, 1, axis=1)) * (0.5 * self.config.rate_hz)
         return tables
 
-    def rollout(self, tables: NDArray[Any], start: Start, steps: int) -> list[Rollout]:
-        """Runs one episode for each table, spread over the workers; a result for each part, in order."""
-        bounds = np.linspace(0, len(tables), min(self.workers, len(tables)) + 1).astype(int)
-        parts = [slice(a, b) for a, b in pairwise(bounds)]
-
-        def run(worker: int) -> Rollout:
-            part = parts[worker]
-            loop = self._loop(worker, part.stop - part.start)
-            return loop.run(tables[part], start.part(part), steps)
-
-        if len(parts) == 1:
-            return [run(0)]
-        for worker, part in enumerate(parts):
-            self._loop(worker, part.stop - part.start)  # compiled and built before the threads start
-        with ThreadPoolExecutor(len(parts)) as pool:
-            return list(pool.map(run, range(len(parts))))
-
-    def evaluate(self, x: Array) -> Array:
-        """Scores of n candidates (n, k), greater is better, (n,)."""
-        rollouts = self.rollout(self.tables(x), nominal_start(len(x)), self.steps)
-        return np.concatenate([self.score(r) for r in rollouts])
-
     def score(self, rollout: Rollout) -> Array:
         """Objective of each episode of a rollout, (n,)."""
-        share = rollout.clearance / self._clearance
-        # a foot that never swung because the robot fell has no clearance
-        share = np.where(np.isnan(share) & rollout.fell[:, None] & np.isfinite(self._clearance), 0.0, share)
-        missing = np.maximum(0.0, self.objective.clearance_floor - share)
-        return rollout.reward - self.objective.clearance_weight * np.nansum(missing, axis=1)
+        return rollout.reward - clearance_penalty(self.objective, rollout, self._clearance)
 
-    def _loop(self, worker: int, n: int) -> ClosedLoop:
-        key = (worker, n)
-        if key not in self._loops:
-            self._loops[key] = ClosedLoop(self.robot, self.demonstration, n, self.config)
-        return self._loops[key]
+    def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
+        """The first episode from the start, the others at a random phase and perturbed."""
+        steps = round(duration_s * self.config.rate_hz)
+        return perturbed_start(episodes, self.demonstration.n_samples, rng), steps
+
+
+def clearance_penalty(objective: Objective, rollout: Rollout, wanted: Array) -> Array:
+    """What lost swing clearance costs each episode of a rollout, (n,).
+
+    Args:
+        objective: floor and weight.
+        rollout: n episodes.
+        wanted: (4,) the demonstration's clearance, m; NaN without swings.
+    """
+    share = rollout.clearance / wanted
+    # a foot that never swung because the robot fell has no clearance
+    share = np.where(np.isnan(share) & rollout.fell[:, None] & np.isfinite(wanted), 0.0, share)
+    missing = np.maximum(0.0, objective.clearance_floor - share)
+    return np.asarray(objective.clearance_weight * np.nansum(missing, axis=1))
 
 
 def available_cores() -> int:

@@ -1,0 +1,54 @@
+"""What `imitate` and `stitch` say of their result, and what they write of it."""
+
+from typing import TYPE_CHECKING
+
+from fastmimic.commands.console import EXIT_INTERRUPTED, count_progress, note, put
+
+if TYPE_CHECKING:
+    from fastmimic.motion.motion import Motion
+    from fastmimic.pipeline import Imitation
+    from fastmimic.report.run_folder import RunFolder
+    from fastmimic.robot import Robot
+
+
+def about(robot: "Robot", motion: "Motion") -> list[str]:
+    """What a motion is, and what was assumed, before the work begins."""
+    from fastmimic.commands.provenance import assumed, provenance, unmet_bounds
+
+    lines = [provenance(motion)]
+    lines += [f"assumed: {sentence}" for sentence in (*assumed(motion), *robot.assumed)]
+    return lines + [f"retargeting: {sentence}" for sentence in unmet_bounds(motion)]
+
+
+def report(result: "Imitation", folder: "RunFolder", iterations: int, *, video: bool) -> int:
+    """Prints the figures and adds the video to the folder; returns the exit status.
+
+    Args:
+        result: already in the folder but for its video.
+        folder: of the run.
+        iterations: that were asked for.
+        video: whether to make it.
+    """
+    from fastmimic.commands.comparison import comparison
+
+    for line in comparison(result):
+        put(line)
+    if video:
+        _write_video(result, folder)
+    put(f"results in {folder.path}")
+    if not result.interrupted:
+        return 0
+    note(
+        f"fastmimic: interrupted after {result.iterations} of {iterations} iterations;"
+        f" the result is the best so far, and --out {folder.path} --resume goes on"
+    )
+    return EXIT_INTERRUPTED
+
+
+def _write_video(result: "Imitation", folder: "RunFolder") -> None:
+    try:
+        with count_progress("video, frame") as progress:
+            folder.write_video(result, progress)
+    except KeyboardInterrupt:
+        note(f"the video was left out; everything else is in {folder.path}")
+        raise

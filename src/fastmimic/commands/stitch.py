@@ -1,0 +1,176 @@
+"""`fastmimic stitch`: several motions, one after another, as one that the robot can execute."""
+
+import dataclasses
+import re
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from tyro.conf import Positional, arg
+
+from fastmimic.commands.console import note, optimisation_progress, put, table
+from fastmimic.commands.options import DEFAULT_ROBOT, robot_of
+from fastmimic.commands.outcome import report
+from fastmimic.errors import ConfigError
+
+if TYPE_CHECKING:
+    from fastmimic.optimize.cma_es import Progress
+    from fastmimic.report.run_folder import RunFolder
+    from fastmimic.robot import Robot
+    from fastmimic.stitching import Stitching
+
+RUNS: Final = Path("runs")
+_NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video")
+"""Arguments that change where and how a run happens, not what comes out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stitch:
+    """Joins motions to one, each repeated several times, and optimises the DMPs of all of them together, starting
+    from each one's own optimum. Motions that are not optimised yet are optimised by themselves first.
+
+    Writes what 'imitate' writes, with figures for each segment. Ctrl-C stops the search and keeps the best motion
+    so far, if the optimisation of the whole had begun.
+    """
+
+    motions: Annotated[Positional[tuple[str, ...]], arg(metavar="MOTION MOTION ...")]
+    """Two or more: names of 'fastmimic motions', files, or folders of runs, which are taken as they were optimised."""
+    cycles: Annotated[tuple[int, ...], arg(metavar="N [N ...]")] = ()
+    """How often each motion is repeated: one number for all, or one for each; by default about 3 s each."""
+    robot: Annotated[str | None, arg(metavar="NAME|FILE.xml")] = None
+    """a1, go1, go2, or the MJCF of your own; by default that of the first optimised motion, or a1."""
+    method: Annotated[str, arg(metavar="NAME")] = "mbc-dmp"
+    """mbc-dmp and lh-dmp optimise; mbc and lh follow the stitched motion as it is."""
+    config: Annotated[str, arg(metavar="default|paper")] = "default"
+    """The controller's parameters: ours, or the paper's form."""
+    iterations: int = 200
+    """Generations of CMA-ES on the whole."""
+    population: int | None = None
+    """Candidates in each; by default CMA-ES's usual number for so many parameters."""
+    part_iterations: Annotated[int | None, arg(metavar="INT")] = None
+    """Generations on each motion by itself; by default as many as on the whole."""
+    seed: int = 0
+    """Of the optimiser. The same seed gives the same result, whatever the number of workers."""
+    workers: Annotated[int | None, arg(metavar="INT")] = None
+    """Threads; by default one for each core."""
+    out: Annotated[Path | None, arg(metavar="FOLDER")] = None
+    """By default runs/MOTION+MOTION-ROBOT-METHOD-SEED, numbered if taken. A folder with another run is refused."""
+    resume: bool = False
+    """Go on from the checkpoints in the folder (by default the last of its name)."""
+    overwrite: bool = False
+    """Replace a run of other arguments."""
+    no_video: bool = False
+    """Leave out the video."""
+
+    def run(self) -> int:
+        """Runs it, and writes the folder; returns the exit status."""
+        if len(self.motions) < 2:
+            raise ConfigError(f"stitch takes at least two motions, found {len(self.motions)}")
+        if len(self.cycles) not in (0, 1, len(self.motions)):
+            raise ConfigError(
+                f"--cycles takes one number, or one for each of the {len(self.motions)} motions; found"
+                f" {len(self.cycles)}"
+            )
+        from fastmimic.methods import method_named
+        from fastmimic.report.run_folder import default_folder, open_run
+        from fastmimic.robot import load_robot
+
+        if not method_named(self.method).optimises and self.resume:
+            raise ConfigError("--resume goes on with an optimisation; without one there is nothing to resume")
+        robot = load_robot(self.robot or self._robot_of_motions() or DEFAULT_ROBOT)
+        names = "+".join(Path(m).stem if Path(m).exists() else m for m in self.motions)
+        name = re.sub(r"[^\w.+-]+", "-", f"{names}-{robot.name}-{self.method}-{self.seed}")
+        out = self.out or default_folder(RUNS, name, resume=self.resume)
+        config = self._record(robot)
+        same = {k: v for k, v in config["arguments"].items() if k not in _NOT_THE_PROBLEM}
+        with open_run(out, config, same, resume=self.resume, overwrite=self.overwrite) as folder:
+            if folder.finished and not self.resume:
+                note(f"replacing the run in {out}")
+            result = self._stitch(robot, folder)
+            meta = result.motion.meta
+            folder.write(result, config | {"source": meta.get("source"), "licence": meta.get("licence")})
+        for line in segments(result):
+            put(line)
+        return report(result, folder, self.iterations, video=not self.no_video)
+
+    def _stitch(self, robot: "Robot", folder: "RunFolder") -> "Stitching":
+        from fastmimic.stitching import stitch
+
+        with ExitStack() as stack:
+            bar: Callable[[Progress], None] = _nowhere
+
+            def stage(what: str) -> None:
+                nonlocal bar
+                stack.close()
+                note(what)
+                bar = stack.enter_context(optimisation_progress())
+
+            try:
+                return stitch(
+                    self.motions,
+                    robot,
+                    cycles=self.cycles[0] if len(self.cycles) == 1 else self.cycles or None,
+                    method=self.method,
+                    config=self.config,
+                    iterations=self.iterations,
+                    population=self.population,
+                    part_iterations=self.part_iterations,
+                    seed=self.seed,
+                    workers=self.workers,
+                    folder=folder.path,
+                    resume=self.resume,
+                    progress=lambda step: bar(step),
+                    stage=stage,
+                )
+            except KeyboardInterrupt:
+                if folder.checkpoints:
+                    note(f"to go on from the checkpoints: the same command with --out {folder.path} --resume")
+                raise
+
+    def _robot_of_motions(self) -> str | None:
+        from fastmimic.stitching import RUN_MOTION
+
+        paths = [Path(m) / RUN_MOTION if Path(m).is_dir() else Path(m) for m in self.motions]
+        return next((of for of in (robot_of(str(path)) for path in paths) if of is not None), None)
+
+    def _record(self, robot: "Robot") -> dict[str, Any]:
+        """Everything that the run depends on, JSON-serialisable."""
+        from fastmimic.control.config import controller_config
+        from fastmimic.methods import method_named
+        from fastmimic.pipeline import versions
+
+        arguments = {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(self).items()}
+        arguments |= {"motions": list(self.motions), "cycles": list(self.cycles)}
+        return {
+            "arguments": arguments,
+            "robot": robot.name,
+            "motion": "+".join(self.motions),
+            "controller": method_named(self.method).configure(controller_config(self.config)).as_dict(),
+            "versions": versions(),
+        }
+
+
+def _nowhere(step: "Progress") -> None:
+    """Where nothing is shown yet."""
+
+
+def segments(result: "Stitching") -> list[str]:
+    """The figures of each segment, for a human; those of `metrics.json`."""
+    metrics = result.metrics()
+    rows = [["segment", "cycles", "from s", "to s", "before", "own optimum", "after", "fell"]]
+    for segment, own in zip(metrics["segments"], metrics["individual_optima"]["segments"], strict=True):
+        rows.append(
+            [
+                segment["motion"],
+                str(segment["cycles"]),
+                f"{segment['first_s']:.2f}",
+                f"{segment['last_s']:.2f}",
+                f"{segment['reward']['before']:.3f}",
+                f"{own:.3f}",
+                f"{segment['reward']['after']:.3f}",
+                "yes" if segment["fell"]["after"] else "no",
+            ]
+        )
+    return table(rows, right=range(1, len(rows[0])))

@@ -1,0 +1,251 @@
+"""Stitched motions: the DMP parameters of all segments at once, scored over the whole episode (paper, "Motion
+stitching").
+
+Each occurrence of a motion has its own parameters. A candidate differs from the demonstration by what its cycles
+differ from the retargeted ones, repeated as they are; a foot passes from one segment's modulation to the next's in the
+stance in which it passes to that segment, the trunk over the transition.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.config import ControllerConfig
+from fastmimic.control.reference import planar_turned, reference_table
+from fastmimic.errors import ConfigError, MotionError
+from fastmimic.imitation.rollout import Rollout, Start, perturbed_start
+from fastmimic.motion.contacts import stances_of
+from fastmimic.motion.motion import Motion
+from fastmimic.motion.stitch_layout import Layout
+from fastmimic.optimize.problem import ImitationProblem, Objective, Problem, clearance_penalty
+from fastmimic.primitive import MotionDmp
+from fastmimic.primitive.reach import foot_table
+from fastmimic.primitive.rhythmic import N_BASIS
+from fastmimic.rotations import (
+    quat_conjugate,
+    quat_from_rotvec,
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate,
+    rotate_planar,
+    rotvec_from_quat,
+    yaw_from_quat,
+)
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+_PLANAR = ("lin_vel", "ang_vel")
+
+
+class StitchedProblem(Problem):
+    """All parameters of a stitched motion's segments, scored in episodes of the whole."""
+
+    def __init__(
+        self,
+        robot: "Robot",
+        demonstration: Motion,
+        *,
+        start: Mapping[str, float] | Sequence[Array] | None = None,
+        objective: Objective | None = None,
+        config: ControllerConfig | None = None,
+        workers: int | None = None,
+        n_basis: int = N_BASIS,
+    ) -> None:
+        """
+        Args:
+            robot: the robot.
+            demonstration: from `stitch_motions`.
+            start: where the search begins, by parameter, or (k_i,) for each segment, within the bounds; the unmodulated
+                motion if None.
+            objective: how candidates are scored; each segment has the same clearance rule. An episode is the whole
+                motion, whatever the objective's duration.
+            config: the controller's.
+            workers: threads; one for each core if None.
+            n_basis: basis functions of each DMP.
+
+        Raises:
+            ConfigError: fewer than one worker, or a start of another size.
+            MotionError: the motion is not a stitched one.
+        """
+        self.layout = Layout.of(demonstration)
+        objective = replace(objective or Objective(), duration_s=(demonstration.n_samples - 1) / demonstration.rate_hz)
+        fits = [MotionDmp.fit(part, robot, n_basis) for part in demonstration.parts]
+        self.segments = [
+            ImitationProblem(robot, demonstration.parts[s.part], fits[s.part], config=config, workers=1)
+            for s in self.layout.segments
+        ]
+        parameters = [
+            replace(p, name=f"{i}:{s.name}/{p.name}")
+            for i, (s, problem) in enumerate(zip(self.layout.segments, self.segments, strict=True), start=1)
+            for p in problem.parameters
+        ]
+        super().__init__(robot, demonstration, parameters, objective=objective, config=config, workers=workers)
+        if isinstance(start, Mapping):
+            values = np.array([float(start.get(p.name, p.initial)) for p in parameters])
+        else:
+            values = self.initial if start is None else np.concatenate([np.asarray(own) for own in start])
+        if values.shape != (len(parameters),):
+            raise ConfigError(f"the start has {len(values)} values; expected {len(parameters)}")
+        self._start = np.clip(values, *self.bounds)
+        self.divisions = tuple(s.first for s in self.layout.segments[1:])
+        self._table = reference_table(demonstration, robot)
+        self._parts = [reference_table(part, robot) for part in demonstration.parts]
+        self._trunk, self._feet = self.layout.trunk_weights(), self.layout.foot_weights()
+        self._share = np.diff([0, *self.divisions, self.steps]) / self.steps
+        self._clearance = segment_clearance(demonstration, robot.foot_radius, self.layout)
+
+    @property
+    def steps(self) -> int:
+        """Control steps in an episode: from the first sample to the last."""
+        return self.demonstration.n_samples - 1
+
+    @property
+    def start(self) -> Array:
+        """(k,) where the search begins: usually the segments' own optima."""
+        return self._start
+
+    def of_segments(self, x: Array) -> list[Array]:
+        """Parameters (..., k) as those of each segment, (..., k_i)."""
+        ends = np.cumsum([0, *(len(p.parameters) for p in self.segments)])
+        return [x[..., a:b] for a, b in pairwise(ends)]
+
+    def motion(self, x: Array) -> Motion:
+        """The reference of one candidate (k,), carrying the demonstration; `meta["stitch"]` holds its parameters."""
+        table, demo = self.tables(x[None])[0], self.demonstration
+        yaw = float(yaw_from_quat(demo.root_quat_wxyz[0]))
+        stitch = dict(demo.meta["stitch"])
+        stitch["parameters"] = {p.name: float(v) for p, v in zip(self.parameters, x, strict=True)}
+        stitch["dmp"] = [
+            problem.motion(own).meta["dmp"] for problem, own in zip(self.segments, self.of_segments(x), strict=True)
+        ]
+        return Motion(
+            rate_hz=demo.rate_hz,
+            root_pos_w=planar_turned(table["root_pos"], yaw) + np.array([*demo.root_pos_w[0, :2], 0.0]),
+            root_quat_wxyz=quat_multiply(quat_from_yaw(yaw)[None], table["root_quat"]),
+            joint_pos=table["joint_pos"],
+            joint_vel=table["joint_vel"],
+            foot_pos_b=table["foot_pos"],
+            contact=demo.contact,
+            root_lin_vel_w=planar_turned(table["lin_vel"], yaw),
+            root_ang_vel_w=planar_turned(table["ang_vel"], yaw),
+            cycle=None,
+            meta={**demo.meta, "stitch": stitch},
+            demonstration=demo,
+        )
+
+    def tables(self, x: Array) -> NDArray[Any]:
+        """References of n candidates (n, k) for the controller, (n, t) of `SAMPLE`."""
+        tables = np.repeat(self._table[None], len(x), axis=0)
+        feet = np.array(tables["foot_pos"])
+        heading = yaw_from_quat(self._table["root_quat"])
+        turn = np.zeros((*feet.shape[:2], 3))
+        for i, (segment, own) in enumerate(zip(self.layout.segments, self.of_segments(x), strict=True)):
+            problem, cycle = self.segments[i], self._parts[segment.part]
+            at = (np.arange(self.layout.n) - segment.shift) % len(cycle)
+            candidate = problem.tables(own)
+            feet += self._feet[i][..., None] * (candidate["foot_pos"] - cycle["foot_pos"])[:, at]
+            share = self._trunk[i][:, None]
+            angle = heading - yaw_from_quat(cycle["root_quat"])[at]
+            for name in ("root_pos", *_PLANAR):
+                change = (candidate[name] - cycle[name])[:, at]
+                change[..., :2] = rotate_planar(angle, change[..., :2])
+                tables[name] += share * change
+            change = quat_multiply(quat_conjugate(cycle["root_quat"])[None], candidate["root_quat"])
+            turn += share * rotvec_from_quat(change)[:, at]
+        tables["root_quat"] = quat_multiply(tables["root_quat"], quat_from_rotvec(turn))
+        reached = foot_table(self.robot, feet, self.demonstration.rate_hz)
+        tables["foot_pos"], tables["joint_pos"] = reached.foot_pos_b, reached.joint_pos
+        dt = self.demonstration.dt
+        tables["joint_vel"] = np.gradient(reached.joint_pos, dt, axis=1)
+        for name, velocity in (("joint_acc", "joint_vel"), ("lin_acc", "lin_vel"), ("ang_acc", "ang_vel")):
+            tables[name] = np.gradient(tables[velocity], dt, axis=1)
+        return tables
+
+    def score(self, rollout: Rollout) -> Array:
+        """Objective of each episode of a rollout, (n,): the mean over the segments by their length."""
+        total = np.zeros(len(rollout.reward))
+        for part, share, wanted in zip(rollout.parts, self._share, self._clearance, strict=True):
+            # who fell earlier has no clearance either
+            fallen = replace(part, fell=part.fell | (rollout.fell & (part.steps == 0)))
+            total += share * (part.reward - clearance_penalty(self.objective, fallen, wanted))
+        return total
+
+    def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
+        """Whole episodes, since the motion ends; all but the first perturbed."""
+        return perturbed_start(episodes, 1, rng), self.steps
+
+
+def make_problem(
+    robot: "Robot",
+    motion: Motion,
+    *,
+    objective: Objective | None = None,
+    config: ControllerConfig | None = None,
+    workers: int | None = None,
+    n_basis: int = N_BASIS,
+) -> Problem:
+    """The problem of optimising a motion: of its cycle or, if it is stitched, of its segments from where they are.
+
+    Raises:
+        MotionError: the motion neither repeats nor is a stitched one.
+    """
+    demonstration = motion.target
+    if demonstration.cycle is None and demonstration.parts:
+        return StitchedProblem(
+            robot,
+            demonstration,
+            start=motion.meta["stitch"].get("parameters"),
+            objective=objective,
+            config=config,
+            workers=workers,
+            n_basis=n_basis,
+        )
+    dmp = MotionDmp.fit(demonstration, robot, n_basis)
+    return ImitationProblem(robot, demonstration, dmp, objective=objective, config=config, workers=workers)
+
+
+def parameters_of(motion: Motion, robot: "Robot") -> Array:
+    """An optimised cyclic motion's parameters (k,) in the problem of its demonstration; the unmodulated ones of others.
+
+    Raises:
+        MotionError: the motion does not repeat, or its `meta` cannot be read.
+    """
+    problem = ImitationProblem(robot, motion.target, MotionDmp.fit(motion.target, robot), workers=1)
+    x, dmp = problem.initial, motion.meta.get("dmp")
+    if motion.demonstration is None or dmp is None:
+        return x
+    try:
+        names = list(dmp["names"])
+        for i, parameter in enumerate(problem.parameters):
+            dimension, _, kind = parameter.name.partition(".")
+            if dimension in names and kind in ("goal", "amplitude"):
+                x[i] = float(dmp[kind][names.index(dimension)])
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise MotionError(f"motion '{motion.name}': the DMP parameters in its 'meta' are damaged ({error!r})") from None
+    return np.clip(x, *problem.bounds)
+
+
+def segment_clearance(motion: Motion, foot_radius: float, layout: Layout) -> Array:
+    """Mean swing clearance (s, 4) of each segment of a stitched motion, m; NaN without swings.
+
+    A swing counts where it ends, as in the rollout's own count.
+    """
+    feet = motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
+    height = feet[..., 2] - foot_radius
+    bounds = [s.last for s in layout.segments]
+    total, count = np.zeros((len(bounds), 4)), np.zeros((len(bounds), 4))
+    for leg in range(4):
+        for start, end in stances_of(~motion.contact[:, leg], periodic=False):
+            if end == motion.n_samples:
+                continue
+            segment = int(np.searchsorted(bounds, end, side="left"))
+            total[segment, leg] += height[start:end, leg].max()
+            count[segment, leg] += 1
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
