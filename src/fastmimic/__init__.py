@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from fastmimic.pipeline import Evaluation, Imitation, evaluate, imitate, load_motion
     from fastmimic.primitive import MotionDmp
     from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
+    from fastmimic.stitching import Stitching, stitch
 
 _WHERE = {
     "Clip": "fastmimic.motion.clip",
@@ -43,6 +44,8 @@ _WHERE = {
     "motion_names": "fastmimic.motion.catalogue",
     "open_clip": "fastmimic.motion.catalogue",
     "retarget": "fastmimic.motion.retarget",
+    "Stitching": "fastmimic.stitching",
+    "stitch": "fastmimic.stitching",
 }
 
 __all__ = [
@@ -55,6 +58,7 @@ __all__ = [
     "Motion",
     "MotionDmp",
     "Robot",
+    "Stitching",
     "evaluate",
     "imitate",
     "load_motion",
@@ -62,6 +66,7 @@ __all__ = [
     "motion_names",
     "open_clip",
     "retarget",
+    "stitch",
 ]
 
 

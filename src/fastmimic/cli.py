@@ -40,6 +40,8 @@ class Command(Protocol):
 VERBS: Final = {
     "imitate": Verb("imitate", "Imitate", "turn a motion into one that the robot can execute"),
     "evaluate": Verb("evaluate", "Evaluate", "run a motion under the controller and score it"),
+    "compare": Verb("compare", "Compare", "run the paper's methods against each other: tables and figures"),
+    "stitch": Verb("stitch", "Stitch", "join several motions to one that the robot can execute"),
     "retarget": Verb("retarget", "Retarget", "turn an animal's clip into a robot motion, without optimising it"),
     "inspect": Verb("inspect", "Inspect", "say what a clip or a robot motion is"),
     "render": Verb("render", "Render", "write a video of a motion"),

@@ -13,23 +13,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.control.config import ControllerConfig, controller_config
-from fastmimic.errors import ConfigError, MotionError, did_you_mean
+from fastmimic.errors import ConfigError, MotionError
 from fastmimic.imitation.reward import TERMS
 from fastmimic.imitation.rollout import Rollout, perturbed_start, run_episodes, swing_clearance
+from fastmimic.methods import Method, method_named
 from fastmimic.motion.catalogue import open_clip
 from fastmimic.motion.clip import Clip
 from fastmimic.motion.formats import detect_format
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.retarget import retarget
 from fastmimic.optimize.cma_es import CmaSettings, History, Progress, optimize
-from fastmimic.optimize.problem import ImitationProblem, Objective, Parameter
-from fastmimic.primitive import MotionDmp
+from fastmimic.optimize.problem import Objective, Parameter
+from fastmimic.optimize.stitching import make_problem
+from fastmimic.primitive.rhythmic import N_BASIS
 from fastmimic.robot import Robot, load_robot
 
 Array = NDArray[np.float64]
 
-METHODS: Final = ("mbc", "mbc-dmp")
-"""`mbc`: the controller follows the retargeted motion. `mbc-dmp`: its DMPs are optimised first (the paper's method)."""
+EVALUATION_S: Final = 10.0
+"""Length of an episode of a motion that repeats, if nothing is said."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +41,8 @@ class Imitation:
     Attributes:
         motion: the optimised motion; it carries its demonstration.
         robot: the robot.
-        method: one of `METHODS`.
-        config: the controller's.
+        method: one of `fastmimic.methods.METHODS`.
+        config: the controller's, as the method has it.
         before, after: one nominal episode of `duration_s` with the demonstration and with the optimised motion, logged.
         parameters: what was optimised, with bounds.
         values: (k,) the values found, physical units.
@@ -109,6 +111,7 @@ class Imitation:
             "evaluations": self.evaluations,
             "iterations": self.iterations,
             "interrupted": self.interrupted,
+            **({"segments": self._segments()} if self.demonstration.parts else {}),
             "wall_s": self.wall_s,
             "simulated_s": self.simulated_s,
             "realtime_factor": self.simulated_s / self.wall_s if self.wall_s > 0 else None,
@@ -125,6 +128,24 @@ class Imitation:
             ],
             "versions": versions(),
         }
+
+    def _segments(self) -> list[dict[str, Any]]:
+        """Figures of each segment of a stitched motion; empty for others."""
+        rate, found = self.demonstration.rate_hz, []
+        segments = self.demonstration.meta.get("stitch", {}).get("segments", [])
+        for segment, before, after in zip(segments, self.before.parts, self.after.parts, strict=True):
+            found.append(
+                {
+                    "motion": segment["name"],
+                    "cycles": segment["cycles"],
+                    "first_s": segment["first"] / rate,
+                    "last_s": segment["last"] / rate,
+                    "reward": {"before": float(before.reward[0]), "after": float(after.reward[0])},
+                    "fell": {"before": bool(before.fell[0]), "after": bool(after.fell[0])},
+                    "swing_clearance_m": {"before": numbers(before.clearance[0]), "after": numbers(after.clearance[0])},
+                }
+            )
+        return found
 
 
 def load_motion(source: str | Path | Clip | Motion, robot: Robot | str = "a1", **overrides: Any) -> Motion:
@@ -171,34 +192,40 @@ def imitate(
     checkpoint: str | Path | None = None,
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
+    n_basis: int = N_BASIS,
     **overrides: Any,
 ) -> Imitation:
     """Turns a motion into one that the robot can execute: retarget, fit DMPs, optimise with the robot in the loop.
 
     Args:
-        source: whatever `load_motion` takes. An optimised motion is optimised anew, against its demonstration.
+        source: whatever `load_motion` takes. An optimised motion is optimised anew, against its demonstration; a
+            stitched one is optimised further.
         robot: the robot, its name, or the path of its MJCF.
-        method: one of `METHODS`.
+        method: one of `fastmimic.methods.METHODS`.
         config: the controller's parameters, or the name of a set.
-        duration_s: length of the episodes, s.
+        duration_s: length of the episodes, s; those of a stitched motion are the whole of it.
         iterations, population, seed: of CMA-ES.
         workers: threads; one for each core if None. The result does not depend on it.
         checkpoint, resume: as in `optimize`.
         progress: called after each iteration.
+        n_basis: basis functions of each DMP.
         overrides: as in `load_motion`.
 
     Raises:
         FastMimicError: something is wrong with what was given; the message says what.
     """
-    if method not in METHODS:
-        raise ConfigError(f"unknown method '{method}'; there are {', '.join(METHODS)}{did_you_mean(method, METHODS)}")
+    chosen = method_named(method)
     robot = load_robot(robot)
-    config = controller_config(config) if isinstance(config, str) else config
-    objective, settings = Objective(duration_s=duration_s), CmaSettings(iterations, population, seed)
+    config = _configured(chosen, config)
+    settings = CmaSettings(iterations, population, seed)
     began = time.perf_counter()
-    demonstration = load_motion(source, robot, **overrides).target
+    given = load_motion(source, robot, **overrides)
+    demonstration = given.target
+    if demonstration.parts:
+        duration_s = (demonstration.n_samples - 1) / demonstration.rate_hz
+    objective = Objective(duration_s=duration_s)
     before = run_episodes(robot, demonstration, duration_s=duration_s, config=config, log=True)
-    if method == "mbc":
+    if not chosen.optimises:
         return Imitation(
             motion=demonstration,
             robot=robot,
@@ -217,8 +244,7 @@ def imitate(
             wall_s=time.perf_counter() - began,
             interrupted=False,
         )
-    dmp = MotionDmp.fit(demonstration, robot)
-    problem = ImitationProblem(robot, demonstration, dmp, objective=objective, config=config, workers=workers)
+    problem = make_problem(robot, given, objective=objective, config=config, workers=workers, n_basis=n_basis)
     prepared = time.perf_counter() - began
     optimum = optimize(problem, settings, checkpoint=checkpoint, resume=resume, progress=progress)
     motion = problem.motion(optimum.x)
@@ -275,8 +301,9 @@ def evaluate(
     robot: Robot | str = "a1",
     *,
     episodes: int = 1,
-    duration_s: float = 10.0,
+    duration_s: float | None = None,
     seed: int = 0,
+    method: str = "mbc",
     config: ControllerConfig | str = "default",
     log: bool = False,
     **overrides: Any,
@@ -284,23 +311,42 @@ def evaluate(
     """Runs episodes of a motion and scores them against its demonstration.
 
     Episode 0 starts at the motion's start, unperturbed; the others at a random phase with joints ± 0.05 rad and
-    base velocity ± 0.1 m/s.
+    base velocity ± 0.1 m/s. An episode of a motion that does not repeat ends with it at the latest, and its random
+    phases leave room for the whole episode.
+
+    Args:
+        source, robot, overrides: as in `load_motion`.
+        episodes: how many.
+        duration_s: of each, s; if None 10 s, or the whole of a motion that does not repeat.
+        seed: of the perturbations.
+        method, config: whose controller, and its parameters. Of the `method` only its controller counts: the motion is
+            run as it is.
+        log: whether to keep the whole course.
 
     Raises:
         FastMimicError: something is wrong with what was given.
     """
     if episodes < 1:
         raise ConfigError(f"episodes must be at least 1, found {episodes}")
-    if not (math.isfinite(duration_s) and duration_s > 0):
+    if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0):
         raise ConfigError(f"the duration must be positive, found {duration_s}")
     if seed < 0:
         raise ConfigError(f"seed must not be negative, found {seed}")
+    config = _configured(method_named(method), config)
     robot = load_robot(robot)
-    config = controller_config(config) if isinstance(config, str) else config
     motion = load_motion(source, robot, **overrides)
-    start = perturbed_start(episodes, motion.n_samples, np.random.default_rng(seed))
+    duration_s = duration_s if duration_s is not None else default_duration(motion, EVALUATION_S)
+    room = motion.n_samples
+    if motion.cycle is None:
+        room = max(1, room - math.ceil(duration_s * motion.rate_hz - 1e-9))
+    start = perturbed_start(episodes, room, np.random.default_rng(seed))
     rollout = run_episodes(robot, motion, start=start, duration_s=duration_s, config=config, log=log)
     return Evaluation(motion, rollout)
+
+
+def default_duration(motion: Motion, seconds: float) -> float:
+    """`seconds`, or for a motion that does not repeat the whole of it, s."""
+    return seconds if motion.cycle is not None else motion.period_s - motion.dt
 
 
 def versions() -> dict[str, str]:
@@ -318,6 +364,10 @@ def _mean_over_episodes(values: Array) -> Array:
     present = np.isfinite(values)
     total = np.where(present, values, 0.0).sum(axis=0)
     return np.where(present.any(axis=0), total / np.maximum(present.sum(axis=0), 1), np.nan)
+
+
+def _configured(method: Method, config: ControllerConfig | str) -> ControllerConfig:
+    return method.configure(controller_config(config) if isinstance(config, str) else config)
 
 
 def _rms(values: Array) -> float:

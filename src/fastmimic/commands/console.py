@@ -83,6 +83,17 @@ def count_progress(what: str) -> Iterator[Callable[[int, int], None]]:
             yield lambda done, total: bar.update(task, completed=done, total=total, visible=True)
 
 
+@contextmanager
+def share_progress(what: str) -> Iterator[Callable[[float, str], None] | None]:
+    """A bar on a terminal for a share in [0, 1] of long work, with a text; None where there is no terminal."""
+    with _bar(counted=False) as bar:
+        if bar is None:
+            yield None
+            return
+        task = bar.add_task(what, total=1.0, info="")
+        yield lambda share, text: bar.update(task, completed=share, info=text)
+
+
 def _plain_optimisation() -> "Callable[[Progress], None]":
     shown = _Tenths()
 
@@ -126,18 +137,18 @@ class _Tenths:
 
 
 @contextmanager
-def _bar() -> Iterator[Any]:
+def _bar(*, counted: bool = True) -> Iterator[Any]:
     """Rich's progress bar on stderr, or None where that is not a terminal."""
     if not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressColumn, TextColumn
 
     columns = (
         TextColumn("{task.description}"),
         BarColumn(bar_width=16),  # so that all fits a terminal of 80 columns
-        MofNCompleteColumn(),
+        MofNCompleteColumn() if counted else TaskProgressColumn(),
         TextColumn("{task.fields[info]}"),
     )
     with Progress(*columns, console=Console(stderr=True)) as bar:

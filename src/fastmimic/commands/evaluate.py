@@ -23,10 +23,12 @@ class Evaluate(MotionOptions):
     """A robot motion (.npz), a clip, or a name of 'fastmimic motions'."""
     episodes: int = 1
     """How many."""
-    duration: Annotated[float, arg(metavar="S")] = 10.0
-    """Length of each."""
+    duration: Annotated[float | None, arg(metavar="S")] = None
+    """Length of each; by default 10, or the whole of a motion that does not repeat."""
     seed: int = 0
     """Of the perturbations."""
+    method: Annotated[str, arg(metavar="NAME")] = "mbc"
+    """Whose controller: raibert, mbc, lh; the motion is run as it is."""
     config: Annotated[str, arg(metavar="default|paper")] = "default"
     """The controller's parameters."""
     json: bool = False
@@ -34,7 +36,8 @@ class Evaluate(MotionOptions):
 
     def run(self) -> int:
         """Prints the figures; returns the exit status."""
-        check_duration(self.duration)
+        if self.duration is not None:
+            check_duration(self.duration)
         from fastmimic.pipeline import evaluate
 
         robot, motion = self.load(self.motion)
@@ -45,6 +48,7 @@ class Evaluate(MotionOptions):
                 episodes=self.episodes,
                 duration_s=self.duration,
                 seed=self.seed,
+                method=self.method,
                 config=self.config,
             )
         figures = evaluation.as_dict()

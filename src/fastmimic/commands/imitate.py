@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import Positional, arg
 
-from fastmimic.commands.console import EXIT_INTERRUPTED, count_progress, note, optimisation_progress, put
+from fastmimic.commands.console import note, optimisation_progress
 from fastmimic.commands.options import MotionOptions, check_duration
+from fastmimic.commands.outcome import about, report
 from fastmimic.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -35,8 +36,8 @@ class Imitate(MotionOptions):
 
     motion: Annotated[Positional[str], arg(metavar="MOTION")]
     """A name of 'fastmimic motions', or a file."""
-    method: Annotated[str, arg(metavar="mbc|mbc-dmp")] = "mbc-dmp"
-    """mbc-dmp optimises the motion's DMPs; mbc follows it as it is."""
+    method: Annotated[str, arg(metavar="NAME")] = "mbc-dmp"
+    """mbc-dmp, lh-dmp: the motion's DMPs are optimised; mbc, lh: not; raibert: feet step by a rule. lh looks ahead."""
     config: Annotated[str, arg(metavar="default|paper")] = "default"
     """The controller's parameters: ours, or the paper's form."""
     duration: Annotated[float, arg(metavar="S")] = 5.0
@@ -63,11 +64,12 @@ class Imitate(MotionOptions):
     def run(self) -> int:
         """Runs it, and writes the folder; returns the exit status."""
         check_duration(self.duration)
-        method = "mbc" if self.no_optimize else self.method
-        if method == "mbc" and self.resume:
-            raise ConfigError("--resume goes on with an optimisation; without one there is nothing to resume")
+        from fastmimic.methods import method_named
         from fastmimic.report.run_folder import default_folder, open_run
 
+        method = "mbc" if self.no_optimize else self.method
+        if not method_named(method).optimises and self.resume:
+            raise ConfigError("--resume goes on with an optimisation; without one there is nothing to resume")
         began = time.perf_counter()
         robot, motion = self.load(self.motion)
         loading_s = time.perf_counter() - began
@@ -76,14 +78,14 @@ class Imitate(MotionOptions):
         config = self._record(robot, motion, method)
         same = {k: v for k, v in config["arguments"].items() if k not in _NOT_THE_PROBLEM}
         with open_run(out, config, same, resume=self.resume, overwrite=self.overwrite) as folder:
-            for line in _about(robot, motion):
+            for line in about(robot, motion):
                 note(line)
             if folder.finished and not self.resume:
                 note(f"replacing the run in {out}")
             result = self._imitate(robot, motion, method, folder)
             result = dataclasses.replace(result, wall_s=result.wall_s + loading_s)
             folder.write(result, config)
-        return self._report(result, folder)
+        return report(result, folder, self.iterations, video=not self.no_video)
 
     def _imitate(self, robot: "Robot", motion: "Motion", method: str, folder: "RunFolder") -> "Imitation":
         from fastmimic.pipeline import imitate
@@ -109,33 +111,10 @@ class Imitate(MotionOptions):
                 note(f"to go on from the checkpoint: the same command with --out {folder.path} --resume")
             raise
 
-    def _report(self, result: "Imitation", folder: "RunFolder") -> int:
-        from fastmimic.commands.comparison import comparison
-
-        for line in comparison(result):
-            put(line)
-        if not self.no_video:
-            self._write_video(result, folder)
-        put(f"results in {folder.path}")
-        if not result.interrupted:
-            return 0
-        note(
-            f"fastmimic: interrupted after {result.iterations} of {self.iterations} iterations;"
-            f" the result is the best so far, and --out {folder.path} --resume goes on"
-        )
-        return EXIT_INTERRUPTED
-
-    def _write_video(self, result: "Imitation", folder: "RunFolder") -> None:
-        try:
-            with count_progress("video, frame") as progress:
-                folder.write_video(result, progress)
-        except KeyboardInterrupt:
-            note(f"the video was left out; everything else is in {folder.path}")
-            raise
-
     def _record(self, robot: "Robot", motion: "Motion", method: str) -> dict[str, Any]:
         """Everything that the run depends on, JSON-serialisable."""
         from fastmimic.control.config import controller_config
+        from fastmimic.methods import method_named
         from fastmimic.pipeline import versions
 
         arguments = {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(self).items()}
@@ -146,15 +125,6 @@ class Imitate(MotionOptions):
             "motion": motion.name,
             "source": motion.meta.get("source"),
             "licence": motion.meta.get("licence"),
-            "controller": controller_config(self.config).as_dict(),
+            "controller": method_named(method).configure(controller_config(self.config)).as_dict(),
             "versions": versions(),
         }
-
-
-def _about(robot: "Robot", motion: "Motion") -> list[str]:
-    """What the motion is, and what was assumed, before the work begins."""
-    from fastmimic.commands.provenance import assumed, provenance, unmet_bounds
-
-    lines = [provenance(motion)]
-    lines += [f"assumed: {sentence}" for sentence in (*assumed(motion), *robot.assumed)]
-    return lines + [f"retargeting: {sentence}" for sentence in unmet_bounds(motion)]

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -85,7 +85,7 @@ def describe_motion(motion: "Motion", robot: "Robot") -> list[str]:
         f"joints     least margin and greatest speed: {'; '.join(limits)}",
     ]
     lines += [f"assumed    {sentence}" for sentence in (*assumed(motion), *robot.assumed)]
-    return lines + _optimised(motion)
+    return lines + _segments(motion) + _optimised(motion)
 
 
 def _describe_clip(clip: "Clip") -> list[str]:
@@ -113,16 +113,35 @@ def _travel(motion: "Motion") -> str:
     return f"{dx:+.3f} m/s forward, {dy:+.3f} m/s left, {dyaw:+.3f} rad/s (one cycle of {motion.period_s:.3f} s)"
 
 
+def _segments(motion: "Motion") -> list[str]:
+    """The segments of a stitched motion, and the DMP parameters of each that differ from the fitted ones."""
+    stitch = motion.meta.get("stitch", {})
+    segments = stitch.get("segments", [])
+    records = stitch.get("dmp", [None] * len(segments))
+    lines = []
+    for segment, dmp in zip(segments, records, strict=True):
+        first, last = segment["first"] / motion.rate_hz, segment["last"] / motion.rate_hz
+        lines.append(f"segment    {segment['name']}, {segment['cycles']} cycles, {first:.2f} to {last:.2f} s")
+        lines += _modulated(dmp) if dmp is not None else []
+    return lines
+
+
 def _optimised(motion: "Motion") -> list[str]:
     """The DMP parameters that differ from the fitted ones; empty for a demonstration."""
     dmp = motion.meta.get("dmp")
     if motion.demonstration is None or not isinstance(dmp, dict):
         return []
-    lines = []
-    for name, goal, fitted, amplitude in zip(
-        dmp["names"], dmp["goal"], dmp["fitted_goal"], dmp["amplitude"], strict=True
-    ):
-        if goal != fitted or amplitude != 1.0:
-            lines.append(f"  {name:12} baseline {goal - fitted:+.4f}, amplitude {amplitude:.3f}")
+    lines = _modulated(dmp)
     differ = "these DMP parameters" if lines else "no DMP parameter"
     return [f"optimised  carries its demonstration; {differ} differ{'' if lines else 's'} from it", *lines]
+
+
+def _modulated(dmp: dict[str, Any]) -> list[str]:
+    """A line for each dimension whose parameters differ from the fitted ones."""
+    return [
+        f"  {name:12} baseline {goal - fitted:+.4f}, amplitude {amplitude:.3f}"
+        for name, goal, fitted, amplitude in zip(
+            dmp["names"], dmp["goal"], dmp["fitted_goal"], dmp["amplitude"], strict=True
+        )
+        if goal != fitted or amplitude != 1.0
+    ]

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import Positional, arg
 
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from fastmimic.report import Track
     from fastmimic.robot import Robot
 
+SECONDS: Final = 5.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class Render(MotionOptions):
@@ -26,8 +28,8 @@ class Render(MotionOptions):
     """The video."""
     kinematic: bool = False
     """The motion as it is written, without physics."""
-    duration: Annotated[float, arg(metavar="S")] = 5.0
-    """How much of it."""
+    duration: Annotated[float | None, arg(metavar="S")] = None
+    """How much of it; by default 5, or the whole of a motion that does not repeat."""
     config: Annotated[str, arg(metavar="default|paper")] = "default"
     """The controller's parameters."""
     size: Annotated[str, arg(metavar="WxH")] = "1280x720"
@@ -37,13 +39,18 @@ class Render(MotionOptions):
 
     def run(self) -> int:
         """Writes it; returns the exit status."""
-        check_duration(self.duration)
+        if self.duration is not None:
+            check_duration(self.duration)
         size = parse_size(self.size)
         out = check_writable(self.out, ".mp4")
         from fastmimic.report import render_video
 
         robot, motion = self.load(self.motion)
-        track, rate_hz = self._kinematic(motion) if self.kinematic else self._simulated(motion, robot)
+        from fastmimic.pipeline import default_duration
+
+        seconds = self.duration if self.duration is not None else default_duration(motion, SECONDS)
+        shown = self._kinematic(motion, seconds) if self.kinematic else self._simulated(motion, robot, seconds)
+        track, rate_hz = shown
         with count_progress("frame") as progress:
             info = render_video(
                 robot,
@@ -59,19 +66,17 @@ class Render(MotionOptions):
         put(f"{info.frames} frames, {info.seconds:.1f} s, in {out}")
         return 0
 
-    def _simulated(self, motion: "Motion", robot: "Robot") -> "tuple[Track, float]":
+    def _simulated(self, motion: "Motion", robot: "Robot", seconds: float) -> "tuple[Track, float]":
         from fastmimic.pipeline import evaluate
         from fastmimic.report.tracks import rollout_track
 
         with slow_start():
-            rollout = evaluate(motion, robot, duration_s=self.duration, config=self.config, log=True).rollout
+            rollout = evaluate(motion, robot, duration_s=seconds, config=self.config, log=True).rollout
         assert rollout.log is not None
         return rollout_track(rollout, f"{motion.name} on {robot.name}"), rollout.log.rate_hz
 
-    def _kinematic(self, motion: "Motion") -> "tuple[Track, float]":
+    def _kinematic(self, motion: "Motion", seconds: float) -> "tuple[Track, float]":
         from fastmimic.report.tracks import motion_track
 
-        ghost = (
-            None if motion.demonstration is None else motion_track(motion.demonstration, self.duration, "demonstration")
-        )
-        return motion_track(motion, self.duration, f"{motion.name}, no physics", ghost), motion.rate_hz
+        ghost = None if motion.demonstration is None else motion_track(motion.demonstration, seconds, "demonstration")
+        return motion_track(motion, seconds, f"{motion.name}, no physics", ghost), motion.rate_hz

@@ -25,7 +25,7 @@ from fastmimic.motion.retarget_config import RetargetConfig
 from fastmimic.motion.retarget_cycle import Track, cycle_displacement, pose_mismatch, track_cycle, track_open
 from fastmimic.motion.retarget_fidelity import Before, make_report
 from fastmimic.motion.retarget_fit import Fitter
-from fastmimic.motion.retarget_gait import make_consistent
+from fastmimic.motion.retarget_gait import GaitChanges, make_consistent
 from fastmimic.motion.retarget_reach import Reach, foot_offsets
 from fastmimic.motion.retarget_report import RetargetReport
 from fastmimic.motion.retarget_source import Source, extract
@@ -78,7 +78,7 @@ def retarget(
     scale = choose_scale(clip, robot) if scale is None else float(scale)
     source = extract(clip, scale, config.roll_share)
     periodic, cycle_reason = _decide_cycle(clip, source, cycle, config)
-    source, straight, aligned = _align(source, periodic, config)
+    source, straight, aligned = _align(source, periodic and config.consistent, config)
     duration = (clip.n_frames if periodic else clip.n_frames - 1) / clip.rate_hz
     n = max(2, round(duration * rate_hz))
     track = (track_cycle if periodic else track_open)(source, n, config.trunk_hz, config.foot_hz)
@@ -90,7 +90,10 @@ def retarget(
     reach = Reach.of_robot(robot, height, config.reach_margin_rad)
     detected = _detect(source, n, rate_hz, periodic, config.contact)
     longest = reach.longest_stance(_speed(track, duration), config.swing.linger_s)
-    stances, changes = make_consistent(detected, n, rate_hz, periodic, straight, longest, config.gait)
+    if config.consistent:
+        stances, changes = make_consistent(detected, n, rate_hz, periodic, straight, longest, config.gait)
+    else:
+        stances, changes = detected, GaitChanges(None, False, 0, 0)
     offset = np.zeros((4, 2)) if own else foot_offsets(robot, track, stances, config.stance_width)
     fitted = Fitter(robot, track, stances, height, rate_hz, config).fit(offset)
 

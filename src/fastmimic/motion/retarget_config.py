@@ -36,6 +36,9 @@ class RetargetConfig:
         short_s, short_mismatch: so is one shorter than this that closes better than that: who cuts out a second of a
             recording means a cycle, and steps of a real animal differ.
         contact, gait, swing, balance: settings of these steps.
+        consistent: without it the animal's feet, contacts, heading and trunk stay as scaled and closed, as in the
+            published retargeting: feet slide in stance and hover, contacts are those of the thresholds. For
+            comparisons.
     """
 
     trunk_hz: float = 6.0
@@ -57,3 +60,4 @@ class RetargetConfig:
     gait: GaitConfig = field(default_factory=GaitConfig)
     swing: SwingConfig = field(default_factory=SwingConfig)
     balance: BalanceConfig = field(default_factory=BalanceConfig)
+    consistent: bool = True

@@ -76,6 +76,8 @@ class Fitter:
 
     def fit(self, offset: Array) -> Fitted:
         """The motion with the feet shifted by `offset` (4, 2) against the robot's hips, m."""
+        if not self.config.consistent:
+            return self._as_scaled(self._animal_feet(offset))
         track, raw_w = self._balanced(self._animal_feet(offset))
         holds = self._footholds(raw_w, track)
         limit = self.config.speed_share * self.robot.joint_speed_limit
@@ -93,6 +95,13 @@ class Fitter:
             times += too_fast
         smoothed = (int(times[0]), int(times[1]), int(times[2]), int(times[3]))
         return Fitted(self._motion(pose, track), track, raw_w, pose, smoothed)
+
+    def _as_scaled(self, raw_w: Array) -> Fitted:
+        """The robot on the animal's foot paths as they are."""
+        feet_w = raw_w + np.array([0.0, 0.0, self.robot.foot_radius])
+        lowering, margin = self.config.max_lowering_m, self.config.limit_margin_rad
+        pose = solve_pose(self.robot, self.track, feet_w, self.height, lowering, margin)
+        return Fitted(self._motion(pose, self.track), self.track, raw_w, pose, (0, 0, 0, 0))
 
     def _animal_feet(self, offset: Array) -> Array:
         """The animal's foot paths (t, 4, 3) under the robot's hips, world; z is the height above the ground."""

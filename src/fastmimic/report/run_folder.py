@@ -16,6 +16,7 @@ from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 if TYPE_CHECKING:
     from fastmimic.pipeline import Imitation
 
+CHECKPOINTS: Final = "checkpoint*.npz"
 MOTION: Final = "motion.npz"
 METRICS: Final = "metrics.json"
 CONFIG: Final = "config.json"
@@ -26,6 +27,7 @@ RESULTS: Final = (METRICS, MOTION, CONVERGENCE, TRACKING, VIDEO)
 """`metrics.json` is written last and removed first: where it is, the others belong to it."""
 
 TRACKING_CYCLES: Final = 2  # shown in the figure
+TRANSITION_S: Final = 2.0  # of a stitched motion, shown instead
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,11 @@ class RunFolder:
     def checkpoint(self) -> Path:
         """Where the optimisation keeps its course."""
         return self.path / CHECKPOINT
+
+    @property
+    def checkpoints(self) -> list[Path]:
+        """Those that are there, a stitched motion's parts' included."""
+        return sorted(self.path.glob(CHECKPOINTS))
 
     @property
     def finished(self) -> bool:
@@ -129,7 +136,7 @@ def open_run(
     folder = RunFolder(path)
     if resume and overwrite:
         raise ConfigError("--resume goes on with a run and --overwrite replaces it: give one of them")
-    if resume and not folder.checkpoint.is_file():
+    if resume and not folder.checkpoints:
         raise CheckpointError(f"{folder.checkpoint}: no checkpoint to resume from; leave out --resume to start anew")
     if not resume and not overwrite:
         _refuse_other_run(folder, same)
@@ -142,7 +149,7 @@ def open_run(
     try:
         yield folder
     except BaseException:
-        if started and not had_config and not folder.checkpoint.exists() and not folder.finished:
+        if started and not had_config and not folder.checkpoints and not folder.finished:
             (path / CONFIG).unlink(missing_ok=True)
         _remove_empty(created)
         raise
@@ -156,7 +163,7 @@ def default_folder(root: Path, name: str, *, resume: bool) -> Path:
         path = root / f"{name}-{len(taken) + 1}"
     if not resume:
         return path
-    unfinished = [p for p in taken if (p / CHECKPOINT).is_file()]
+    unfinished = [p for p in taken if RunFolder(p).checkpoints]
     return unfinished[-1] if unfinished else root / name
 
 
@@ -220,8 +227,13 @@ def _tracking_figure(result: "Imitation", title: str) -> Any:
     assert log is not None
     time_s = np.arange(1, log.wanted.shape[1] + 1) / log.rate_hz
     alive_s = max(int(result.before.steps[0]), int(result.after.steps[0])) / log.rate_hz
-    shown_s = TRACKING_CYCLES * result.demonstration.period_s
-    start = max(0.0, min(alive_s, float(time_s[-1])) - shown_s)
+    starts = result.demonstration.segment_starts
+    if len(starts) > 1:  # the first transition
+        shown_s = TRANSITION_S
+        start = max(0.0, starts[1] / log.rate_hz - 0.5 * shown_s)
+    else:
+        shown_s = TRACKING_CYCLES * result.demonstration.period_s
+        start = max(0.0, min(alive_s, float(time_s[-1])) - shown_s)
     return tracking_figure(
         time_s,
         log.demonstration["foot_pos"][0],

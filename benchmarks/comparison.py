@@ -1,0 +1,103 @@
+"""The comparison of docs/comparison.md: the paper's methods on the paper's motions, in full.
+
+    python benchmarks/comparison.py [--out runs/comparison] [--ablations] [--seeds 8] [--write] [-- OPTIONS OF compare]
+    python benchmarks/comparison.py --scaling
+
+Runs `fastmimic compare` with its defaults, goes on where it was interrupted, and with `--write` puts the tables between
+the markers in docs/comparison.md and the figures into docs/images. Motions of the dog need `fastmimic data fetch`, or
+FASTMIMIC_DATA. `--scaling` measures instead what made us choose processes: the same searches by threads of one process,
+and by a process for each core.
+"""
+
+import argparse
+import re
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import fastmimic as fm
+from fastmimic.cli import main as fastmimic
+from fastmimic.experiments.compare import Plan, compare
+from fastmimic.experiments.runs import Settings
+from fastmimic.files import replace_file
+from fastmimic.optimize.problem import available_cores
+from fastmimic.report.comparison_folder import ENVIRONMENT
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+TABLES = {"comparison": "table.md", "ablations": "ablations.md"}
+FIGURES = {
+    "comparison.png": "comparison.png",
+    "tracking.png": "comparison-tracking.png",
+    "ablations.png": "ablations.png",
+}
+SEARCH = {"iterations": 10, "population": 10, "duration_s": 5.0}
+
+
+def write(out: Path) -> None:
+    """Puts the tables and figures of a finished comparison into the documentation."""
+    page = DOCS / "comparison.md"
+    text = page.read_text(encoding="utf-8")
+    for mark, name in TABLES.items():
+        if (out / name).is_file():
+            table = (out / name).read_text(encoding="utf-8").strip()
+            text = re.sub(
+                rf"(<!-- {mark}:begin -->\n).*?(<!-- {mark}:end -->)",
+                lambda m, table=table: f"{m[1]}{table}\n{m[2]}",
+                text,
+                flags=re.DOTALL,
+            )
+    replace_file(page, lambda file: file.write(text.encode()))
+    for name, image in FIGURES.items():
+        if (out / name).is_file():
+            shutil.copyfile(out / name, DOCS / "images" / image)
+
+
+def scaling() -> None:
+    """Two searches at once: by threads one after the other, and by processes side by side."""
+    cores = available_cores()
+    plan = Plan(
+        Settings(**SEARCH, perturbed_episodes=1, evaluation_s=1.0),
+        ("trot",),
+        ("mbc-dmp",),
+        seeds=cores,
+        ablations=False,
+    )
+    fm.imitate("trot", iterations=1, duration_s=1.0)  # compiled
+    began = time.perf_counter()
+    for seed in range(cores):
+        fm.imitate("trot", seed=seed, **SEARCH)
+    threads = time.perf_counter() - began
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        compare(plan, Path(folder), workers=cores, report=lambda effort, row: None, prepared=lambda name: None)
+        processes = time.perf_counter() - began
+    print(f"{cores} searches of {SEARCH['iterations']} iterations on {cores} cores")
+    print(f"  one after the other, {cores} threads each: {threads:.1f} s")
+    print(f"  side by side, a process each:       {processes:.1f} s, starting the processes included")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("runs/comparison"))
+    parser.add_argument("--ablations", action="store_true")
+    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--write", action="store_true", help="put tables and figures into docs/")
+    parser.add_argument("--scaling", action="store_true", help="measure threads against processes instead")
+    parser.add_argument("options", nargs="*", help="passed on to compare, after --")
+    args = parser.parse_args()
+    if args.scaling:
+        scaling()
+        return
+    options = ["--out", str(args.out), "--seeds", str(args.seeds), *args.options]
+    options += ["--ablations"] if args.ablations else []
+    options += ["--resume"] if (args.out / ENVIRONMENT).is_file() else []
+    status = fastmimic(["compare", *options])
+    if status == 0 and args.write:
+        write(args.out)
+    sys.exit(status)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,180 @@
+"""`fastmimic compare`: the paper's comparison, and its ablations."""
+
+import os
+import platform
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from tyro.conf import arg
+
+from fastmimic.commands.console import note, put, share_progress
+from fastmimic.commands.options import DEFAULT_ROBOT, check_duration
+from fastmimic.errors import ConfigError
+
+if TYPE_CHECKING:
+    from fastmimic.experiments.compare import Plan
+    from fastmimic.experiments.runs import Row
+    from fastmimic.experiments.schedule import Effort, Report
+
+OUT: Final = Path("runs/comparison")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compare:
+    """Runs several methods on several motions, several seeds each, and writes tables and figures.
+
+    Writes results.csv, table.md, comparison.png, tracking.png and environment.json; with --ablations ablations.md and
+    ablations.png as well. Each finished run is kept: after Ctrl-C or a crash, --resume does the rest, and may be given
+    more motions, methods or seeds.
+    """
+
+    motions: Annotated[tuple[str, ...], arg(metavar="MOTION ...")] = ()
+    """Names of 'fastmimic motions', or files; by default the paper's four recordings."""
+    builtin: bool = False
+    """The built-in trot, pace, turn and side-step instead, which need no data."""
+    methods: Annotated[tuple[str, ...], arg(metavar="METHOD ...")] = ()
+    """By default all: raibert, mbc, lh, mbc-dmp, lh-dmp."""
+    seeds: int = 8
+    """Of CMA-ES, 0 to SEEDS - 1. Methods that optimise nothing are deterministic and run once."""
+    ablations: bool = False
+    """Also variants of mbc-dmp, each with one part taken away or changed."""
+    robot: Annotated[str, arg(metavar="NAME|FILE.xml")] = DEFAULT_ROBOT
+    """a1, go1, go2, or the MJCF of your own."""
+    config: Annotated[str, arg(metavar="default|paper")] = "default"
+    """The controller's parameters: ours, or the paper's form."""
+    iterations: int = 200
+    """Generations of CMA-ES."""
+    population: int = 10
+    """Candidates in each."""
+    duration: Annotated[float, arg(metavar="S")] = 5.0
+    """Length of the optimisation's episodes."""
+    workers: Annotated[int | None, arg(metavar="INT")] = None
+    """Processes; by default one for each core. The rows do not depend on it."""
+    out: Annotated[Path, arg(metavar="FOLDER")] = OUT
+    """Where everything goes. A folder with a comparison is refused unless --resume or --overwrite."""
+    resume: bool = False
+    """Keep what is finished in the folder, go on with what is not."""
+    overwrite: bool = False
+    """Replace the comparison in the folder."""
+
+    def run(self) -> int:
+        """Runs it, and writes the folder; returns the exit status."""
+        check_duration(self.duration)
+        plan = self._plan()
+        from fastmimic.experiments.compare import compare
+        from fastmimic.optimize.problem import available_cores
+        from fastmimic.report.comparison_folder import open_comparison
+
+        workers = self.workers if self.workers is not None else available_cores()
+        if workers < 1:
+            raise ConfigError(f"workers must be at least 1, found {workers}")
+        total = len(plan.runs)
+        with open_comparison(
+            self.out, _environment(plan, workers), resume=self.resume, overwrite=self.overwrite
+        ) as folder:
+            note(f"{total} runs in {self.out}, {workers} at a time")
+            try:
+                with _progress(total) as report:
+                    rows = compare(
+                        plan,
+                        self.out,
+                        workers=workers,
+                        report=report,
+                        prepared=lambda name: note(f"{name}: retargeted"),
+                    )
+            except KeyboardInterrupt:
+                if folder.begun:
+                    note("what is finished is kept; the same command with --resume goes on")
+                raise
+            folder.write(plan, rows)
+        for line in folder.table().splitlines():
+            put(line)
+        put(f"results in {self.out}")
+        return 0
+
+    def _plan(self) -> "Plan":
+        from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, Plan
+        from fastmimic.experiments.runs import EVALUATION_S, Settings
+        from fastmimic.methods import METHODS
+        from fastmimic.robot import ROBOT_NAMES
+
+        if self.builtin and self.motions:
+            raise ConfigError("--builtin stands for the four built-in motions; give it or --motions")
+        robot = self.robot if self.robot in ROBOT_NAMES else os.path.abspath(self.robot)
+        settings = Settings(
+            robot=robot if os.path.exists(robot) else self.robot,
+            config=self.config,
+            duration_s=self.duration,
+            iterations=self.iterations,
+            population=self.population,
+            evaluation_s=EVALUATION_S,
+        )
+        default = BUILT_IN_MOTIONS if self.builtin else PAPER_MOTIONS
+        return Plan(settings, self.motions or default, self.methods or tuple(METHODS), self.seeds, self.ablations)
+
+
+def _environment(plan: "Plan", workers: int) -> dict[str, Any]:
+    """What the results depend on, and what they were made with, JSON-serialisable."""
+    from fastmimic.control.config import controller_config
+    from fastmimic.experiments.ablations import ablation_named
+    from fastmimic.methods import method_named
+    from fastmimic.pipeline import versions
+
+    config = controller_config(plan.settings.config)
+    return {
+        "settings": asdict(plan.settings),
+        "motions": list(plan.motions),
+        "methods": list(plan.methods),
+        "seeds": plan.seeds,
+        "ablations": list(plan.variants),
+        "workers": workers,
+        "machine": {
+            "system": platform.platform(),
+            "processor": _processor(),
+            "cores": os.cpu_count(),
+        },
+        "versions": versions(),
+        "controllers": {name: method_named(name).configure(config).as_dict() for name in plan.methods}
+        | {name: ablation_named(name).change(config).as_dict() for name in plan.variants},
+    }
+
+
+def _processor() -> str:
+    """Its name as the system tells it, or its architecture."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            names = [line.split(":", 1)[1].strip() for line in file if line.startswith("model name")]
+    except OSError:
+        names = []
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+@contextmanager
+def _progress(total: int) -> "Iterator[Report]":
+    """A bar on a terminal, and in any case a line for each run that was finished."""
+    with share_progress("comparing") as bar:
+
+        def report(effort: "Effort", row: "Row | None") -> None:
+            finished = total - len(effort.tasks) + effort.finished
+            left = "" if effort.remaining_s is None else f", {_clock(effort.remaining_s)} left"
+            if bar is not None:
+                bar(effort.share, f"{finished}/{total} runs{left}")
+            elif row is not None:
+                note(f"{finished}/{total} {_said(row)}{left}")
+
+        yield report
+
+
+def _said(row: "Row") -> str:
+    variant = f" ({row['variant']})" if row["variant"] else ""
+    fell = ", fell" if row["fell"] else ""
+    return f"{row['motion']} {row['method']}{variant} seed {row['seed']}: reward {row['reward']:.3f}{fell}"
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}"

@@ -1,0 +1,1 @@
+"""The paper's comparison and ours, each a function that returns a table."""

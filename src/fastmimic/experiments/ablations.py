@@ -1,0 +1,89 @@
+"""What each part of the paper's method is worth: named variants of `mbc-dmp`, each with one thing changed."""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from fastmimic.control.config import ControllerConfig
+from fastmimic.errors import ConfigError, did_you_mean
+from fastmimic.primitive.rhythmic import N_BASIS
+
+ABLATED: Final = "mbc-dmp"
+"""The method that the ablations are variants of."""
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """A variant of `ABLATED`, optimised and evaluated with its own change in force.
+
+    Attributes:
+        name: of the variant.
+        summary: what differs.
+        change: what it changes in the controller's configuration.
+        consistent: whether retargeting makes the motion consistent (`RetargetConfig.consistent`).
+        n_basis: basis functions of each DMP.
+    """
+
+    name: str
+    summary: str
+    change: Callable[[ControllerConfig], ControllerConfig] = lambda config: config
+    consistent: bool = True
+    n_basis: int = N_BASIS
+
+    def changes(self, config: ControllerConfig) -> bool:
+        """Whether the variant differs at all from the method under that configuration."""
+        return self.change(config) != config or not self.consistent or self.n_basis != N_BASIS
+
+
+def _stance(**values: object) -> Callable[[ControllerConfig], ControllerConfig]:
+    return lambda config: dataclasses.replace(config, stance=dataclasses.replace(config.stance, **values))  # type: ignore[arg-type]
+
+
+def _swing(**values: object) -> Callable[[ControllerConfig], ControllerConfig]:
+    return lambda config: dataclasses.replace(config, swing=dataclasses.replace(config.swing, **values))  # type: ignore[arg-type]
+
+
+def _gait(**values: object) -> Callable[[ControllerConfig], ControllerConfig]:
+    return lambda config: dataclasses.replace(config, gait=dataclasses.replace(config.gait, **values))  # type: ignore[arg-type]
+
+
+_ABLATIONS = (
+    Ablation("no-adaptation", "no joint feedback in stance (without eq. 2)", _stance(adaptation="off")),
+    Ablation("paper-adaptation", "eq. 2 as printed, without the turning of the body", _stance(adaptation="paper")),
+    Ablation("full-adaptation", "eq. 2 with the turning of the body", _stance(adaptation="full")),
+    Ablation(
+        "no-swing-feedback",
+        "feet follow the reference, whatever the velocity (K = 0 in eq. 3)",
+        _swing(velocity_feedback=(0.0, 0.0), position_feedback=0.0),
+    ),
+    Ablation("no-state-machine", "legs switch by the schedule alone", _gait(planner="schedule")),
+    Ablation(
+        "raw-retargeting",
+        "the scaled animal as it is, feet that slide and hover included; scored against itself",
+        consistent=False,
+    ),
+    Ablation("10-basis-functions", "DMPs of 10 basis functions", n_basis=10),
+    Ablation("25-basis-functions", "DMPs of 25 basis functions", n_basis=25),
+)
+
+ABLATIONS: Final = {ablation.name: ablation for ablation in _ABLATIONS}
+"""All variants by name; `MotionDmp`'s 100 basis functions are the method itself."""
+
+
+def ablations_of(config: ControllerConfig) -> tuple[Ablation, ...]:
+    """The variants that differ from the method under a configuration: one of the adaptations is its own."""
+    return tuple(ablation for ablation in _ABLATIONS if ablation.changes(config))
+
+
+def ablation_named(name: str) -> Ablation:
+    """The variant of that name; the method itself for an empty one.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if not name:
+        return Ablation("", "")
+    if name not in ABLATIONS:
+        raise ConfigError(f"unknown ablation '{name}'; there are {', '.join(ABLATIONS)}{did_you_mean(name, ABLATIONS)}")
+    return ABLATIONS[name]

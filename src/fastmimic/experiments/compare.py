@@ -1,0 +1,152 @@
+"""The comparison: which runs there are, what they start from, and their rows."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from fastmimic.control.config import controller_config
+from fastmimic.errors import ConfigError, OutputError
+from fastmimic.experiments.ablations import ABLATED, ablation_named, ablations_of
+from fastmimic.experiments.runs import Row, Run, Settings, digest, finished_row, slug
+from fastmimic.experiments.schedule import Report, Task, run_all
+from fastmimic.methods import METHODS, method_named
+from fastmimic.motion.catalogue import open_clip
+from fastmimic.motion.formats import detect_format
+from fastmimic.motion.motion import Motion
+from fastmimic.motion.retarget import retarget
+from fastmimic.motion.retarget_config import RetargetConfig
+from fastmimic.optimize.cma_es import CmaSettings
+from fastmimic.optimize.problem import Objective
+from fastmimic.pipeline import load_motion
+from fastmimic.robot import Robot, load_robot
+
+PAPER_MOTIONS: Final = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps")
+"""The paper's four, as far as they are public."""
+BUILT_IN_MOTIONS: Final = ("trot", "pace", "turn", "side-step")
+RUNS: Final = "runs"
+MOTIONS: Final = "motions"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All runs of a comparison, in the order in which they are done.
+
+    Attributes:
+        settings: what they have in common.
+        motions: names, or files.
+        methods: names.
+        seeds: number of seeds of the methods that optimise.
+        ablations: whether to run the variants of `ABLATED` as well.
+    """
+
+    settings: Settings
+    motions: tuple[str, ...]
+    methods: tuple[str, ...]
+    seeds: int
+    ablations: bool
+
+    def __post_init__(self) -> None:
+        if not self.motions:
+            raise ConfigError("a comparison needs at least one motion")
+        if not self.methods:
+            raise ConfigError(f"a comparison needs at least one method; there are {', '.join(METHODS)}")
+        if self.seeds < 1:
+            raise ConfigError(f"seeds must be at least 1, found {self.seeds}")
+        for name in self.methods:
+            method_named(name)
+        for what, names in (("motion", [slug(m) for m in self.motions]), ("method", self.methods)):
+            twice = sorted({name for name in names if list(names).count(name) > 1})
+            if twice:
+                raise ConfigError(f"{what} {', '.join(twice)} is given twice")
+        controller_config(self.settings.config)
+        CmaSettings(self.settings.iterations, self.settings.population)
+        Objective(self.settings.duration_s)
+
+    @property
+    def variants(self) -> tuple[str, ...]:
+        """The names of the ablations."""
+        if not self.ablations:
+            return ()
+        return tuple(ablation.name for ablation in ablations_of(controller_config(self.settings.config)))
+
+    @property
+    def runs(self) -> list[Run]:
+        """What is quickly done first, then seed by seed, so that an unfinished comparison has something of everything.
+
+        The ablations bring the method that they are variants of along.
+        """
+        methods = [*self.methods, *([ABLATED] if self.ablations and ABLATED not in self.methods else [])]
+        optimising = [name for name in methods if method_named(name).optimises]
+        runs = [Run(motion, name, "", 0) for motion in self.motions for name in methods if name not in optimising]
+        for seed in range(self.seeds):
+            runs += [Run(motion, name, "", seed) for motion in self.motions for name in optimising]
+        for seed in range(self.seeds):
+            runs += [Run(motion, ABLATED, variant, seed) for motion in self.motions for variant in self.variants]
+        return runs
+
+
+def compare(plan: Plan, out: Path, *, workers: int, report: Report, prepared: Callable[[str], None]) -> list[Row]:
+    """Does what is not done yet, and returns the rows of all runs of the plan.
+
+    Args:
+        plan: what to compare.
+        out: folder in which motions and runs are kept. Runs that are finished there are not done again, and those under
+            way go on from their checkpoints.
+        workers: processes.
+        report: progress of the runs.
+        prepared: called with the name of each motion once it is retargeted.
+
+    Raises:
+        FastMimicError: a motion that cannot be had, or a finished run of something else in the folder.
+        KeyboardInterrupt: Ctrl-C; the folder holds what was done.
+    """
+    if workers < 1:
+        raise ConfigError(f"workers must be at least 1, found {workers}")
+    robot = load_robot(plan.settings.robot)
+    demonstrations = dict(_demonstrations(plan, robot, prepared))
+    files: dict[tuple[str, bool], Path] = {}
+    for (name, consistent), motion in demonstrations.items():
+        files[name, consistent] = out / MOTIONS / f"{slug(name)}{'' if consistent else '-raw'}.npz"
+        motion.save(files[name, consistent])
+    rows: dict[Run, Row] = {}
+    tasks = []
+    for run in plan.runs:
+        key = (run.motion, ablation_named(run.variant).consistent)
+        folder = out / RUNS / run.folder
+        row = finished_row(folder)
+        if row is None:
+            tasks.append(Task(run, plan.settings, files[key], folder))
+        elif row.get("digest") != digest(run, plan.settings, robot, demonstrations[key]):
+            raise OutputError(
+                f"{folder}: a finished run of another controller, motion or robot than this installation's;"
+                " choose another --out, or --overwrite it"
+            )
+        else:
+            rows[run] = row
+
+    for task, row in zip(tasks, run_all(tasks, workers, report), strict=True):
+        rows[task.run] = row
+    return [rows[run] for run in plan.runs]
+
+
+def _demonstrations(
+    plan: Plan, robot: Robot, prepared: Callable[[str], None]
+) -> Iterator[tuple[tuple[str, bool], Motion]]:
+    """Every motion, and with the ablations as it is without the consistency step too."""
+    optimised = plan.ablations or any(method_named(name).optimises for name in plan.methods)
+    raw = any(not ablation_named(name).consistent for name in plan.variants)
+    for name in plan.motions:
+        motion = load_motion(name, robot).target
+        if optimised and motion.cycle is None:
+            raise ConfigError(f"'{name}' is not one cycle of a gait, and only cycles can be optimised")
+        yield (name, True), motion
+        if raw:
+            yield (name, False), _raw(name, robot)
+        prepared(name)
+
+
+def _raw(name: str, robot: Robot) -> Motion:
+    if Path(name).is_file() and detect_format(name) == "npz":
+        raise ConfigError(f"--ablations need the clip: '{name}' is already a robot motion")
+    return retarget(open_clip(name, robot=robot), robot, config=RetargetConfig(consistent=False))[0]

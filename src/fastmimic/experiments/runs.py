@@ -1,0 +1,306 @@
+"""One run of a comparison: a method on a motion with a seed, and the row of figures that comes out.
+
+What a seed is. An optimised method's seed is that of CMA-ES. A method that optimises nothing is deterministic in
+simulation, as the paper says, so it is run once, as seed 0. Every run, whatever its method, is evaluated alike: one
+nominal episode from the motion's start (`reward`), and episodes from the same perturbed starts (`reward_perturbed`,
+`reward_std`), which no optimisation has seen.
+"""
+
+import hashlib
+import json
+import re
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.config import ControllerConfig, controller_config
+from fastmimic.errors import OutputError
+from fastmimic.experiments.ablations import ablation_named
+from fastmimic.files import replace_file
+from fastmimic.imitation.reward import TERMS
+from fastmimic.imitation.rollout import Rollout, perturbed_start, run_episodes, swing_clearance
+from fastmimic.imitation.style import style_distance
+from fastmimic.methods import method_named
+from fastmimic.motion.motion import Motion
+from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
+from fastmimic.optimize.cma_es import Progress
+from fastmimic.optimize.problem import Objective
+from fastmimic.pipeline import Imitation, imitate, versions
+from fastmimic.robot import Robot
+from fastmimic.robot.kinematics import foot_positions
+
+Array = NDArray[np.float64]
+Row = dict[str, Any]
+
+ROW: Final = "row.json"
+MOTION: Final = "motion.npz"
+TRACKING: Final = "tracking.npz"
+RUN_FILES: Final = (ROW, MOTION, TRACKING, CHECKPOINT)
+
+EVALUATION_S: Final = 10.0
+PERTURBED_EPISODES: Final = 8
+_EVALUATION_SEED: Final = 20230617  # of the perturbed starts: the same for every run, and no optimisation's
+_TRACKED_CYCLES: Final = 2
+_WARM_UP_S: Final = 0.01
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What all runs of a comparison have in common.
+
+    Attributes:
+        robot: its name, or the path of its MJCF.
+        config: name of the controller's parameters.
+        duration_s: length of the optimisation's episodes, s.
+        iterations, population: of CMA-ES.
+        evaluation_s: length of the evaluation's episodes, s.
+        perturbed_episodes: how many of them begin perturbed.
+    """
+
+    robot: str = "a1"
+    config: str = "default"
+    duration_s: float = 5.0
+    iterations: int = 200
+    population: int = 10
+    evaluation_s: float = EVALUATION_S
+    perturbed_episodes: int = PERTURBED_EPISODES
+
+
+@dataclass(frozen=True)
+class Run:
+    """Which motion, method, variant of the method (empty for none) and seed."""
+
+    motion: str
+    method: str
+    variant: str
+    seed: int
+
+    @property
+    def folder(self) -> str:
+        """The name of its folder."""
+        parts = (self.motion, self.method, *([self.variant] if self.variant else []), f"seed{self.seed}")
+        return slug("-".join(parts))
+
+    def __str__(self) -> str:
+        variant = f" ({self.variant})" if self.variant else ""
+        return f"{self.motion} {self.method}{variant} seed {self.seed}"
+
+
+def slug(text: str) -> str:
+    """The text as a file's name."""
+    return re.sub(r"[^\w.-]+", "_", text)
+
+
+def controller_of(run: Run, settings: Settings) -> ControllerConfig:
+    """The run's controller before its method changes it."""
+    return ablation_named(run.variant).change(controller_config(settings.config))
+
+
+def digest(run: Run, settings: Settings, robot: Robot, demonstration: Motion) -> str:
+    """What tells apart runs of different content: 16 hexadecimal digits of everything but the seed."""
+    found = hashlib.sha256(robot.xml.encode())
+    for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "contact"):
+        found.update(getattr(demonstration, name).tobytes())
+    method = method_named(run.method)
+    said = {
+        "method": method.name,
+        "parameters": method.parameters,
+        "controller": method.configure(controller_of(run, settings)).as_dict(),
+        "n_basis": ablation_named(run.variant).n_basis,
+        "objective": asdict(Objective(settings.duration_s)),
+        "settings": {k: v for k, v in asdict(settings).items() if k != "robot"},
+    }
+    found.update(json.dumps(said, sort_keys=True).encode())
+    return found.hexdigest()[:16]
+
+
+def perform(
+    run: Run,
+    settings: Settings,
+    robot: Robot,
+    demonstration: Motion,
+    folder: Path,
+    progress: Callable[[Progress], None] | None = None,
+) -> Row:
+    """Optimises if the method does, evaluates, and writes the run's folder; goes on from a checkpoint found there.
+
+    Args:
+        run: what to do.
+        settings: how.
+        robot: the robot.
+        demonstration: the retargeted motion, as the run's variant has it.
+        folder: of this run.
+        progress: called after each iteration of the optimisation.
+
+    Returns:
+        The row; see `COLUMNS` in `fastmimic.experiments.tables`.
+
+    Raises:
+        FastMimicError: as `imitate`.
+        KeyboardInterrupt: the optimisation was interrupted; its checkpoint is in the folder.
+    """
+    checkpoint = folder / CHECKPOINT
+    config = controller_of(run, settings)
+    # compiled, or loaded, before the clock starts
+    run_episodes(robot, demonstration, duration_s=_WARM_UP_S, config=method_named(run.method).configure(config))
+    result = imitate(
+        demonstration,
+        robot,
+        method=run.method,
+        config=config,
+        duration_s=settings.duration_s,
+        iterations=settings.iterations,
+        population=settings.population,
+        seed=run.seed,
+        workers=1,
+        checkpoint=checkpoint,
+        resume=checkpoint.is_file(),
+        progress=progress,
+        n_basis=ablation_named(run.variant).n_basis,
+    )
+    if result.interrupted:
+        raise KeyboardInterrupt
+    began = time.perf_counter()
+    row = _row(run, settings, result, folder)
+    row |= {
+        "wall_s": result.wall_s + time.perf_counter() - began,
+        "digest": digest(run, settings, robot, demonstration),
+    }
+    if method_named(run.method).optimises:
+        result.motion.save(folder / MOTION)
+    text = json.dumps(row, indent=1, allow_nan=False)
+    replace_file(folder / ROW, lambda file: file.write(text.encode()))
+    return row
+
+
+def finished_row(folder: Path) -> Row | None:
+    """The row of a run that was finished, or None.
+
+    Raises:
+        OutputError: the file is damaged.
+    """
+    path = folder / ROW
+    try:
+        row = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{path}: cannot be read ({error}); remove it, and --resume makes it anew") from None
+    return dict(row)
+
+
+def _row(run: Run, settings: Settings, result: Imitation, folder: Path) -> Row:
+    robot, demonstration = result.robot, result.demonstration
+    method = method_named(run.method)
+
+    def episode(motion: Motion) -> Rollout:
+        return run_episodes(robot, motion, duration_s=settings.evaluation_s, config=result.config, log=True)
+
+    after = episode(result.motion)
+    before = episode(demonstration) if method.optimises else after
+    _save_tracking(folder / TRACKING, demonstration, before, after, robot)
+    rng = np.random.default_rng(_EVALUATION_SEED)
+    start = perturbed_start(settings.perturbed_episodes + 1, demonstration.n_samples, rng).part(slice(1, None))
+    rough = run_episodes(robot, result.motion, start=start, duration_s=settings.evaluation_s, config=result.config)
+    clearance = after.clearance[0]
+    share = clearance / swing_clearance(demonstration, robot.foot_radius)
+    found = {
+        "motion": run.motion,
+        "method": run.method,
+        "variant": run.variant,
+        "seed": run.seed,
+        "reward": after.reward[0],
+        "reward_before": before.reward[0],
+        "reward_perturbed": rough.reward.mean(),
+        "reward_std": rough.reward.std(),
+        "fell": bool(after.fell[0]),
+        "fell_before": bool(before.fell[0]),
+        "fell_perturbed": rough.fell.mean(),
+        "drift_m_per_s": after.drift[0],
+        "swing_clearance_m": _mean(clearance),
+        "swing_clearance_least_share": np.nanmin(share) if np.isfinite(share).any() else None,
+        "early_contacts_per_s": after.early_contacts[0],
+        "stance_slip_m": after.slip[0].mean(),
+        "style_distance": None if method.own_feet else _style(result),
+        "style_distance_realised": _realised_style(after, demonstration, robot),
+        "foot_z_rmse_before_m": _rms(before.foot_rmse[0, :, 2]),
+        "foot_z_rmse_after_m": _rms(after.foot_rmse[0, :, 2]),
+        "foot_x_rmse_before_m": _rms(before.foot_rmse[0, :, 0]),
+        "foot_x_rmse_after_m": _rms(after.foot_rmse[0, :, 0]),
+        **{f"reward_{name}": value for name, value in zip(TERMS, after.terms[0], strict=True)},
+        "evaluations": result.evaluations,
+        "iterations": result.iterations,
+        "simulated_s": result.simulated_s
+        + settings.evaluation_s * (1 + method.optimises + settings.perturbed_episodes),
+        "robot": robot.name,
+        "config": settings.config,
+        "duration_s": settings.duration_s,
+        "population": settings.population,
+        "evaluation_s": settings.evaluation_s,
+        "perturbed_episodes": settings.perturbed_episodes,
+        "parameters": " ".join(
+            f"{p.name}={v!r}" for p, v in zip(result.parameters, result.values.tolist(), strict=True)
+        ),
+        **{f"{name}_version": v for name, v in versions().items()},
+    }
+    return {name: _plain(value) for name, value in found.items()}
+
+
+def _style(result: Imitation) -> float:
+    return style_distance(result.motion.foot_pos_b, result.demonstration.foot_pos_b)
+
+
+def _realised_style(rollout: Rollout, demonstration: Motion, robot: Robot) -> float | None:
+    """The style distance of what the feet did until the fall; None if that was less than a cycle."""
+    if rollout.steps[0] < demonstration.n_samples:
+        return None
+    wanted, feet = _courses(rollout, robot)
+    return style_distance(feet, wanted, demonstration.foot_pos_b)
+
+
+def _courses(rollout: Rollout, robot: Robot) -> tuple[Array, Array]:
+    """Feet of the nominal episode in the body frame, (t, 4, 3) m: wanted, and realised with NaN from the fall on."""
+    assert rollout.log is not None, "the courses are in the log"
+    feet = foot_positions(robot, rollout.log.observation["joint_pos"][0])
+    feet[rollout.steps[0] :] = np.nan
+    return rollout.log.demonstration["foot_pos"][0], feet
+
+
+def _save_tracking(path: Path, demonstration: Motion, before: Rollout, after: Rollout, robot: Robot) -> None:
+    """The feet in the last cycles that either of the two ran through, for the figure."""
+    shown = _TRACKED_CYCLES * demonstration.n_samples
+    end = max(int(before.steps[0]), int(after.steps[0]))
+    window = slice(max(0, end - shown), end)
+    wanted, realised = _courses(after, robot)
+    unoptimised = _courses(before, robot)[1]
+    replace_file(
+        path,
+        lambda file: np.savez_compressed(
+            file,
+            rate_hz=np.float64(demonstration.rate_hz),
+            start_s=np.float64(window.start / demonstration.rate_hz),
+            demonstration=wanted[window],
+            before=unoptimised[window],
+            after=realised[window],
+        ),
+    )
+
+
+def _mean(values: Array) -> float | None:
+    return float(np.nanmean(values)) if np.isfinite(values).any() else None
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _plain(value: Any) -> Any:
+    """A plain JSON value; None in place of NaN."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not np.isfinite(value) else value

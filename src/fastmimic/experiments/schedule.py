@@ -1,0 +1,249 @@
+"""Runs spread over the cores: a process of one thread for each run, and no run waits for another.
+
+The threads of `imitate` serve one user who waits for one motion: at the end of every iteration they wait for the
+slowest of them, they share one interpreter between control steps, and fitting, the logged episodes and CMA-ES are one
+thread's work. Here there are more runs than cores. Nothing is shared between runs, so the rows do not depend on the
+number of processes. `benchmarks/comparison.py --scaling` measures both ways.
+"""
+
+import multiprocessing
+import os
+import queue
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from fastmimic.errors import OutputError
+from fastmimic.experiments.runs import Row, Run, Settings, perform
+from fastmimic.methods import method_named
+from fastmimic.motion.motion import Motion
+from fastmimic.optimize.cma_es import VALIDATED, VALIDATION_EPISODES, VALIDATION_S, Progress
+from fastmimic.robot import load_robot
+
+_POLL_S: Final = 0.5
+_ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Task:
+    """A run and where its files are."""
+
+    run: Run
+    settings: Settings
+    demonstration: Path
+    folder: Path
+
+    @property
+    def simulated_s(self) -> float:
+        """Time to simulate, about, s: the measure of its length."""
+        s = self.settings
+        evaluation = s.evaluation_s * (2 + s.perturbed_episodes)
+        if not method_named(self.run.method).optimises:
+            return evaluation
+        return evaluation + VALIDATED * VALIDATION_EPISODES * VALIDATION_S + self.searched_s(s.iterations)
+
+    def searched_s(self, iterations: int) -> float:
+        """The part of that up to an iteration of the search, s."""
+        return self.settings.duration_s * self.settings.population * iterations
+
+
+@dataclass
+class Effort:
+    """How much is done, and how long the rest will take: by the pace of each method so far."""
+
+    tasks: Sequence[Task]
+    workers: int
+    finished: int = 0
+    _began: dict[int, float] = field(default_factory=dict)
+    _first: dict[int, tuple[float, int]] = field(default_factory=dict)
+    _done_s: dict[int, float] = field(default_factory=dict)
+    _pace: dict[int, tuple[float, float]] = field(default_factory=dict)  # seconds for simulated seconds
+
+    def begin(self, index: int) -> None:
+        """A run has begun."""
+        self._began[index] = time.perf_counter()
+
+    def advance(self, index: int, iteration: int) -> None:
+        """A run's search has done an iteration; the first one starts its clock, because much comes before it."""
+        now, task = time.perf_counter(), self.tasks[index]
+        at, first = self._first.setdefault(index, (now, iteration))
+        self._done_s[index] = task.searched_s(iteration)
+        if iteration > first:
+            self._pace[index] = (now - at, task.searched_s(iteration - first))
+
+    def finish(self, index: int) -> None:
+        """A run has been finished."""
+        now, task = time.perf_counter(), self.tasks[index]
+        self._done_s[index] = task.simulated_s
+        if index not in self._pace:
+            self._pace[index] = (now - self._began.get(index, now), task.simulated_s)
+        self.finished += 1
+
+    @property
+    def share(self) -> float:
+        """Of the simulated time, in [0, 1]."""
+        total = sum(task.simulated_s for task in self.tasks)
+        return min(1.0, sum(self._done_s.values()) / total) if total > 0 else 1.0
+
+    @property
+    def remaining_s(self) -> float | None:
+        """None before the pace of a search is known, if there is one to do."""
+        pace: dict[str, float] = {}
+        for method in {task.run.method for task in self.tasks}:
+            seen = [self._pace[i] for i, task in enumerate(self.tasks) if task.run.method == method and i in self._pace]
+            if seen:
+                pace[method] = sum(took for took, _ in seen) / max(1e-9, sum(simulated for _, simulated in seen))
+        long = {task.run.method for task in self.tasks if method_named(task.run.method).optimises}
+        known = [pace[method] for method in long or pace if method in pace]
+        if not known:
+            return None
+        left = sum(
+            (task.simulated_s - self._done_s.get(i, 0.0)) * pace.get(task.run.method, max(known))
+            for i, task in enumerate(self.tasks)
+        )
+        return max(0.0, left) / self.workers
+
+
+Report = Callable[[Effort, Row | None], None]
+"""Called after each iteration of a run, and with the row of each run that was finished."""
+
+
+def run_all(tasks: Sequence[Task], workers: int, report: Report) -> list[Row]:
+    """Performs all tasks; the rows in their order.
+
+    Ctrl-C stops all runs; what was finished is in the folders, and so are the checkpoints of the others.
+
+    Args:
+        tasks: what to do.
+        workers: processes; 1 runs them in this one.
+        report: progress.
+
+    Raises:
+        FastMimicError: as the first run that failed; the others are stopped.
+        KeyboardInterrupt: Ctrl-C.
+    """
+    workers = max(1, min(workers, len(tasks)))
+    effort = Effort(tasks, workers)
+    rows: list[Row | None] = [None] * len(tasks)
+    for index, row in _in_this_process(tasks, effort, report) if workers == 1 else _spread(tasks, effort, report):
+        rows[index] = row
+    return [row for row in rows if row is not None]
+
+
+def _in_this_process(tasks: Sequence[Task], effort: Effort, report: Report) -> Iterator[tuple[int, Row]]:
+    for index, task in enumerate(tasks):
+        effort.begin(index)
+
+        def progress(step: Progress, index: int = index) -> None:
+            effort.advance(index, step.iteration)
+            report(effort, None)
+
+        row = _perform(task, progress)
+        effort.finish(index)
+        report(effort, row)
+        yield index, row
+
+
+def _spread(tasks: Sequence[Task], effort: Effort, report: Report) -> Iterator[tuple[int, Row]]:
+    context = multiprocessing.get_context("spawn")
+    steps: Any = context.Queue()
+    with _one_thread_each(), _pool(effort.workers, context, steps) as pool:
+        futures: dict[Future[Row], int] = {pool.submit(_work, i, task): i for i, task in enumerate(tasks)}
+        while futures:
+            done, _ = wait(futures, timeout=_POLL_S, return_when=FIRST_COMPLETED)
+            if _drain(steps, effort):
+                report(effort, None)
+            for future in done:
+                index = futures.pop(future)
+                row = _result(future)
+                effort.finish(index)
+                report(effort, row)
+                yield index, row
+
+
+@contextmanager
+def _pool(workers: int, context: Any, steps: Any) -> Iterator[ProcessPoolExecutor]:
+    """A pool whose processes are stopped, not waited for, if anything goes wrong."""
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(steps,))
+    others = set(multiprocessing.active_children())
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        started = set(multiprocessing.active_children()) - others
+        for process in started:
+            process.terminate()
+        for process in started:
+            process.join()
+        raise
+    pool.shutdown()
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Lets processes started in the block use one thread for linear algebra, unless the user said otherwise."""
+    added = [name for name in _ONE_THREAD if name not in os.environ]
+    os.environ.update(dict.fromkeys(added, "1"))
+    try:
+        yield
+    finally:
+        for name in added:
+            os.environ.pop(name, None)
+
+
+_steps: Any = None
+
+
+def _begin(steps: Any) -> None:
+    """Prepares a process of the pool: Ctrl-C is the parent's to handle."""
+    global _steps
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _steps = steps
+
+
+def _work(index: int, task: Task) -> Row:
+    _steps.put((index, 0))
+
+    def progress(step: Progress) -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None and not parent.is_alive():
+            os._exit(1)  # it was killed; the checkpoint is on disk
+        _steps.put((index, step.iteration))
+
+    return _perform(task, progress)
+
+
+def _perform(task: Task, progress: Callable[[Progress], None]) -> Row:
+    robot = load_robot(task.settings.robot)
+    return perform(task.run, task.settings, robot, Motion.load(task.demonstration), task.folder, progress)
+
+
+def _result(future: Future[Row]) -> Row:
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        raise OutputError(
+            "a process of the comparison was killed, perhaps for want of memory; --resume goes on, with fewer"
+            " --workers if it happens again"
+        ) from None
+
+
+def _drain(steps: Any, effort: Effort) -> bool:
+    """Takes in what the processes have reported; whether there was anything."""
+    found = False
+    while True:
+        try:
+            index, iteration = steps.get_nowait()
+        except queue.Empty:
+            return found
+        found = True
+        if iteration:
+            effort.advance(index, iteration)
+        else:
+            effort.begin(index)

@@ -1,0 +1,217 @@
+"""Rows of runs as CSV, their means and deviations, and these as Markdown."""
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fastmimic.experiments.ablations import ABLATED, ablation_named
+from fastmimic.experiments.runs import Row
+from fastmimic.imitation.reward import TERMS
+from fastmimic.imitation.rollout import JOINT_NOISE, VELOCITY_NOISE
+from fastmimic.methods import METHODS, method_named
+
+NONE: Final = "–"
+
+COLUMNS: Final = (
+    *("motion", "method", "variant", "seed", "reward", "reward_std", "reward_perturbed", "reward_before"),
+    *("fell", "fell_perturbed", "fell_before", "drift_m_per_s", "swing_clearance_m", "swing_clearance_least_share"),
+    *("early_contacts_per_s", "stance_slip_m", "style_distance", "style_distance_realised"),
+    *("foot_z_rmse_before_m", "foot_z_rmse_after_m", "foot_x_rmse_before_m", "foot_x_rmse_after_m"),
+    *(f"reward_{name}" for name in TERMS),
+    *("wall_s", "evaluations", "iterations", "simulated_s", "robot", "config", "duration_s", "population"),
+    *("evaluation_s", "perturbed_episodes", "parameters", "digest"),
+    *(f"{name}_version" for name in ("fastmimic", "python", "mujoco", "daqp", "cma", "numba", "numpy")),
+)
+"""Of `results.csv`. `reward`: nominal episode; `reward_perturbed`, `reward_std`, `fell_perturbed`: mean, standard
+deviation and share over the perturbed episodes; `*_before`: nominal episode of the unoptimised motion under the same
+controller; SI units."""
+
+PAPER: Final = (
+    "For context only, not a row of ours: for its turn, another clip in another simulator, the paper reports RL 0.483 ±"
+    " 0.195, Raibert 0.453, MBC 0.223, LH 0.39, MBC-DMP 0.803 ± 0.012 and LH-DMP 0.831 ± 0.004."
+)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The runs of one method, or variant, on one motion.
+
+    Attributes:
+        motion, method, variant: whose.
+        rows: of the seeds.
+    """
+
+    motion: str
+    method: str
+    variant: str
+    rows: tuple[Row, ...]
+
+    def values(self, column: str) -> list[float]:
+        """The seeds' values that exist."""
+        return [float(row[column]) for row in self.rows if row[column] is not None]
+
+    def mean(self, column: str) -> float | None:
+        """Over the seeds; None if there is no value."""
+        values = self.values(column)
+        return float(np.mean(values)) if values else None
+
+    def std(self, column: str) -> float | None:
+        """Sample deviation over the seeds; None with fewer than two."""
+        values = self.values(column)
+        return float(np.std(values, ddof=1)) if len(values) > 1 else None
+
+    @property
+    def label(self) -> str:
+        """What it is called in tables and figures."""
+        return self.variant or method_named(self.method).label
+
+
+def summaries(rows: Iterable[Row]) -> list[Summary]:
+    """Rows grouped by motion, method and variant, the methods in the order of the paper's figure."""
+    groups: dict[tuple[str, str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["motion"], row["method"], row["variant"]), []).append(row)
+    motions = list(dict.fromkeys(motion for motion, _, _ in groups))
+    variants = list(dict.fromkeys(variant for _, _, variant in groups))
+    order = sorted(groups, key=lambda k: (motions.index(k[0]), variants.index(k[2]), list(METHODS).index(k[1])))
+    return [Summary(*key, tuple(groups[key])) for key in order]
+
+
+def to_csv(rows: Sequence[Row]) -> str:
+    """One line a run; what does not exist is empty."""
+    out = io.StringIO()
+    writer = csv.DictWriter(out, COLUMNS, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({k: "" if v is None else v for k, v in row.items()} for row in rows)
+    return out.getvalue()
+
+
+def comparison_table(rows: Sequence[Row], expected: int) -> str:
+    """The methods on every motion, with what it cost, as Markdown.
+
+    Args:
+        rows: of the runs without a variant.
+        expected: how many runs there are to be in all.
+    """
+    header = (
+        *("motion", "method", "reward", "perturbed starts", "fell, nominal", "fell, perturbed"),
+        *("least clearance", "style distance", "realised", "drift, m/s", "early contacts, 1/s", "slip, mm"),
+        *("wall time, s", "episodes"),
+    )
+    body = [_line(summary) for summary in summaries(rows)]
+    return "\n".join([_title(rows, expected), "", *_markdown(header, body), "", _caption(rows), "", PAPER, ""])
+
+
+def ablation_table(rows: Sequence[Row], expected: int) -> str:
+    """The variants next to the method itself, as Markdown.
+
+    Args:
+        rows: of the method's runs and of its variants'.
+        expected: how many of these there are to be.
+    """
+    header = (
+        *("motion", "variant", "reward", "change", "perturbed starts", "fell, nominal", "fell, perturbed"),
+        *("reward before", "least clearance", "style distance", "realised"),
+    )
+    found = summaries(rows)
+    whole = {s.motion: s.mean("reward") for s in found if not s.variant}
+    body = []
+    for s in found:
+        reward, base = s.mean("reward"), whole.get(s.motion)
+        change = NONE if not s.variant or reward is None or base is None else f"{reward - base:+.3f}"
+        body.append(
+            [
+                *(f"`{s.motion}`", s.variant or f"{ABLATED}, as it is", _spread(s, "reward"), change),
+                *(_spread_of_episodes(s), _count(s, "fell"), _percent(s.mean("fell_perturbed"))),
+                *(_number(s.mean("reward_before")), _percent(_least(s)), _number(s.mean("style_distance"), 2)),
+                _number(s.mean("style_distance_realised"), 2),
+            ]
+        )
+    kinds = [ablation_named(v) for v in dict.fromkeys(s.variant for s in found) if v]
+    legend = [f"- `{kind.name}`: {kind.summary}." for kind in kinds]
+    return "\n".join([_title(rows, expected), "", *_markdown(header, body), "", _caption(rows), "", *legend, ""])
+
+
+def _line(s: Summary) -> list[str]:
+    return [
+        *(f"`{s.motion}`", s.label, f"**{_spread(s, 'reward')}**", _spread_of_episodes(s), _count(s, "fell")),
+        *(_percent(s.mean("fell_perturbed")), _percent(_least(s)), _number(s.mean("style_distance"), 2)),
+        *(_number(s.mean("style_distance_realised"), 2), _number(s.mean("drift_m_per_s"), 2)),
+        *(_number(s.mean("early_contacts_per_s"), 1), _number(_times(s.mean("stance_slip_m"), 1e3), 1)),
+        *(_number(s.mean("wall_s"), 1), _number(s.mean("evaluations"), 0)),
+    ]
+
+
+def _title(rows: Sequence[Row], expected: int) -> str:
+    missing = "" if len(rows) >= expected else f" **Unfinished: {len(rows)} of {expected} runs.**"
+    robots, configs = (" and ".join(sorted({row[k] for row in rows})) for k in ("robot", "config"))
+    return f"{robots}, `{configs}` configuration.{missing}"
+
+
+def _caption(rows: Sequence[Row]) -> str:
+    def all_of(column: str) -> str:
+        return " or ".join(f"{value:g}" for value in sorted({row[column] for row in rows}))
+
+    optimised = [row for row in rows if row["iterations"]]
+    search = ""
+    if optimised:
+        seeds = len({row["seed"] for row in optimised})
+        iterations = " or ".join(str(i) for i in sorted({row["iterations"] for row in optimised}))
+        search = (
+            f" Where something is optimised: mean ± sample standard deviation over {seeds}"
+            f" seed{'s' if seeds > 1 else ''} of CMA-ES, {iterations} iterations of {all_of('population')} candidates,"
+            f" episodes of {all_of('duration_s')} s. The other methods are deterministic and were run once."
+        )
+    return (
+        f"*Reward*: one episode of {all_of('evaluation_s')} s from the motion's start, scored against the retargeted"
+        f" motion.{search} *Perturbed starts*: mean ± standard deviation over {all_of('perturbed_episodes')} episodes"
+        f" from random phases with joints ± {JOINT_NOISE:g} rad and base velocity ± {VELOCITY_NOISE:g} m/s, the same"
+        " ones for every run. *Least clearance*: smallest share of the demonstration's swing clearance that a leg"
+        " realises, mean over the seeds. *Style distance*: of the optimised reference from the retargeted one, 0 if"
+        " they are the same and 1 if the feet are not lifted; *realised*: of what the robot's feet did until a fall."
+        " *Wall time*: of one run in one process, optimisation and evaluation."
+    )
+
+
+def _markdown(header: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(line)} |" for line in (header, ["---"] * len(header), *body)]
+
+
+def _spread(s: Summary, column: str) -> str:
+    mean, std = s.mean(column), s.std(column)
+    if mean is None:
+        return NONE
+    return f"{mean:.3f}" if std is None else f"{mean:.3f} ± {std:.3f}"
+
+
+def _spread_of_episodes(s: Summary) -> str:
+    """Mean and deviation over the episodes of all seeds."""
+    means, stds = s.values("reward_perturbed"), s.values("reward_std")
+    if not means:
+        return NONE
+    square = np.mean(np.square(stds)) + np.var(means)
+    return f"{np.mean(means):.3f} ± {np.sqrt(square):.3f}"
+
+
+def _least(s: Summary) -> float | None:
+    return s.mean("swing_clearance_least_share")
+
+
+def _count(s: Summary, column: str) -> str:
+    return f"{sum(bool(row[column]) for row in s.rows)} of {len(s.rows)}"
+
+
+def _percent(value: float | None) -> str:
+    return NONE if value is None else f"{100 * value:.0f} %"
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    return NONE if value is None else f"{value:.{digits}f}"
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else factor * value

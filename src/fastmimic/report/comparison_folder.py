@@ -1,0 +1,203 @@
+"""The folder of a comparison: what lies in it, what may be written over, and what goes on."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from fastmimic.errors import ConfigError, OutputError
+from fastmimic.experiments.ablations import ABLATED
+from fastmimic.experiments.compare import MOTIONS, RUNS
+from fastmimic.experiments.runs import RUN_FILES, TRACKING, Row, Run
+from fastmimic.experiments.tables import ablation_table, comparison_table, summaries, to_csv
+from fastmimic.files import check_folder, replace_file
+from fastmimic.methods import method_named
+from fastmimic.report.run_folder import write_json
+
+if TYPE_CHECKING:
+    from fastmimic.experiments.compare import Plan
+
+ENVIRONMENT: Final = "environment.json"
+RESULTS_CSV: Final = "results.csv"
+TABLE: Final = "table.md"
+COMPARISON: Final = "comparison.png"
+TRACKING_FIGURE: Final = "tracking.png"
+ABLATION_TABLE: Final = "ablations.md"
+ABLATION_FIGURE: Final = "ablations.png"
+WRITTEN: Final = (RESULTS_CSV, TABLE, COMPARISON, TRACKING_FIGURE, ABLATION_TABLE, ABLATION_FIGURE)
+SHOWN: Final = "dog:pace"
+"""The motion whose foot the tracking figure follows, as the paper's does; the first one if it is not among them."""
+
+
+@dataclass(frozen=True)
+class ComparisonFolder:
+    """Where a comparison keeps its files."""
+
+    path: Path
+
+    @property
+    def begun(self) -> bool:
+        """Whether any run has left something."""
+        return (self.path / RUNS).is_dir()
+
+    def write(self, plan: "Plan", rows: Sequence[Row]) -> None:
+        """Writes the tables and figures of all rows, in place of earlier ones.
+
+        Raises:
+            OutputError: something cannot be written.
+        """
+        self._remove(*WRITTEN)
+        self._write_text(RESULTS_CSV, to_csv(rows))
+        self._write_comparison(plan, [row for row in rows if not row["variant"] and row["method"] in plan.methods])
+        if plan.ablations:
+            self._write_ablations([row for row in rows if row["variant"] or row["method"] == ABLATED])
+
+    def table(self) -> str:
+        """The tables as they were written."""
+        names = [name for name in (TABLE, ABLATION_TABLE) if (self.path / name).is_file()]
+        return "\n".join((self.path / name).read_text(encoding="utf-8") for name in names)
+
+    def _write_comparison(self, plan: "Plan", rows: Sequence[Row]) -> None:
+        from fastmimic.report.comparison import comparison_figure
+        from fastmimic.report.style import save
+
+        expected = sum(not run.variant and run.method in plan.methods for run in plan.runs)
+        self._write_text(TABLE, comparison_table(rows, expected))
+        found = summaries(rows)
+        save(comparison_figure(found, f"Reward by method, {rows[0]['robot']}"), self.path / COMPARISON)
+        self._write_tracking(rows)
+
+    def _write_tracking(self, rows: Sequence[Row]) -> None:
+        """Of the paper's method, or of the first one that optimises; nothing if there is none."""
+        import numpy as np
+
+        from fastmimic.report.comparison import tracking_bars
+        from fastmimic.report.style import save
+
+        methods = [row["method"] for row in rows if method_named(row["method"]).optimises]
+        if not methods:
+            return
+        method = ABLATED if ABLATED in methods else methods[0]
+        own = [row for row in rows if row["method"] == method]
+        row = next((row for row in own if row["motion"] == SHOWN), own[0])
+        run = Run(row["motion"], method, "", row["seed"])
+        try:
+            with np.load(self.path / RUNS / run.folder / TRACKING, allow_pickle=False) as file:
+                courses = {name: file[name] for name in ("demonstration", "before", "after")}
+                rate_hz, start_s = float(file["rate_hz"]), float(file["start_s"])
+        except (OSError, ValueError, KeyError) as error:
+            raise OutputError(
+                f"{self.path / RUNS / run.folder / TRACKING}: cannot be read ({error}); remove that folder, and"
+                " --resume makes it anew"
+            ) from None
+        title = f"Tracking before and after {method_named(method).label}, {row['robot']} (course: {run.motion})"
+        save(tracking_bars(summaries(own), courses, rate_hz, start_s, title), self.path / TRACKING_FIGURE)
+
+    def _write_ablations(self, rows: Sequence[Row]) -> None:
+        from fastmimic.report.comparison import ablation_figure
+        from fastmimic.report.style import save
+
+        self._write_text(ABLATION_TABLE, ablation_table(rows, len(rows)))
+        title = f"What the parts of {method_named(ABLATED).label} are worth, {rows[0]['robot']}"
+        save(ablation_figure(summaries(rows), title), self.path / ABLATION_FIGURE)
+
+    def _write_text(self, name: str, text: str) -> None:
+        replace_file(self.path / name, lambda file: file.write(text.encode()))
+
+    def _remove(self, *names: str) -> None:
+        for name in names:
+            _unlink(self.path / name)
+
+    def clear(self) -> None:
+        """Removes an earlier comparison: its own files, and nothing else."""
+        self._remove(*WRITTEN, ENVIRONMENT)
+        runs = self.path / RUNS
+        folders = [folder for folder in runs.iterdir() if folder.is_dir()] if runs.is_dir() else []
+        for folder in folders:
+            for name in RUN_FILES:
+                _unlink(folder / name)
+            _remove_empty(folder)
+        motions = self.path / MOTIONS
+        for file in motions.glob("*.npz"):
+            _unlink(file)
+        for folder in (runs, motions):
+            _remove_empty(folder)
+
+
+@contextmanager
+def open_comparison(
+    path: Path, environment: Mapping[str, Any], *, resume: bool, overwrite: bool
+) -> Iterator[ComparisonFolder]:
+    """Prepares a folder for a comparison, before anything takes long. If nothing was done, it is as it was.
+
+    Args:
+        path: the folder.
+        environment: what goes into `environment.json`; its `settings` must be the same to resume.
+        resume: whether to go on with the comparison in the folder.
+        overwrite: whether to replace it.
+
+    Raises:
+        ConfigError: both `resume` and `overwrite`.
+        OutputError: the folder holds another comparison, or something else, or cannot be written to.
+    """
+    if resume and overwrite:
+        raise ConfigError("--resume goes on with a comparison and --overwrite replaces it: give one of them")
+    folder = ComparisonFolder(path)
+    found = [name for name in (ENVIRONMENT, *WRITTEN, RUNS, MOTIONS) if (path / name).exists()]
+    earlier = _settings_of(path / ENVIRONMENT)
+    if found and earlier is None:
+        raise OutputError(f"{path} holds {', '.join(found)} of something else; choose another --out")
+    if earlier is not None and not overwrite:
+        _check_same(path, earlier, environment["settings"], resume)
+    if resume and earlier is None:
+        raise OutputError(f"{path} holds no comparison to resume; leave out --resume to start one")
+    created = [p for p in (path, *path.parents) if not p.exists()]
+    check_folder(path)
+    if overwrite:
+        folder.clear()
+    write_json(path / ENVIRONMENT, environment)
+    try:
+        yield folder
+    except BaseException:
+        if not folder.begun and not resume:
+            folder.clear()
+            for made in created:
+                _remove_empty(made)
+        raise
+
+
+def _check_same(path: Path, earlier: Mapping[str, Any], settings: Mapping[str, Any], resume: bool) -> None:
+    if not resume:
+        raise OutputError(
+            f"{path} holds a comparison; --resume goes on with it, --overwrite replaces it, or choose another --out"
+        )
+    differ = [name for name, value in settings.items() if earlier.get(name) != value]
+    if differ:
+        old = ", ".join(f"{name.replace('_', '-')} {earlier.get(name)}" for name in differ)
+        raise OutputError(
+            f"{path} holds a comparison of other settings ({old}); --resume it with these, or choose another --out"
+        )
+
+
+def _settings_of(path: Path) -> dict[str, Any] | None:
+    try:
+        settings = json.loads(path.read_text(encoding="utf-8"))["settings"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return settings if isinstance(settings, dict) else None
+
+
+def _unlink(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be replaced ({error.strerror or error})") from None
+
+
+def _remove_empty(path: Path) -> None:
+    try:
+        path.rmdir()
+    except OSError:  # not empty, or gone
+        return
