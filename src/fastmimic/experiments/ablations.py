@@ -1,11 +1,11 @@
-"""What each part of the paper's method is worth: named variants of `mbc-dmp`, each with one thing changed."""
+"""What each part of the method is worth, the paper's and what was added to it: named variants of `mbc-dmp`."""
 
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from fastmimic.control.config import ControllerConfig
+from fastmimic.control.config import ControllerConfig, paper_config
 from fastmimic.errors import ConfigError, did_you_mean
 from fastmimic.primitive.rhythmic import N_BASIS
 
@@ -63,6 +63,15 @@ _ABLATIONS = (
         "the scaled animal as it is, feet that slide and hover included; scored against itself",
         consistent=False,
     ),
+    Ablation("paper-controller", "eq. 1 to 3 as printed: all additions below left out", lambda config: paper_config()),
+    Ablation("no-leg-momentum", "forces for a body without legs", _stance(leg_momentum=False)),
+    Ablation(
+        "no-leg-dynamics",
+        "legs get no torques of their own inverse dynamics",
+        lambda config: _swing(leg_dynamics=False)(_stance(leg_dynamics=False)(config)),
+    ),
+    Ablation("no-reference-acceleration", "feedback alone accelerates the body", _stance(reference_acceleration=0.0)),
+    Ablation("world-footholds", "position errors in the world, wherever the feet landed", _stance(foothold_share=0.0)),
     Ablation("10-basis-functions", "DMPs of 10 basis functions", n_basis=10),
     Ablation("25-basis-functions", "DMPs of 25 basis functions", n_basis=25),
 )

@@ -1,5 +1,6 @@
 """What retargeting changed: the figures by which a user can judge whether the result is still the animal's motion."""
 
+import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
@@ -12,6 +13,9 @@ _ANGLES: Final = ("roll", "pitch", "yaw")
 MAX_SPEED_CHANGE: Final = 0.03
 SLOW_M_PER_S: Final = 0.4
 """Of a slower animal the change of speed is measured against this: a share of nothing says nothing."""
+TURNING_RADIUS_M: Final = 0.22
+"""Of the circle that the feet go round the trunk's middle in a turn, on robots of this size: an animal that turns on
+the spot moves its feet at this radius times its turning, and that is the speed the change is measured against."""
 MAX_YAW_CHANGE_DEG: Final = 2.0
 MIN_CLEARANCE_SHARE: Final = 0.8
 MAX_DUTY_CHANGE: Final = 0.1
@@ -165,9 +169,10 @@ class RetargetReport:
 
 def with_bounds(report: RetargetReport) -> RetargetReport:
     """The report with its figures held against the bounds; the reason stands beside each that is not met."""
-    speed = abs(report.speed_after_m_per_s - report.speed_before_m_per_s) / max(
-        report.speed_before_m_per_s, SLOW_M_PER_S
-    )
+    # a turn on the spot has no speed to compare with, but feet that walk on a circle
+    turning = TURNING_RADIUS_M * math.radians(abs(report.yaw_before_deg)) / report.period_before_s
+    scale = max(math.hypot(report.speed_before_m_per_s, turning), SLOW_M_PER_S)
+    speed = abs(report.speed_after_m_per_s - report.speed_before_m_per_s) / scale
     yaw = abs(report.yaw_after_deg - report.yaw_before_deg)
     clearance = min(
         after / max(before, 1e-3)
