@@ -24,15 +24,13 @@ def stance_leg(
     command: Any,
     scratch: Any,
     leg: int,
-    v_ref_b: Array,
-    w_ref_b: Array,
     solved: bool,
 ) -> None:
     """τ = −Jᵀ Rᵀ f, and low-gain feedback towards where the foot will be (paper, eq. 2)."""
     j, foot = 3 * leg, scratch.feet[leg]
     q = obs.joint_pos[j : j + 3]
     leg_jacobian(model.geometry[leg], q[0], q[1], q[2], scratch.jacobian)
-    force_b = scratch.vectors[7]
+    force_b, v_ref_b, w_ref_b = scratch.work, scratch.ref_lin_vel_b, scratch.ref_ang_vel_b
     transposed_times(scratch.rotation, memory.force[leg], force_b)
     transposed_times(scratch.jacobian, force_b, scratch.torque)
     # the ground is felt below the sphere's centre: moment of the force about the centre, (−r z) × f in the body frame

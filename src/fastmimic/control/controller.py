@@ -41,18 +41,30 @@ SCRATCH: Final = record_dtype(
         ("reference_rotation", "f8", (3, 3)),  # reference's body → robot's heading frame
         ("inertia", "f8", (3, 3)),
         ("inverse_inertia", "f8", (3, 3)),
+        ("turn", "f8", (2,)),  # cos and sin from the robot's heading to that of the reference's origin
         ("arms", "f8", (4, 3)),  # feet from the CoM, heading frame
         ("feet", "f8", (4, 3)),  # body frame
-        ("desired", "f8", (6,)),
+        ("lin_vel", "f8", (3,)),  # of the base, heading frame
+        ("ang_vel", "f8", (3,)),
+        ("ref_lin_vel", "f8", (3,)),  # of the reference, heading frame
+        ("ref_ang_vel", "f8", (3,)),
+        ("error", "f8", (3,)),  # position, reference minus robot, heading frame; x and y then relative to the feet
+        ("angle_error", "f8", (3,)),
+        ("lin_vel_error", "f8", (3,)),
+        ("ang_vel_error", "f8", (3,)),
+        ("desired", "f8", (6,)),  # acceleration that the forces are to give
         ("columns", "f8", (12, 6)),
         ("jacobian", "f8", (3, 3)),
         ("shift", "f8", (2,)),  # of the reference to where the standing feet are, heading frame
-        ("position_error", "f8", (3,)),  # reference minus robot, body frame
+        ("position_error", "f8", (3,)),  # reference minus robot in the world, body frame
         ("velocity_error", "f8", (3,)),  # likewise
-        ("base_acc", "f8", (3,)),  # wanted of the base, heading frame
-        ("vectors", "f8", (8, 3)),
+        ("lin_vel_b", "f8", (3,)),  # of the base, body frame
+        ("ang_vel_b", "f8", (3,)),
+        ("ref_lin_vel_b", "f8", (3,)),  # of the reference, in its own body frame
+        ("ref_ang_vel_b", "f8", (3,)),
+        ("gravity_acc_b", "f8", (3,)),  # wanted of the base, minus gravity, body frame
         ("torque", "f8", (3,)),
-        ("velocity", "f8", (3,)),  # of the base, body frame
+        ("work", "f8", (3,)),
         ("joint_acc", "f8", (12,)),  # of what the legs follow
     ]
 )
@@ -119,88 +131,102 @@ def _control_robot(
     foresight: Any,
 ) -> None:
     ref = table[clock.sample]
-    rotation, reference_rotation, feet = scratch.rotation, scratch.reference_rotation, scratch.feet
-    vectors = scratch.vectors
-    # heading frame of the robot; the reference turned into it
-    quat_to_matrix(obs.root_quat, rotation)
-    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
-    c, s = np.cos(yaw), np.sin(yaw)
-    turn_rows(c, -s, rotation)
-    quat_to_matrix(ref.root_quat, reference_rotation)
-    delta = clock.origin[2] - yaw
-    cd, sd = np.cos(delta), np.sin(delta)
-    turn_rows(cd, sd, reference_rotation)
-
-    _feet_and_com(model, obs, rotation, feet, scratch.arms, vectors[7])
-    error, velocity_error, feedforward = vectors[0], vectors[1], vectors[2]
-    v_ref, w_ref, v, w = vectors[3], vectors[4], vectors[5], vectors[6]
-    heading_vector(cd, -sd, ref.lin_vel, v_ref)
-    heading_vector(cd, -sd, ref.ang_vel, w_ref)
-    heading_vector(c, s, obs.lin_vel, v)
-    heading_vector(c, s, obs.ang_vel, w)
-    co, so = np.cos(clock.origin[2]), np.sin(clock.origin[2])
-    x = clock.origin[0] + co * ref.root_pos[0] - so * ref.root_pos[1] - obs.root_pos[0]
-    y = clock.origin[1] + so * ref.root_pos[0] + co * ref.root_pos[1] - obs.root_pos[1]
-    error[0], error[1], error[2] = c * x + s * y, -s * x + c * y, ref.root_pos[2] - obs.root_pos[2]
-    height_error = error[2]
-    for k in range(3):
-        velocity_error[k] = v_ref[k] - v[k]
-    heading_vector(cd, -sd, ref.lin_acc, feedforward)
-    transposed_times(rotation, v, scratch.velocity)
-    scratch.joint_acc[:] = ref.joint_acc
-    transposed_times(rotation, error, scratch.position_error)
-    transposed_times(rotation, velocity_error, scratch.velocity_error)
-    scratch.shift[0], scratch.shift[1] = -error[0], -error[1]
-    _relative_to_feet(config, ref, rotation, reference_rotation, feet, memory, error)
-    scratch.shift[0] += error[0]
-    scratch.shift[1] += error[1]
-    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 0)
-    rotation_error(reference_rotation, rotation, error)
-    for k in range(3):
-        velocity_error[k] = w_ref[k] - w[k]
-    heading_vector(cd, -sd, ref.ang_acc, feedforward)
-    _desired_acceleration(config, error, velocity_error, feedforward, scratch.desired, 3)
-
-    # the reference's velocities in its own body frame
-    v_ref_b, w_ref_b = vectors[0], vectors[1]
-    transposed_times(reference_rotation, v_ref, v_ref_b)
-    transposed_times(reference_rotation, w_ref, w_ref_b)
-    _heading_inertia(model.inertia, rotation, scratch.inertia)
-    invert_symmetric_3x3(scratch.inertia, scratch.inverse_inertia)
+    _compare(model, ref, clock, obs, scratch)
+    _want(config, ref, memory, scratch)
+    height_error = scratch.error[2]
     for leg in range(4):
-        lifted = plan_leg(config, memory, leg, ref.contact[leg] == 1, obs.foot_force[leg, 2])
-        if lifted:
-            lift_off(config, ref, memory, scratch, feet[leg], leg, height_error, vectors[7])
+        if plan_leg(config, memory, leg, ref.contact[leg] == 1, obs.foot_force[leg, 2]):
+            lift_off(config, ref, memory, scratch, scratch.feet[leg], leg, height_error, scratch.work)
     planned = config.horizon == 1 and _plan_ahead(
         config, model, table, clock, obs, memory, scratch, plan, foresight, plan_qp
     )
-    for k in range(6):
-        limit = config.acceleration_limit[k]
-        scratch.desired[k] = min(max(scratch.desired[k], -limit), limit)
-    for k in range(3):
-        scratch.base_acc[k] = scratch.desired[k]
-    _add_leg_momentum(config, ref, cd, sd, scratch.desired, vectors[2])
-    if planned and config.horizon_interval == 1:
-        solved = True
-    else:
-        solved = stance_forces(
-            config, model.mass, scratch.inverse_inertia, scratch.arms, scratch.desired, memory, qp, scratch.columns
-        )
-
-    # acceleration of the base minus gravity, and turning, for the legs' own dynamics (body frame)
-    feedforward = vectors[3]
-    for k in range(3):
-        vectors[7][k] = scratch.base_acc[k] + (GRAVITY if k == 2 else 0.0)
-    transposed_times(rotation, vectors[7], feedforward)
-    transposed_times(rotation, w, vectors[4])
+    solved = _forces(config, model, ref, memory, planned, scratch, qp)
     for leg in range(4):
         if memory.stance[leg] == 1:
-            stance_leg(config, model, obs, memory, command, scratch, leg, v_ref_b, w_ref_b, solved)
+            stance_leg(config, model, obs, memory, command, scratch, leg, solved)
         else:
             swing_leg(config, model, obs, ref, memory, command, scratch, leg, height_error)
         _leg_dynamics(config, model, obs, memory, command, scratch, leg)
         for j in range(3 * leg, 3 * leg + 3):
             _keep_within_limits(config, model, command, j)
+
+
+@inlined
+def _compare(model: Any, ref: Any, clock: Any, obs: Any, scratch: Any) -> None:
+    """Where the robot is, what it does, and what is missing to the reference; all in the robot's heading frame."""
+    rotation, reference_rotation = scratch.rotation, scratch.reference_rotation
+    quat_to_matrix(obs.root_quat, rotation)
+    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
+    c, s = np.cos(yaw), np.sin(yaw)
+    turn_rows(c, -s, rotation)
+    quat_to_matrix(ref.root_quat, reference_rotation)
+    turn = clock.origin[2] - yaw
+    ct, st = np.cos(turn), np.sin(turn)
+    turn_rows(ct, st, reference_rotation)
+    scratch.turn[0], scratch.turn[1] = ct, st
+
+    _feet_and_com(model, obs, rotation, scratch.feet, scratch.arms, scratch.work)
+    _heading_inertia(model.inertia, rotation, scratch.inertia)
+    invert_symmetric_3x3(scratch.inertia, scratch.inverse_inertia)
+    heading_vector(c, s, obs.lin_vel, scratch.lin_vel)
+    heading_vector(c, s, obs.ang_vel, scratch.ang_vel)
+    heading_vector(ct, -st, ref.lin_vel, scratch.ref_lin_vel)
+    heading_vector(ct, -st, ref.ang_vel, scratch.ref_ang_vel)
+
+    co, so = np.cos(clock.origin[2]), np.sin(clock.origin[2])
+    x = clock.origin[0] + co * ref.root_pos[0] - so * ref.root_pos[1] - obs.root_pos[0]
+    y = clock.origin[1] + so * ref.root_pos[0] + co * ref.root_pos[1] - obs.root_pos[1]
+    scratch.error[0], scratch.error[1] = c * x + s * y, -s * x + c * y
+    scratch.error[2] = ref.root_pos[2] - obs.root_pos[2]
+    rotation_error(reference_rotation, rotation, scratch.angle_error)
+    for k in range(3):
+        scratch.lin_vel_error[k] = scratch.ref_lin_vel[k] - scratch.lin_vel[k]
+        scratch.ang_vel_error[k] = scratch.ref_ang_vel[k] - scratch.ang_vel[k]
+
+
+@inlined
+def _want(config: Any, ref: Any, memory: Any, scratch: Any) -> None:
+    """What the legs are to do about it: ẍ_des for the standing ones, errors and velocities in the body frame."""
+    rotation, reference_rotation, error = scratch.rotation, scratch.reference_rotation, scratch.error
+    transposed_times(rotation, scratch.lin_vel, scratch.lin_vel_b)
+    transposed_times(rotation, scratch.ang_vel, scratch.ang_vel_b)
+    transposed_times(reference_rotation, scratch.ref_lin_vel, scratch.ref_lin_vel_b)
+    transposed_times(reference_rotation, scratch.ref_ang_vel, scratch.ref_ang_vel_b)
+    transposed_times(rotation, error, scratch.position_error)
+    transposed_times(rotation, scratch.lin_vel_error, scratch.velocity_error)
+    scratch.joint_acc[:] = ref.joint_acc
+
+    scratch.shift[0], scratch.shift[1] = -error[0], -error[1]
+    _relative_to_feet(config, ref, rotation, reference_rotation, scratch.feet, memory, error)
+    scratch.shift[0] += error[0]
+    scratch.shift[1] += error[1]
+    c, s = scratch.turn[0], scratch.turn[1]
+    heading_vector(c, -s, ref.lin_acc, scratch.work)
+    _desired_acceleration(config, error, scratch.lin_vel_error, scratch.work, scratch.desired, 0)
+    heading_vector(c, -s, ref.ang_acc, scratch.work)
+    _desired_acceleration(config, scratch.angle_error, scratch.ang_vel_error, scratch.work, scratch.desired, 3)
+
+
+@inlined
+def _forces(config: Any, model: Any, ref: Any, memory: Any, planned: bool, scratch: Any, qp: Any) -> bool:
+    """Forces of the standing legs, and the base's acceleration that the legs' own dynamics go by.
+
+    Returns:
+        False if the stance QP failed.
+    """
+    desired, gravity_acc = scratch.desired, scratch.work
+    for k in range(6):
+        limit = config.acceleration_limit[k]
+        desired[k] = min(max(desired[k], -limit), limit)
+    for k in range(3):
+        gravity_acc[k] = desired[k] + (GRAVITY if k == 2 else 0.0)
+    transposed_times(scratch.rotation, gravity_acc, scratch.gravity_acc_b)
+    _add_leg_momentum(config, ref, scratch.turn[0], scratch.turn[1], desired, scratch.work)
+    if planned and config.horizon_interval == 1:
+        return True
+    return bool(
+        stance_forces(config, model.mass, scratch.inverse_inertia, scratch.arms, desired, memory, qp, scratch.columns)
+    )
 
 
 @kernel
@@ -332,8 +358,8 @@ def _leg_dynamics(config: Any, model: Any, obs: Any, memory: Any, command: Any, 
         obs.joint_pos[part],
         obs.joint_vel[part],
         scratch.joint_acc[part],
-        scratch.vectors[4],
-        scratch.vectors[3],
+        scratch.ang_vel_b,
+        scratch.gravity_acc_b,
         scratch.torque,
     )
     for i in range(3):

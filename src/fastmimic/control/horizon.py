@@ -216,12 +216,12 @@ def foresee(config: Any, model: Any, table: Any, clock: Any, obs: Any, memory: A
     """Fills `ahead` with what the reference wants and the feet allow in the steps to come.
 
     Of `scratch` it takes rotation, reference_rotation, feet, arms, inverse_inertia, position_error, velocity_error, the
-    velocities (vectors 5 and 6), and `shift`, by which the reference is moved to where the standing feet are.
+    velocities, and `shift`, by which the reference is moved to where the standing feet are.
     """
     rotation, arms = scratch.rotation, scratch.arms
     for r in range(3):
         ahead.free[0, r], ahead.free[0, 3 + r] = 0.0, 0.0
-        ahead.free[0, 6 + r], ahead.free[0, 9 + r] = scratch.vectors[5, r], scratch.vectors[6, r]
+        ahead.free[0, 6 + r], ahead.free[0, 9 + r] = scratch.lin_vel[r], scratch.ang_vel[r]
         foot = scratch.feet[0]
         ahead.com[r] = rotation[r, 0] * foot[0] + rotation[r, 1] * foot[1] + rotation[r, 2] * foot[2] - arms[0, r]
     ahead.com[2] -= model.foot_radius

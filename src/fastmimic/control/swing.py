@@ -65,8 +65,8 @@ def raibert_path(
     """
     g, rotation, start = model.geometry[leg], scratch.rotation, memory.liftoff_offset[leg]
     forward = 0.5 * config.swing_time
-    x = g[0] + g[4] + forward * scratch.velocity[0] - config.velocity_feedback[0] * scratch.velocity_error[0]
-    y = g[1] + g[3] + forward * scratch.velocity[1] - config.velocity_feedback[1] * scratch.velocity_error[1]
+    x = g[0] + g[4] + forward * scratch.lin_vel_b[0] - config.velocity_feedback[0] * scratch.velocity_error[0]
+    y = g[1] + g[3] + forward * scratch.lin_vel_b[1] - config.velocity_feedback[1] * scratch.velocity_error[1]
     z = model.foot_radius - ref.root_pos[2]
     x = start[0] + share * (x - start[0])
     y = start[1] + share * (y - start[1])
@@ -122,7 +122,7 @@ def swing_leg(
     if config.raibert == 1:
         raibert_leg(config, model, ref, memory, command, scratch, leg, height_error)
         return
-    target = scratch.vectors[7]
+    target = scratch.work
     swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
     for k in range(2):
         target[k] -= config.velocity_feedback[k] * scratch.velocity_error[k]
