@@ -15,7 +15,7 @@ from fastmimic.motion.contacts import (
     stances_of,
     swings_of,
 )
-from fastmimic.motion.retarget_gait import GaitConfig, make_consistent
+from fastmimic.motion.retarget_gait import GaitConfig, make_consistent, with_steps
 
 RATE = 60.0
 N = 36
@@ -127,3 +127,25 @@ def test_a_swing_too_short_for_a_motor_is_widened() -> None:
     result, changes = consistent(stances, 100, straight=False)
     assert changes.widened_swings == 1
     assert 100 - result[0][0].duration == 12
+
+
+def test_a_leg_that_stands_through_a_cycle_that_travels_is_given_a_step() -> None:
+    """Where the others stand, and of these moments where it moved most; a leg that steps already is left alone."""
+    rate, n = 100.0, 120
+    others = [[Stance(30, 120)], [Stance(60, 150)], [Stance(0, 120)]]
+    activity = np.zeros((n, 4))
+    activity[80:100, 0] = 0.2
+    travel = np.array([0.1, 0.1, 0.1, 0.001])
+    stances, added = with_steps([[Stance(0, n)], *others], travel, activity, rate, GaitConfig())
+    assert added == 1
+    assert stances[1:] == others
+    lift_off, touch_down = swings_of(stances[0], n, True)[0]
+    assert touch_down - lift_off == round(GaitConfig().step_s * rate)
+    swing = ~contact_mask(stances, n)[:, 0]
+    assert not swing[:60].any()  # the others' swings
+    assert swing[80:100].all()
+
+
+def test_a_leg_that_would_not_slide_keeps_standing() -> None:
+    standing = [[Stance(0, 120)] for _ in range(4)]
+    assert with_steps(standing, np.full(4, 0.004), np.ones((120, 4)), 100.0, GaitConfig()) == (standing, 0)

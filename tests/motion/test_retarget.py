@@ -236,6 +236,49 @@ def test_errors_say_what_is_wrong(a1: Robot) -> None:
         retarget(clip.cut(0, 5), a1)
 
 
+def still(clip: Clip, height: float, drift: float) -> Clip:
+    """An animal that stands with its hips at `height`, m, and drifts, m over the clip, as markers do."""
+    points = np.repeat(clip.points_w[:1], clip.n_frames, axis=0)
+    points[:, 6:10, 2] = 0.015
+    points[:, :6, 2] += height - points[:, 2:6, 2].mean()
+    points[..., 0] += drift * np.linspace(0, 1, clip.n_frames)[:, None]
+    return replace(clip, points_w=points, root_quat_wxyz=None)
+
+
+def test_an_animal_that_sits_makes_the_robot_crouch_as_low_as_it_can(a1: Robot) -> None:
+    motion, report = retarget(still(generate("walk"), 0.15, 0.0), a1, cycle=True)
+    assert motion.contact.all()
+    assert report.lowered_m < -0.01
+    assert "raised" in "\n".join(report.lines())
+    assert sum(report.joint_limited) == 0
+    assert max(report.slip_after_m) < 1e-3
+    assert motion.root_pos_w[:, 2].max() < 0.22
+    high, _ = retarget(still(generate("walk"), 0.36, 0.0), a1, cycle=True)
+    assert high.meta["retarget"]["lowered_m"] >= 0.0
+
+
+def test_who_lifts_no_foot_does_not_travel(a1: Robot) -> None:
+    motion, report = retarget(still(generate("walk"), 0.36, 0.02), a1, cycle=True)
+    assert motion.contact.all()
+    assert motion.cycle == pytest.approx(np.zeros(3), abs=1e-6)
+    assert report.closure_after_m < 1e-3
+    assert max(report.slip_after_m) < 1e-3
+
+
+def test_a_foot_that_stands_while_the_others_walk_is_given_a_step(a1: Robot) -> None:
+    clip = generate("walk")
+    points = clip.points_w.copy()
+    points[:, 6, 2] = 0.015
+    points[:, 6, :2] = points[:1, 6, :2]
+    motion, report = retarget(replace(clip, points_w=points), a1, cycle=True)
+    assert report.steps == 1
+    assert report.closure_after_m < 1e-3
+    assert max(report.slip_after_m) < 1e-3
+    assert not motion.contact[:, 0].all()
+    duty = next(bound for bound in report.bounds if bound.name == "duty change")
+    assert "given a step" in duty.reason
+
+
 @given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-6, 6))
 def test_planar_logarithm_and_exponential_are_inverse(x: float, y: float, angle: float) -> None:
     moved, turned = planar_exp(planar_log(np.array([x, y, angle])), np.ones(()))

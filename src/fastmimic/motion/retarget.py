@@ -25,12 +25,12 @@ from fastmimic.motion.retarget_config import RetargetConfig
 from fastmimic.motion.retarget_cycle import Track, cycle_displacement, pose_mismatch, track_cycle, track_open
 from fastmimic.motion.retarget_fidelity import Before, make_report
 from fastmimic.motion.retarget_fit import Fitter
-from fastmimic.motion.retarget_gait import GaitChanges, make_consistent
+from fastmimic.motion.retarget_gait import GaitChanges, make_consistent, with_steps
 from fastmimic.motion.retarget_reach import Reach, foot_offsets
-from fastmimic.motion.retarget_report import RetargetReport
+from fastmimic.motion.retarget_report import MIN_CLEARANCE_SHARE, RetargetReport
 from fastmimic.motion.retarget_source import Source, extract
 from fastmimic.robot import Robot
-from fastmimic.rotations import quat_rotate_inverse
+from fastmimic.rotations import quat_rotate_inverse, rotate_planar
 
 __all__ = ["RetargetConfig", "RetargetReport", "choose_scale", "retarget"]
 
@@ -81,23 +81,33 @@ def retarget(
     source, straight, aligned = _align(source, periodic and config.consistent, config)
     duration = (clip.n_frames if periodic else clip.n_frames - 1) / clip.rate_hz
     n = max(2, round(duration * rate_hz))
-    track = (track_cycle if periodic else track_open)(source, n, config.trunk_hz, config.foot_hz)
-
     own = _is_own_body(clip, robot, scale)
     if own:
         config = _for_own_body(config)
+    activity = _activity(source, n, periodic, config.contact)
+    detected = detect(activity, rate_hz, periodic, config.contact)
+    travels = not (config.consistent and _stands(detected, n))
+    if periodic:
+        track = track_cycle(source, n, config.trunk_hz, config.foot_hz, travels=travels)
+    else:
+        track = track_open(source, n, config.trunk_hz, config.foot_hz)
+
     height = source.hip_height + robot.foot_radius - (0.0 if own else config.crouch_m * scale / DOG_SCALE)
+    raised = _raise(Reach.of_robot(robot, height, config.reach_margin_rad), track, config)
+    height += raised
     reach = Reach.of_robot(robot, height, config.reach_margin_rad)
-    detected = _detect(source, n, rate_hz, periodic, config.contact)
     longest = reach.longest_stance(_speed(track, duration), config.swing.linger_s)
     if config.consistent:
         stances, changes = make_consistent(detected, n, rate_hz, periodic, straight, longest, config.gait)
+        if periodic:
+            stances, steps = with_steps(stances, _travel(robot, track), activity, rate_hz, config.gait)
+            changes = replace(changes, steps=steps)
     else:
         stances, changes = detected, GaitChanges(None, False, 0, 0)
     offset = np.zeros((4, 2)) if own else foot_offsets(robot, track, stances, config.stance_width)
     fitted = Fitter(robot, track, stances, height, rate_hz, config).fit(offset)
 
-    before = Before(scale, duration, cycle_reason, aligned, track, detected, offset, changes)
+    before = Before(scale, duration, cycle_reason, aligned, track, detected, offset, changes, raised)
     report = make_report(fitted, robot, source, stances, before)
     meta = {
         "name": clip.meta.get("name", "motion"),
@@ -156,14 +166,24 @@ def _align(source: Source, periodic: bool, config: RetargetConfig) -> tuple[Sour
     return source.turned(angle), True, angle
 
 
-def _detect(source: Source, n: int, rate_hz: float, periodic: bool, config: ContactConfig) -> Stances:
-    """The animal's contacts on the output grid; between frames the feet's activity is linear."""
+def _activity(source: Source, n: int, periodic: bool, config: ContactConfig) -> Array:
+    """The animal's feet's activity (n, 4) on the output grid; between frames it is linear."""
     frames = foot_activity(source.toe_height, source.toe_speed, source.rate_hz, periodic, config)
     if periodic:
         frames = np.concatenate([frames, frames[:1]])
     at = np.arange(n) * (len(frames) - 1) / n
-    activity = np.stack([np.interp(at, np.arange(len(frames)), leg) for leg in frames.T], axis=-1)
-    return detect(activity, rate_hz, periodic, config)
+    return np.stack([np.interp(at, np.arange(len(frames)), leg) for leg in frames.T], axis=-1)
+
+
+def _stands(stances: Stances, n: int) -> bool:
+    """Whether no foot ever lifts off."""
+    return all(leg and leg[0].duration >= n for leg in stances)
+
+
+def _travel(robot: Robot, track: Track) -> Array:
+    """How far each hip (4,) is from where it is a cycle later, m."""
+    hips = track.root_xy[0] + rotate_planar(track.heading[0], robot.hip_pos_b[:, :2])
+    return np.asarray(np.linalg.norm(track.moved(hips, 1) - hips, axis=-1))
 
 
 def _is_own_body(clip: Clip, robot: Robot, scale: float) -> bool:
@@ -176,11 +196,21 @@ def _is_own_body(clip: Clip, robot: Robot, scale: float) -> bool:
 
 
 def _for_own_body(config: RetargetConfig) -> RetargetConfig:
-    """A robot's own motion has its own balance, and its feet are known more exactly than an animal's paws."""
+    """A robot's own motion has its own height and balance, and its feet are known more exactly than an animal's
+    paws."""
     contact = replace(
         config.contact, enter=_EXACT_FEET * config.contact.enter, leave=_EXACT_FEET * config.contact.leave
     )
-    return replace(config, contact=contact, balance=replace(config.balance, rounds=0))
+    return replace(config, contact=contact, balance=replace(config.balance, rounds=0), max_raising_m=0.0)
+
+
+def _raise(reach: Reach, track: Track, config: RetargetConfig) -> float:
+    """How much the base must be higher for its folded legs to fit under it and be lifted, m: an animal sits and
+    crouches lower than a robot's knees bend."""
+    if not config.consistent or config.max_raising_m == 0:
+        return 0.0
+    lift = max(config.swing.min_clearance_m, MIN_CLEARANCE_SHARE * float(track.toe_height.max()))
+    return max(0.0, lift - reach.clearance)
 
 
 def _speed(track: Track, duration_s: float) -> float:

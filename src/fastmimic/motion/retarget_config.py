@@ -26,6 +26,9 @@ class RetargetConfig:
             below the scaled neck–pelvis line, which runs 0.045 m above the hips; the rest is what the toe markers and
             the feet's radius add to the height, and 0.01 m for reach.
         max_lowering_m: further lowering for reach, at most.
+        max_raising_m: raising at most, for knees that would bend too far or touch the ground, beyond the height at
+            which folded legs can be lifted: an animal crouches and sits lower than a robot can. 0 leaves the animal's
+            height.
         limit_margin_rad: kept to the joint limits.
         reach_margin_rad: kept to the knees' and abduction joints' limits when footholds are chosen.
         speed_share: of the joint speed limit that the reference may use.
@@ -47,6 +50,7 @@ class RetargetConfig:
     stance_width: float = 0.59
     crouch_m: float = 0.04
     max_lowering_m: float = 0.02
+    max_raising_m: float = 0.06
     limit_margin_rad: float = 0.02
     reach_margin_rad: float = 0.1
     speed_share: float = 0.95

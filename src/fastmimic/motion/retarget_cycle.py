@@ -142,15 +142,15 @@ def pose_mismatch(source: Source) -> float:
     return float(np.linalg.norm(closing_error(pose)) / max(spread, 1e-6))
 
 
-def track_cycle(source: Source, n_out: int, trunk_hz: float, foot_hz: float) -> Track:
-    """A cycle on `n_out` samples, closed and low-passed.
+def track_cycle(source: Source, n_out: int, trunk_hz: float, foot_hz: float, travels: bool = True) -> Track:
+    """A cycle on `n_out` samples, closed and low-passed; without `travels` it ends where it began.
 
     Planar motion is taken relative to the constant-twist motion exp(share · log(dx, dy, dyaw)), in its moving frame,
     where a cycle is periodic whether it turns or not. What keeps the frames from repeating is spread evenly over the
     cycle; the Fourier series then closes position, velocity and acceleration.
     """
     n = len(source.root_xy)
-    cycle = cycle_displacement(source)
+    cycle = cycle_displacement(source) if travels else np.zeros(3)
     twist = planar_log(cycle)
     start, yaw0 = source.root_xy[0], source.heading[0]
 

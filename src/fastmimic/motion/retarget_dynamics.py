@@ -32,12 +32,14 @@ class Demand:
         wrench: (k, 6) force, N, and moment, N·m.
         arm: (k, 4, 3) from the centre of mass to where each foot touches the ground, m.
         stands: (k, 4) which feet can push.
+        joint_torque: (k, 12) of the motors, were the wrench given at the trunk, N·m.
     """
 
     sample: NDArray[np.int_]
     wrench: Array
     arm: Array
     stands: NDArray[np.bool_]
+    joint_torque: Array
 
 
 def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> Demand:
@@ -53,13 +55,13 @@ def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> Dem
     quat = motion.root_quat_wxyz
     velocity_b = quat_rotate_inverse(quat, motion.root_ang_vel_w)
     acceleration_b = quat_rotate_inverse(quat, angular)
-    wrench, com = np.zeros((len(sample), 6)), np.zeros((len(sample), 3))
+    wrench, com, torque = np.zeros((len(sample), 6)), np.zeros((len(sample), 3)), np.zeros((len(sample), 12))
     for k, i in enumerate(sample):
         data.qpos[:3], data.qpos[3:7], data.qpos[q_index] = motion.root_pos_w[i], quat[i], motion.joint_pos[i]
         data.qvel[:3], data.qvel[3:6], data.qvel[v_index] = motion.root_lin_vel_w[i], velocity_b[i], motion.joint_vel[i]
         data.qacc[:3], data.qacc[3:6], data.qacc[v_index] = linear[i], acceleration_b[i], joint[i]
         mujoco.mj_inverse(model, data)
-        wrench[k], com[k] = data.qfrc_inverse[:6], data.subtree_com[0]
+        wrench[k], com[k], torque[k] = data.qfrc_inverse[:6], data.subtree_com[0], data.qfrc_inverse[v_index]
     base, unturn = motion.root_pos_w[sample], quat_from_yaw(-yaw_from_quat(quat[sample]))
     moment = quat_rotate(quat[sample], wrench[:, 3:]) + np.cross(base - com, wrench[:, :3])
     contact = feet_in_world(motion)[sample] - np.array([0.0, 0.0, robot.foot_radius])
@@ -68,6 +70,7 @@ def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> Dem
         wrench=np.concatenate([quat_rotate(unturn, wrench[:, :3]), quat_rotate(unturn, moment)], axis=1),
         arm=quat_rotate(unturn[:, None], contact - com[:, None]),
         stands=motion.contact[sample],
+        joint_torque=torque,
     )
 
 

@@ -32,6 +32,7 @@ class Before:
         stances: contacts as detected.
         offset: (4, 2) constant shifts of the feet against the hips, m.
         changes: made to the contacts.
+        raised_m: by how much the base's nominal height was raised for folded legs.
     """
 
     scale: float
@@ -42,6 +43,7 @@ class Before:
     stances: Stances
     offset: Array
     changes: GaitChanges
+    raised_m: float
 
 
 def make_report(fitted: Fitted, robot: Robot, source: Source, stances: Stances, before: Before) -> RetargetReport:
@@ -77,6 +79,7 @@ def make_report(fitted: Fitted, robot: Robot, source: Source, stances: Stances, 
         common_duty=before.changes.common_duty,
         closed_flights=before.changes.closed_flights,
         widened_swings=before.changes.widened_swings,
+        steps=before.changes.steps,
         support_share=measure.support_shares(motion.contact),
         speed_before_m_per_s=speed_before,
         speed_after_m_per_s=measure.mean_speed(motion.root_lin_vel_w[:, :2], heading),
@@ -89,7 +92,7 @@ def make_report(fitted: Fitted, robot: Robot, source: Source, stances: Stances, 
         trunk_change_m=_floats(change[:3]),
         trunk_change_deg=_floats(np.degrees(change[3:])),
         base_height_m=float(motion.root_pos_w[:, 2].mean()),
-        lowered_m=pose.lowered_m,
+        lowered_m=pose.lowered_m - before.raised_m,
         unreachable=_ints(pose.unreachable.sum(axis=0)),
         joint_limited=_ints(pose.limited.reshape(n, 4, 3).any(axis=1).sum(axis=0)),
         samples=n,

@@ -84,9 +84,7 @@ class Fitter:
         evenness, times = np.full(4, self.config.swing.evenness), np.zeros(4, dtype=int)
         for more in (*_EVENNESS, None):
             feet_w = self._planted(raw_w, holds, tuple(evenness))
-            pose = solve_pose(
-                self.robot, track, feet_w, self.height, self.config.max_lowering_m, self.config.limit_margin_rad
-            )
+            pose = self._pose(track, feet_w, self.config.max_raising_m)
             speed = np.abs(joint_velocity(pose.joint_pos, self.rate_hz, self.periodic))
             too_fast = (speed > limit).reshape(-1, 4, 3).any(axis=(0, 2))
             if more is None or not too_fast.any():
@@ -99,9 +97,12 @@ class Fitter:
     def _as_scaled(self, raw_w: Array) -> Fitted:
         """The robot on the animal's foot paths as they are."""
         feet_w = raw_w + np.array([0.0, 0.0, self.robot.foot_radius])
-        lowering, margin = self.config.max_lowering_m, self.config.limit_margin_rad
-        pose = solve_pose(self.robot, self.track, feet_w, self.height, lowering, margin)
+        pose = self._pose(self.track, feet_w, 0.0)
         return Fitted(self._motion(pose, self.track), self.track, raw_w, pose, (0, 0, 0, 0))
+
+    def _pose(self, track: Track, feet_w: Array, max_raising: float) -> Pose:
+        lowering, margin = self.config.max_lowering_m, self.config.limit_margin_rad
+        return solve_pose(self.robot, track, feet_w, self.height, lowering, max_raising, margin)
 
     def _animal_feet(self, offset: Array) -> Array:
         """The animal's foot paths (t, 4, 3) under the robot's hips, world; z is the height above the ground."""

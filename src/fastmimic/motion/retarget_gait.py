@@ -4,8 +4,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fastmimic.motion.contacts import Stance, Stances, contact_mask, stances_of, swings_of
+
+Array = NDArray[np.float64]
 
 PAIRINGS: Final = {"diagonal": ((0, 3), (1, 2)), "lateral": ((0, 2), (1, 3)), "transverse": ((0, 1), (2, 3))}
 """Legs that move together in a trot, a pace and a bound, as indices into FR, FL, RR, RL."""
@@ -20,11 +23,15 @@ class GaitConfig:
         flight_s: moments without any foot on the ground that are shorter than this are closed. Two edges, each known
             to about a frame and a half of a 60 Hz recording, cannot tell a shorter flight from none.
         swing_s: a swing lasts at least this long; a motor needs the time.
+        slide_m, step_s: a leg that stands throughout a cycle and would slide further than the first is given a step
+            that lasts the second.
     """
 
     same_stance: float = 0.62
     flight_s: float = 0.08
     swing_s: float = 0.12
+    slide_m: float = 0.005
+    step_s: float = 0.24
 
 
 @dataclass(frozen=True)
@@ -36,12 +43,14 @@ class GaitChanges:
         common_duty: whether left and right were given one duty factor.
         closed_flights: number of short moments without support that were closed.
         widened_swings: number of swings that were too short and were made longer.
+        steps: number of legs that stood throughout a cycle that travels, and were given a step.
     """
 
     pairing: str | None
     common_duty: bool
     closed_flights: int
     widened_swings: int
+    steps: int = 0
 
 
 def make_consistent(
@@ -80,6 +89,36 @@ def make_consistent(
     stances, widened = _widen_swings(stances, n, round(config.swing_s * rate_hz), periodic)
     stances, closed = _close_flights(stances, n, round(config.flight_s * rate_hz), longest_s * rate_hz, periodic)
     return stances, GaitChanges(pairing, common, closed, widened)
+
+
+def with_steps(
+    stances: Stances, travel: Array, activity: Array, rate_hz: float, config: GaitConfig
+) -> tuple[Stances, int]:
+    """Gives a step to every leg that stands throughout a cycle whose end is elsewhere: it would have to slide.
+
+    Args:
+        stances: of each leg of a cycle.
+        travel: (4,) from where each foot stands to where it would stand a cycle later, m.
+        activity: (n, 4) of the animal's feet.
+        rate_hz: of the samples.
+        config: thresholds.
+
+    Returns:
+        The stances, and how many legs were given a step: where most of the other feet stand, and of such moments where
+        the animal's foot moved most.
+    """
+    n, result, added = len(activity), [list(leg) for leg in stances], 0
+    length = min(round(config.step_s * rate_hz), n // 2)
+    for leg in np.flatnonzero(travel > config.slide_m):
+        if not result[leg] or result[leg][0].duration < n:
+            continue
+        others = np.delete(contact_mask(result, n), leg, axis=1).sum(axis=1)
+        merit = others + 0.5 * np.clip(activity[:, leg], 0.0, 1.0)
+        window = np.convolve(np.concatenate([merit, merit[: length - 1]]), np.ones(length), mode="valid")
+        touch_down = (int(window.argmax()) + length) % n
+        result[leg] = [Stance(touch_down, touch_down + n - length)]
+        added += 1
+    return result, added
 
 
 def _overlap(a: Stance, b: Stance, n: int) -> tuple[float, int]:

@@ -1,6 +1,7 @@
 """From trunk and foot paths to the joints: base height, inverse kinematics, limits, velocities."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,15 @@ from fastmimic.rotations import (
     quat_from_rotvec,
     quat_from_yaw,
     quat_multiply,
+    quat_rotate,
     quat_rotate_inverse,
 )
 
 Array = NDArray[np.float64]
+
+_STEP_M: Final = 0.005
+_KNEE_CLEARANCE_M: Final = 0.02
+"""Of the knees above the centre of a standing foot, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +60,16 @@ def trunk_quaternion(heading: Array, tilt: Array) -> Array:
 
 
 def solve_pose(
-    robot: Robot, track: Track, feet_w: Array, height: float, max_lowering: float, margin_rad: float
+    robot: Robot,
+    track: Track,
+    feet_w: Array,
+    height: float,
+    max_lowering: float,
+    max_raising: float,
+    margin_rad: float,
 ) -> Pose:
-    """Inverse kinematics; the base is lowered, constantly, as far as the legs need to reach every foothold.
+    """Inverse kinematics; the base is moved, constantly, as far as the legs need: down to reach every foothold, up to
+    keep folded legs within their limits and knees off the ground.
 
     Args:
         robot: limits and geometry.
@@ -64,14 +77,28 @@ def solve_pose(
         feet_w: (t, 4, 3) centres of the feet, world, m.
         height: mean height of the base, m.
         max_lowering: m.
+        max_raising: m.
         margin_rad: kept to the joint limits.
     """
     quat = trunk_quaternion(track.heading, track.tilt)
     lower, upper = robot.joint_lower + margin_rad, robot.joint_upper - margin_rad
     best: tuple[float, float] | None = None
-    for lowering in np.arange(0.0, max_lowering + 1e-9, 0.005):
+    rest = track.root_z - track.root_z.mean() + height
+
+    def violation_at(lowering: float) -> tuple[float, float]:
+        """Of all limits, rad, and what of it raising the base would help."""
         q, reachable = _joints(robot, track, quat, feet_w, height - lowering)
-        violation = float(np.sum(np.maximum(lower - q, 0) + np.maximum(q - upper, 0)) + np.sum(~reachable))
+        low = np.maximum(lower - q, 0)
+        beyond = np.where(robot.knee_sign > 0, np.maximum(q - upper, 0)[:, 2::3], low[:, 2::3])
+        knees = _knee_height(robot, quat, q) + (rest - lowering)[:, None]
+        knees = np.maximum(robot.foot_radius + _KNEE_CLEARANCE_M - knees, 0) / robot.calf_length
+        limits = low + np.maximum(q - upper, 0)
+        return float(limits.sum() + np.sum(~reachable) + knees.sum()), float(beyond.sum() + knees.sum())
+
+    up = round(max_raising / _STEP_M) if violation_at(0.0)[1] > 0 else 0
+    steps = np.arange(-up, round(max_lowering / _STEP_M) + 1)
+    for lowering in _STEP_M * steps[np.argsort(np.abs(steps), kind="stable")]:
+        violation = violation_at(lowering)[0]
         if best is None or violation < best[0]:
             best = (violation, float(lowering))
         if violation == 0:
@@ -113,6 +140,18 @@ def _root(track: Track, height: float) -> Array:
 def _joints(robot: Robot, track: Track, quat: Array, feet_w: Array, height: float) -> tuple[Array, NDArray[np.bool_]]:
     foot_b = quat_rotate_inverse(quat[:, None], feet_w - _root(track, height)[:, None])
     return inverse_kinematics(robot, foot_b)
+
+
+def _knee_height(robot: Robot, quat: Array, joints: Array) -> Array:
+    """Of the knees (t, 4) above the base, m."""
+    abduction, hip = joints[:, 0::3], joints[:, 1::3]
+    x, z = robot.thigh_vector[:, 0], robot.thigh_vector[:, 2]
+    forward = robot.hip_shift[:, 0] + np.cos(hip) * x + np.sin(hip) * z
+    up = robot.hip_shift[:, 1] - np.sin(hip) * x + np.cos(hip) * z
+    left = np.cos(abduction) * robot.lateral_offset - np.sin(abduction) * up
+    up = np.sin(abduction) * robot.lateral_offset + np.cos(abduction) * up
+    knee_b = robot.hip_pos_b + np.stack([forward, left, up], axis=-1)
+    return np.asarray(quat_rotate(quat[:, None], knee_b)[..., 2])
 
 
 def joint_velocity(joint_pos: Array, rate_hz: float, periodic: bool) -> Array:

@@ -61,6 +61,7 @@ class RetargetReport:
         pairing: pairs of legs that were given common times, or None.
         common_duty: whether left and right were given one duty factor.
         closed_flights, widened_swings: how many moments without support were closed and short swings made longer.
+        steps: how many legs stood throughout a cycle that travels, and were given a step.
         support_share: share of the time with 0, 1, 2, 3 and 4 feet on the ground.
         speed_before_m_per_s, speed_after_m_per_s: length of the mean velocity as seen from the trunk; before is
             scale × animal.
@@ -71,7 +72,8 @@ class RetargetReport:
         foot_offset_m: constant shift of the feet against the hips: front and rear along x, front and rear outwards.
         trunk_change_m, trunk_change_deg: RMS change by balancing of x, y, z and of roll, pitch, yaw about their
             means.
-        base_height_m, lowered_m: mean height of the base, and how much of its lowering was for reach.
+        base_height_m, lowered_m: mean height of the base, and how much of its lowering was for reach; negative where
+            it was raised for folded knees.
         unreachable: samples in which a leg could not reach, of `samples`.
         joint_limited: samples in which a joint was held at its limit, for abduction, hip and knee.
         samples: of the motion.
@@ -99,6 +101,7 @@ class RetargetReport:
     common_duty: bool
     closed_flights: int
     widened_swings: int
+    steps: int
     support_share: Floats
     speed_before_m_per_s: float
     speed_after_m_per_s: float
@@ -130,6 +133,11 @@ class RetargetReport:
         """The report as plain JSON types."""
         return _plain(asdict(self))
 
+    def _moved(self) -> str:
+        if self.lowered_m < 0:
+            return f"raised {-1e3 * self.lowered_m:.0f} mm for knees that fold too far"
+        return f"lowered {1e3 * self.lowered_m:.0f} mm for reach"
+
     def lines(self) -> list[str]:
         """The report for a human."""
         legs = " ".join(f"{leg:>6}" for leg in LEGS)
@@ -156,7 +164,7 @@ class RetargetReport:
             _row("foot path RMS, mm", None, self.foot_path_rms_m, 1e3, 0),
             f"support: {', '.join(support)}",
             f"trunk changed by {', '.join(change)} RMS",
-            f"base height {self.base_height_m:.3f} m (lowered {1e3 * self.lowered_m:.0f} mm for reach)",
+            f"base height {self.base_height_m:.3f} m ({self._moved()})",
             f"joint speeds {speeds} rad/s; clamps: {clamps}",
         ]
         for bound in self.bounds:
@@ -174,10 +182,8 @@ def with_bounds(report: RetargetReport) -> RetargetReport:
     scale = max(math.hypot(report.speed_before_m_per_s, turning), SLOW_M_PER_S)
     speed = abs(report.speed_after_m_per_s - report.speed_before_m_per_s) / scale
     yaw = abs(report.yaw_after_deg - report.yaw_before_deg)
-    clearance = min(
-        after / max(before, 1e-3)
-        for before, after in zip(report.clearance_before_m, report.clearance_after_m, strict=True)
-    )
+    lifts = zip(report.clearance_before_m, report.clearance_after_m, strict=True)
+    clearance = min((after / max(before, 1e-3) for before, after in lifts if after > 0), default=1.0)
     changes = [abs(a - b) for a, b in zip(report.duty_before, report.duty_after, strict=True)]
     joint_speed = max(a / b for a, b in zip(report.joint_speed_peak, report.joint_speed_limit, strict=True))
     fast = "the animal's legs move faster than the motors can"
@@ -216,6 +222,8 @@ def _duty_reason(report: RetargetReport) -> str:
         reasons.append(f"{report.closed_flights} moments without support were closed")
     if report.widened_swings:
         reasons.append(f"{report.widened_swings} short swings were widened")
+    if report.steps:
+        reasons.append(f"{report.steps} legs that stood while the cycle travels were given a step")
     return ", ".join(reasons)
 
 

@@ -169,7 +169,7 @@ def _within_limits(
         evenness = np.full(4, config.swing.evenness)
         for more in (*_EVENNESS, None):
             feet_w = planted(evenness)
-            pose = solve_pose(robot, lowered, feet_w, float(lowered.root_z.mean()), 0.0, config.limit_margin_rad)
+            pose = solve_pose(robot, lowered, feet_w, float(lowered.root_z.mean()), 0.0, 0.0, config.limit_margin_rad)
             speed = np.abs(joint_velocity(pose.joint_pos, rate_hz, False))
             beyond = pose.limited | (speed > limit)
             beyond[:_PAD] = beyond[-_PAD:] = False
