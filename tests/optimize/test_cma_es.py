@@ -111,7 +111,8 @@ class TestSearch:
         optimize(problem, SETTINGS, progress=told.append)
         assert [p.iteration for p in told] == [1, 2, 3, 4, 5]
         assert {p.iterations for p in told} == {5}
-        np.testing.assert_array_equal([p.best for p in told], np.maximum.accumulate(straight.history.best))
+        best = np.maximum(np.maximum.accumulate(straight.history.best), straight.history.start)
+        np.testing.assert_array_equal([p.best for p in told], best, "the unmodulated motion is a candidate as well")
         assert all(p.evaluations_per_s > 0 for p in told)
         assert told[-1].remaining_s == 0
         assert told[0].remaining_s > 0
@@ -248,8 +249,10 @@ class TestResume:
     ) -> None:
         path = tmp_path / FILE_NAME
         optimize(problem, SETTINGS, checkpoint=path)
+        whole = path.read_bytes()
         fewer = optimize(problem, CmaSettings(iterations=3, population=4, seed=3), checkpoint=path, resume=True)
         np.testing.assert_array_equal(fewer.history.best, straight.history.best[:3])
+        assert path.read_bytes() == whole, "the longer course is still there"
 
     def test_without_a_checkpoint_there_is_nothing_to_resume(self, problem: ImitationProblem, tmp_path: Path) -> None:
         with pytest.raises(CheckpointError, match="no checkpoint to resume from"):

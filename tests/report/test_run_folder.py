@@ -59,6 +59,16 @@ def test_a_run_that_fails_late_keeps_its_checkpoint(tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "a").iterdir()} == {"config.json", "checkpoint.npz"}
 
 
+def test_an_unfinished_run_is_not_begun_anew_without_a_word(tmp_path: Path) -> None:
+    with new_run(tmp_path) as folder:
+        folder.checkpoint.write_bytes(b"hours")
+    with pytest.raises(OutputError, match="unfinished; go on with it by --resume"), new_run(tmp_path):
+        pass
+    assert folder.checkpoint.read_bytes() == b"hours"
+    with open_run(tmp_path, CONFIG, CONFIG["arguments"], resume=False, overwrite=True):
+        pass
+
+
 def test_a_failing_rerun_keeps_the_results_and_their_config(tmp_path: Path) -> None:
     write_json(tmp_path / "config.json", {**CONFIG, "first": True})
     write_json(tmp_path / "metrics.json", {})

@@ -57,7 +57,7 @@ class Imitate(MotionOptions):
     overwrite: bool = False
     """Replace a run of other arguments."""
     no_optimize: bool = False
-    """The same as --method mbc."""
+    """The method without its optimisation: mbc for mbc-dmp, lh for lh-dmp."""
     no_video: bool = False
     """Leave out the video."""
 
@@ -67,7 +67,9 @@ class Imitate(MotionOptions):
         from fastmimic.methods import method_named
         from fastmimic.report.run_folder import default_folder, open_run
 
-        method = "mbc" if self.no_optimize else self.method
+        method = self.method
+        if self.no_optimize:  # the method's own controller, on the motion as it is
+            method = method_named(method).name.removesuffix("-dmp")
         if not method_named(method).optimises and self.resume:
             raise ConfigError("--resume goes on with an optimisation; without one there is nothing to resume")
         began = time.perf_counter()

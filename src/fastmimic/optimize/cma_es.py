@@ -59,6 +59,7 @@ class History:
         best, mean, std: (i,) of the scores in each generation.
         sigma: (i,) the overall step size, share of the parameters' ranges.
         baseline: score of the unmodulated motion.
+        start: best score among what the search was given: the unmodulated motion, and where it begins.
     """
 
     best: Array
@@ -66,6 +67,7 @@ class History:
     std: Array
     sigma: Array
     baseline: float
+    start: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +145,7 @@ class _Search:
         self.candidates: list[Array] = []
         self.scores: list[Array] = []
         self.sigma: list[float] = []
-        self.validated = self.validation_steps = 0
+        self.validated = self.validation_steps = self.recorded = 0
         own = {k: v for k, v in asdict(settings).items() if k != "iterations"}
         self.identity = hashlib.sha256(f"{problem.identity}{own}".encode()).hexdigest()
 
@@ -163,7 +165,7 @@ class _Search:
                     self._save(before + elapsed)
                 if progress is not None:
                     each = elapsed / (done - done_before)
-                    best = max(float(s.max()) for s in self.scores)
+                    best = max(float(given.max()), *(float(s.max()) for s in self.scores))
                     remaining = each * (self.settings.iterations - done)
                     progress(Progress(done, self.settings.iterations, best, self.settings.population / each, remaining))
         except KeyboardInterrupt:
@@ -181,7 +183,7 @@ class _Search:
             x=x,
             score=score,
             validation=validation,
-            history=self._history(baseline),
+            history=self._history(baseline, float(given.max())),
             evaluations=searched + validated,
             simulated_s=(searched * self.problem.steps + validated * self.validation_steps)
             / self.problem.config.rate_hz,
@@ -202,6 +204,7 @@ class _Search:
         if self.checkpoint is None:
             raise CheckpointError("nothing to resume from: the checkpoint's file was not given")
         saved = Checkpoint.load(self.checkpoint, self.identity)
+        self.recorded = len(saved.scores)
         for u, scores in zip(saved.candidates, saved.scores, strict=True):
             if len(self.scores) == self.settings.iterations:
                 break
@@ -214,7 +217,10 @@ class _Search:
         return saved.elapsed_s
 
     def _save(self, elapsed: float) -> None:
+        """Keeps the course so far; a longer one, where fewer iterations are asked for than before, stays as it is."""
         assert self.checkpoint is not None
+        if len(self.scores) < self.recorded:
+            return
         Checkpoint(self.identity, np.array(self.candidates), np.array(self.scores), elapsed).save(self.checkpoint)
 
     def _choose(self, given: Array) -> tuple[Array, float, float, bool]:
@@ -248,12 +254,14 @@ class _Search:
         rollouts = self.problem.rollout(np.repeat(table[None], start.n, axis=0), start, steps)
         return float(np.mean(np.concatenate([self.problem.score(r) for r in rollouts])))
 
-    def _history(self, baseline: float) -> History:
+    def _history(self, baseline: float, start: float) -> History:
         if not self.scores:
             empty = np.zeros(0)
-            return History(empty, empty, empty, empty, baseline)
+            return History(empty, empty, empty, empty, baseline, start)
         scores = np.array(self.scores)
-        return History(scores.max(axis=1), scores.mean(axis=1), scores.std(axis=1), np.array(self.sigma), baseline)
+        return History(
+            scores.max(axis=1), scores.mean(axis=1), scores.std(axis=1), np.array(self.sigma), baseline, start
+        )
 
 
 def _make_strategy(start: Array, settings: CmaSettings) -> Any:

@@ -28,7 +28,8 @@ def convergence_figure(
 
     Args:
         iteration: (k,) iteration numbers.
-        best: (k,) reward of each iteration's best candidate; the figure draws the best so far.
+        best: (k,) objective of each iteration's best candidate, or of the search's start where that is better; the
+            figure draws the best so far.
         mean: (k,) mean reward of each iteration's candidates.
         std: (k,) standard deviation of the same, drawn as a band about the mean.
         sigma: (k,) CMA-ES's step size, relative to the parameters' scaled ranges.
@@ -68,7 +69,7 @@ def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, bas
         fontsize=8.5,
         color=DEMONSTRATION.color,
     )
-    tidy(axes, _reward_title(best, baseline), ylabel="reward (mean a step, 0 to 1)")
+    tidy(axes, _reward_title(best, baseline), ylabel="reward − penalty for lost clearance")
     axes.legend(loc="lower right", bbox_to_anchor=(1, 0.04), fontsize=8.5, frameon=True, framealpha=0.9)
     drawn = np.concatenate([best, mean, mean - std, mean + std, [baseline]])
     drawn = drawn[np.isfinite(drawn)]
@@ -78,7 +79,7 @@ def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, bas
 
 def _reward_title(best: Array, baseline: float) -> str:
     final = best[-1]
-    return f"Reward against the demonstration: {baseline:.3f} → {final:.3f} after {len(best)} iterations"
+    return f"Objective of the search: {baseline:.3f} → {final:.3f} after {len(best)} iterations"
 
 
 def _marker(k: Array) -> str:

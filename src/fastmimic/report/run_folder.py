@@ -94,13 +94,17 @@ class RunFolder:
         write_json(self.path / METRICS, metrics)
 
     def _write_figures(self, result: "Imitation") -> None:
+        import numpy as np
+
         from fastmimic.report import convergence_figure, save
 
         title = f"{result.motion.name} on {result.robot.name}"
         h = result.history
         if h is not None and len(h.best):
             iteration = range(1, len(h.best) + 1)
-            figure = convergence_figure(list(iteration), h.best, h.mean, h.std, h.sigma, h.baseline, title)
+            figure = convergence_figure(
+                list(iteration), np.maximum(h.best, h.start), h.mean, h.std, h.sigma, h.baseline, title
+            )
             save(figure, self.path / CONVERGENCE)
         save(_tracking_figure(result, title), self.path / TRACKING)
 
@@ -118,8 +122,9 @@ def open_run(
 ) -> Iterator[RunFolder]:
     """Prepares a folder for a run, before anything takes long. If the run fails, the folder is as it was.
 
-    A folder that holds a run of other arguments is refused unless `overwrite` or `resume`; one of the same
-    arguments is run anew. While there are no results yet, `config.json` tells of the run under way.
+    A folder that holds a run of other arguments, or an unfinished one, is refused unless `overwrite` or `resume`; a
+    finished one of the same arguments is run anew. While there are no results yet, `config.json` tells of the run under
+    way.
 
     Args:
         path: the folder.
@@ -140,6 +145,10 @@ def open_run(
         raise CheckpointError(f"{folder.checkpoint}: no checkpoint to resume from; leave out --resume to start anew")
     if not resume and not overwrite:
         _refuse_other_run(folder, same)
+        if folder.checkpoints and not folder.finished:
+            raise OutputError(
+                f"{path} holds this run, unfinished; go on with it by --resume, or start it anew by --overwrite"
+            )
     created = [p for p in (path, *path.parents) if not p.exists()]
     check_folder(path)
     started = not resume and not folder.finished
