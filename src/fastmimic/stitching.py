@@ -1,21 +1,26 @@
 """Stitching: from several motions to one that the robot can execute (paper, "Motion stitching")."""
 
+import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.control.config import ControllerConfig, controller_config
-from fastmimic.errors import ConfigError
+from fastmimic.errors import CheckpointError, ConfigError, MotionError, OutputError
 from fastmimic.imitation.rollout import Rollout, run_episodes
 from fastmimic.methods import method_named
+from fastmimic.motion.catalogue import motion_names
 from fastmimic.motion.clip import Clip
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.stitch import stitch_motions
+from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.optimize.cma_es import CmaSettings, Progress
 from fastmimic.optimize.stitching import StitchedProblem, parameters_of
 from fastmimic.pipeline import Imitation, imitate, load_motion
@@ -25,6 +30,7 @@ Array = NDArray[np.float64]
 
 PART_CHECKPOINT: Final = "checkpoint-{}.npz"
 CHECKPOINT: Final = "checkpoint.npz"
+CHECKPOINTS: Final = "checkpoint*.npz"
 RUN_MOTION: Final = "motion.npz"
 PART_POPULATION: Final = 10
 
@@ -34,7 +40,8 @@ class Stitching(Imitation):
     """A stitched, optimised motion and how it came about.
 
     Attributes:
-        individual: one nominal episode with the segments' own optima, from which the search began.
+        individual: one nominal episode with the segments' own optima, from which the search began. Without a search it
+            is all that there is: `before` and `after` too.
     """
 
     individual: Rollout
@@ -76,18 +83,23 @@ def stitch(
 
     Args:
         sources: two or more of what `load_motion` takes, or folders of runs. An optimised motion is taken with its
-            parameters.
+            parameters. A name goes before a folder of the same name (use ./NAME).
         robot: the robot, its name, or the path of its MJCF.
-        cycles: how often each motion is repeated: one number for all, or one for each; about 3 s each if None.
-        method: one of `fastmimic.methods.METHODS`; if it optimises nothing, the motion is stitched and run.
+        cycles: how often each motion is repeated: one number for all, or one for each; about 3 s each if None. The
+            whole lasts 600 s at most.
+        method: one of `fastmimic.methods.METHODS`; if it optimises nothing, the motion is stitched and run, with the
+            parameters of those that are optimised already.
         config: the controller's parameters, or the name of a set.
         iterations: of CMA-ES on the whole.
         population: candidates in each; 4 + 3 ln k for k parameters, CMA-ES's usual size, if None.
-        part_iterations: of CMA-ES on a motion by itself; as `iterations` if None.
+        part_iterations: of CMA-ES on a motion by itself; if None as `iterations`, or as many as it was given before
+            the whole was begun.
         seed: of all of them.
         workers: threads; one for each core if None. The result does not depend on it.
-        folder: where the checkpoints are kept, the motions' own as well; none if None.
-        resume: go on from the checkpoints in the folder; what has none there is begun anew.
+        folder: where the checkpoints are kept, the motions' own as well; none if None. Those of an earlier run are
+            removed unless it is resumed.
+        resume: go on from the checkpoints in the folder; what has none there is begun anew. Once the whole is begun,
+            the motions' own are only read.
         progress: called after each iteration.
         stage: called with what begins.
 
@@ -102,6 +114,10 @@ def stitch(
     for generations in (iterations, part_iterations):  # refuses what cannot be, before anything takes long
         if generations is not None:
             CmaSettings(generations, population if population is not None else PART_POPULATION, seed)
+    if workers is not None and workers < 1:
+        raise ConfigError(f"workers must be at least 1, found {workers}")
+    if isinstance(cycles, int) and cycles < 1:
+        raise ConfigError(f"every motion needs at least one cycle, found {cycles}")
     say = stage if stage is not None else _ignore
     checkpoints = Path(folder) if folder is not None else None
     loaded = _load(sources, robot)
@@ -109,39 +125,35 @@ def stitch(
     counts = [cycles] * len(motions) if isinstance(cycles, int) else cycles
     say("stitching " + ", ".join(m.name for m in motions))
     demonstration = stitch_motions(robot, [m.target for m in motions], counts)
-    given, evaluations, simulated_s = demonstration, 0, 0.0
-    if chosen.optimises:
-        starts: dict[int, Array] = {}
-        distinct = list({id(m): m for m in motions}.values())
-        for i, motion in enumerate(distinct, start=1):
-            if motion.demonstration is not None:
-                starts[id(motion)] = parameters_of(motion, robot)
-                continue
-            say(f"{motion.name} by itself, {i} of {len(distinct)}")
-            found = _optimised_part(
-                motion,
-                robot,
-                checkpoints / PART_CHECKPOINT.format(i) if checkpoints is not None else None,
-                resume,
-                {
-                    "method": method,
-                    "config": config,
-                    "iterations": part_iterations if part_iterations is not None else iterations,
-                    "population": PART_POPULATION,
-                    "seed": seed,
-                    "workers": workers,
-                    "progress": progress,
-                },
-            )
-            starts[id(motion)] = found.values
-            evaluations += found.evaluations
-            simulated_s += found.simulated_s
-        whole = StitchedProblem(robot, demonstration, start=[starts[id(m)] for m in motions], config=config)
+    given, whole, parts = demonstration, None, _Parts({}, 0, 0.0, 0.0, 0.0)
+    if chosen.optimises or any(m.demonstration is not None for m in motions):
+        if chosen.optimises:
+            if checkpoints is not None and not resume:
+                _remove_checkpoints(checkpoints)
+            settings = {
+                "method": method,
+                "config": config,
+                "iterations": iterations,
+                "population": PART_POPULATION,
+                "seed": seed,
+                "workers": workers,
+                "progress": progress,
+            }
+            parts = _optimised_parts(motions, robot, part_iterations, checkpoints, resume, settings, say)
+        starts = [parts.values.get(id(m)) for m in motions]
+        whole = StitchedProblem(
+            robot,
+            demonstration,
+            start=[parameters_of(m, robot) if x is None else x for m, x in zip(motions, starts, strict=True)],
+            config=config,
+        )
         given = whole.motion(whole.start)
+    if chosen.optimises and whole is not None:
         population = population if population is not None else usual_population(len(whole.parameters))
         say("all together")
-    prepared = time.perf_counter() - began
+    elsewhere = parts.passed_s
     checkpoint = checkpoints / CHECKPOINT if checkpoints is not None else None
+    imitated = time.perf_counter()
     result = imitate(
         given,
         robot,
@@ -155,14 +167,19 @@ def stitch(
         resume=resume and checkpoint is not None and checkpoint.is_file(),
         progress=progress,
     )
-    individual = result.before
-    if chosen.optimises:
-        individual = run_episodes(robot, given, duration_s=result.duration_s, config=config)
-        simulated_s += result.duration_s
+    elsewhere += time.perf_counter() - imitated
     own = {field.name: getattr(result, field.name) for field in fields(Imitation)}
-    own["evaluations"] += evaluations
-    own["simulated_s"] += simulated_s
-    own["wall_s"] += prepared
+    individual = result.before
+    if whole is not None:
+        individual = run_episodes(robot, given, duration_s=result.duration_s, config=config, log=not chosen.optimises)
+        own["simulated_s"] += result.duration_s
+        if not chosen.optimises:
+            own |= {"motion": given, "before": individual, "after": individual}
+            own |= {"parameters": whole.parameters, "values": whole.start}
+    own["evaluations"] += parts.evaluations
+    own["simulated_s"] += parts.simulated_s
+    # what was optimised knows of the time before a resume
+    own["wall_s"] += parts.wall_s + time.perf_counter() - began - elsewhere
     return Stitching(**own, individual=individual)
 
 
@@ -176,27 +193,127 @@ def _keys(sources: Sequence[str | Path | Clip | Motion]) -> list[object]:
     return [str(s) if isinstance(s, str | Path) else id(s) for s in sources]
 
 
+def motion_source(source: str | Path) -> str | Path:
+    """What `load_motion` takes for a name, a file or the folder of a run; a name goes before a folder.
+
+    Raises:
+        MotionError: nothing was named, or the folder holds no motion.
+    """
+    name = str(source)
+    if not name.strip():
+        raise MotionError("a motion without a name; give the name of a motion, a file, or the folder of a run")
+    if name in motion_names() or not Path(source).is_dir():
+        return source
+    path = Path(source) / RUN_MOTION
+    if not path.is_file():
+        raise MotionError(f"{source}: a folder without {RUN_MOTION}; give the folder of a finished run, or a file")
+    return path
+
+
 def _load(sources: Sequence[str | Path | Clip | Motion], robot: Robot) -> dict[object, Motion]:
     if isinstance(sources, str | Path):
         raise ConfigError(f"stitching takes a list of motions, found '{sources}'")
     found: dict[object, Motion] = {}
     for key, source in zip(_keys(sources), sources, strict=True):
-        if key in found:
-            continue
-        if isinstance(source, str | Path) and Path(source).is_dir():
-            source = Path(source) / RUN_MOTION
-        found[key] = load_motion(source, robot)
+        if key not in found:
+            found[key] = load_motion(motion_source(source) if isinstance(source, str | Path) else source, robot)
     return found
 
 
-def _optimised_part(
-    motion: Motion, robot: Robot, checkpoint: Path | None, resume: bool, settings: Mapping[str, Any]
-) -> Imitation:
-    again = resume and checkpoint is not None and checkpoint.is_file()
-    result = imitate(motion, robot, checkpoint=checkpoint, resume=again, **settings)
-    if result.interrupted:
-        raise KeyboardInterrupt
-    return result
+@dataclass
+class _Parts:
+    """What came of the motions by themselves.
+
+    Attributes:
+        values: parameters (k,) by the motion's id.
+        evaluations, simulated_s, wall_s: summed, as in `Imitation`.
+        passed_s: time that passed meanwhile, s.
+    """
+
+    values: dict[int, Array]
+    evaluations: int
+    simulated_s: float
+    wall_s: float
+    passed_s: float
+
+
+def _optimised_parts(
+    motions: Sequence[Motion],
+    robot: Robot,
+    iterations: int | None,
+    folder: Path | None,
+    resume: bool,
+    settings: Mapping[str, Any],
+    say: Callable[[str], None],
+) -> _Parts:
+    """Optimises by itself each motion that is not optimised yet."""
+    began = time.perf_counter()
+    begun = resume and folder is not None and (folder / CHECKPOINT).is_file()
+    out = _Parts({}, 0, 0.0, 0.0, 0.0)
+    distinct = list({id(m): m for m in motions}.values())
+    with _part_checkpoints(folder, copied=begun) as place:
+        todo = []
+        for i, motion in enumerate(distinct, start=1):
+            if motion.demonstration is not None:
+                continue
+            path = place / PART_CHECKPOINT.format(i) if place is not None else None
+            again = resume and path is not None and path.is_file()
+            if not again and folder is not None:
+                path = folder / PART_CHECKPOINT.format(i)
+            count = iterations if iterations is not None else settings["iterations"]
+            if begun and again:
+                assert path is not None
+                count = _iterations_before(motion, path, iterations)
+            todo.append((i, motion, path, again, count))
+        for i, motion, path, again, count in todo:
+            say(f"{motion.name} by itself, {i} of {len(distinct)}")
+            found = imitate(motion, robot, checkpoint=path, resume=again, **{**settings, "iterations": count})
+            if found.interrupted:
+                raise KeyboardInterrupt
+            out.values[id(motion)] = found.values
+            out.evaluations += found.evaluations
+            out.simulated_s += found.simulated_s
+            out.wall_s += found.wall_s
+    out.passed_s = time.perf_counter() - began
+    return out
+
+
+def _iterations_before(motion: Motion, checkpoint: Path, wanted: int | None) -> int:
+    """Those of a motion by itself from which the whole was begun."""
+    had = Checkpoint.iterations(checkpoint)
+    if wanted is not None and wanted != had:
+        raise CheckpointError(
+            f"the whole was begun from {had} iterations of '{motion.name}' by itself, not {wanted};"
+            f" resume with --part-iterations {had} or without, or choose another output folder"
+        )
+    return had
+
+
+@contextmanager
+def _part_checkpoints(folder: Path | None, copied: bool) -> Iterator[Path | None]:
+    """The folder of the parts' checkpoints, or, for as long as they are needed, one of copies."""
+    if folder is None or not copied:
+        yield folder
+        return
+    with TemporaryDirectory() as copies:
+        for path in folder.glob(PART_CHECKPOINT.format("*")):
+            try:
+                shutil.copy(path, copies)
+            except OSError as error:
+                raise CheckpointError(f"{path}: cannot be read ({error.strerror or error})") from None
+        try:
+            yield Path(copies)
+        except CheckpointError as error:
+            raise CheckpointError(str(error).replace(copies, str(folder))) from None
+
+
+def _remove_checkpoints(folder: Path) -> None:
+    """Those of an earlier run, which would be mistaken for this one's."""
+    for path in folder.glob(CHECKPOINTS):
+        try:
+            path.unlink()
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be removed ({error.strerror or error})") from None
 
 
 def _ignore(text: str) -> None:

@@ -137,6 +137,18 @@ class TestItsResult:
         assert found["reward"]["after"] >= metrics(first[0])["reward"]["after"] - 0.02
 
 
+def test_a_folder_of_the_same_name_does_not_hide_a_motion(
+    first: tuple[Path, Outcome], run: Run, in_folder: Path
+) -> None:
+    (in_folder / "trot").mkdir()
+    shutil.copytree(first[0], in_folder / "turn", ignore=shutil.ignore_patterns("*.json"))
+    done = run("stitch", "trot", "turn", "--cycles", "2", "--method", "mbc", "--no-video")
+    assert done.status == 0, done.err
+    assert Path("runs/trot+turn-a1-mbc-0/motion.npz").is_file()
+    done = run("stitch", "trot", "./turn", "--method", "mbc", "--no-video")
+    assert "motion 'trot+turn' does not repeat" in done.err, "what is in the folder, itself stitched"
+
+
 FEW = ("--iterations", "1")
 
 
@@ -149,7 +161,11 @@ class TestBadInput:
                 ["trot", "turn", "--cycles", "1", "2", "3"],
                 "--cycles takes one number, or one for each of the 2 motions",
             ),
-            (["trot", "turn", "--cycles", "0"], "every motion needs at least one cycle"),
+            (["trot", "turn", "--cycles", "0"], "every motion needs at least one cycle, found 0\n"),
+            (["trot", "turn", "--cycles", "1", "0"], "every motion needs at least one cycle, found 0 for 'turn'"),
+            (["trot", "turn", "--cycles", "100000"], "the stitched motion would be longer than 600 s"),
+            (["trot", "turn", "--workers", "0"], "workers must be at least 1, found 0"),
+            (["trot", ""], "a motion without a name"),
             (["trot", "turn", "trot", "--cycles", "1"], "is too short for its transitions; give it more cycles"),
             (["trot", "nothing"], "nothing"),
             (["trot", "turn", "--iterations", "0"], "iterations must be at least 1"),

@@ -247,13 +247,38 @@ class TestForesight:
                 np.testing.assert_allclose(world, hold, atol=2e-3)
                 assert foot[2] + root[2] == pytest.approx(0.0, abs=1e-6), "on the ground"
 
-    def test_a_motion_that_ends_is_held(self, robot: Robot, trot: Motion) -> None:
-        once = dataclasses.replace(trot, cycle=None)
-        rig = Rig(robot, [once], np.array([240]), self.CONFIG)
+    @pytest.mark.parametrize("yaw_rate", [0.5, 0.0])
+    def test_a_motion_that_ends_goes_on_as_it_ended(self, robot: Robot, yaw_rate: float) -> None:
+        """Where it goes and how fast it goes agree: the body leaves over its feet, which stay."""
+        motion, now, n = gait(robot, (0.4, 0.1), yaw_rate), 116, 131  # two feet land 9 samples from now, before the end
+        arrays = ("root_pos_w", "root_quat_wxyz", "joint_pos", "joint_vel", "foot_pos_b", "contact")
+        cut = {name: getattr(motion, name)[:n] for name in (*arrays, "root_lin_vel_w", "root_ang_vel_w")}
+        once = dataclasses.replace(motion, cycle=None, **cut)
+        rig = Rig(robot, [once], np.array([now]), self.CONFIG)
+        table = rig.controller.tables[0]
+        table["lin_vel"][-1, 2], table["ang_vel"][-1, :2], table["leg_lin_acc"][-1] = 0.3, 0.2, 5.0
         rig.step(on_reference(once, rig.samples))
         ahead = rig.controller._foresight[0]
-        last = rotate_planar(-0.5 * 240 / 500, (once.root_pos_w[249] - once.root_pos_w[240])[:2])
-        np.testing.assert_allclose(ahead["target"][1 : STEPS + 1, :2], np.tile(last, (STEPS, 1)), atol=1e-9)
+        time = STEP_S * np.arange(1, STEPS + 1)
+        turn = yaw_rate * time
+        along, across = time * np.sinc(turn / np.pi), 0.5 * turn * time * np.sinc(turn / (2 * np.pi)) ** 2
+        expected = np.column_stack([0.4 * along - 0.1 * across, 0.4 * across + 0.1 * along])
+        target = ahead["target"][1 : STEPS + 1]
+        np.testing.assert_allclose(target[:, :2], expected, atol=1e-9)
+        np.testing.assert_allclose(target[:, 2:6], np.column_stack([0 * turn, 0 * turn, 0 * turn, turn]), atol=1e-9)
+        np.testing.assert_allclose(target[:, 6:8], rotate_planar(turn, np.tile([0.4, 0.1], (STEPS, 1))), atol=1e-9)
+        np.testing.assert_allclose(target[:, 8:], np.tile([0, 0, 0, yaw_rate], (STEPS, 1)), atol=1e-9)
+        np.testing.assert_allclose(ahead["drift"][1:STEPS], np.tile([0, 0, -GRAVITY, 0, 0, 0], (STEPS - 1, 1)))
+        np.testing.assert_array_equal(ahead["standing"][1:STEPS], np.tile(once.contact[-1], (STEPS - 1, 1)))
+        hold = rotate_planar(-yaw_rate * now / 500, feet_w(once)[-1, :, :2] - once.root_pos_w[now, :2])
+        landed = 0
+        for j in range(1, STEPS):
+            nominal = 0.5 * (ahead["nominal"][j] + ahead["nominal"][j + 1])
+            com = rotate_planar(yaw_rate * (j + 0.5) * STEP_S, ahead["com"][:2])
+            for leg in np.flatnonzero(ahead["standing"][j]):
+                np.testing.assert_allclose(ahead["arms"][j, leg, :2] + com + nominal[:2], hold[leg], atol=2e-3)
+                landed += int(ahead["standing"][0, leg] == 0)
+        assert landed, "a foot that is in the air now must stand at the end"
 
     @pytest.mark.nojit
     def test_a_robot_that_stays_in_the_air_plans_to_fall(self, robot: Robot) -> None:

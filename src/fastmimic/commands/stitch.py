@@ -36,13 +36,14 @@ class Stitch:
     """
 
     motions: Annotated[Positional[tuple[str, ...]], arg(metavar="MOTION MOTION ...")]
-    """Two or more: names of 'fastmimic motions', files, or folders of runs, which are taken as they were optimised."""
+    """Two or more: names of 'fastmimic motions', files, or folders of runs, which are taken as they were optimised.
+    A name goes before a folder of the same name (use ./NAME)."""
     cycles: Annotated[tuple[int, ...], arg(metavar="N [N ...]")] = ()
     """How often each motion is repeated: one number for all, or one for each; by default about 3 s each."""
     robot: Annotated[str | None, arg(metavar="NAME|FILE.xml")] = None
     """a1, go1, go2, or the MJCF of your own; by default that of the first optimised motion, or a1."""
     method: Annotated[str, arg(metavar="NAME")] = "mbc-dmp"
-    """mbc-dmp and lh-dmp optimise; mbc and lh follow the stitched motion as it is."""
+    """mbc-dmp and lh-dmp optimise; mbc, lh and raibert follow the stitched motion as its motions are."""
     config: Annotated[str, arg(metavar="default|paper")] = "default"
     """The controller's parameters: ours, or the paper's form."""
     iterations: int = 200
@@ -50,7 +51,7 @@ class Stitch:
     population: int | None = None
     """Candidates in each; by default CMA-ES's usual number for so many parameters."""
     part_iterations: Annotated[int | None, arg(metavar="INT")] = None
-    """Generations on each motion by itself; by default as many as on the whole."""
+    """Generations on each motion by itself; by default as many as on the whole, or as it had before."""
     seed: int = 0
     """Of the optimiser. The same seed gives the same result, whatever the number of workers."""
     workers: Annotated[int | None, arg(metavar="INT")] = None
@@ -80,7 +81,7 @@ class Stitch:
         if not method_named(self.method).optimises and self.resume:
             raise ConfigError("--resume goes on with an optimisation; without one there is nothing to resume")
         robot = load_robot(self.robot or self._robot_of_motions() or DEFAULT_ROBOT)
-        names = "+".join(Path(m).stem if Path(m).exists() else m for m in self.motions)
+        names = "+".join(self._name_of(m) for m in self.motions)
         name = re.sub(r"[^\w.+-]+", "-", f"{names}-{robot.name}-{self.method}-{self.seed}")
         out = self.out or default_folder(RUNS, name, resume=self.resume)
         config = self._record(robot)
@@ -130,10 +131,20 @@ class Stitch:
                 raise
 
     def _robot_of_motions(self) -> str | None:
-        from fastmimic.stitching import RUN_MOTION
+        from fastmimic.stitching import motion_source
 
-        paths = [Path(m) / RUN_MOTION if Path(m).is_dir() else Path(m) for m in self.motions]
-        return next((of for of in (robot_of(str(path)) for path in paths) if of is not None), None)
+        sources = [str(motion_source(m)) for m in self.motions]
+        return next((of for of in (robot_of(source) for source in sources) if of is not None), None)
+
+    @staticmethod
+    def _name_of(motion: str) -> str:
+        """What the run's folder calls a motion."""
+        from fastmimic.stitching import RUN_MOTION, motion_source
+
+        source = Path(motion_source(motion))
+        if source.name == RUN_MOTION:
+            return source.resolve().parent.name
+        return source.stem if source.is_file() else motion
 
     def _record(self, robot: "Robot") -> dict[str, Any]:
         """Everything that the run depends on, JSON-serialisable."""

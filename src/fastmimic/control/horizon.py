@@ -74,13 +74,46 @@ MAX_CONSTRAINTS: Final = 20 * _N
 
 
 @inlined
-def _ahead(table: Any, clock: Any, steps: int) -> tuple[int, float, float, float]:
-    """Sample that many control steps from now, and the origin (x, y, yaw) that it is seen from."""
+def _beyond(table: Any, clock: Any, steps: int) -> int:
+    """Control steps by which that many from now are past the last sample of a motion that ends."""
+    return max(0, clock.sample + steps - table.shape[0] + 1) if clock.repeats == 0 else 0
+
+
+@inlined
+def _coasted(config: Any, ref: Any, steps: int) -> tuple[float, float, float]:
+    """Planar displacement, in the table's frame, and turn of a body that goes on with a sample's twist."""
+    time = steps * config.dt
+    turn = ref.ang_vel[2] * time
+    # time · (sin θ / θ, (1 − cos θ) / θ)
+    along, across = time, 0.5 * turn * time
+    if abs(turn) > 1e-6:
+        along, across = np.sin(turn) / ref.ang_vel[2], (1 - np.cos(turn)) / ref.ang_vel[2]
+    vx, vy = ref.lin_vel[0], ref.lin_vel[1]
+    return along * vx - across * vy, across * vx + along * vy, turn
+
+
+@inlined
+def _ahead(config: Any, table: Any, clock: Any, steps: int) -> tuple[int, float, float, float]:
+    """Sample that many control steps from now, and the origin (x, y, yaw) that it is seen from.
+
+    A motion that ends goes on as its last sample, level, straight on or turning, as that one moves.
+    """
     n = table.shape[0]
     sample = clock.sample + steps
     x, y, yaw = clock.origin[0], clock.origin[1], clock.origin[2]
-    if sample >= n and clock.repeats == 0:
+    beyond = _beyond(table, clock, steps)
+    if beyond > 0:
         sample = n - 1
+        ref = table[sample]
+        dx, dy, turn = _coasted(config, ref, beyond)
+        c, s = np.cos(turn), np.sin(turn)
+        # turned about the root, which has moved
+        dx += ref.root_pos[0] - (c * ref.root_pos[0] - s * ref.root_pos[1])
+        dy += ref.root_pos[1] - (s * ref.root_pos[0] + c * ref.root_pos[1])
+        c, s = np.cos(yaw), np.sin(yaw)
+        x += c * dx - s * dy
+        y += s * dx + c * dy
+        yaw += turn
     while sample >= n:
         sample -= n
         c, s = np.cos(yaw), np.sin(yaw)
@@ -258,7 +291,8 @@ def _targets(config: Any, table: Any, clock: Any, obs: Any, scratch: Any, headin
     """What the body should do: reference at the ends of the steps, and the nominal path beside it."""
     c, s = np.cos(heading), np.sin(heading)
     for j in range(config.horizon_steps + 1):
-        sample, x, y, yaw = _ahead(table, clock, round(j * config.horizon_step_s / config.dt))
+        steps = round(j * config.horizon_step_s / config.dt)
+        sample, x, y, yaw = _ahead(config, table, clock, steps)
         ref, target = table[sample], ahead.target[j]
         co, so = np.cos(yaw), np.sin(yaw)
         dx = x + co * ref.root_pos[0] - so * ref.root_pos[1] - obs.root_pos[0]
@@ -274,16 +308,21 @@ def _targets(config: Any, table: Any, clock: Any, obs: Any, scratch: Any, headin
         rotation_error(ahead.rotation, scratch.rotation, target[3:6])
         heading_vector(ct, -st, ref.lin_vel, target[6:9])
         heading_vector(ct, -st, ref.ang_vel, target[9:12])
+        if _beyond(table, clock, steps) > 0:  # height and tilt stay
+            target[8], target[9], target[10] = 0.0, 0.0, 0.0
         target[0] += scratch.shift[0]
         target[1] += scratch.shift[1]
         if j == config.horizon_steps:
             return
         # gravity, and what the legs take in the middle of the step
-        sample, x, y, yaw = _ahead(table, clock, round((j + 0.5) * config.horizon_step_s / config.dt))
+        steps = round((j + 0.5) * config.horizon_step_s / config.dt)
+        sample, x, y, yaw = _ahead(config, table, clock, steps)
         ct, st = np.cos(yaw - heading), np.sin(yaw - heading)
         drift = ahead.drift[j]
         heading_vector(ct, -st, table[sample].leg_lin_acc, drift[0:3])
         heading_vector(ct, -st, table[sample].leg_ang_acc, drift[3:6])
+        if _beyond(table, clock, steps) > 0:  # the legs stay as they are
+            drift[:] = 0.0
         for r in range(6):
             drift[r] = -config.leg_momentum * drift[r] - (GRAVITY if r == 2 else 0.0)
 
@@ -308,7 +347,8 @@ def _footing(
     config: Any, model: Any, table: Any, clock: Any, scratch: Any, heading: float, yaw_error: float, j: int, ahead: Any
 ) -> None:
     """Which feet stand in the middle of step j ≥ 1, and where from the centre of mass on its nominal path."""
-    sample, _, _, yaw = _ahead(table, clock, round((j + 0.5) * config.horizon_step_s / config.dt))
+    steps = round((j + 0.5) * config.horizon_step_s / config.dt)
+    sample, _, _, yaw = _ahead(config, table, clock, steps)
     ref = table[sample]
     turn = yaw - heading - yaw_error  # a yaw error goes along with the robot
     quat_to_matrix(ref.root_quat, ahead.rotation)
@@ -316,6 +356,11 @@ def _footing(
     turned = np.arctan2(ahead.rotation[1, 0], ahead.rotation[0, 0])
     c, s = np.cos(turned), np.sin(turned)
     com_x, com_y, com_z = c * ahead.com[0] - s * ahead.com[1], s * ahead.com[0] + c * ahead.com[1], ahead.com[2]
+    # a foot stays where it stands at the motion's end
+    dx, dy, coasted = _coasted(config, ref, _beyond(table, clock, steps))
+    ct, st = np.cos(yaw - coasted - heading), np.sin(yaw - coasted - heading)
+    left_x, left_y = ct * dx - st * dy, st * dx + ct * dy
+    turn_rows(np.cos(-coasted), np.sin(-coasted), ahead.rotation)
     for leg in range(4):
         ahead.standing[j, leg] = ref.contact[leg]
         if ref.contact[leg] == 0:
@@ -331,6 +376,8 @@ def _footing(
             times(ahead.rotation, ref.foot_pos[leg], arm)
             for r in range(3):
                 arm[r] += ahead.offset[leg, r]
+            arm[0] -= left_x
+            arm[1] -= left_y
             arm[2] += ahead.here[2] - model.foot_radius
         arm[0] -= com_x
         arm[1] -= com_y

@@ -32,6 +32,9 @@ Array = NDArray[np.float64]
 SEGMENT_S: Final = 3.0
 """Length of a segment if nothing is said, to whole cycles."""
 
+MAX_S: Final = 600.0
+"""The longest motion that is stitched."""
+
 
 def default_cycles(motion: Motion) -> int:
     """How often a motion is repeated if nothing is said: for about `SEGMENT_S`."""
@@ -59,7 +62,7 @@ def stitch_motions(
         measured of the transitions, `parts` the motions.
 
     Raises:
-        ConfigError: fewer than two motions, or cycles that are not one positive number for each.
+        ConfigError: fewer than two motions, cycles that are not one positive number for each, or more than `MAX_S`.
         MotionError: a motion that does not repeat, is for another robot, or has another rate; a segment too short for
             its transitions; a foot that never lifts off and would have to move.
     """
@@ -136,12 +139,20 @@ def _check(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int] | None
                 f"motion '{motion.name}' has {motion.rate_hz:g} samples a second and '{motions[0].name}'"
                 f" {motions[0].rate_hz:g}; stitched motions must have one rate"
             )
-    if cycles is None:
-        return [default_cycles(m) for m in motions]
+    counts = [default_cycles(m) for m in motions] if cycles is None else _counts(motions, cycles)
+    if sum(c * m.n_samples for c, m in zip(counts, motions, strict=True)) > MAX_S * motions[0].rate_hz:
+        raise ConfigError(
+            f"the stitched motion would be longer than {MAX_S:g} s: fewer cycles than {', '.join(map(str, counts))}"
+        )
+    return counts
+
+
+def _counts(motions: Sequence[Motion], cycles: Sequence[int]) -> list[int]:
     if len(cycles) != len(motions):
         raise ConfigError(f"{len(motions)} motions need as many numbers of cycles, found {len(cycles)}")
-    if any(c < 1 for c in cycles):
-        raise ConfigError(f"every motion needs at least one cycle, found {', '.join(map(str, cycles))}")
+    for motion, count in zip(motions, cycles, strict=True):
+        if count < 1:
+            raise ConfigError(f"every motion needs at least one cycle, found {count} for '{motion.name}'")
     return [int(c) for c in cycles]
 
 

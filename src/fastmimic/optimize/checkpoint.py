@@ -59,6 +59,15 @@ class Checkpoint:
             ),
         )
 
+    @staticmethod
+    def iterations(path: str | Path) -> int:
+        """How many iterations a checkpoint holds, of whatever problem; raises `CheckpointError` if it is damaged."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return len(file["scores"])
+        except _UNREADABLE as error:
+            raise CheckpointError(f"{path}: damaged checkpoint ({error}); leave out --resume to start anew") from None
+
     @classmethod
     def load(cls, path: str | Path, identity: str) -> "Checkpoint":
         """Reads a checkpoint of the problem with that identity.
