@@ -45,6 +45,8 @@ VERBS: Final = {
     "retarget": Verb("retarget", "Retarget", "turn an animal's clip into a robot motion, without optimising it"),
     "inspect": Verb("inspect", "Inspect", "say what a clip or a robot motion is"),
     "render": Verb("render", "Render", "write a video of a motion"),
+    "report": Verb("report", "Report", "write a run or a comparison as one HTML file"),
+    "view": Verb("view", "View", "show a motion or a run in the browser"),
     "motions": Verb("motions", "Motions", "list the motions that have a name"),
     "robots": Verb("robots", "Robots", "list the built-in robots"),
     "data": Verb("data", "Data", "list or fetch the public recordings of a dog"),

@@ -1,0 +1,47 @@
+"""`fastmimic report`: a run or a comparison as one HTML file."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from fastmimic.commands.console import note, put, slow_start
+from fastmimic.commands.options import check_writable
+from fastmimic.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """Writes report.html into the folder of a run of 'imitate' or 'stitch', or of a comparison: one file that opens
+    anywhere and loads nothing, with the video, the figures before and after, and interactive plots.
+
+    A run's two nominal episodes are run again for the plots, and checked against its metrics.json. Needs Plotly:
+    pip install 'fastmimic[report]'.
+    """
+
+    runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN ...")]
+    """Folders of runs."""
+    out: Annotated[Path | None, arg(metavar="FILE.html")] = None
+    """The file, for a single run; by default report.html in the run's folder."""
+
+    def run(self) -> int:
+        """Writes them; returns the exit status."""
+        if not self.runs:
+            raise ConfigError("report takes the folder of at least one run")
+        if self.out is not None and len(self.runs) > 1:
+            raise ConfigError(f"--out names one file, and {len(self.runs)} runs were given; leave it out")
+        from fastmimic.report.html import REPORT, kind_of, make_report
+
+        for path in self.runs:
+            kind_of(path)  # refuses all before it writes any
+        outs = [self.out if self.out is not None else path / REPORT for path in self.runs]
+        outs = [check_writable(out, ".html", ".htm") for out in outs]
+        for path, out in zip(self.runs, outs, strict=True):
+            with slow_start():
+                report = make_report(path)
+            for line in report.missing:
+                note(f"fastmimic: warning: {line}")
+            report.save(out)
+            put(f"report in {out}")
+        return 0

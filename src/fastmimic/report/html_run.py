@@ -1,0 +1,191 @@
+"""What a run's page is made of: its files, and its two nominal episodes, run again.
+
+The episodes are not stored: they follow, bit for bit, from `motion.npz` and `config.json`. Whether they did is
+checked against the rewards in `metrics.json`.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.config import ControllerConfig, GaitConfig, HorizonConfig, StanceConfig, SwingConfig
+from fastmimic.errors import ConfigError, FastMimicError
+from fastmimic.imitation.rollout import Rollout, run_episodes
+from fastmimic.motion.motion import Motion
+from fastmimic.report.run_folder import CONFIG, METRICS, MOTION, VIDEO, RunFolder
+from fastmimic.robot import load_robot
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+_PARTS: Final = {"gait": GaitConfig, "stance": StanceConfig, "horizon": HorizonConfig, "swing": SwingConfig}
+OTHER_RELEASE: Final = "the controller's parameters are those of another release, so the run cannot be run again"
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """What the optimiser tried.
+
+    Attributes:
+        scores: (i, p) of each generation's candidates.
+        candidates: (i, p, k) their parameters, scaled to [0, 1] within the bounds.
+    """
+
+    scores: Array
+    candidates: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Episodes:
+    """The run's nominal episodes, run again with their logs.
+
+    Attributes:
+        robot, motion, config: what was run.
+        before, after: with the demonstration and with the optimised motion; `after` is None if nothing was optimised.
+        differences: sentences about rewards that are not those of `metrics.json`; empty if all are.
+    """
+
+    robot: "Robot"
+    motion: Motion
+    config: ControllerConfig
+    before: Rollout
+    after: Rollout | None
+    differences: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class RunData:
+    """A run's folder, as far as it is there.
+
+    Attributes:
+        path: the folder.
+        metrics, config: the two JSON files; `config` is empty if it is missing.
+        course: of the optimiser; None if nothing was optimised or it is missing.
+        episodes: None if they cannot be run again.
+        video: its file; None without one.
+        missing: a sentence for each thing that is not there: what is left out because of it.
+    """
+
+    path: Path
+    metrics: dict[str, Any]
+    config: dict[str, Any]
+    course: Course | None
+    episodes: Episodes | None
+    video: Path | None
+    missing: tuple[str, ...]
+
+    @property
+    def optimised(self) -> bool:
+        """Whether there is an after besides the before."""
+        return bool(self.metrics["parameters"])
+
+
+def read_run(path: Path) -> RunData:
+    """Reads a run's folder and runs its episodes again.
+
+    Raises:
+        ConfigError: `metrics.json` is missing, cannot be read, or is not a run's.
+    """
+    metrics = _json(path / METRICS)
+    lacking = [key for key in ("motion", "robot", "reward", "fell", "parameters", "duration_s") if key not in metrics]
+    if lacking:
+        raise ConfigError(f"{path / METRICS}: not the figures of a run ({', '.join(lacking)} missing)")
+    missing: list[str] = []
+    config: dict[str, Any] = {}
+    try:
+        config = _json(path / CONFIG)
+    except ConfigError as error:
+        missing.append(f"{error}: without arguments and controller, and without the plots of the episodes")
+    course = None
+    if metrics["parameters"]:
+        try:
+            course = _course(RunFolder(path).checkpoint, len(metrics["parameters"]))
+        except ConfigError as error:
+            missing.append(f"{error}: without the course of the optimisation")
+    episodes = None
+    if config:
+        try:
+            episodes = _run_again(path, metrics, config)
+        except FastMimicError as error:
+            missing.append(f"{error}: without the plots of the episodes")
+    video = path / VIDEO if (path / VIDEO).is_file() else None
+    if video is None and not config.get("arguments", {}).get("no_video"):
+        missing.append(f"{path / VIDEO} is missing: without the video")
+    return RunData(path, metrics, config, course, episodes, video, tuple(missing))
+
+
+def controller_from(record: Any) -> ControllerConfig:
+    """The controller's parameters out of `config.json`.
+
+    Raises:
+        ConfigError: they are not those of this release.
+    """
+    try:
+        given = {k: _plain(v) for k, v in record.items() if k not in _PARTS}
+        parts = {k: kind(**{n: _plain(v) for n, v in record[k].items()}) for k, kind in _PARTS.items()}
+        config = ControllerConfig(**given, **parts)
+    except (AttributeError, KeyError, TypeError):
+        raise ConfigError(OTHER_RELEASE) from None
+    if json.loads(json.dumps(config.as_dict())) != record:  # parameters were added since
+        raise ConfigError(OTHER_RELEASE)
+    return config
+
+
+def _plain(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _run_again(path: Path, metrics: dict[str, Any], config: dict[str, Any]) -> Episodes:
+    if not (path / MOTION).is_file():
+        raise ConfigError(f"{path / MOTION} is missing")
+    try:
+        controller = controller_from(config.get("controller"))
+    except ConfigError as error:
+        raise ConfigError(f"{path / CONFIG}: {error}") from None
+    arguments = config.get("arguments", {})
+    robot = load_robot(arguments.get("robot") or metrics["robot"])
+    motion = Motion.load(path / MOTION)
+    seconds = float(metrics["duration_s"])
+    before = run_episodes(robot, motion.target, duration_s=seconds, config=controller, log=True)
+    after = None
+    if metrics["parameters"]:
+        after = run_episodes(robot, motion, duration_s=seconds, config=controller, log=True)
+    differences = []
+    for name, rollout in (("before", before), ("after", after)):
+        if rollout is not None and float(rollout.reward[0]) != metrics["reward"][name]:
+            differences.append(
+                f"{name}: the episode run again has reward {rollout.reward[0]:.6f}, the run recorded"
+                f" {metrics['reward'][name]:.6f}"
+            )
+    return Episodes(robot, motion, controller, before, after, tuple(differences))
+
+
+def _course(path: Path, parameters: int) -> Course:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            course = Course(np.asarray(file["scores"], float), np.asarray(file["candidates"], float))
+    except FileNotFoundError:
+        raise ConfigError(f"{path} is missing") from None
+    except Exception as error:  # noqa: BLE001 (a damaged archive can raise almost anything)
+        raise ConfigError(f"{path} cannot be read ({error})") from None
+    if course.scores.ndim != 2 or course.candidates.shape != (*course.scores.shape, parameters):
+        raise ConfigError(f"{path} is of another run")
+    return course
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path} is missing") from None
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path} cannot be read ({error})") from None
+    if not isinstance(value, dict):
+        raise ConfigError(f"{path} does not hold an object")
+    return value

@@ -1,0 +1,153 @@
+"""What the panel shows as charts: the reward's course, the gait strip and the table of the legs. No viser in here."""
+
+import html
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.conventions import LEGS
+from fastmimic.imitation.reward import WEIGHTS
+from fastmimic.report.style import INK, LEG_LINES, MUTED
+from fastmimic.viewer.marks import contact_flags, friction_use
+from fastmimic.viewer.take import term_names
+
+if TYPE_CHECKING:
+    from fastmimic.viewer.take import Take
+
+Array = NDArray[np.float64]
+
+PLOT_POINTS: Final = 300
+_TERM_LINES: Final[tuple[tuple[str, list[int]], ...]] = (  # colour and dashes; Okabe and Ito's, as in the figures
+    ("#0072b2", []),
+    ("#e69f00", [2, 3]),
+    ("#009e73", [8, 3]),
+    ("#cc79a7", [8, 3, 2, 3]),
+    ("#d55e00", [4, 3]),
+)
+
+STRIP_S: Final = 1.6
+_STRIP_WIDTH: Final = 300
+_LEFT: Final = 62
+_ROW: Final = 9
+_LEG_GAP: Final = 5
+_KINDS: Final = (("wanted", "wanted"), ("measured", "loaded"), ("stance", "stance"))
+
+
+def plot_series() -> tuple[dict[str, Any], ...]:
+    """uPlot's series: time, the five terms with their weights, the reward, and the cursor."""
+    terms = [
+        {"label": f"{name} × {weight:g}", "stroke": colour, "dash": dash, "width": 1.5, "points": {"show": False}}
+        for name, weight, (colour, dash) in zip(term_names(), WEIGHTS, _TERM_LINES, strict=True)
+    ]
+    reward = {"label": "reward", "stroke": INK, "width": 2.5, "points": {"show": False}}
+    cursor = {"label": "now", "stroke": "#ff0033", "width": 2, "points": {"show": False}}
+    return ({"label": "t, s"}, *terms, reward, cursor)
+
+
+def plot_key() -> str:
+    """HTML: the colours of the reward's terms."""
+    terms = [f'<b style="color:{c}">{name}</b>' for name, (c, _) in zip(term_names(), _TERM_LINES, strict=True)]
+    return ", ".join([*terms, f'<b style="color:{INK}">reward</b>'])
+
+
+def plot_base(take: "Take", points: int = PLOT_POINTS) -> Array:
+    """The course of an episode for the plot (≤ `points`, 7): time, five terms, reward."""
+    assert take.terms is not None
+    assert take.reward is not None
+    rows = np.unique(np.linspace(0, take.rows - 1, min(points, take.rows)).round().astype(np.int64))
+    return np.column_stack([rows / take.rate_hz, take.terms[rows], take.reward[rows]])
+
+
+def plot_data(base: Array, time_s: float) -> tuple[Array, ...]:
+    """The plot's eight arrays: those of `plot_base` and a cursor, an upright line at `time_s`, s."""
+    now = np.array([np.interp(time_s, base[:, 0], column) for column in base.T])
+    now[0] = time_s
+    at = int(np.searchsorted(base[:, 0], time_s))
+    rows = np.insert(base, at, [now, now], axis=0)
+    cursor = np.full(len(rows), np.nan)
+    cursor[at : at + 2] = 0.0, 1.0
+    return (*(np.ascontiguousarray(column) for column in rows.T), cursor)
+
+
+def gait_strip(take: "Take", row: int) -> str:
+    """An SVG of what was wanted, loaded and in stance around the present: outlined, filled and hatched bars."""
+    half = round(STRIP_S / 2 * take.rate_hz)
+    first, end = max(row - half, 0), min(row + half + 1, take.rows)
+    leg_height = len(_KINDS) * _ROW + _LEG_GAP
+    height = len(LEGS) * leg_height + 14
+    known = {"wanted": take.wanted, "measured": take.measured, "stance": take.stance}
+    parts = [
+        f'<svg viewBox="0 0 {_STRIP_WIDTH} {height}" width="100%" role="img" aria-label="gait strip"'
+        ' style="display:block;background:#fff;padding:0 16px 0 4px;box-sizing:border-box">'
+    ]
+
+    def x(at: float) -> float:
+        return _LEFT + (at - (row - half)) / (2 * half) * (_STRIP_WIDTH - _LEFT)
+
+    for leg, name in enumerate(LEGS):
+        colour = LEG_LINES[leg].color
+        parts.append(
+            f'<pattern id="h{leg}" width="3" height="3" patternUnits="userSpaceOnUse" patternTransform="rotate(45)">'
+            f'<rect width="1.4" height="3" fill="{colour}"/></pattern>'
+        )
+        fills = {"wanted": "none", "measured": colour, "stance": f"url(#h{leg})"}
+        for k, (kind, label) in enumerate(_KINDS):
+            y = leg * leg_height + k * _ROW
+            text = f"{name} {label}" if k == 0 else label
+            parts.append(
+                f'<text x="{_LEFT - 4}" y="{y + 7.5}" font-size="8.5" text-anchor="end" fill="{INK}">{text}</text>'
+            )
+            flags = known[kind]
+            if flags is None:
+                continue
+            for a, b in runs(flags[first:end, leg]):
+                left, right = x(first + a), x(first + b)
+                parts.append(
+                    f'<rect x="{left:.1f}" y="{y + 1}" width="{max(right - left, 0.5):.1f}" height="{_ROW - 2}"'
+                    f' fill="{fills[kind]}" stroke="{colour}" stroke-width="0.8"/>'
+                )
+    middle, bottom = x(row), len(LEGS) * leg_height
+    parts.append(f'<line x1="{middle}" x2="{middle}" y1="0" y2="{bottom}" stroke="#ff0033" stroke-width="1.4"/>')
+    for share, text in ((0.0, f"−{STRIP_S / 2:g} s"), (0.5, "now"), (1.0, f"+{STRIP_S / 2:g} s")):
+        anchor = "start" if share == 0 else "end" if share == 1 else "middle"
+        at = _LEFT + share * (_STRIP_WIDTH - _LEFT)
+        parts.append(
+            f'<text x="{at}" y="{bottom + 9}" font-size="8.5" text-anchor="{anchor}" fill="{MUTED}">{text}</text>'
+        )
+    return "".join([*parts, "</svg>"])
+
+
+def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """(first, end) of each run of True in (t,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def leg_table(take: "Take", row: int) -> str:
+    """An HTML table of the legs: what is wanted, measured and decided, load, and share of the friction pyramid used."""
+    flags, use = contact_flags(take, row), friction_use(take, row)
+    head = "".join(f"<th>{h}</th>" for h in ("", "wanted", "loaded", "state", "f<sub>z</sub>", "friction"))
+    lines = []
+    for leg, name in enumerate(LEGS):
+        cells = [
+            f'<b style="color:{LEG_LINES[leg].color}">{name}</b>',
+            "◯" if flags["wanted"][leg] else "–",
+            "" if take.measured is None else "●" if flags["measured"][leg] else "–",
+            "" if take.stance is None else "☐ stance" if flags["stance"][leg] else "swing",
+            "" if take.force is None else f"{take.force[row, leg, 2]:.0f} N",
+            "" if np.isnan(use[leg]) else f"{100 * use[leg]:.0f} %",
+        ]
+        lines.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
+    style = "width:100%;font-size:12px;text-align:center;border-collapse:collapse;font-variant-numeric:tabular-nums"
+    return f'<table style="{style}"><tr>{head}</tr>{"".join(lines)}</table>'
+
+
+def status_line(take: "Take", row: int) -> str:
+    """HTML: title and caption, the time, and the reward at this step."""
+    reward = "" if take.reward is None else f" · reward now <b>{take.reward[row]:.2f}</b>"
+    fallen = take.fell_at is not None and row >= take.fell_at
+    state = ' · <b style="color:#b03060">fallen</b>' if fallen else ""
+    title = html.escape(take.title)
+    caption = html.escape(take.caption)
+    return f'<div style="font-size:13px;padding:4px 10px"><b>{title}</b> · {caption}{reward}{state}</div>'

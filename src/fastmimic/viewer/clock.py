@@ -1,0 +1,76 @@
+"""Playback: which row is shown, and which next."""
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Repeat = Literal["all", "cycle", "off"]
+REPEATS: Final[tuple[Repeat, ...]] = ("all", "cycle", "off")
+
+
+@dataclass
+class Clock:
+    """A position in the rows of a take that moves on in real time.
+
+    Attributes:
+        rows: how many there are.
+        rate_hz: rows a second of real time.
+        cycle_starts: rows at which a cycle starts, ascending, the first one 0.
+        playing: whether it moves on.
+        speed: times real time, positive.
+        repeat: at the end begin anew ("all"), stop ("off"), or stay within the present cycle ("cycle").
+    """
+
+    rows: int
+    rate_hz: float
+    cycle_starts: NDArray[np.int64]
+    playing: bool = True
+    speed: float = 1.0
+    repeat: Repeat = "all"
+    _position: float = 0.0
+
+    @property
+    def row(self) -> int:
+        """The row to show."""
+        return min(int(self._position), self.rows - 1)
+
+    @property
+    def cycle(self) -> int:
+        """Which cycle that row is in, from 0."""
+        return int(np.searchsorted(self.cycle_starts, self.row, side="right")) - 1
+
+    def cycle_rows(self, cycle: int) -> tuple[int, int]:
+        """First row and end of a cycle."""
+        ends = [*self.cycle_starts[1:], self.rows]
+        return int(self.cycle_starts[cycle]), int(ends[cycle])
+
+    def advance(self, seconds: float) -> None:
+        """Moves on by that much real time, if it is playing."""
+        if not self.playing or seconds <= 0:
+            return
+        first, end = self.cycle_rows(self.cycle) if self.repeat == "cycle" else (0, self.rows)
+        position = self._position + seconds * self.speed * self.rate_hz
+        if position >= end:
+            if self.repeat == "off":
+                position, self.playing = float(self.rows - 1), False
+            else:
+                position = first + math.fmod(position - first, max(end - first, 1))
+        self._position = position
+
+    def seek(self, row: int) -> None:
+        """Goes to a row, or to the nearest that there is."""
+        self._position = float(min(max(row, 0), self.rows - 1))
+
+    def step_cycle(self, by: int) -> None:
+        """Goes to the start of a later (earlier, if negative) cycle; of the present one if it is the last (first)."""
+        cycle = min(max(self.cycle + by, 0), len(self.cycle_starts) - 1)
+        self.seek(int(self.cycle_starts[cycle]))
+
+    def toggle(self) -> None:
+        """Plays or pauses; at the end it begins anew."""
+        if not self.playing and self.row >= self.rows - 1:
+            self.seek(0)
+        self.playing = not self.playing

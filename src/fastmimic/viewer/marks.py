@@ -1,0 +1,147 @@
+"""What is drawn about a robot: contacts on the ground, forces, friction pyramids, paths of the feet; arrays only.
+
+Whatever a colour tells is told by shape as well: on the ground under a foot a ring means that the schedule wants it to
+stand, a disc in it that it is loaded, a square frame around it that the gait planner has it in stance. The
+demonstration's paths are dashed.
+"""
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.rotations import rotate_planar
+from fastmimic.viewer.bodies import revolved
+
+if TYPE_CHECKING:
+    from fastmimic.viewer.take import Take
+
+Array = NDArray[np.float64]
+Mesh = tuple[Array, NDArray[np.int64]]
+
+TRAIL_S: Final = 1.0
+TRAIL_POINTS: Final = 40
+LEAST_FORCE: Final = 0.01
+"""Of the robot's weight: a smaller force has no arrow."""
+_GROUND_Z: Final = 0.004  # above the plane, so that the marks do not flicker
+
+
+def contact_meshes(size: float) -> dict[str, Mesh]:
+    """Flat meshes (vertices, faces) of the marks by name: "wanted" a ring, "measured" a disc, "stance" a square frame.
+
+    Args:
+        size: radius of the ring, m.
+    """
+    ring = revolved(np.array([[1.0, 0.0], [0.74, 0.0]]))  # from outside to inside: they face up
+    disc = revolved(np.array([[0.56, 0.0], [0.0, 0.0]]))
+    frame, faces = revolved(np.array([[1.95, 0.0], [1.62, 0.0]]), 4)
+    frame[:, :2] = rotate_planar(np.pi / 4, frame[:, :2])
+    return {"wanted": (size * ring[0], ring[1]), "measured": (size * disc[0], disc[1]), "stance": (size * frame, faces)}
+
+
+def contact_places(take: "Take", row: int) -> Array:
+    """Where the marks lie (4, 3): on the ground under the feet, world, m."""
+    places = take.feet[row].copy()
+    places[:, 2] = _GROUND_Z
+    return places
+
+
+def contact_flags(take: "Take", row: int) -> dict[str, NDArray[np.bool_]]:
+    """Which marks are shown (4,) by name; none where nothing is known."""
+    none = np.zeros(4, dtype=np.bool_)
+    return {
+        "wanted": take.wanted[row],
+        "measured": none if take.measured is None else take.measured[row],
+        "stance": none if take.stance is None else take.stance[row],
+    }
+
+
+def force_arrows(take: "Take", row: int, foot_radius: float, length: float) -> Array:
+    """Ground reaction forces as arrows (k, 2, 3) from the contact points, world, m; only of feet with a force.
+
+    Args:
+        take: what is shown.
+        row: of it.
+        foot_radius: m.
+        length: of an arrow that carries the robot's weight, m.
+    """
+    return _arrows(take.force, take, row, foot_radius, length)
+
+
+def asked_segments(take: "Take", row: int, foot_radius: float, length: float) -> Array:
+    """The forces that the controller asked for as lines (k, 2, 3); arguments as for `force_arrows`."""
+    return _arrows(take.asked, take, row, foot_radius, length)
+
+
+def _arrows(forces: Array | None, take: "Take", row: int, foot_radius: float, length: float) -> Array:
+    if forces is None:
+        return np.zeros((0, 2, 3))
+    force = forces[row]
+    shown = np.linalg.norm(force, axis=-1) > LEAST_FORCE * take.weight
+    start = _contact_points(take, row, foot_radius)[shown]
+    return np.stack([start, start + force[shown] * length / take.weight], axis=1)
+
+
+def friction_pyramids(take: "Take", row: int, foot_radius: float, length: float) -> Array:
+    """Edges (8 k, 2, 3) of each loaded foot's friction pyramid, cut at its vertical force: the arrow's tip lies in
+    the pyramid's square as long as the foot's force is within |f_x|, |f_y| ≤ μ f_z (heading frame).
+
+    Arguments as for `force_arrows`.
+    """
+    if take.force is None:
+        return np.zeros((0, 2, 3))
+    height = take.force[row, :, 2] * length / take.weight
+    shown = take.force[row, :, 2] > LEAST_FORCE * take.weight
+    apex = _contact_points(take, row, foot_radius)[shown]
+    corners = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]) * take.friction
+    square = np.ones((4, 3))
+    square[:, :2] = rotate_planar(float(take.heading[row]), corners)
+    base = apex[:, None] + height[shown, None, None] * square  # (k, 4, 3)
+    edges = np.stack([np.broadcast_to(apex[:, None], base.shape), base], axis=2)
+    rims = np.stack([base, np.roll(base, -1, axis=1)], axis=2)
+    return np.concatenate([edges, rims], axis=1).reshape(-1, 2, 3)
+
+
+def friction_use(take: "Take", row: int) -> Array:
+    """Share of its friction pyramid that each foot's force uses (4,): 1 on its side; NaN without a load."""
+    out = np.full(4, np.nan)
+    if take.force is None:
+        return out
+    fz = take.force[row, :, 2]
+    across = np.abs(rotate_planar(-float(take.heading[row]), take.force[row, :, :2])).max(axis=-1)
+    loaded = fz > LEAST_FORCE * take.weight
+    out[loaded] = across[loaded] / (take.friction * fz[loaded])
+    return out
+
+
+def trails(feet: Array, row: int, rate_hz: float, *, dashed: bool = False) -> Array:
+    """The last `TRAIL_S` of each foot's path as segments (4 · `TRAIL_POINTS`, 2, 3), leg by leg; what is before the
+    first row has no length.
+
+    Args:
+        feet: (t, 4, 3) world, m.
+        row: the present one.
+        rate_hz: rows a second.
+        dashed: whether every other segment is left out.
+    """
+    stride = max(1, round(TRAIL_S * rate_hz / TRAIL_POINTS))
+    first = row // stride - TRAIL_POINTS + 1
+    number = np.arange(first, first + TRAIL_POINTS + 1)
+    rows = np.clip(number * stride, 0, row)
+    points = feet[rows].swapaxes(0, 1)  # (4, k + 1, 3)
+    segments = np.stack([points[:, :-1], points[:, 1:]], axis=2)
+    if dashed:
+        gap = number[:-1] // 2 % 2 == 1  # by number, so that the dashes lie still in the world
+        segments[:, gap, 1] = segments[:, gap, 0]
+    return segments.reshape(-1, 2, 3)
+
+
+def smoothed_path(take: "Take", seconds: float = 0.35) -> Array:
+    """The robot's path (t, 2) on the ground without the sway of its steps: what the view follows, m."""
+    from scipy.ndimage import gaussian_filter1d
+
+    return np.asarray(gaussian_filter1d(take.pose[:, :2], seconds * take.rate_hz, axis=0, mode="nearest"))
+
+
+def _contact_points(take: "Take", row: int, foot_radius: float) -> Array:
+    return np.asarray(take.feet[row] - np.array([0.0, 0.0, foot_radius]))

@@ -1,0 +1,333 @@
+"""What is seen, as viser's scene nodes: each robot under a frame of its own, which moves against its path if the view
+follows it, so that the camera stays where the user has put it."""
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.conventions import LEGS
+from fastmimic.report.scene import ghost_rgba
+from fastmimic.report.style import LEG_LINES
+from fastmimic.viewer.animal import bone_segments
+from fastmimic.viewer.marks import (
+    TRAIL_POINTS,
+    asked_segments,
+    contact_flags,
+    contact_meshes,
+    contact_places,
+    force_arrows,
+    friction_pyramids,
+    smoothed_path,
+    trails,
+)
+
+if TYPE_CHECKING:
+    import viser
+
+    from fastmimic.robot import Robot
+    from fastmimic.viewer.animal import Animal
+    from fastmimic.viewer.bodies import Body, Placed, Puppet
+    from fastmimic.viewer.take import Take
+
+Array = NDArray[np.float64]
+
+LAYERS: Final = {
+    "ghost": "ghost (demonstration)",
+    "contacts": "contacts",
+    "forces": "forces, friction pyramids",
+    "paths": "foot paths",
+    "com": "centre of mass",
+    "names": "names",
+    "animal": "animal",
+}
+"""What can be shown or hidden, with the words for it."""
+
+_CELL_M: Final = 0.25
+_FORCE_RGB: Final = (178, 24, 43)
+_ASKED_RGB: Final = (20, 20, 20)
+_PYRAMID_RGB: Final = (120, 94, 240)
+_COM_RGB: Final = (210, 30, 140)
+_GHOST_RGB: Final = np.array([round(255 * c) for c in ghost_rgba()[:3]], dtype=np.uint8)
+_ANIMAL_RGB: Final = (140, 84, 20)
+
+
+def gap(robot: "Robot") -> float:
+    """Between robots beside each other, m."""
+    return 2.4 * robot.leg_length
+
+
+def animal_aside(robot: "Robot") -> float:
+    """Where the animal stands, to the left of its robot, m."""
+    return -0.7 * gap(robot)
+
+
+class RobotScene:
+    """One robot with all that is drawn about it.
+
+    Attributes:
+        take: what it does.
+        root: its frame, which holds everything else.
+
+    Args:
+        server: viser's.
+        name: of its frame in the scene tree.
+        robot: the robot.
+        puppet: its geometry; may be shared.
+        take: what it does first.
+        aside: where it stands, metres to the left of the middle.
+        ground: length and width of its ground, m.
+        animal: shown to the right of it; None for none.
+    """
+
+    def __init__(
+        self,
+        server: "viser.ViserServer",
+        name: str,
+        robot: "Robot",
+        puppet: "Puppet",
+        take: "Take",
+        aside: float,
+        ground: tuple[float, float],
+        animal: "Animal | None" = None,
+    ) -> None:
+        self._server, self._robot, self._puppet, self._animal = server, robot, puppet, animal
+        self._aside = aside
+        self._length = robot.leg_length  # of an arrow that carries the weight
+        self.root = server.scene.add_frame(name, show_axes=False)
+        self._groups = {
+            layer: server.scene.add_frame(f"{name}/{layer}", show_axes=False) for layer in LAYERS if layer != "animal"
+        }
+        self._grid = server.scene.add_grid(
+            f"{name}/ground",
+            width=ground[0],
+            height=ground[1],
+            cell_size=_CELL_M,
+            section_size=_CELL_M,
+            cell_color=(178, 186, 194),
+            section_color=(178, 186, 194),
+            plane_color=(226, 230, 234),
+            plane_opacity=1.0,
+            shadow_opacity=0.25,
+            fade_distance=14.0,
+            position=(0.0, 0.0, -0.001),
+        )
+        self._bodies = self._add_bodies(f"{name}/robot", puppet.bodies, None)
+        self._ghost = self._add_bodies(f"{name}/ghost", puppet.ghost_bodies, ghost_rgba()[3])
+        self._contacts = self._add_contacts(f"{name}/contacts")
+        self._nodes = self._add_lines(name)
+        self._names = [
+            server.scene.add_label(f"{name}/names/{leg}", leg, font_screen_scale=0.8, anchor="top-center")
+            for leg in LEGS
+        ]
+        self._title = server.scene.add_label(f"{name}/names/title", take.title, anchor="bottom-center")
+        self._points = self._add_animal(f"{name}/animal") if animal is not None else None
+        self.set_take(take)
+
+    def set_take(self, take: "Take") -> None:
+        """Shows another take from now on."""
+        self.take = take
+        self._path = smoothed_path(take)
+        self._title.text = take.title
+
+    def set_layer(self, layer: str, visible: bool) -> None:
+        """Shows or hides one of `LAYERS`."""
+        if layer == "animal":
+            if self._points is not None:
+                self._groups_animal.visible = visible
+        else:
+            self._groups[layer].visible = visible
+
+    def set_opacity(self, opacity: float | None) -> None:
+        """Of the robot; None for opaque."""
+        for _, meshes in self._bodies:
+            for mesh in meshes:
+                mesh.opacity = opacity
+
+    def show(self, row: int, *, follow: bool) -> None:
+        """Moves everything to a row of the take, or to its last one."""
+        take = self.take
+        row = take.clamp(row)
+        reference = None if take.reference is None else take.reference[row]
+        placed, ghost = self._puppet.place(take.pose[row], reference)
+        shift = -self._path[row] if follow else np.zeros(2)
+        self.root.position = (float(shift[0]), float(shift[1]) + self._aside, 0.0)
+        x, y = np.round(self._path[row] / _CELL_M) * _CELL_M
+        self._grid.position = (float(x), float(y), -0.001)
+        _move(self._bodies, placed)
+        if ghost is not None:
+            _move(self._ghost, ghost)
+        self._show_contacts(row)
+        self._show_lines(row, placed, ghost)
+        self._show_names(row)
+        if self._animal is not None and self._points is not None:
+            points = self._animal.placed(take, row, animal_aside(self._robot))
+            self._points.points = points.astype(np.float32)
+            self._bones.points = bone_segments(points).astype(np.float32)
+
+    def frame(self, body: str) -> "viser.FrameHandle":
+        """The scene node of one of the robot's bodies; raises `KeyError`."""
+        names = [each.name for each in self._puppet.bodies]
+        if body not in names:
+            raise KeyError(body)
+        return self._bodies[names.index(body)][0]
+
+    @property
+    def has_animal(self) -> bool:
+        return self._animal is not None
+
+    def _add_bodies(
+        self, name: str, bodies: "tuple[Body, ...]", opacity: float | None
+    ) -> list[tuple["viser.FrameHandle", list["viser.MeshHandle"]]]:
+        """A frame for each body with its meshes in it; translucent ones have no shadow."""
+        scene, found = self._server.scene, []
+        for body in bodies:
+            frame = scene.add_frame(f"{name}/{body.name}", show_axes=False)
+            meshes = [
+                scene.add_mesh_simple(
+                    f"{name}/{body.name}/{k}",
+                    part.vertices,
+                    part.faces,
+                    color=part.rgb,
+                    opacity=opacity,
+                    cast_shadow=opacity is None,
+                    receive_shadow=False,
+                )
+                for k, part in enumerate(body.parts)
+            ]
+            found.append((frame, meshes))
+        return found
+
+    def _add_contacts(self, name: str) -> dict[str, "viser.BatchedMeshHandle"]:
+        colours = leg_colours()
+        return {
+            kind: self._server.scene.add_batched_meshes_simple(
+                f"{name}/{kind}",
+                vertices,
+                faces,
+                batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (4, 1)),
+                batched_positions=np.zeros((4, 3)),
+                batched_scales=np.ones(4),
+                batched_colors=linear(colours),
+                lod="off",
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            for kind, (vertices, faces) in contact_meshes(2.0 * self._robot.foot_radius).items()
+        }
+
+    def _add_lines(self, name: str) -> dict[str, Any]:
+        scene, one = self._server.scene, np.zeros((1, 2, 3))
+        trail = np.zeros((4 * TRAIL_POINTS, 2, 3))
+        colours = np.repeat(linear(leg_colours()), 2 * TRAIL_POINTS, axis=0).reshape(-1, 2, 3)
+        return {
+            "force": scene.add_arrows(
+                f"{name}/forces/measured",
+                np.array([[[0, 0, 0], [0, 0, 1e-3]]]),
+                linear(np.array(_FORCE_RGB)),
+                shaft_radius=0.006,
+                head_radius=0.015,
+                head_length=0.03,
+                visible=False,
+            ),
+            "asked": scene.add_line_segments(
+                f"{name}/forces/asked", one, _ASKED_RGB, thickness=3.0, thickness_units="screen", visible=False
+            ),
+            "pyramid": scene.add_line_segments(
+                f"{name}/forces/pyramids", one, _PYRAMID_RGB, thickness=1.5, thickness_units="screen", visible=False
+            ),
+            "path": scene.add_line_segments(
+                f"{name}/paths/robot", trail, colours, thickness=2.5, thickness_units="screen"
+            ),
+            "reference_path": scene.add_line_segments(
+                f"{name}/paths/demonstration", trail, _GHOST_RGB, thickness=1.5, thickness_units="screen"
+            ),
+            "com": scene.add_icosphere(f"{name}/com/robot", radius=0.018, color=_COM_RGB, cast_shadow=False),
+            "reference_com": scene.add_box(
+                f"{name}/com/demonstration",
+                dimensions=(0.03, 0.03, 0.03),
+                color=_GHOST_RGB,
+                cast_shadow=False,
+            ),
+            "com_drop": scene.add_line_segments(
+                f"{name}/com/drops", np.zeros((6, 2, 3)), _COM_RGB, thickness=2.0, thickness_units="screen"
+            ),
+        }
+
+    def _add_animal(self, name: str) -> "viser.PointCloudHandle":
+        scene = self._server.scene
+        self._groups_animal = scene.add_frame(name, show_axes=False)
+        assert self._animal is not None
+        points = np.zeros((10, 3))
+        self._bones = scene.add_line_segments(
+            f"{name}/bones", bone_segments(points), _ANIMAL_RGB, thickness=4.0, thickness_units="screen"
+        )
+        return scene.add_point_cloud(f"{name}/points", points, _ANIMAL_RGB, point_size=0.022, point_shape="circle")
+
+    def _show_contacts(self, row: int) -> None:
+        places = contact_places(self.take, row).astype(np.float32)
+        for kind, flags in contact_flags(self.take, row).items():
+            mesh = self._contacts[kind]
+            mesh.batched_positions = places
+            mesh.batched_scales = np.where(flags, 1.0, 1e-4).astype(np.float32)
+
+    def _show_lines(self, row: int, placed: "Placed", ghost: "Placed | None") -> None:
+        take, radius, nodes = self.take, self._robot.foot_radius, self._nodes
+        _set_lines(nodes["force"], force_arrows(take, row, radius, self._length))
+        _set_lines(nodes["asked"], asked_segments(take, row, radius, self._length))
+        _set_lines(nodes["pyramid"], friction_pyramids(take, row, radius, self._length))
+        _set_lines(nodes["path"], trails(take.feet, row, take.rate_hz))
+        drops = [_drop(placed.com, upright=True)]
+        nodes["com"].position = placed.com
+        if ghost is not None and take.reference_feet is not None:
+            _set_lines(nodes["reference_path"], trails(take.reference_feet, row, take.rate_hz, dashed=True))
+            nodes["reference_com"].position = ghost.com
+            drops.append(_drop(ghost.com, upright=False))
+        nodes["com_drop"].points = np.concatenate(drops).astype(np.float32)
+        for kind in ("reference_path", "reference_com"):
+            nodes[kind].visible = ghost is not None
+        for frame, _ in self._ghost:
+            frame.visible = ghost is not None
+
+    def _show_names(self, row: int) -> None:
+        for leg, label in enumerate(self._names):
+            place = contact_places(self.take, row)[leg]
+            label.position = place + np.array([0.0, 0.0, -0.02])
+        root = self.take.pose[row, :3]
+        self._title.position = (float(root[0]), float(root[1]), float(root[2]) + 0.55 * self._robot.leg_length)
+
+
+def leg_colours() -> NDArray[np.uint8]:
+    """Of the legs, (4, 3), 0 to 255, as in the figures."""
+    return np.array([[int(line.color[i : i + 2], 16) for i in (1, 3, 5)] for line in LEG_LINES], dtype=np.uint8)
+
+
+def linear(rgb: NDArray[Any]) -> NDArray[np.uint8]:
+    """sRGB colours as linear light, 0 to 255: what viser takes for colours of instances, of vertices, and of arrows,
+    where it takes sRGB for those of whole nodes."""
+    c = np.asarray(rgb) / 255.0
+    return np.round(255.0 * np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)).astype(np.uint8)
+
+
+def _move(bodies: list[tuple["viser.FrameHandle", list["viser.MeshHandle"]]], placed: "Placed") -> None:
+    for (frame, _), position, wxyz in zip(bodies, placed.position, placed.wxyz, strict=True):
+        frame.position, frame.wxyz = position, wxyz
+
+
+def _set_lines(node: Any, points: Array) -> None:
+    """New lines or arrows; a node without any is hidden, as viser cannot draw none."""
+    if len(points):
+        node.points = points.astype(np.float32)
+    node.visible = len(points) > 0
+
+
+def _drop(com: Array, *, upright: bool) -> Array:
+    """The centre of mass on the ground: a line down to an upright cross, or to a diagonal one (3, 2, 3)."""
+    foot = np.array([com[0], com[1], 0.003])
+    a, b = (
+        (np.array([1.0, 0, 0]), np.array([0, 1.0, 0]))
+        if upright
+        else (np.array([0.7, 0.7, 0]), np.array([0.7, -0.7, 0]))
+    )
+    return np.array([[com, foot], [foot - 0.04 * a, foot + 0.04 * a], [foot - 0.04 * b, foot + 0.04 * b]])

@@ -1,0 +1,254 @@
+"""The viewer's server: its port, its camera, and the loop that plays."""
+
+import contextlib
+import errno
+import io
+import logging
+import socket
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from fastmimic.errors import ConfigError
+from fastmimic.viewer.bodies import Puppet
+from fastmimic.viewer.clock import Clock
+from fastmimic.viewer.panel import Panel
+from fastmimic.viewer.scene import RobotScene, animal_aside, gap
+
+if TYPE_CHECKING:
+    import viser
+
+    from fastmimic.robot import Robot
+    from fastmimic.viewer.animal import Animal
+    from fastmimic.viewer.take import Take
+
+HOST: Final = "127.0.0.1"
+DEFAULT_PORT: Final = 8080
+PORTS_TRIED: Final = 50
+FRAMES_PER_S: Final = 30.0
+_CHARTS_PER_S: Final = 8.0
+_IDLE_S: Final = 0.05
+_FOV_RAD: Final = 0.7
+_SETTLE_S: Final = 10.0
+_PORTRAIT: Final = 0.7  # width over height of a picture that a phone shows
+
+
+def free_port(port: int, tries: int = PORTS_TRIED) -> int:
+    """The first port from `port` on that nobody listens on, on loopback.
+
+    Raises:
+        ConfigError: no such port number, or all that were tried are taken.
+    """
+    if not 1 <= port <= 65535:
+        raise ConfigError(f"--port takes 1 to 65535, found {port}")
+    for candidate in range(port, min(port + tries, 65536)):
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((HOST, candidate))
+            except OSError as error:
+                if error.errno == errno.EADDRINUSE:
+                    continue
+                raise ConfigError(f"cannot listen on {HOST}:{candidate}: {error.strerror}") from None
+            return candidate
+    raise ConfigError(f"the ports {port} to {min(port + tries, 65536) - 1} are all taken; choose another --port")
+
+
+def require_viser() -> None:
+    """Raises `ConfigError` with what to do if viser is not installed, or too old."""
+    try:
+        import viser
+    except ImportError:
+        raise ConfigError("the viewer needs viser: pip install 'fastmimic[view]'") from None
+    if not hasattr(viser.GuiApi, "add_panel"):
+        raise ConfigError(f"viser {viser.__version__} is too old: pip install --upgrade 'fastmimic[view]'")
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where a camera stands and what it looks at, scene coordinates, m."""
+
+    position: tuple[float, float, float]
+    look_at: tuple[float, float, float]
+
+
+def default_camera(robot: "Robot", beside: Sequence[float], yaw: float, aspect: float = 1.6) -> Camera:
+    """From the robot's front right, high enough to see the ground under its feet, with all that is beside each other in
+    the picture.
+
+    Args:
+        robot: its size sets the distance.
+        beside: where robots and animal stand, metres to the left of the middle.
+        yaw: heading at the start, rad.
+        aspect: width over height of the picture.
+    """
+    span = float(np.ptp(robot.hip_pos_b[:, 0])) + robot.leg_length
+    alone = len(beside) == 1
+    across = 0.0 if alone else max(beside) - min(beside)
+    wide = (1.6 if alone else 1.1) * span + 0.9 * across
+    half = np.tan(_FOV_RAD / 2)
+    distance = max(1.15 * span / half, 0.5 * wide / (half * min(aspect, 1.6)))
+    azimuth, elevation = yaw - np.radians(48.0 if alone else 32.0), np.radians(20.0)
+    middle = 0.5 * (max(beside) + min(beside))
+    height = 0.4 * robot.leg_length
+    if aspect < _PORTRAIT:
+        height -= 0.45 * half * distance  # the lower half is the controls'
+    look_at = np.array([-np.sin(yaw) * middle, np.cos(yaw) * middle, height])
+    arm = distance * np.array(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    )
+    x, y, z = (float(v) for v in look_at + arm)
+    return Camera((x, y, z), (float(look_at[0]), float(look_at[1]), height))
+
+
+class Viewer:
+    """Serves takes to browsers on this machine. Use it as a context manager, or `close` it.
+
+    Args:
+        robot: the robot.
+        shown: for each robot beside the others, left to right in the picture, its takes, of which one is shown.
+        heading: of the panel, such as "trot on a1".
+        port: the first one to try.
+        animal: beside the first robot; None for none.
+
+    Raises:
+        ConfigError: viser is not installed, or no port is free.
+    """
+
+    def __init__(
+        self,
+        robot: "Robot",
+        shown: Sequence[Sequence["Take"]],
+        heading: str,
+        port: int = DEFAULT_PORT,
+        animal: "Animal | None" = None,
+    ) -> None:
+        require_viser()
+        import viser
+
+        self._robot, self._shown = robot, [tuple(takes) for takes in shown]
+        # connections that come and go are no news
+        logging.getLogger("websockets").setLevel(logging.CRITICAL)
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server = viser.ViserServer(host=HOST, port=free_port(port), label="FastMimic", verbose=False)
+        self.lock = threading.RLock()
+        first = [takes[0] for takes in self._shown]
+        self.clock = _clock(first)
+        n = len(first)
+        aside = gap(robot) * (np.arange(n) - 0.5 * (n - 1))  # seen from the front, the first is on the left
+        self._beside = [float(a) for a in aside] + (
+            [float(aside[0]) + animal_aside(robot)] if animal is not None else []
+        )
+        ground = (24.0, 24.0) if n == 1 else (3.0, round(gap(robot) / 0.25) * 0.25)
+        puppet = Puppet(robot)
+        self.robots = [
+            RobotScene(self.server, f"/robot{i}", robot, puppet, take, float(a), ground, animal if i == 0 else None)
+            for i, (take, a) in enumerate(zip(first, aside, strict=True))
+        ]
+        self._yaw = float(first[0].heading[0])
+        self._set_up_camera()
+        self.panel = Panel(self, heading, [len(takes) for takes in self._shown])
+        self._drawn: tuple[int, int] | None = None
+        self._charts_at = 0.0
+        self.draw(force=True)
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds it."""
+        return f"http://{HOST}:{self.server.get_port()}"
+
+    def choose(self, episode: int) -> None:
+        """Shows another episode, from its start."""
+        with self.lock:
+            takes = [takes[min(episode, len(takes) - 1)] for takes in self._shown]
+            for scene, take in zip(self.robots, takes, strict=True):
+                scene.set_take(take)
+            old, self.clock = self.clock, _clock(takes)
+            self.clock.playing, self.clock.speed, self.clock.repeat = old.playing, old.speed, old.repeat
+            self.panel.set_takes()
+            self.draw(force=True)
+
+    def reset_camera(self, client: "viser.ClientHandle | None") -> None:
+        """Puts the camera of one browser, or of all, where it was at first."""
+        for each in self.server.get_clients().values() if client is None else (client,):
+            self._aim(each)
+
+    def draw(self, *, force: bool = False) -> None:
+        """Brings scene and panel to the present row, if they are not there."""
+        with self.lock:
+            row = self.clock.row
+            if not force and self._drawn == (row, self.panel.version):
+                return
+            moment = time.monotonic()
+            charts = force or not self.clock.playing or moment - self._charts_at >= 1.0 / _CHARTS_PER_S
+            with self.server.atomic():
+                for scene in self.robots:
+                    scene.show(row, follow=self.panel.follow)
+                if charts:
+                    self.panel.show(row)
+                    self._charts_at = moment
+            self._drawn = (row, self.panel.version)
+
+    def run(self, stop: threading.Event) -> None:
+        """Plays until `stop` is set; nothing moves while no browser looks on."""
+        before = time.monotonic()
+        while not stop.wait(_IDLE_S if not self.server.get_clients() else 0.2 / FRAMES_PER_S):
+            now = time.monotonic()
+            if not self.server.get_clients():
+                before = now
+                continue
+            if now - before < 1.0 / FRAMES_PER_S:
+                continue
+            with self.lock:
+                was = self.clock.playing
+                self.clock.advance(min(now - before, 0.25))  # a machine that was busy does not jump
+                if was and not self.clock.playing:
+                    self.panel.show_playing()
+            before = now
+            self.draw()
+
+    def close(self) -> None:
+        """Ends the server."""
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
+
+    def __enter__(self) -> "Viewer":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _set_up_camera(self) -> None:
+        camera = default_camera(self._robot, self._beside, self._yaw)
+        initial = self.server.initial_camera
+        initial.position, initial.look_at, initial.fov = camera.position, camera.look_at, _FOV_RAD
+        self.server.on_client_connect(self._welcome)
+
+    def _welcome(self, client: "viser.ClientHandle") -> None:
+        """Aims, and aims anew when the panels have taken their places beside the picture."""
+        self._aim(client)
+        began, aimed = time.monotonic(), float(client.camera.aspect)
+
+        @client.camera.on_update
+        def _(camera: "viser.CameraHandle") -> None:
+            nonlocal aimed
+            aspect = float(camera.aspect)
+            if time.monotonic() - began < _SETTLE_S and abs(aspect - aimed) > 0.05 * aimed:
+                aimed = aspect
+                self._aim(client)
+
+    def _aim(self, client: "viser.ClientHandle") -> None:
+        """A narrow window, as a phone's, needs a camera further away."""
+        camera = default_camera(self._robot, self._beside, self._yaw, float(client.camera.aspect))
+        client.camera.position, client.camera.look_at = camera.position, camera.look_at
+        client.camera.up_direction = (0.0, 0.0, 1.0)
+        client.camera.fov = _FOV_RAD
+
+
+def _clock(takes: Sequence["Take"]) -> Clock:
+    longest = max(takes, key=lambda take: take.rows)
+    return Clock(longest.rows, longest.rate_hz, longest.cycle_starts)

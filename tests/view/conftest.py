@@ -1,0 +1,32 @@
+"""A robot, a short rollout of it, and its take."""
+
+import pytest
+
+from fastmimic.control.config import default_config
+from fastmimic.imitation.rollout import Rollout
+from fastmimic.motion.motion import Motion
+from fastmimic.pipeline import evaluate, load_motion
+from fastmimic.robot import Robot, load_robot
+from fastmimic.viewer.take import Take, rollout_take
+
+SECONDS = 1.2
+
+
+@pytest.fixture(scope="session")
+def a1() -> Robot:
+    return load_robot("a1")
+
+
+@pytest.fixture(scope="session")
+def trot(a1: Robot) -> Motion:
+    return load_motion("trot", a1)
+
+
+@pytest.fixture(scope="session")
+def rollout(trot: Motion, a1: Robot) -> Rollout:
+    return evaluate(trot, a1, duration_s=SECONDS, log=True).rollout
+
+
+@pytest.fixture(scope="session")
+def take(rollout: Rollout, trot: Motion, a1: Robot) -> Take:
+    return rollout_take(rollout, trot, a1, default_config(), "trot")

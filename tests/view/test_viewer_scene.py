@@ -1,0 +1,106 @@
+"""The scene as viser holds it, without a browser."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from fastmimic.motion.catalogue import open_clip
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
+from fastmimic.viewer.animal import Animal
+from fastmimic.viewer.marks import smoothed_path
+from fastmimic.viewer.scene import linear
+from fastmimic.viewer.server import Viewer, default_camera
+from fastmimic.viewer.take import Take, motion_take
+
+if TYPE_CHECKING:
+    Open = Callable[..., Viewer]
+
+PORT = 8750
+
+
+@pytest.fixture
+def opened(a1: Robot) -> Iterator["Open"]:
+    """Opens viewers, and closes them in the end."""
+    pytest.importorskip("viser", reason="the extra 'view' is not installed")
+    viewers: list[Viewer] = []
+
+    def make(shown: list[list[Take]], animal: Animal | None = None) -> Viewer:
+        viewers.append(Viewer(a1, shown, "a test", PORT, animal))
+        return viewers[-1]
+
+    yield make
+    for viewer in viewers:
+        viewer.close()
+
+
+def _show(viewer: Viewer, row: int) -> None:
+    viewer.clock.seek(row)
+    viewer.draw(force=True)
+
+
+def test_all_stands_where_the_log_says(opened: "Open", take: Take) -> None:
+    viewer = opened([[take]])
+    scene = viewer.robots[0]
+    path = smoothed_path(take)
+    for row in (0, 300, take.rows - 1):
+        _show(viewer, row)
+        trunk = scene.frame("trunk")
+        np.testing.assert_allclose(trunk.position, take.pose[row, :3], atol=1e-9)
+        np.testing.assert_allclose(abs(trunk.wxyz @ take.pose[row, 3:7]), 1.0, atol=1e-9)
+        np.testing.assert_allclose(scene.root.position[:2], -path[row], atol=1e-9)  # the view follows
+    with pytest.raises(KeyError):
+        scene.frame("tail")
+
+
+def test_runs_are_beside_each_other_and_the_shorter_one_waits(opened: "Open", take: Take) -> None:
+    short = dataclasses.replace(take, pose=take.pose[:100], title="short")
+    viewer = opened([[short], [take]])
+    left, right = viewer.robots
+    assert right.root.position[1] - left.root.position[1] > 0.5
+    _show(viewer, take.rows - 1)
+    np.testing.assert_allclose(left.frame("trunk").position, take.pose[99, :3], atol=1e-9)
+    np.testing.assert_allclose(right.frame("trunk").position, take.pose[-1, :3], atol=1e-9)
+
+
+def test_episodes_can_be_chosen(opened: "Open", take: Take) -> None:
+    other = dataclasses.replace(take, pose=take.pose[::-1].copy(), cycle_starts=np.array([0]))
+    viewer = opened([[take, other]])
+    viewer.clock.speed = 0.5
+    _show(viewer, 50)
+    viewer.choose(1)
+    assert (viewer.clock.row, viewer.clock.speed, len(viewer.clock.cycle_starts)) == (0, 0.5, 1)
+    np.testing.assert_allclose(viewer.robots[0].frame("trunk").position, take.pose[-1, :3], atol=1e-9)
+
+
+def test_a_motion_without_physics_and_the_animal(opened: "Open", trot: Motion, a1: Robot) -> None:
+    animal = Animal(open_clip("trot", robot=a1), a1, trot)
+    take = motion_take(trot, a1, 2 * trot.period_s, "trot")
+    viewer = opened([[take]], animal)
+    for row in range(0, take.rows, 97):
+        _show(viewer, row)
+    scene = viewer.robots[0]
+    assert scene.has_animal
+    for layer in ("animal", "forces", "ghost"):
+        scene.set_layer(layer, False)
+    scene.set_opacity(0.3)
+
+
+def test_the_camera_keeps_all_in_the_picture(a1: Robot) -> None:
+    wide, narrow = (default_camera(a1, [-0.5, 0.5], 0.0, aspect) for aspect in (1.5, 0.5))
+
+    def distance(camera: object) -> float:
+        return float(np.linalg.norm(np.subtract(camera.position, camera.look_at)))  # type: ignore[attr-defined]
+
+    assert distance(narrow) > 1.5 * distance(wide)
+    assert narrow.look_at[2] < wide.look_at[2]
+    turned = default_camera(a1, [0.0], np.pi / 2)
+    straight = default_camera(a1, [0.0], 0.0)
+    np.testing.assert_allclose(turned.position, [-straight.position[1], straight.position[0], straight.position[2]])
+
+
+def test_colours_are_decoded_to_linear_light() -> None:
+    np.testing.assert_array_equal(linear(np.array([0, 188, 255])), [0, 128, 255])  # 188 is half the light
