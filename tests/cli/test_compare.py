@@ -7,12 +7,14 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from cli.running import Run
 from fastmimic.experiments.compare import PAPER_MOTIONS
+from fastmimic.pipeline import load_motion
 
 Start = Callable[..., "subprocess.Popen[str]"]
 TINY = ("--iterations", "12", "--population", "4", "--duration", "0.6", "--seeds", "1")
@@ -93,7 +95,10 @@ def test_ctrl_c_stops_all_processes_and_says_how_to_go_on(start: Start, in_folde
     while any(alive(child) for child in children):
         assert time.monotonic() < gone_by, "processes are left"
     assert (in_folder / "run" / "runs" / "trot-mbc-seed0" / "row.json").is_file()
-    assert not (in_folder / "run" / "table.md").exists()
+    table = (in_folder / "run" / "table.md").read_text()
+    assert "**Unfinished: 1 of 3 runs.**" in table
+    assert [row["method"] for row in rows(in_folder / "run")] == ["mbc"]
+    assert {path.name for path in (in_folder / "run").glob("*.png")} == {"comparison.png"}
 
 
 def alive(pid: int) -> bool:
@@ -130,6 +135,9 @@ def test_a_folder_with_a_comparison_is_refused_unless_asked(run: Run, in_folder:
         (["--builtin", "--methods", "lhdmp"], "unknown method 'lhdmp'"),
         (["--builtin", "--methods", "mbc", "mbc"], "method mbc is given twice"),
         (["--builtin", "--seeds", "0"], "seeds must be at least 1"),
+        (["--builtin", "--methods"], "at least one method; there are raibert, mbc"),
+        (["--motions"], "at least one motion"),
+        (["--motions", "--builtin"], "--builtin stands for the four built-in motions"),
         (["--builtin", "--workers", "0"], "workers must be at least 1"),
         (["--builtin", "--population", "2"], "population must be at least 4"),
         (["--builtin", "--iterations", "0"], "iterations must be at least 1"),
@@ -146,6 +154,54 @@ def test_what_it_refuses(arguments: list[str], said: str, run: Run, in_folder: P
     assert done.status == 2
     assert said in done.err.splitlines()[-1]
     assert os.listdir(in_folder) == []
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """All files below a folder."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("how", ["--overwrite", "--resume"])
+@pytest.mark.parametrize("bad", [("--motions", "trto"), ("--motions", "trot", "once.npz", "--methods", "mbc-dmp")])
+def test_what_is_refused_leaves_the_folder_as_it_was(bad: tuple[str, ...], how: str, run: Run, in_folder: Path) -> None:
+    replace(load_motion("trot"), cycle=None).save(in_folder / "once.npz")
+    command = ("compare", *TINY, "--workers", "1", "--out", "run")
+    assert run(*command, "--motions", "trot", "--methods", "mbc").status == 0
+    before = contents(in_folder / "run")
+    assert run(*command, *bad, how).status == 2
+    assert contents(in_folder / "run") == before
+
+
+def test_another_motion_of_the_same_name_is_refused_before_anything_is_written(run: Run, in_folder: Path) -> None:
+    motion = load_motion("trot")
+    motion.save(in_folder / "f.npz")
+    command = ("compare", "--motions", "f.npz", "--methods", "mbc", *TINY, "--workers", "1", "--out", "run")
+    assert run(*command).status == 0
+    assert [path.name for path in (in_folder / "run" / "motions").iterdir()] == ["f.npz"]
+    before = contents(in_folder / "run")
+    replace(motion, joint_pos=motion.joint_pos + 0.01).save(in_folder / "f.npz")
+    more = (*command[:4], "lh", *command[4:], "--resume")
+    refused = run(*more)
+    assert refused.status == 2
+    assert "a finished run of another controller, motion or robot" in refused.err.splitlines()[-1]
+    assert contents(in_folder / "run") == before
+
+
+def test_resumed_with_less_the_results_cover_what_was_finished(run: Run, in_folder: Path) -> None:
+    command = ("compare", *TINY, "--workers", "1", "--out", "run")
+    assert run(*command, "--motions", "trot", "--methods", "mbc", "mbc-dmp").status == 0
+    more = run(*command, "--motions", "pace", "--methods", "raibert", "--resume")
+    assert more.status == 0, more.err
+    assert "2 more finished runs there are kept in the results" in more.err
+    found = [(row["motion"], row["method"]) for row in rows(in_folder / "run")]
+    assert found == [("trot", "mbc"), ("pace", "raibert"), ("trot", "mbc-dmp")]
+    table = (in_folder / "run" / "table.md").read_text()
+    assert "MBC-DMP" in table
+    assert "Unfinished" not in table
+    assert (in_folder / "run" / "tracking.png").is_file()
+    environment = json.loads((in_folder / "run" / "environment.json").read_text())
+    assert (environment["motions"], environment["methods"]) == (["trot", "pace"], ["raibert", "mbc", "mbc-dmp"])
+    assert set(environment["controllers"]) == {"raibert", "mbc", "mbc-dmp"}
 
 
 def test_a_folder_with_something_else_is_not_touched(run: Run, in_folder: Path) -> None:

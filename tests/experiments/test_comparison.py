@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,13 +12,14 @@ import pytest
 from fastmimic.control.config import default_config, paper_config
 from fastmimic.errors import ConfigError, OutputError
 from fastmimic.experiments.ablations import ABLATIONS, ablations_of
-from fastmimic.experiments.compare import Plan, compare
+from fastmimic.experiments.compare import Plan, compare, prepare
 from fastmimic.experiments.runs import Row, Settings, finished_row
 from fastmimic.experiments.schedule import Effort
 from fastmimic.experiments.tables import COLUMNS, ablation_table, comparison_table, summaries
 from fastmimic.imitation.reward import TERMS, WEIGHTS
 from fastmimic.methods import METHODS
 from fastmimic.motion.motion import Motion
+from fastmimic.pipeline import evaluate, load_motion
 from fastmimic.report.comparison_folder import ComparisonFolder
 from motion.sample_files import save_motion
 
@@ -232,6 +234,20 @@ class TestKept:
             run(replace(PLAN, motions=(str(path),), ablations=False), tmp_path / "out")
         assert not (tmp_path / "out").exists()
 
+    def test_a_motion_that_ends_is_evaluated_to_its_end(self, tmp_path: Path) -> None:
+        once = replace(load_motion("trot"), cycle=None)
+        once.save(tmp_path / "once.npz")
+        whole = (once.n_samples - 1) / once.rate_hz
+        for seconds in (0.8, 0.1):
+            settings = replace(TINY, evaluation_s=seconds, perturbed_episodes=3)
+            plan = Plan(settings, (str(tmp_path / "once.npz"),), ("mbc",), seeds=1, ablations=False)
+            (row,), _ = run(plan, tmp_path / f"out-{seconds:g}")
+            lasted = min(seconds, whole)
+            assert row["evaluation_s"] == pytest.approx(lasted)
+            assert row["simulated_s"] == pytest.approx(min(TINY.duration_s, whole) + lasted * (1 + 3))
+            found = evaluate(once, episodes=4, duration_s=lasted, seed=20230617).rollout
+            assert row["reward_perturbed"] == pytest.approx(found.reward[1:].mean())
+
 
 class TestFolder:
     def test_everything_is_written(self, out: Path) -> None:
@@ -261,6 +277,32 @@ class TestFolder:
         folder.write(plan, rows[:2])
         assert {p.name for p in tmp_path.iterdir()} == {"results.csv", "table.md", "comparison.png"}
 
+    def test_what_is_kept_stays_in_all_tables_and_figures(self, out: Path, rows: list[Row], tmp_path: Path) -> None:
+        copy = shutil.copytree(out, tmp_path / "copy")
+        plan = replace(PLAN, methods=("lh",), seeds=1, ablations=False)
+        prepared = prepare(plan, copy, keep=True, prepared=lambda name: None)
+        assert prepared.tasks == ()
+        assert len(prepared.kept) == len(rows) - 1
+        ComparisonFolder(copy).write(plan, prepared.finished(), prepared.kept)
+        for name in ("results.csv", "table.md", "ablations.md"):
+            assert (copy / name).read_text() == (out / name).read_text()
+        assert {p.name for p in copy.iterdir()} == {p.name for p in out.iterdir()}
+
+    def test_a_kept_run_of_another_motion_than_it_says_is_refused(self, out: Path, tmp_path: Path) -> None:
+        copy = shutil.copytree(out, tmp_path / "copy")
+        shutil.copy(copy / "motions" / "trot-raw.npz", copy / "motions" / "trot.npz")
+        plan = replace(PLAN, motions=("pace",), methods=("mbc",), ablations=False)
+        with pytest.raises(OutputError, match="a finished run of another controller, motion"):
+            prepare(plan, copy, keep=True, prepared=lambda name: None)
+        assert prepare(plan, copy, keep=False, prepared=lambda name: None).kept == ()
+
+    def test_unfinished_ablations_say_so(self, out: Path, rows: list[Row], tmp_path: Path) -> None:
+        copy = shutil.copytree(out, tmp_path / "copy")
+        ComparisonFolder(copy).write(PLAN, rows[:-1])
+        expected = sum(row["method"] == "mbc-dmp" for row in rows)
+        assert f"Unfinished: {expected - 1} of {expected} runs." in (copy / "ablations.md").read_text()
+        assert "Unfinished" not in (copy / "table.md").read_text()
+
 
 class TestTables:
     def test_means_and_deviations_over_the_seeds(self, rows: list[Row]) -> None:
@@ -285,6 +327,10 @@ class TestTables:
 
     def test_an_unfinished_one_says_so(self, rows: list[Row]) -> None:
         assert "Unfinished: 1 of 7 runs." in comparison_table(rows[:1], 7)
+
+    def test_different_numbers_of_seeds_are_said(self, rows: list[Row]) -> None:
+        own = [r for r in rows if not r["variant"] and (r["method"], r["seed"]) != ("lh-dmp", 1)]
+        assert "over 1 to 2 seeds of CMA-ES" in comparison_table(own, len(own))
 
     def test_the_ablations_are_held_against_the_method(self, rows: list[Row]) -> None:
         own = [r for r in rows if r["method"] == "mbc-dmp"]

@@ -2,7 +2,7 @@
 
 import os
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,12 +12,13 @@ from tyro.conf import arg
 
 from fastmimic.commands.console import note, put, share_progress
 from fastmimic.commands.options import DEFAULT_ROBOT, check_duration
-from fastmimic.errors import ConfigError
+from fastmimic.errors import ConfigError, FastMimicError
 
 if TYPE_CHECKING:
-    from fastmimic.experiments.compare import Plan
+    from fastmimic.experiments.compare import Plan, Prepared
     from fastmimic.experiments.runs import Row
     from fastmimic.experiments.schedule import Effort, Report
+    from fastmimic.report.comparison_folder import ComparisonFolder
 
 OUT: Final = Path("runs/comparison")
 
@@ -28,14 +29,14 @@ class Compare:
 
     Writes results.csv, table.md, comparison.png, tracking.png and environment.json; with --ablations ablations.md and
     ablations.png as well. Each finished run is kept: after Ctrl-C or a crash, --resume does the rest, and may be given
-    more motions, methods or seeds.
+    more motions, methods or seeds; the results cover them and all that is finished in the folder.
     """
 
-    motions: Annotated[tuple[str, ...], arg(metavar="MOTION ...")] = ()
+    motions: Annotated[tuple[str, ...] | None, arg(metavar="MOTION ...")] = None
     """Names of 'fastmimic motions', or files; by default the paper's four recordings."""
     builtin: bool = False
     """The built-in trot, pace, turn and side-step instead, which need no data."""
-    methods: Annotated[tuple[str, ...], arg(metavar="METHOD ...")] = ()
+    methods: Annotated[tuple[str, ...] | None, arg(metavar="METHOD ...")] = None
     """By default all: raibert, mbc, lh, mbc-dmp, lh-dmp."""
     seeds: int = 8
     """Of CMA-ES, 0 to SEEDS - 1. Methods that optimise nothing are deterministic and run once."""
@@ -64,7 +65,7 @@ class Compare:
         """Runs it, and writes the folder; returns the exit status."""
         check_duration(self.duration)
         plan = self._plan()
-        from fastmimic.experiments.compare import compare
+        from fastmimic.experiments.compare import prepare
         from fastmimic.optimize.problem import available_cores
         from fastmimic.report.comparison_folder import open_comparison
 
@@ -72,24 +73,22 @@ class Compare:
         if workers < 1:
             raise ConfigError(f"workers must be at least 1, found {workers}")
         total = len(plan.runs)
-        with open_comparison(
-            self.out, _environment(plan, workers), resume=self.resume, overwrite=self.overwrite
-        ) as folder:
+        with open_comparison(self.out, asdict(plan.settings), resume=self.resume, overwrite=self.overwrite) as folder:
             note(f"{total} runs in {self.out}, {workers} at a time")
+            prepared = prepare(
+                plan, self.out, keep=not self.overwrite, prepared=lambda name: note(f"{name}: retargeted")
+            )
+            folder.begin(_environment(plan, workers, prepared.kept), overwrite=self.overwrite)
+            if prepared.kept:
+                note(f"{len(prepared.kept)} more finished runs there are kept in the results")
             try:
                 with _progress(total) as report:
-                    rows = compare(
-                        plan,
-                        self.out,
-                        workers=workers,
-                        report=report,
-                        prepared=lambda name: note(f"{name}: retargeted"),
-                    )
+                    rows = prepared.perform(workers, report)
             except KeyboardInterrupt:
                 if folder.begun:
-                    note("what is finished is kept; the same command with --resume goes on")
+                    _leave(folder, prepared)
                 raise
-            folder.write(plan, rows)
+            folder.write(plan, rows, prepared.kept)
         for line in folder.table().splitlines():
             put(line)
         put(f"results in {self.out}")
@@ -101,7 +100,7 @@ class Compare:
         from fastmimic.methods import METHODS
         from fastmimic.robot import ROBOT_NAMES
 
-        if self.builtin and self.motions:
+        if self.builtin and self.motions is not None:
             raise ConfigError("--builtin stands for the four built-in motions; give it or --motions")
         robot = self.robot if self.robot in ROBOT_NAMES else os.path.abspath(self.robot)
         settings = Settings(
@@ -113,23 +112,40 @@ class Compare:
             evaluation_s=EVALUATION_S,
         )
         default = BUILT_IN_MOTIONS if self.builtin else PAPER_MOTIONS
-        return Plan(settings, self.motions or default, self.methods or tuple(METHODS), self.seeds, self.ablations)
+        motions = self.motions if self.motions is not None else default
+        methods = self.methods if self.methods is not None else tuple(METHODS)
+        return Plan(settings, motions, methods, self.seeds, self.ablations)
 
 
-def _environment(plan: "Plan", workers: int) -> dict[str, Any]:
-    """What the results depend on, and what they were made with, JSON-serialisable."""
+def _leave(folder: "ComparisonFolder", prepared: "Prepared") -> None:
+    """Writes what an interrupted comparison has so far, and says how to go on."""
+    try:
+        rows = prepared.finished()
+        if rows or prepared.kept:
+            folder.write(prepared.plan, rows, prepared.kept)
+    except FastMimicError as error:  # the interruption is what is reported
+        note(f"tables of what is finished could not be written: {error}")
+    note("what is finished is kept; the same command with --resume goes on")
+
+
+def _environment(plan: "Plan", workers: int, kept: "Sequence[Row]") -> dict[str, Any]:
+    """What the results depend on, and what they were made with, JSON-serialisable; `kept` are other runs' rows."""
     from fastmimic.control.config import controller_config
-    from fastmimic.experiments.ablations import ablation_named
-    from fastmimic.methods import method_named
+    from fastmimic.experiments.ablations import ABLATIONS, ablation_named
+    from fastmimic.experiments.runs import run_of
+    from fastmimic.methods import METHODS, method_named
     from fastmimic.pipeline import versions
 
     config = controller_config(plan.settings.config)
+    runs = [*(run_of(row) for row in kept), *plan.runs]
+    methods = [name for name in METHODS if any(run.method == name for run in runs)]
+    variants = [name for name in ABLATIONS if any(run.variant == name for run in runs)]
     return {
         "settings": asdict(plan.settings),
-        "motions": list(plan.motions),
-        "methods": list(plan.methods),
-        "seeds": plan.seeds,
-        "ablations": list(plan.variants),
+        "motions": list(dict.fromkeys(run.motion for run in runs)),
+        "methods": methods,
+        "seeds": max(run.seed for run in runs) + 1,
+        "ablations": variants,
         "workers": workers,
         "machine": {
             "system": platform.platform(),
@@ -137,8 +153,8 @@ def _environment(plan: "Plan", workers: int) -> dict[str, Any]:
             "cores": os.cpu_count(),
         },
         "versions": versions(),
-        "controllers": {name: method_named(name).configure(config).as_dict() for name in plan.methods}
-        | {name: ablation_named(name).change(config).as_dict() for name in plan.variants},
+        "controllers": {name: method_named(name).configure(config).as_dict() for name in methods}
+        | {name: ablation_named(name).change(config).as_dict() for name in variants},
     }
 
 

@@ -1,6 +1,6 @@
 """The comparison: which runs there are, what they start from, and their rows."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -8,7 +8,7 @@ from typing import Final
 from fastmimic.control.config import controller_config
 from fastmimic.errors import ConfigError, OutputError
 from fastmimic.experiments.ablations import ABLATED, ablation_named, ablations_of
-from fastmimic.experiments.runs import Row, Run, Settings, digest, finished_row, slug
+from fastmimic.experiments.runs import Row, Run, Settings, digest, finished_row, run_of, slug
 from fastmimic.experiments.schedule import Report, Task, run_all
 from fastmimic.methods import METHODS, method_named
 from fastmimic.motion.catalogue import open_clip
@@ -55,7 +55,7 @@ class Plan:
             raise ConfigError(f"seeds must be at least 1, found {self.seeds}")
         for name in self.methods:
             method_named(name)
-        for what, names in (("motion", [slug(m) for m in self.motions]), ("method", self.methods)):
+        for what, names in (("motion", [_stem(m) for m in self.motions]), ("method", self.methods)):
             twice = sorted({name for name in names if list(names).count(name) > 1})
             if twice:
                 raise ConfigError(f"{what} {', '.join(twice)} is given twice")
@@ -86,6 +86,91 @@ class Plan:
         return runs
 
 
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A plan with all that it needs, loaded and checked; nothing is written yet.
+
+    Attributes:
+        plan: what is asked for.
+        out: folder of motions and runs.
+        files: the motions to be written.
+        tasks: what is to be done.
+        done: rows of the plan's runs that are finished already.
+        kept: rows of other finished runs of the same settings in the folder.
+    """
+
+    plan: Plan
+    out: Path
+    files: Mapping[Path, Motion]
+    tasks: tuple[Task, ...]
+    done: Mapping[Run, Row]
+    kept: tuple[Row, ...]
+
+    def perform(self, workers: int, report: Report) -> list[Row]:
+        """Does what is not done yet; the rows of all runs of the plan, in its order.
+
+        Raises:
+            FastMimicError: as the first run that failed.
+            KeyboardInterrupt: Ctrl-C; the folder holds what was done.
+        """
+        if workers < 1:
+            raise ConfigError(f"workers must be at least 1, found {workers}")
+        for path, motion in self.files.items():
+            motion.save(path)
+        rows = dict(self.done)
+        for task, row in zip(self.tasks, run_all(self.tasks, workers, report), strict=True):
+            rows[task.run] = row
+        return [rows[run] for run in self.plan.runs]
+
+    def finished(self) -> list[Row]:
+        """The rows of those runs of the plan that are finished by now, in its order."""
+        done = {task.run: finished_row(task.folder) for task in self.tasks} | dict(self.done)
+        return [row for run in self.plan.runs if (row := done[run]) is not None]
+
+
+def prepare(plan: Plan, out: Path, *, keep: bool, prepared: Callable[[str], None]) -> Prepared:
+    """Loads robot and motions, and checks them and the finished runs in the folder; writes nothing.
+
+    Args:
+        plan: what to compare.
+        out: folder of motions and runs.
+        keep: whether what is finished in the folder counts; if not, it is about to be replaced.
+        prepared: called with the name of each motion once it is retargeted.
+
+    Raises:
+        FastMimicError: a robot or motion that cannot be had, or a finished run of something else in the folder.
+    """
+    robot = load_robot(plan.settings.robot)
+    files = {_file(out, *key): motion for key, motion in _demonstrations(plan, robot, prepared)}
+    found = _finished(out) if keep else {}
+    known = dict(files)
+    for run, row in found.items():
+        path = _file(out, run.motion, ablation_named(run.variant).consistent)
+        if path not in known:
+            known[path] = Motion.load(path)
+        if row.get("digest") != digest(run, plan.settings, robot, known[path]):
+            raise OutputError(
+                f"{out / RUNS / run.folder}: a finished run of another controller, motion or robot than this"
+                " installation's; choose another --out, or --overwrite it"
+            )
+    tasks = (
+        Task(
+            run, plan.settings, _file(out, run.motion, ablation_named(run.variant).consistent), out / RUNS / run.folder
+        )
+        for run in plan.runs
+        if run not in found
+    )
+    asked = set(plan.runs)
+    return Prepared(
+        plan,
+        out,
+        files,
+        tuple(tasks),
+        done={run: row for run, row in found.items() if run in asked},
+        kept=tuple(row for run, row in found.items() if run not in asked),
+    )
+
+
 def compare(plan: Plan, out: Path, *, workers: int, report: Report, prepared: Callable[[str], None]) -> list[Row]:
     """Does what is not done yet, and returns the rows of all runs of the plan.
 
@@ -101,33 +186,30 @@ def compare(plan: Plan, out: Path, *, workers: int, report: Report, prepared: Ca
         FastMimicError: a motion that cannot be had, or a finished run of something else in the folder.
         KeyboardInterrupt: Ctrl-C; the folder holds what was done.
     """
-    if workers < 1:
-        raise ConfigError(f"workers must be at least 1, found {workers}")
-    robot = load_robot(plan.settings.robot)
-    demonstrations = dict(_demonstrations(plan, robot, prepared))
-    files: dict[tuple[str, bool], Path] = {}
-    for (name, consistent), motion in demonstrations.items():
-        files[name, consistent] = out / MOTIONS / f"{slug(name)}{'' if consistent else '-raw'}.npz"
-        motion.save(files[name, consistent])
-    rows: dict[Run, Row] = {}
-    tasks = []
-    for run in plan.runs:
-        key = (run.motion, ablation_named(run.variant).consistent)
-        folder = out / RUNS / run.folder
-        row = finished_row(folder)
-        if row is None:
-            tasks.append(Task(run, plan.settings, files[key], folder))
-        elif row.get("digest") != digest(run, plan.settings, robot, demonstrations[key]):
-            raise OutputError(
-                f"{folder}: a finished run of another controller, motion or robot than this installation's;"
-                " choose another --out, or --overwrite it"
-            )
-        else:
-            rows[run] = row
+    return prepare(plan, out, keep=True, prepared=prepared).perform(workers, report)
 
-    for task, row in zip(tasks, run_all(tasks, workers, report), strict=True):
-        rows[task.run] = row
-    return [rows[run] for run in plan.runs]
+
+def _stem(name: str) -> str:
+    """The name of a motion's file, without its suffix."""
+    return slug(name).removesuffix(".npz")
+
+
+def _file(out: Path, name: str, consistent: bool) -> Path:
+    return out / MOTIONS / f"{_stem(name)}{'' if consistent else '-raw'}.npz"
+
+
+def _finished(out: Path) -> dict[Run, Row]:
+    """All finished runs of a folder by name; a run's folder under another name (a copy, say) is not one."""
+    found: dict[Run, Row] = {}
+    runs = out / RUNS
+    for folder in sorted(runs.iterdir()) if runs.is_dir() else []:
+        row = finished_row(folder) if folder.is_dir() else None
+        if row is None:
+            continue
+        run = run_of(row)
+        if run.folder == folder.name:
+            found[run] = row
+    return found
 
 
 def _demonstrations(

@@ -8,6 +8,7 @@ nominal episode from the motion's start (`reward`), and episodes from the same p
 
 import hashlib
 import json
+import math
 import re
 import time
 from collections.abc import Callable
@@ -30,7 +31,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 from fastmimic.optimize.cma_es import Progress
 from fastmimic.optimize.problem import Objective
-from fastmimic.pipeline import Imitation, imitate, versions
+from fastmimic.pipeline import Imitation, default_duration, imitate, versions
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 
@@ -58,7 +59,7 @@ class Settings:
         config: name of the controller's parameters.
         duration_s: length of the optimisation's episodes, s.
         iterations, population: of CMA-ES.
-        evaluation_s: length of the evaluation's episodes, s.
+        evaluation_s: length of the evaluation's episodes, s; a motion that does not repeat ends them at the latest.
         perturbed_episodes: how many of them begin perturbed.
     """
 
@@ -153,7 +154,7 @@ def perform(
         robot,
         method=run.method,
         config=config,
-        duration_s=settings.duration_s,
+        duration_s=_length(demonstration, settings.duration_s),
         iterations=settings.iterations,
         population=settings.population,
         seed=run.seed,
@@ -186,27 +187,35 @@ def finished_row(folder: Path) -> Row | None:
     """
     path = folder / ROW
     try:
-        row = json.loads(path.read_text(encoding="utf-8"))
+        row = dict(json.loads(path.read_text(encoding="utf-8")))
+        run_of(row)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError, KeyError) as error:
         raise OutputError(f"{path}: cannot be read ({error}); remove it, and --resume makes it anew") from None
-    return dict(row)
+    return row
+
+
+def run_of(row: Row) -> Run:
+    """Which run a row is of."""
+    return Run(row["motion"], row["method"], row["variant"], row["seed"])
 
 
 def _row(run: Run, settings: Settings, result: Imitation, folder: Path) -> Row:
     robot, demonstration = result.robot, result.demonstration
     method = method_named(run.method)
+    seconds = _length(demonstration, settings.evaluation_s)
 
     def episode(motion: Motion) -> Rollout:
-        return run_episodes(robot, motion, duration_s=settings.evaluation_s, config=result.config, log=True)
+        return run_episodes(robot, motion, duration_s=seconds, config=result.config, log=True)
 
     after = episode(result.motion)
     before = episode(demonstration) if method.optimises else after
     _save_tracking(folder / TRACKING, demonstration, before, after, robot)
     rng = np.random.default_rng(_EVALUATION_SEED)
-    start = perturbed_start(settings.perturbed_episodes + 1, demonstration.n_samples, rng).part(slice(1, None))
-    rough = run_episodes(robot, result.motion, start=start, duration_s=settings.evaluation_s, config=result.config)
+    room = _room(demonstration, seconds)
+    start = perturbed_start(settings.perturbed_episodes + 1, room, rng).part(slice(1, None))
+    rough = run_episodes(robot, result.motion, start=start, duration_s=seconds, config=result.config)
     clearance = after.clearance[0]
     share = clearance / swing_clearance(demonstration, robot.foot_radius)
     found = {
@@ -235,13 +244,12 @@ def _row(run: Run, settings: Settings, result: Imitation, folder: Path) -> Row:
         **{f"reward_{name}": value for name, value in zip(TERMS, after.terms[0], strict=True)},
         "evaluations": result.evaluations,
         "iterations": result.iterations,
-        "simulated_s": result.simulated_s
-        + settings.evaluation_s * (1 + method.optimises + settings.perturbed_episodes),
+        "simulated_s": result.simulated_s + seconds * (1 + method.optimises + settings.perturbed_episodes),
         "robot": robot.name,
         "config": settings.config,
         "duration_s": settings.duration_s,
         "population": settings.population,
-        "evaluation_s": settings.evaluation_s,
+        "evaluation_s": seconds,
         "perturbed_episodes": settings.perturbed_episodes,
         "parameters": " ".join(
             f"{p.name}={v!r}" for p, v in zip(result.parameters, result.values.tolist(), strict=True)
@@ -249,6 +257,19 @@ def _row(run: Run, settings: Settings, result: Imitation, folder: Path) -> Row:
         **{f"{name}_version": v for name, v in versions().items()},
     }
     return {name: _plain(value) for name, value in found.items()}
+
+
+def _length(motion: Motion, seconds: float) -> float:
+    """Of an episode: `seconds`, at most to the end of a motion that does not repeat, s."""
+    return min(seconds, default_duration(motion, seconds))
+
+
+def _room(motion: Motion, seconds: float) -> int:
+    """Number of samples at which an episode may begin: as in `evaluate`, a motion that ends leaves room for all of
+    it."""
+    if motion.cycle is not None:
+        return motion.n_samples
+    return max(1, motion.n_samples - math.ceil(seconds * motion.rate_hz - 1e-9))
 
 
 def _style(result: Imitation) -> float:

@@ -159,11 +159,13 @@ def _caption(rows: Sequence[Row]) -> str:
     optimised = [row for row in rows if row["iterations"]]
     search = ""
     if optimised:
-        seeds = len({row["seed"] for row in optimised})
+        counts = sorted({len(s.rows) for s in summaries(optimised)})
+        seeds = " to ".join(str(n) for n in dict.fromkeys((counts[0], counts[-1])))
+        seeds += " seeds" if counts[-1] > 1 else " seed"
         iterations = " or ".join(str(i) for i in sorted({row["iterations"] for row in optimised}))
         search = (
             f" Where something is optimised: mean ± sample standard deviation over {seeds}"
-            f" seed{'s' if seeds > 1 else ''} of CMA-ES, {iterations} iterations of {all_of('population')} candidates,"
+            f" of CMA-ES, {iterations} iterations of {all_of('population')} candidates,"
             f" episodes of {all_of('duration_s')} s. The other methods are deterministic and were run once."
         )
     return (

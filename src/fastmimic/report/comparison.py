@@ -29,8 +29,10 @@ _STYLES: Final = (  # colours of Okabe and Ito, each with a hatch so that the ba
 )
 _BAR: Final = 0.84
 """Share of a group's width that its bars take."""
-_LABEL: Final = 0.05
-"""Height of a bar's number, in units of the reward."""
+_LABEL: Final = 0.04
+"""Height of a line of a bar's number, in units of the reward."""
+_CIRCLE: Final = 0.02
+"""Height of a circle with the gap to the number, in units of the reward."""
 _TRACKED_LEG: Final = "RL"
 """The leg of the paper's tracking figures."""
 
@@ -54,7 +56,8 @@ def comparison_figure(summaries: Sequence[Summary], title: str) -> Figure:
                 _bar(axes, i - _BAR / 2 + (j + 0.5) * width, width, found[motion, name], color, hatch)
     axes.set_xticks(range(len(motions)), motions)
     axes.set_xlim(-0.55, len(motions) - 0.45)
-    axes.set_ylim(0, 1.08)
+    axes.set_ylim(0, 1.12)
+    axes.set_yticks(np.linspace(0, 1, 6))
     tidy(axes, "Bars: one nominal episode, mean ± std over the seeds. Circles: perturbed starts", "", "reward (0 to 1)")
     axes.grid(False, axis="x")
     axes.tick_params(axis="x", labelsize=9.5, length=0)
@@ -82,10 +85,12 @@ def _bar(axes: Axes, x: float, width: float, s: Summary, color: str, hatch: str)
     if rough is not None:
         axes.plot(x, rough, marker="o", markersize=4.5, markerfacecolor="white", markeredgecolor=INK)
     top = mean + (std or 0.0)
-    near = rough is not None and 0 < rough - top < _LABEL  # the circle would be where the number goes
+    text = f"{mean:.3f}{_falls(s)}".replace(" ", "\n", 1)
+    tall = _LABEL * len(text.splitlines()) + _CIRCLE
+    near = rough is not None and -_CIRCLE < rough - top < tall  # the circle would be where the number goes
     axes.annotate(
-        f"{mean:.2f}{_falls(s)}",
-        (x, rough if near and rough is not None else top),
+        text,
+        (x, max(rough, top) if near and rough is not None else top),
         xytext=(0, 5 if near else 3),
         textcoords="offset points",
         ha="center",
@@ -187,7 +192,7 @@ def ablation_figure(summaries: Sequence[Summary], title: str) -> Figure:
                 _row(axes, j, s)
         if (motion, "") in found:
             axes.axvline(found[motion, ""].mean("reward") or 0.0, color=MUTED, linewidth=0.9, linestyle=(0, (3, 2)))
-        axes.set_xlim(0, 1.34)
+        axes.set_xlim(0, 1)
         axes.set_xticks((0, 0.5, 1))
         axes.set_yticks(range(len(variants)), [v or f"{method_named(ABLATED).label}, as it is" for v in variants])
         tidy(axes, motion, "reward", "")
@@ -210,8 +215,17 @@ def _row(axes: Axes, y: float, s: Summary) -> None:
     if std is not None:
         axes.errorbar(mean, y, xerr=std, color=INK, capsize=2.5, linewidth=1.1)
     if rough is not None:
-        axes.plot(rough, y, marker="o", markersize=4.5, markerfacecolor="white", markeredgecolor=INK)
-    axes.annotate(f"{mean:.3f}{_falls(s)}", (1.33, y), ha="right", va="center", fontsize=7.5, color=INK)
+        axes.plot(rough, y, marker="o", markersize=4.5, markerfacecolor="white", markeredgecolor=INK, clip_on=False)
+    axes.annotate(
+        f"{mean:.3f}{_falls(s)}",
+        (1, y),
+        xytext=(5, 0),
+        textcoords="offset points",
+        va="center",
+        fontsize=7.5,
+        color=INK,
+        annotation_clip=False,
+    )
 
 
 def _names(summaries: Sequence[Summary]) -> tuple[list[str], list[str]]:

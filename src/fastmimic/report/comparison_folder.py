@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.errors import ConfigError, OutputError
-from fastmimic.experiments.ablations import ABLATED
+from fastmimic.experiments.ablations import ABLATED, ABLATIONS
 from fastmimic.experiments.compare import MOTIONS, RUNS
-from fastmimic.experiments.runs import RUN_FILES, TRACKING, Row, Run
+from fastmimic.experiments.runs import RUN_FILES, TRACKING, Row, Run, run_of
 from fastmimic.experiments.tables import ablation_table, comparison_table, summaries, to_csv
 from fastmimic.files import check_folder, replace_file
-from fastmimic.methods import method_named
+from fastmimic.methods import METHODS, method_named
 from fastmimic.report.run_folder import write_json
 
 if TYPE_CHECKING:
@@ -42,34 +42,80 @@ class ComparisonFolder:
         """Whether any run has left something."""
         return (self.path / RUNS).is_dir()
 
-    def write(self, plan: "Plan", rows: Sequence[Row]) -> None:
-        """Writes the tables and figures of all rows, in place of earlier ones.
+    def begin(self, environment: Mapping[str, Any], *, overwrite: bool) -> None:
+        """Removes the comparison that is to be replaced, and writes `environment.json`.
+
+        Args:
+            environment: what goes into it; motions that were there before keep their places.
+            overwrite: whether to replace the comparison in the folder.
+
+        Raises:
+            OutputError: something cannot be removed or written.
+        """
+        earlier = [] if overwrite else self._motions()
+        if overwrite:
+            self.clear()
+        motions = [*(name for name in earlier if name in environment["motions"]), *environment["motions"]]
+        write_json(self.path / ENVIRONMENT, {**environment, "motions": list(dict.fromkeys(motions))})
+
+    def write(self, plan: "Plan", rows: Sequence[Row], kept: Sequence[Row] = ()) -> None:
+        """Writes the tables and figures of all rows, in place of earlier ones; says so where runs are missing.
+
+        Args:
+            plan: what was asked for.
+            rows: of its finished runs.
+            kept: of the other finished runs in the folder.
 
         Raises:
             OutputError: something cannot be written.
         """
-        self._remove(*WRITTEN)
-        self._write_text(RESULTS_CSV, to_csv(rows))
-        self._write_comparison(plan, [row for row in rows if not row["variant"] and row["method"] in plan.methods])
-        if plan.ablations:
-            self._write_ablations([row for row in rows if row["variant"] or row["method"] == ABLATED])
+        missing = {*plan.runs} - {run_of(row) for row in rows}
+        found = self._in_order([*kept, *rows])
+        written = [RESULTS_CSV]
+        self._write_text(RESULTS_CSV, to_csv(found))
+        whole = [row for row in found if not row["variant"]]
+        if whole:
+            written += self._write_comparison(whole, len(whole) + sum(not run.variant for run in missing))
+        of = {row["motion"] for row in found if row["variant"]} | {*(plan.motions if plan.ablations else ())}
+        own = [row for row in found if row["method"] == ABLATED and row["motion"] in of]
+        if own:
+            left = sum(run.method == ABLATED and run.motion in of for run in missing)
+            written += self._write_ablations(own, len(own) + left)
+        self._remove(*(name for name in WRITTEN if name not in written))
+
+    def _in_order(self, rows: Sequence[Row]) -> list[Row]:
+        """As a plan of all of them would have them."""
+        motions = list(dict.fromkeys([*self._motions(), *(row["motion"] for row in rows)]))
+        methods, variants = list(METHODS), ["", *ABLATIONS]
+
+        def place(row: Row) -> tuple[int, ...]:
+            kind = (bool(row["variant"]), method_named(row["method"]).optimises, row["seed"])
+            return (*kind, motions.index(row["motion"]), methods.index(row["method"]), variants.index(row["variant"]))
+
+        return sorted(rows, key=place)
+
+    def _motions(self) -> list[str]:
+        """Those of `environment.json`, if there is one."""
+        try:
+            return [str(name) for name in json.loads((self.path / ENVIRONMENT).read_text(encoding="utf-8"))["motions"]]
+        except (OSError, ValueError, KeyError, TypeError):
+            return []
 
     def table(self) -> str:
         """The tables as they were written."""
         names = [name for name in (TABLE, ABLATION_TABLE) if (self.path / name).is_file()]
         return "\n".join((self.path / name).read_text(encoding="utf-8") for name in names)
 
-    def _write_comparison(self, plan: "Plan", rows: Sequence[Row]) -> None:
+    def _write_comparison(self, rows: Sequence[Row], expected: int) -> list[str]:
         from fastmimic.report.comparison import comparison_figure
         from fastmimic.report.style import save
 
-        expected = sum(not run.variant and run.method in plan.methods for run in plan.runs)
         self._write_text(TABLE, comparison_table(rows, expected))
         found = summaries(rows)
         save(comparison_figure(found, f"Reward by method, {rows[0]['robot']}"), self.path / COMPARISON)
-        self._write_tracking(rows)
+        return [TABLE, COMPARISON, *self._write_tracking(rows)]
 
-    def _write_tracking(self, rows: Sequence[Row]) -> None:
+    def _write_tracking(self, rows: Sequence[Row]) -> list[str]:
         """Of the paper's method, or of the first one that optimises; nothing if there is none."""
         import numpy as np
 
@@ -78,7 +124,7 @@ class ComparisonFolder:
 
         methods = [row["method"] for row in rows if method_named(row["method"]).optimises]
         if not methods:
-            return
+            return []
         method = ABLATED if ABLATED in methods else methods[0]
         own = [row for row in rows if row["method"] == method]
         row = next((row for row in own if row["motion"] == SHOWN), own[0])
@@ -94,14 +140,16 @@ class ComparisonFolder:
             ) from None
         title = f"Tracking before and after {method_named(method).label}, {row['robot']} (course: {run.motion})"
         save(tracking_bars(summaries(own), courses, rate_hz, start_s, title), self.path / TRACKING_FIGURE)
+        return [TRACKING_FIGURE]
 
-    def _write_ablations(self, rows: Sequence[Row]) -> None:
+    def _write_ablations(self, rows: Sequence[Row], expected: int) -> list[str]:
         from fastmimic.report.comparison import ablation_figure
         from fastmimic.report.style import save
 
-        self._write_text(ABLATION_TABLE, ablation_table(rows, len(rows)))
+        self._write_text(ABLATION_TABLE, ablation_table(rows, expected))
         title = f"What the parts of {method_named(ABLATED).label} are worth, {rows[0]['robot']}"
         save(ablation_figure(summaries(rows), title), self.path / ABLATION_FIGURE)
+        return [ABLATION_TABLE, ABLATION_FIGURE]
 
     def _write_text(self, name: str, text: str) -> None:
         replace_file(self.path / name, lambda file: file.write(text.encode()))
@@ -128,13 +176,14 @@ class ComparisonFolder:
 
 @contextmanager
 def open_comparison(
-    path: Path, environment: Mapping[str, Any], *, resume: bool, overwrite: bool
+    path: Path, settings: Mapping[str, Any], *, resume: bool, overwrite: bool
 ) -> Iterator[ComparisonFolder]:
-    """Prepares a folder for a comparison, before anything takes long. If nothing was done, it is as it was.
+    """Checks a folder for a comparison, before anything takes long; `begin` writes. If nothing was done, it is as it
+    was.
 
     Args:
         path: the folder.
-        environment: what goes into `environment.json`; its `settings` must be the same to resume.
+        settings: must be those of `environment.json` to resume.
         resume: whether to go on with the comparison in the folder.
         overwrite: whether to replace it.
 
@@ -150,18 +199,15 @@ def open_comparison(
     if found and earlier is None:
         raise OutputError(f"{path} holds {', '.join(found)} of something else; choose another --out")
     if earlier is not None and not overwrite:
-        _check_same(path, earlier, environment["settings"], resume)
+        _check_same(path, earlier, settings, resume)
     if resume and earlier is None:
         raise OutputError(f"{path} holds no comparison to resume; leave out --resume to start one")
     created = [p for p in (path, *path.parents) if not p.exists()]
     check_folder(path)
-    if overwrite:
-        folder.clear()
-    write_json(path / ENVIRONMENT, environment)
     try:
         yield folder
     except BaseException:
-        if not folder.begun and not resume:
+        if not found and not folder.begun:
             folder.clear()
             for made in created:
                 _remove_empty(made)
