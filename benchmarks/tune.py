@@ -1,7 +1,7 @@
 """A search for better gains: CMA-ES over the controller's parameters, on motions that the results table does not have.
 
-The defaults were chosen by hand on these motions, with a look at the recorded trot and side-steps of the table, and lie on
-a plateau: most changes move the score by less than 0.002. This search says whether there is anything better.
+The defaults were chosen by hand on these motions, with a look at the recorded trot and side-steps of the table, and
+lie on a plateau: most changes move the score by less than 0.002. This search says whether there is anything better.
 
     python benchmarks/tune.py [--iterations 30] [--seed 0] [--out runs/tune.json]
 
