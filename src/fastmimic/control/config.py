@@ -132,9 +132,9 @@ class SwingConfig:
             animal: straight, at constant speed, to the Raibert foothold 0.5 T_s v − K (v̄ − v) from under the hip (Kang
             et al. 2021, as the paper's §IV-B gives it).
         swing_time: T_s of that path, s. The paper does not give it; this is the swing of the code that it builds on
-            (0.3 s of stance at a duty factor of 0.6), and among the best of a grid over eight motions.
-        swing_height: apex of its parabola, m; for all motions and legs. From the same grid; the code that the paper
-            builds on lifts 0.1 m, and falls more often.
+            (0.3 s of stance at a duty factor of 0.6).
+        swing_height: apex of its parabola, m; for all motions and legs. The code that the paper builds on lifts 0.1 m,
+            which fell more often in trials.
     """
 
     velocity_feedback: tuple[float, float] = (0.02, 0.07)
