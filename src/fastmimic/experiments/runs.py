@@ -146,9 +146,11 @@ def perform(
         KeyboardInterrupt: the optimisation was interrupted; its checkpoint is in the folder.
     """
     checkpoint = folder / CHECKPOINT
+    resumed = checkpoint.is_file()
     config = controller_of(run, settings)
     # compiled, or loaded, before the clock starts
     run_episodes(robot, demonstration, duration_s=_WARM_UP_S, config=method_named(run.method).configure(config))
+    busy = time.process_time()
     result = imitate(
         demonstration,
         robot,
@@ -160,7 +162,7 @@ def perform(
         seed=run.seed,
         workers=1,
         checkpoint=checkpoint,
-        resume=checkpoint.is_file(),
+        resume=resumed,
         progress=progress,
         n_basis=ablation_named(run.variant).n_basis,
     )
@@ -170,6 +172,7 @@ def perform(
     row = _row(run, settings, result, folder)
     row |= {
         "wall_s": result.wall_s + time.perf_counter() - began,
+        "cpu_s": None if resumed else time.process_time() - busy,
         "digest": digest(run, settings, robot, demonstration),
     }
     if method_named(run.method).optimises:
