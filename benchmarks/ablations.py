@@ -9,14 +9,14 @@ fetch`, or FASTMIMIC_DATA.
 """
 
 import argparse
-import re
 import sys
 from pathlib import Path
+
+from marked import put
 
 import fastmimic as fm
 from fastmimic.control.config import default_config
 from fastmimic.experiments.ablations import ABLATED, ablations_of
-from fastmimic.files import replace_file
 from fastmimic.primitive.rhythmic import N_BASIS
 
 MOTIONS = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps", "trot", "pace", "turn", "side-step")
@@ -53,13 +53,7 @@ def main() -> None:
     text = "\n".join(lines)
     print(text)
     if args.write:
-        marked = re.sub(
-            r"(<!-- ablations:begin -->\n).*?(<!-- ablations:end -->)",
-            lambda m: f"{m[1]}{text}\n{m[2]}",
-            PAGE.read_text(encoding="utf-8"),
-            flags=re.DOTALL,
-        )
-        replace_file(PAGE, lambda f: f.write(marked.encode()))
+        put(PAGE, "ablations", text)
 
 
 if __name__ == "__main__":

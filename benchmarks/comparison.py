@@ -10,18 +10,18 @@ and by a process for each core.
 """
 
 import argparse
-import re
 import shutil
 import sys
 import tempfile
 import time
 from pathlib import Path
 
+from marked import put
+
 import fastmimic as fm
 from fastmimic.cli import main as fastmimic
 from fastmimic.experiments.compare import Plan, compare
 from fastmimic.experiments.runs import Settings
-from fastmimic.files import replace_file
 from fastmimic.optimize.problem import available_cores
 from fastmimic.report.comparison_folder import ENVIRONMENT
 
@@ -38,17 +38,9 @@ SEARCH = {"iterations": 10, "population": 10, "duration_s": 5.0}
 def write(out: Path) -> None:
     """Puts the tables and figures of a finished comparison into the documentation."""
     page = DOCS / "comparison.md"
-    text = page.read_text(encoding="utf-8")
     for mark, name in TABLES.items():
         if (out / name).is_file():
-            table = (out / name).read_text(encoding="utf-8").strip()
-            text = re.sub(
-                rf"(<!-- {mark}:begin -->\n).*?(<!-- {mark}:end -->)",
-                lambda m, table=table: f"{m[1]}{table}\n{m[2]}",
-                text,
-                flags=re.DOTALL,
-            )
-    replace_file(page, lambda file: file.write(text.encode()))
+            put(page, mark, (out / name).read_text(encoding="utf-8").strip())
     for name, image in FIGURES.items():
         if (out / name).is_file():
             shutil.copyfile(out / name, DOCS / "images" / image)

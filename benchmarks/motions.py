@@ -10,11 +10,11 @@ between the markers in docs/motions.md. Needs `fastmimic data fetch`, or FASTMIM
 
 import argparse
 import json
-import re
 import sys
 from pathlib import Path
 
 import numpy as np
+from marked import put
 
 import fastmimic as fm
 from fastmimic.experiments.survey import random_cycles, summary, survey, table
@@ -57,13 +57,7 @@ def main() -> None:
     replace_file(args.out / "motions.json", lambda f: f.write(json.dumps(figures, indent=1).encode()))
     replace_file(args.out / "motions.md", lambda f: f.write(f"{text}\n".encode()))
     if args.write:
-        marked = re.sub(
-            r"(<!-- motions:begin -->\n).*?(<!-- motions:end -->)",
-            lambda m: f"{m[1]}{text}\n{m[2]}",
-            PAGE.read_text(encoding="utf-8"),
-            flags=re.DOTALL,
-        )
-        replace_file(PAGE, lambda f: f.write(marked.encode()))
+        put(PAGE, "motions", text)
 
 
 if __name__ == "__main__":

@@ -13,12 +13,12 @@ Motions of the dog need `fastmimic data fetch`, or FASTMIMIC_DATA.
 import argparse
 import dataclasses
 import json
-import re
 import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from marked import put
 
 import fastmimic as fm
 from fastmimic.control.reference import planar_turned, reference_table
@@ -130,14 +130,7 @@ def main() -> None:
     text = table([run(name, args.iterations, args.out) for name in args.motions])
     print(text)
     if args.write:
-        readme = README.read_text(encoding="utf-8")
-        marked = re.sub(
-            r"(<!-- results:begin -->\n).*?(<!-- results:end -->)",
-            lambda m: f"{m[1]}{text}\n{m[2]}",
-            readme,
-            flags=re.DOTALL,
-        )
-        replace_file(README, lambda f: f.write(marked.encode()))
+        put(README, "results", text)
 
 
 if __name__ == "__main__":

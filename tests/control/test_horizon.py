@@ -462,7 +462,7 @@ def test_a_rollout_logs_how_long_planning_took(robot: Robot, trot: Motion) -> No
 def test_a_robot_trots_on_its_plans(robot: Robot, trot: Motion, rate_hz: float) -> None:
     run = run_episodes(robot, trot, duration_s=3.0, config=lh(rate_hz))
     assert not run.fell[0]
-    assert run.reward[0] > 0.9
+    assert run.reward[0] > 0.97  # without its weights on position 0.89
     assert run.qp_failures[0] == 0
 
 
