@@ -1,12 +1,13 @@
-"""The comparison of docs/comparison.md: the paper's methods on the paper's motions, in full.
+"""The comparisons of docs/comparison.md: the paper's methods on the paper's motions, and what goes beyond them.
 
-    python benchmarks/comparison.py [--out runs/comparison] [--ablations] [--seeds 8] [--write] [-- OPTIONS OF compare]
+    python benchmarks/comparison.py [full|printed|parameters] [--out FOLDER] [--write] [-- OPTIONS OF compare]
     python benchmarks/comparison.py --scaling
 
-Runs `fastmimic compare` with its defaults, goes on where it was interrupted, and with `--write` puts the tables between
-the markers in docs/comparison.md and the figures into docs/images. Motions of the dog need `fastmimic data fetch`, or
-FASTMIMIC_DATA. `--scaling` measures instead what made us choose processes: the same searches by threads of one process,
-and by a process for each core.
+`full` is `fastmimic compare` with its defaults; `printed` a shorter one under the controller as the paper prints it;
+`parameters` opens more of the DMPs to the optimiser than the paper does. Each goes on where it was interrupted. With
+`--write` the tables go between the markers in docs/comparison.md and the figures into docs/images. Motions of the dog
+need `fastmimic data fetch`, or FASTMIMIC_DATA. `--scaling` measures instead what made us choose processes: the same
+searches by threads of one process, and by a process for each core.
 """
 
 import argparse
@@ -26,22 +27,37 @@ from fastmimic.optimize.problem import available_cores
 from fastmimic.report.comparison_folder import ENVIRONMENT
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
-TABLES = {"comparison": "table.md", "ablations": "ablations.md"}
-FIGURES = {
-    "comparison.png": "comparison.png",
-    "tracking.png": "comparison-tracking.png",
-    "ablations.png": "ablations.png",
+FILES = {  # of each comparison: what goes between which markers, and which figure is which image
+    "full": (
+        {"comparison": "table.md", "ablations": "ablations.md"},
+        {
+            "comparison.png": "comparison.png",
+            "tracking.png": "comparison-tracking.png",
+            "ablations.png": "ablations.png",
+        },
+    ),
+    "printed": ({"printed": "table.md"}, {"comparison.png": "comparison-printed.png"}),
+    "parameters": ({"parameters": "table.md"}, {}),
+}
+OPTIONS = {
+    "full": (),
+    "printed": ("--config", "paper", "--seeds", "2", "--iterations", "60"),
+    "parameters": (
+        *("--methods", "mbc", "mbc-dmp", "mbc-dmp-path", "mbc-dmp-body"),
+        *("--motions", "dog:trot", "dog:left-turn", "dog:canter", "bound"),
+        *("--seeds", "1", "--iterations", "100"),
+    ),
 }
 SEARCH = {"iterations": 10, "population": 10, "duration_s": 5.0}
 
 
-def write(out: Path) -> None:
+def write(which: str, out: Path) -> None:
     """Puts the tables and figures of a finished comparison into the documentation."""
-    page = DOCS / "comparison.md"
-    for mark, name in TABLES.items():
+    tables, figures = FILES[which]
+    for mark, name in tables.items():
         if (out / name).is_file():
-            put(page, mark, (out / name).read_text(encoding="utf-8").strip())
-    for name, image in FIGURES.items():
+            put(DOCS / "comparison.md", mark, (out / name).read_text(encoding="utf-8").strip())
+    for name, image in figures.items():
         if (out / name).is_file():
             shutil.copyfile(out / name, DOCS / "images" / image)
 
@@ -72,9 +88,8 @@ def scaling() -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("runs/comparison"))
-    parser.add_argument("--ablations", action="store_true")
-    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("which", nargs="?", choices=OPTIONS, default="full")
+    parser.add_argument("--out", type=Path, help="by default runs/comparison-WHICH")
     parser.add_argument("--write", action="store_true", help="put tables and figures into docs/")
     parser.add_argument("--scaling", action="store_true", help="measure threads against processes instead")
     parser.add_argument("options", nargs="*", help="passed on to compare, after --")
@@ -82,12 +97,12 @@ def main() -> None:
     if args.scaling:
         scaling()
         return
-    options = ["--out", str(args.out), "--seeds", str(args.seeds), *args.options]
-    options += ["--ablations"] if args.ablations else []
-    options += ["--resume"] if (args.out / ENVIRONMENT).is_file() else []
+    out = args.out if args.out is not None else Path("runs") / f"comparison-{args.which}"
+    options = ["--out", str(out), *OPTIONS[args.which], *args.options]
+    options += ["--resume"] if (out / ENVIRONMENT).is_file() else []
     status = fastmimic(["compare", *options])
     if status == 0 and args.write:
-        write(args.out)
+        write(args.which, out)
     sys.exit(status)
 
 

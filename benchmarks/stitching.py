@@ -1,11 +1,12 @@
 """The paper's four stitched motions, built-in and recorded, on the A1: reward of each segment, and who fell.
 
     python benchmarks/stitching.py [--combos pace+trot …] [--out runs/stitching] [--iterations 200]
-                                   [--part-iterations 200]
+                                   [--part-iterations 200] [--write]
 
 Each motion is optimised by itself once, then the segments of each stitched motion together. Then the result runs from
 eight perturbed starts. What is finished is kept in `--out` and not run again. Motions of the dog need
-`fastmimic data fetch`, or FASTMIMIC_DATA; without them their rows are left out.
+`fastmimic data fetch`, or FASTMIMIC_DATA; without them their rows are left out. `--write` puts the table between the
+markers in docs/method.md.
 """
 
 import argparse
@@ -13,6 +14,8 @@ import json
 import sys
 from pathlib import Path
 from typing import Any
+
+from marked import put
 
 import fastmimic as fm
 from fastmimic.errors import DataError
@@ -31,6 +34,7 @@ COMBOS = (
     "dog:trot+anim:side-steps+backward-trot",
 )
 EPISODES = 8
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "method.md"
 
 
 def part(name: str, iterations: int, out: Path) -> fm.Motion:
@@ -87,6 +91,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/stitching"))
     parser.add_argument("--iterations", type=int, default=200)
     parser.add_argument("--part-iterations", type=int, default=200)
+    parser.add_argument("--write", action="store_true", help="put the table into docs/method.md")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     available = {row.name for row in describe() if row.available}
@@ -100,7 +105,11 @@ def main() -> None:
         print(table(rows[-1:]).splitlines()[-1], file=sys.stderr, flush=True)
     if not rows:
         raise DataError("no motion of these is available; fetch the data with 'fastmimic data fetch'")
-    print(table(rows))
+    how = f"A1, {args.part_iterations} iterations for each motion by itself and {args.iterations} for the whole."
+    text = f"{table(rows)}\n\n{how}"
+    print(text)
+    if args.write:
+        put(PAGE, "stitching", text)
 
 
 if __name__ == "__main__":

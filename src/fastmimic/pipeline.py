@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.errors import ConfigError, MotionError
+from fastmimic.imitation.observer import EstimationErrors
 from fastmimic.imitation.reward import TERMS
-from fastmimic.imitation.rollout import Rollout, perturbed_start, run_episodes, swing_clearance
-from fastmimic.methods import Method, method_named
+from fastmimic.imitation.rollout import MakeController, Rollout, perturbed_start, run_episodes, swing_clearance
+from fastmimic.methods import RL, Method, check_controller, controller_for, made_with, method_named
 from fastmimic.motion.catalogue import open_clip
 from fastmimic.motion.clip import Clip
 from fastmimic.motion.formats import detect_format
@@ -27,6 +28,7 @@ from fastmimic.optimize.problem import Objective, Parameter
 from fastmimic.optimize.stitching import make_problem
 from fastmimic.primitive.rhythmic import N_BASIS
 from fastmimic.robot import Robot, load_robot
+from fastmimic.simulation.conditions import Conditions
 
 Array = NDArray[np.float64]
 
@@ -193,6 +195,7 @@ def imitate(
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
     n_basis: int = N_BASIS,
+    controller: MakeController | None = None,
     **overrides: Any,
 ) -> Imitation:
     """Turns a motion into one that the robot can execute: retarget, fit DMPs, optimise with the robot in the loop.
@@ -209,12 +212,14 @@ def imitate(
         checkpoint, resume: as in `optimize`.
         progress: called after each iteration.
         n_basis: basis functions of each DMP.
+        controller: of a trained policy, as in `evaluate`; for the method rl, which optimises nothing.
         overrides: as in `load_motion`.
 
     Raises:
         FastMimicError: something is wrong with what was given; the message says what.
     """
     chosen = method_named(method)
+    check_controller(chosen, controller is not None)
     robot = load_robot(robot)
     config = _configured(chosen, config)
     settings = CmaSettings(iterations, population, seed)
@@ -224,7 +229,7 @@ def imitate(
     if demonstration.parts:
         duration_s = (demonstration.n_samples - 1) / demonstration.rate_hz
     objective = Objective(duration_s=duration_s)
-    before = run_episodes(robot, demonstration, duration_s=duration_s, config=config, log=True)
+    before = run_episodes(robot, demonstration, duration_s=duration_s, config=config, log=True, controller=controller)
     if not chosen.optimises:
         return Imitation(
             motion=demonstration,
@@ -244,10 +249,18 @@ def imitate(
             wall_s=time.perf_counter() - began,
             interrupted=False,
         )
-    problem = make_problem(robot, given, objective=objective, config=config, workers=workers, n_basis=n_basis)
+    problem = make_problem(
+        robot,
+        given,
+        objective=objective,
+        config=config,
+        group=chosen.parameters,
+        workers=workers,
+        n_basis=n_basis,
+    )
     prepared = time.perf_counter() - began
     optimum = optimize(problem, settings, checkpoint=checkpoint, resume=resume, progress=progress)
-    motion = problem.motion(optimum.x)
+    motion = made_with(problem.motion(optimum.x), method, config)
     after = run_episodes(robot, motion, duration_s=duration_s, config=config, log=True)
     return Imitation(
         motion=motion,
@@ -271,16 +284,27 @@ def imitate(
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """A motion's worth over several episodes."""
+    """A motion's worth over several episodes.
+
+    Attributes:
+        motion: what was run.
+        rollout: its episodes.
+        method: one of `fastmimic.methods.METHODS`: whose controller ran it.
+        config: the controller's parameters, as the method has them.
+    """
 
     motion: Motion
     rollout: Rollout
+    method: str
+    config: ControllerConfig
 
     def as_dict(self) -> dict[str, Any]:
         """Figures over all episodes; means over legs and episodes where there are several."""
         r = self.rollout
         return {
             "motion": self.motion.name,
+            "method": self.method,
+            "config": self.config.name,
             "episodes": len(r.reward),
             "duration_s": r.duration_s,
             "reward_mean": float(r.reward.mean()),
@@ -293,7 +317,20 @@ class Evaluation:
             "stance_slip_m": float(r.slip.mean()),
             "foot_z_rmse_m": _rms(r.foot_rmse[..., 2]),
             "foot_x_rmse_m": _rms(r.foot_rmse[..., 0]),
+            **(_estimation_figures(r.estimation) if r.estimation is not None else {}),
         }
+
+
+def _estimation_figures(errors: EstimationErrors) -> dict[str, float | None]:
+    """Root mean squares over the episodes, and the mean drift of those that travelled; None if none did."""
+    drift = errors.position_drift[np.isfinite(errors.position_drift)]
+    return {
+        "estimate_drift_percent": float(drift.mean()) if len(drift) else None,
+        "estimate_velocity_rmse_m_per_s": _rms(errors.velocity_rmse),
+        "estimate_height_rmse_m": _rms(errors.height_rmse),
+        "estimate_tilt_rmse_rad": _rms(errors.tilt_rmse),
+        "estimate_heading_error_rad": _rms(errors.heading_error),
+    }
 
 
 def evaluate(
@@ -303,9 +340,11 @@ def evaluate(
     episodes: int = 1,
     duration_s: float | None = None,
     seed: int = 0,
-    method: str = "mbc",
-    config: ControllerConfig | str = "default",
+    method: str | None = None,
+    config: ControllerConfig | str | None = None,
     log: bool = False,
+    conditions: Conditions | None = None,
+    controller: MakeController | None = None,
     **overrides: Any,
 ) -> Evaluation:
     """Runs episodes of a motion and scores them against its demonstration.
@@ -319,9 +358,11 @@ def evaluate(
         episodes: how many.
         duration_s: of each, s; if None 10 s, or the whole of a motion that does not repeat.
         seed: of the perturbations.
-        method, config: whose controller, and its parameters. Of the `method` only its controller counts: the motion is
-            run as it is.
+        method, config: whose controller, and its parameters; if None those with which the motion was optimised, or mbc
+            and "default" for others. Of the `method` only its controller counts: the motion is run as it is.
         log: whether to keep the whole course.
+        conditions: what the robot meets and what its controller sees.
+        controller: of a trained policy (`fastmimic.learning.controller.controlled_by`), which makes the method rl.
 
     Raises:
         FastMimicError: something is wrong with what was given.
@@ -332,16 +373,28 @@ def evaluate(
         raise ConfigError(f"the duration must be positive, found {duration_s}")
     if seed < 0:
         raise ConfigError(f"seed must not be negative, found {seed}")
-    config = _configured(method_named(method), config)
     robot = load_robot(robot)
     motion = load_motion(source, robot, **overrides)
+    chosen, config = controller_for(motion, RL if method is None and controller is not None else method, config)
+    check_controller(chosen, controller is not None)
+    if chosen.learned:  # a policy imitates the demonstration, whatever was optimised for another controller
+        motion = motion.target
     duration_s = duration_s if duration_s is not None else default_duration(motion, EVALUATION_S)
     room = motion.n_samples
     if motion.cycle is None:
         room = max(1, room - math.ceil(duration_s * motion.rate_hz - 1e-9))
     start = perturbed_start(episodes, room, np.random.default_rng(seed))
-    rollout = run_episodes(robot, motion, start=start, duration_s=duration_s, config=config, log=log)
-    return Evaluation(motion, rollout)
+    rollout = run_episodes(
+        robot,
+        motion,
+        start=start,
+        duration_s=duration_s,
+        config=config,
+        log=log,
+        conditions=conditions,
+        controller=controller,
+    )
+    return Evaluation(motion, rollout, chosen.name, config)
 
 
 def default_duration(motion: Motion, seconds: float) -> float:

@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.errors import CheckpointError, ConfigError, MotionError, OutputError
 from fastmimic.imitation.rollout import Rollout, run_episodes
-from fastmimic.methods import method_named
+from fastmimic.methods import check_controller, made_with, method_named
 from fastmimic.motion.catalogue import motion_names
 from fastmimic.motion.clip import Clip
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.stitch import stitch_motions
 from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.optimize.cma_es import CmaSettings, Progress
-from fastmimic.optimize.stitching import StitchedProblem, parameters_of
+from fastmimic.optimize.problem import FOOT_HEIGHT
+from fastmimic.optimize.stitching import StitchedProblem, needed_group, parameters_of
 from fastmimic.pipeline import Imitation, imitate, load_motion
 from fastmimic.robot import Robot, load_robot
 
@@ -109,6 +110,7 @@ def stitch(
     """
     began = time.perf_counter()
     chosen = method_named(method)
+    check_controller(chosen, False)
     robot = load_robot(robot)
     config = chosen.configure(controller_config(config) if isinstance(config, str) else config)
     for generations in (iterations, part_iterations):  # refuses what cannot be, before anything takes long
@@ -140,12 +142,16 @@ def stitch(
                 "progress": progress,
             }
             parts = _optimised_parts(motions, robot, part_iterations, checkpoints, resume, settings, say)
-        starts = [parts.values.get(id(m)) for m in motions]
+        found = [parts.values.get(id(m)) for m in motions]
+        starts = [parameters_of(m) if own is None else own for m, own in zip(motions, found, strict=True)]
         whole = StitchedProblem(
             robot,
             demonstration,
-            start=[parameters_of(m, robot) if x is None else x for m, x in zip(motions, starts, strict=True)],
+            start=starts,
             config=config,
+            group=needed_group(
+                chosen.parameters if chosen.optimises else FOOT_HEIGHT, starts, motions[0].target, robot
+            ),
         )
         given = whole.motion(whole.start)
     if chosen.optimises and whole is not None:
@@ -174,7 +180,7 @@ def stitch(
         individual = run_episodes(robot, given, duration_s=result.duration_s, config=config, log=not chosen.optimises)
         own["simulated_s"] += result.duration_s
         if not chosen.optimises:
-            own |= {"motion": given, "before": individual, "after": individual}
+            own |= {"motion": made_with(given, method, config), "before": individual, "after": individual}
             own |= {"parameters": whole.parameters, "values": whole.start}
     own["evaluations"] += parts.evaluations
     own["simulated_s"] += parts.simulated_s
@@ -225,12 +231,12 @@ class _Parts:
     """What came of the motions by themselves.
 
     Attributes:
-        values: parameters (k,) by the motion's id.
+        values: each motion's parameters by name, by its id.
         evaluations, simulated_s, wall_s: summed, as in `Imitation`.
         passed_s: time that passed meanwhile, s.
     """
 
-    values: dict[int, Array]
+    values: dict[int, dict[str, float]]
     evaluations: int
     simulated_s: float
     wall_s: float
@@ -270,7 +276,7 @@ def _optimised_parts(
             found = imitate(motion, robot, checkpoint=path, resume=again, **{**settings, "iterations": count})
             if found.interrupted:
                 raise KeyboardInterrupt
-            out.values[id(motion)] = found.values
+            out.values[id(motion)] = {p.name: float(v) for p, v in zip(found.parameters, found.values, strict=True)}
             out.evaluations += found.evaluations
             out.simulated_s += found.simulated_s
             out.wall_s += found.wall_s

@@ -101,6 +101,20 @@ def test_ctrl_c_stops_all_processes_and_says_how_to_go_on(start: Start, in_folde
     assert {path.name for path in (in_folder / "run").glob("*.png")} == {"comparison.png"}
 
 
+def test_a_run_that_fails_leaves_tables_of_the_others(run: Run, in_folder: Path) -> None:
+    arguments = ("compare", "--motions", "trot", "--methods", "mbc", "mbc-dmp", *TINY, "--workers", "1")
+    checkpoint = in_folder / "runs" / "comparison" / "runs" / "trot-mbc-dmp-seed0" / "checkpoint.npz"
+    assert run(*arguments, "--methods", "mbc").status == 0
+    checkpoint.parent.mkdir()
+    checkpoint.write_bytes(b"damaged")
+    failed = run(*arguments, "--resume")
+    assert failed.status == 2
+    assert f"{checkpoint.relative_to(in_folder)}: " in failed.err.splitlines()[-1]
+    assert "**Unfinished: 1 of 2 runs.**" in (in_folder / "runs" / "comparison" / "table.md").read_text()
+    checkpoint.unlink()
+    assert run(*arguments, "--resume").status == 0
+
+
 def alive(pid: int) -> bool:
     """Whether a process runs still; what has ended but was not waited for does not."""
     try:

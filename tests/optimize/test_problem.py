@@ -9,10 +9,11 @@ import pytest
 from control.motions import gait
 from fastmimic.control.config import default_config
 from fastmimic.control.reference import reference_table
+from fastmimic.conventions import LEGS
 from fastmimic.errors import ConfigError
 from fastmimic.imitation.rollout import Rollout, nominal_start, perturbed_start, run_episodes, swing_clearance
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.problem import ImitationProblem, Objective, Parameter
+from fastmimic.optimize.problem import PARAMETER_GROUPS, ImitationProblem, Objective, Parameter
 from fastmimic.primitive import MotionDmp
 from fastmimic.robot import Robot, load_robot
 
@@ -54,6 +55,49 @@ class TestParameters:
             Parameter("FR_foot_z.goal", "m", 0.0, 1.0, 2.0)
         with pytest.raises(ConfigError, match="is not within"):
             Parameter("FR_foot_z.goal", "m", 1.0, 0.0, 0.5)
+
+
+class TestGroups:
+    """More of the 24 dimensions than the paper moves."""
+
+    @pytest.fixture(params=["foot-path", "feet-and-trunk"])
+    def wide(self, request: pytest.FixtureRequest, robot: Robot, demonstration: Motion, dmp: MotionDmp) -> object:
+        return ImitationProblem(robot, demonstration, dmp, group=request.param, workers=1)
+
+    def test_each_holds_the_one_before(self, dmp: MotionDmp) -> None:
+        names = [{p.name for p in parameters(dmp)} for parameters in PARAMETER_GROUPS.values()]
+        assert [len(group) for group in names] == [8, 24, 26]
+        assert names[0] < names[1] < names[2]
+
+    def test_candidates_are_the_motions_that_they_stand_for(self, wide: ImitationProblem, robot: Robot) -> None:
+        x = candidates(wide, 2)
+        tables = wide.tables(x)
+        for i in range(2):
+            expected = reference_table(wide.motion(x[i]), robot)
+            for name in tables.dtype.names or ():
+                np.testing.assert_allclose(tables[i][name], expected[name], rtol=0, atol=1e-9, err_msg=name)
+
+    def test_every_parameter_moves_what_it_is_called_after(self, wide: ImitationProblem) -> None:
+        changed = np.repeat(wide.initial[None], len(wide.parameters) + 1, axis=0)
+        for i, (low, high) in enumerate(zip(*wide.bounds, strict=True)):
+            changed[i, i] += 0.2 * (high - low)
+        *tables, original = wide.tables(changed)
+        for parameter, table in zip(wide.parameters, tables, strict=True):
+            what, kind = parameter.name.split(".")
+            if what == "root_z":
+                np.testing.assert_allclose(table["root_pos"] - original["root_pos"], [[0, 0, 0.012]] * len(table))
+            elif what == "root_pitch":
+                assert np.abs(table["root_quat"] - original["root_quat"])[:, 2].min() > 0.01
+            else:
+                leg, axis = LEGS.index(what[:2]), "xyz".index(what[-1])
+                moved = np.abs(table["foot_pos"] - original["foot_pos"])
+                assert moved[:, leg, axis].max() > (0.01 if kind == "goal" else 1e-4)
+                moved[:, leg, axis] = 0
+                assert moved.max() < 1e-9
+
+    def test_an_unknown_one_is_refused(self, robot: Robot, demonstration: Motion, dmp: MotionDmp) -> None:
+        with pytest.raises(ConfigError, match="unknown parameters 'feet'; there are foot-height, foot-path, feet-and"):
+            ImitationProblem(robot, demonstration, dmp, group="feet")
 
 
 class TestReferences:

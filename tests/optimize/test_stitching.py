@@ -17,7 +17,13 @@ from fastmimic.motion.stitch_layout import Layout
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.cma_es import CmaSettings, optimize
 from fastmimic.optimize.problem import ImitationProblem, Problem, clearance_penalty
-from fastmimic.optimize.stitching import StitchedProblem, make_problem, parameters_of, segment_clearance
+from fastmimic.optimize.stitching import (
+    StitchedProblem,
+    make_problem,
+    needed_group,
+    parameters_of,
+    segment_clearance,
+)
 from fastmimic.primitive import MotionDmp
 from fastmimic.robot import Robot
 
@@ -51,6 +57,14 @@ def candidates(problem: Problem, n: int, seed: int = 0) -> np.ndarray:
     return lower + np.random.default_rng(seed).uniform(0.3, 0.7, (n, len(lower))) * (upper - lower)
 
 
+def named(problem: StitchedProblem, x: np.ndarray) -> list[dict[str, float]]:
+    """Each segment's parameters by name."""
+    return [
+        {p.name: float(v) for p, v in zip(segment.parameters, own, strict=True)}
+        for segment, own in zip(problem.segments, problem.of_segments(x), strict=True)
+    ]
+
+
 class TestParameters:
     def test_each_segment_has_its_own(self, whole: StitchedProblem) -> None:
         assert len(whole.parameters) == 2 * LEGS_Z
@@ -64,15 +78,22 @@ class TestParameters:
 
     def test_the_search_begins_where_it_is_told(self, make: Callable[..., StitchedProblem]) -> None:
         x = candidates(make(), 1)[0]
-        np.testing.assert_array_equal(make(start=[x[:LEGS_Z], x[LEGS_Z:]]).start, x)
+        np.testing.assert_array_equal(make(start=named(make(), x)).start, x)
         np.testing.assert_array_equal(make().start, make().initial)
         _, upper = make().bounds
-        np.testing.assert_array_equal(make(start=[upper[:LEGS_Z] + 1, upper[LEGS_Z:] + 1]).start, upper)
-        assert make(start=[x[:LEGS_Z], x[LEGS_Z:]]).identity != make().identity
+        np.testing.assert_array_equal(make(start=named(make(), upper + 1)).start, upper)
+        assert make(start=named(make(), x)).identity != make().identity
 
-    def test_a_start_of_another_size(self, make: Callable[..., StitchedProblem]) -> None:
-        with pytest.raises(ConfigError, match="the start has 3 values; expected 16"):
-            make(start=[np.zeros(3)])
+    def test_a_start_of_something_else(self, make: Callable[..., StitchedProblem]) -> None:
+        with pytest.raises(ConfigError, match="the start is of 1 segments; the motion has 2"):
+            make(start=[{}])
+        with pytest.raises(ConfigError, match=r"names 2:.*/FR_foot_x.goal, which is not optimised here"):
+            make(start=[{}, {"FR_foot_x.goal": 0.1}])
+
+    def test_a_group_opens_more_of_each_segment(self, make: Callable[..., StitchedProblem]) -> None:
+        assert len(make(group="foot-path").parameters) == 2 * 24
+        with pytest.raises(ConfigError, match=r"unknown parameters 'foot-paths'; .*did you mean 'foot-path'"):
+            make(group="foot-paths")
 
 
 class TestReferences:
@@ -200,7 +221,7 @@ def test_the_start_is_a_candidate_for_the_result(
 ) -> None:
     """Even if the search finds nothing."""
     x = candidates(make(), 1)[0]
-    problem = make(start=[x[:LEGS_Z], x[LEGS_Z:]])
+    problem = make(start=named(make(), x))
     wanted = problem.tables(x[None])[0].tobytes()
 
     def scores(rows: np.ndarray) -> np.ndarray:
@@ -218,8 +239,24 @@ class TestParametersOf:
         part = stitched.parts[0]
         problem = ImitationProblem(robot, part, MotionDmp.fit(part, robot), workers=1)
         x = candidates(problem, 1)[0]
-        np.testing.assert_allclose(parameters_of(problem.motion(x), robot), x)
-        np.testing.assert_array_equal(parameters_of(part, robot), problem.initial)
+        assert parameters_of(problem.motion(x)) == {p.name: v for p, v in zip(problem.parameters, x, strict=True)}
+        assert parameters_of(part) == {}
+
+    def test_what_the_motion_was_optimised_by_is_kept_whatever_is_optimised_now(
+        self, robot: Robot, stitched: Motion
+    ) -> None:
+        part = stitched.parts[0]
+        dmp = MotionDmp.fit(part, robot)
+        problem = ImitationProblem(robot, part, dmp, group="foot-path", workers=1)
+        own = parameters_of(problem.motion(candidates(problem, 1)[0]))
+        assert needed_group("foot-height", [own, {}], part, robot) == "foot-path"
+        assert needed_group("feet-and-trunk", [own, {}], part, robot) == "feet-and-trunk"
+        assert needed_group("foot-height", [{}], part, robot) == "foot-height"
+        whole = StitchedProblem(robot, stitched, start=[own, {}], group="foot-path", workers=1)
+        again = make_problem(robot, whole.motion(whole.start), workers=1)
+        np.testing.assert_array_equal(again.start, whole.start)
+        with pytest.raises(MotionError, match=r"moves root_vx.goal, which no method optimises"):
+            needed_group("foot-height", [{"root_vx.goal": 0.1}], part, robot)
 
     def test_damaged(self, robot: Robot, stitched: Motion) -> None:
         part = stitched.parts[0]
@@ -227,7 +264,7 @@ class TestParametersOf:
         motion = problem.motion(problem.initial)
         broken = dataclasses.replace(motion, meta={**motion.meta, "dmp": {"names": motion.meta["dmp"]["names"]}})
         with pytest.raises(MotionError, match="the DMP parameters in its 'meta' are damaged"):
-            parameters_of(broken, robot)
+            parameters_of(broken)
 
 
 def test_a_motion_that_neither_repeats_nor_is_stitched(robot: Robot, stitched: Motion) -> None:

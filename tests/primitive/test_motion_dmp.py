@@ -143,17 +143,18 @@ def test_joints_feet_and_joint_velocities_are_consistent_and_periodic(dmp: Motio
 @pytest.mark.nojit
 def test_the_foot_table_is_what_the_motions_contain(dmp: MotionDmp) -> None:
     generator = np.random.default_rng(0)
-    goal_z = dmp.goal[list(FOOT_Z)] + generator.uniform(-0.02, 0.02, (5, 4))
-    amplitude_z = generator.uniform(0.5, 1.5, (5, 4))
-    table = dmp.foot_table(goal_z, amplitude_z)
+    goals = dmp.goal + generator.uniform(-0.02, 0.02, (5, 24))
+    amplitudes = generator.uniform(0.7, 1.3, (5, 24))
+    table = dmp.foot_table(goals, amplitudes)
     assert table.foot_pos_b.shape == (5, dmp.fitted.n_samples, 4, 3)
     for i in range(5):
-        goal, amplitude = dmp.goal, dmp.amplitude
-        goal[list(FOOT_Z)], amplitude[list(FOOT_Z)] = goal_z[i], amplitude_z[i]
-        made = dmp.motion(goal, amplitude)
+        made = dmp.motion(goals[i], amplitudes[i])
         np.testing.assert_array_equal(table.foot_pos_b[i], made.foot_pos_b)
         np.testing.assert_array_equal(table.joint_pos[i], made.joint_pos)
         np.testing.assert_array_equal(table.joint_vel[i], made.joint_vel)
+        root = (made.root_pos_w, made.root_quat_wxyz, made.root_lin_vel_w, made.root_ang_vel_w)
+        for own, of_motion in zip(dmp.root(goals[i], amplitudes[i]), root, strict=True):
+            np.testing.assert_array_equal(own, of_motion)
 
 
 @pytest.mark.nojit
@@ -205,5 +206,5 @@ def test_parameters_of_another_shape_are_refused(dmp: MotionDmp, goal: np.ndarra
 
 
 def test_a_table_of_another_shape_is_refused(dmp: MotionDmp) -> None:
-    with pytest.raises(MotionError, match=r"amplitude_z has shape \(3, 4\); expected \(2, 4\)"):
-        dmp.foot_table(np.zeros((2, 4)), np.zeros((3, 4)))
+    with pytest.raises(MotionError, match=r"amplitude has shape \(3, 24\); expected \(2, 24\)"):
+        dmp.foot_table(np.zeros((2, 24)), np.zeros((3, 24)))

@@ -37,7 +37,10 @@ class Compare:
     builtin: bool = False
     """The built-in trot, pace, turn and side-step instead, which need no data."""
     methods: Annotated[tuple[str, ...] | None, arg(metavar="METHOD ...")] = None
-    """By default all: raibert, mbc, lh, mbc-dmp, lh-dmp."""
+    """By default raibert, mbc, lh, mbc-dmp, lh-dmp, and rl if policies are given."""
+    policy: Annotated[tuple[Path, ...], arg(metavar="FILE|FOLDER ...")] = ()
+    """Trained policies for the method rl (policy.npz of 'fastmimic train'), one or more for each motion, or folders
+    that hold them."""
     seeds: int = 8
     """Of CMA-ES, 0 to SEEDS - 1. Methods that optimise nothing are deterministic and run once."""
     ablations: bool = False
@@ -84,7 +87,7 @@ class Compare:
             try:
                 with _progress(total) as report:
                     rows = prepared.perform(workers, report)
-            except KeyboardInterrupt:
+            except (KeyboardInterrupt, FastMimicError):
                 if folder.begun:
                     _leave(folder, prepared)
                 raise
@@ -95,9 +98,9 @@ class Compare:
         return 0
 
     def _plan(self) -> "Plan":
-        from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, Plan
+        from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, Plan, choose_policies
         from fastmimic.experiments.runs import EVALUATION_S, Settings
-        from fastmimic.methods import METHODS
+        from fastmimic.methods import METHODS, RL
         from fastmimic.robot import ROBOT_NAMES
 
         if self.builtin and self.motions is not None:
@@ -113,17 +116,18 @@ class Compare:
         )
         default = BUILT_IN_MOTIONS if self.builtin else PAPER_MOTIONS
         motions = self.motions if self.motions is not None else default
-        methods = self.methods if self.methods is not None else tuple(METHODS)
-        return Plan(settings, motions, methods, self.seeds, self.ablations)
+        methods = self.methods if self.methods is not None else (*METHODS, *([RL] if self.policy else []))
+        policies = choose_policies(self.policy, motions) if self.policy else ()
+        return Plan(settings, motions, methods, self.seeds, self.ablations, policies)
 
 
 def _leave(folder: "ComparisonFolder", prepared: "Prepared") -> None:
-    """Writes what an interrupted comparison has so far, and says how to go on."""
+    """Writes what an interrupted comparison, or one with a run that failed, has so far, and says how to go on."""
     try:
         rows = prepared.finished()
         if rows or prepared.kept:
             folder.write(prepared.plan, rows, prepared.kept)
-    except FastMimicError as error:  # the interruption is what is reported
+    except FastMimicError as error:  # the interruption, or the run's failure, is what is reported
         note(f"tables of what is finished could not be written: {error}")
     note("what is finished is kept; the same command with --resume goes on")
 
@@ -133,12 +137,12 @@ def _environment(plan: "Plan", workers: int, kept: "Sequence[Row]") -> dict[str,
     from fastmimic.control.config import controller_config
     from fastmimic.experiments.ablations import ABLATIONS, ablation_named
     from fastmimic.experiments.runs import run_of
-    from fastmimic.methods import METHODS, method_named
+    from fastmimic.methods import ALL_METHODS, method_named
     from fastmimic.pipeline import versions
 
     config = controller_config(plan.settings.config)
     runs = [*(run_of(row) for row in kept), *plan.runs]
-    methods = [name for name in METHODS if any(run.method == name for run in runs)]
+    methods = [name for name in ALL_METHODS if any(run.method == name for run in runs)]
     variants = [name for name in ABLATIONS if any(run.variant == name for run in runs)]
     return {
         "settings": asdict(plan.settings),
@@ -146,6 +150,7 @@ def _environment(plan: "Plan", workers: int, kept: "Sequence[Row]") -> dict[str,
         "methods": methods,
         "seeds": max(run.seed for run in runs) + 1,
         "ablations": variants,
+        **({"policies": {str(p.run): str(p.file) for p in plan.policies}} if plan.policies else {}),
         "workers": workers,
         "machine": {
             "system": platform.platform(),

@@ -75,18 +75,12 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
     """
     origin = motion.target  # a reference and its demonstration share one frame
     yaw0 = float(yaw_from_quat(origin.root_quat_wxyz[0]))
-    unturn = quat_from_yaw(-yaw0)
     dt = motion.dt
-    turn = 0.0 if motion.cycle is None else float(motion.cycle[2])
     periodic = motion.cycle is not None
 
     table = np.zeros(motion.n_samples, SAMPLE)
-    position = motion.root_pos_w - np.array([*origin.root_pos_w[0, :2], 0.0])
-    table["root_pos"] = planar_turned(position, -yaw0)
-    table["root_quat"] = quat_continuous(quat_multiply(unturn[None], motion.root_quat_wxyz))
-    for name, velocity in (("lin", motion.root_lin_vel_w), ("ang", motion.root_ang_vel_w)):
-        table[f"{name}_vel"] = planar_turned(velocity, -yaw0)
-        table[f"{name}_acc"] = _difference(table[f"{name}_vel"], dt, turn if periodic else None)
+    root = (motion.root_pos_w, motion.root_quat_wxyz, motion.root_lin_vel_w, motion.root_ang_vel_w)
+    put_root(table, origin, *root)
     table["joint_pos"] = motion.joint_pos
     table["joint_vel"] = motion.joint_vel
     table["joint_acc"] = _difference(motion.joint_vel, dt, 0.0 if periodic else None)
@@ -104,6 +98,28 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
         table["leg_ang_acc"] = planar_turned(angular, -yaw0) - table["ang_acc"]
     table["sync"][origin.cycle_starts] = 1
     return table
+
+
+def put_root(
+    table: NDArray[Any], demonstration: Motion, position: Array, quat: Array, lin_vel: Array, ang_vel: Array
+) -> None:
+    """Puts a root's course into a table (t,) of `SAMPLE`, in the frame of the demonstration's first sample.
+
+    Args:
+        table: of a motion with the demonstration's cycle.
+        demonstration: gives frame, rate and cycle.
+        position: (t, 3) m, world frame.
+        quat: (t, 4) body to world, wxyz.
+        lin_vel: (t, 3) m/s, world frame.
+        ang_vel: (t, 3) rad/s, world frame.
+    """
+    yaw0 = float(yaw_from_quat(demonstration.root_quat_wxyz[0]))
+    turn = None if demonstration.cycle is None else float(demonstration.cycle[2])
+    table["root_pos"] = planar_turned(position - np.array([*demonstration.root_pos_w[0, :2], 0.0]), -yaw0)
+    table["root_quat"] = quat_continuous(quat_multiply(quat_from_yaw(-yaw0)[None], quat))
+    for name, velocity in (("lin", lin_vel), ("ang", ang_vel)):
+        table[f"{name}_vel"] = planar_turned(velocity, -yaw0)
+        table[f"{name}_acc"] = _difference(table[f"{name}_vel"], demonstration.dt, turn)
 
 
 def ground_acceleration(motion: Motion, robot: Robot) -> tuple[Array, Array]:

@@ -1,6 +1,7 @@
 """What is optimised: DMP parameters of a motion, scored by running the robot with its controller.
 
-Paper, §III-C: the baselines g and amplitudes a of the four feet's z move, the weights w (the style) stay. Left to
+Paper, §III-C: the baselines g and amplitudes a of the four feet's z move, the weights w (the style) stay. More of the
+24 dimensions can be opened (`PARAMETER_GROUPS`). Left to
 itself an optimiser lowers the feet, because short lifts disturb the body less; so a candidate whose swing clearance
 falls below a share of the demonstration's is penalised.
 """
@@ -10,7 +11,7 @@ import json
 import math
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -21,12 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.control.config import ControllerConfig, default_config
-from fastmimic.control.reference import reference_table
+from fastmimic.control.reference import put_root, reference_table
 from fastmimic.conventions import LEGS
-from fastmimic.errors import ConfigError
+from fastmimic.errors import ConfigError, MotionError, did_you_mean
 from fastmimic.imitation.rollout import ClosedLoop, Rollout, Start, nominal_start, perturbed_start, swing_clearance
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive import MotionDmp
+from fastmimic.primitive.coordinates import FEET
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot
@@ -36,6 +38,13 @@ Array = NDArray[np.float64]
 GOAL_RANGE: Final = 0.03  # m, each way from the fitted baseline
 _CYCLES: Final = 1.5  # cycles in an episode, for a motion whose cycle is longer than the episode asked for
 AMPLITUDE_RANGE: Final = (0.7, 1.8)
+PLANAR_AMPLITUDE_RANGE: Final = (0.8, 1.2)
+HEIGHT_RANGE: Final = 0.03  # m, of the trunk, likewise
+PITCH_RANGE: Final = 0.1  # rad, likewise
+
+FOOT_HEIGHT: Final = "foot-height"
+FOOT_PATH: Final = "foot-path"
+FEET_AND_TRUNK: Final = "feet-and-trunk"
 
 
 @dataclass(frozen=True)
@@ -44,7 +53,7 @@ class Parameter:
 
     Attributes:
         name: such as `FR_foot_z.goal` or `FR_foot_z.amplitude`.
-        unit: "m" or "1".
+        unit: "m", "rad" or "1".
         lower, upper: bounds.
         initial: value of the unmodulated motion.
     """
@@ -89,6 +98,34 @@ def foot_height_parameters(dmp: MotionDmp) -> tuple[Parameter, ...]:
         goals.append(Parameter(f"{leg}_foot_z.goal", "m", g - GOAL_RANGE, g + GOAL_RANGE, g))
         amplitudes.append(Parameter(f"{leg}_foot_z.amplitude", "1", lower, upper, 1.0))
     return (*goals, *amplitudes)
+
+
+def foot_path_parameters(dmp: MotionDmp) -> tuple[Parameter, ...]:
+    """The paper's eight, and g and a of the feet's x and y: 24."""
+    goals, amplitudes = [], []
+    lower, upper = PLANAR_AMPLITUDE_RANGE
+    for name in (f"{leg}_foot_{axis}" for leg in LEGS for axis in "xy"):
+        g = float(dmp.goal[dmp.index(name)])
+        goals.append(Parameter(f"{name}.goal", "m", g - GOAL_RANGE, g + GOAL_RANGE, g))
+        amplitudes.append(Parameter(f"{name}.amplitude", "1", lower, upper, 1.0))
+    return (*foot_height_parameters(dmp), *goals, *amplitudes)
+
+
+def feet_and_trunk_parameters(dmp: MotionDmp) -> tuple[Parameter, ...]:
+    """The feet's 24, and g of the trunk's height and pitch: 26."""
+    trunk = []
+    for name, unit, each_way in (("root_z", "m", HEIGHT_RANGE), ("root_pitch", "rad", PITCH_RANGE)):
+        g = float(dmp.goal[dmp.index(name)])
+        trunk.append(Parameter(f"{name}.goal", unit, g - each_way, g + each_way, g))
+    return (*foot_path_parameters(dmp), *trunk)
+
+
+PARAMETER_GROUPS: Final = {
+    FOOT_HEIGHT: foot_height_parameters,
+    FOOT_PATH: foot_path_parameters,
+    FEET_AND_TRUNK: feet_and_trunk_parameters,
+}
+"""What of a motion's DMPs can be optimised, by name; each holds all of those before it."""
 
 
 class Problem(ABC):
@@ -213,7 +250,7 @@ class Problem(ABC):
 
 
 class ImitationProblem(Problem):
-    """A cyclic motion's foot height parameters, scored in episodes of its repeated cycle."""
+    """Parameters of a cyclic motion's DMPs, scored in episodes of its repeated cycle."""
 
     def __init__(
         self,
@@ -221,6 +258,7 @@ class ImitationProblem(Problem):
         demonstration: Motion,
         dmp: MotionDmp,
         *,
+        group: str = FOOT_HEIGHT,
         objective: Objective | None = None,
         config: ControllerConfig | None = None,
         workers: int | None = None,
@@ -230,15 +268,16 @@ class ImitationProblem(Problem):
             robot: the robot.
             demonstration: what candidates are scored against.
             dmp: fitted to it.
-            objective: how they are scored.
+            group: what is optimised, one of `PARAMETER_GROUPS`.
+            objective: how candidates are scored.
             config: the controller's.
             workers: threads; one for each core if None.
 
         Raises:
-            ConfigError: fewer than one worker.
+            ConfigError: fewer than one worker, or no such group.
         """
         objective = objective if objective is not None else Objective()
-        parameters = foot_height_parameters(dmp)
+        parameters = parameters_of_group(group, dmp)
         super().__init__(robot, demonstration, parameters, objective=objective, config=config, workers=workers)
         self.dmp = dmp
         self._steps = max(1, math.ceil(self.objective.duration_s * self.config.rate_hz - 1e-9))
@@ -246,6 +285,9 @@ class ImitationProblem(Problem):
             self._steps = math.ceil(_CYCLES * demonstration.n_samples)
         self._clearance = swing_clearance(demonstration, robot.foot_radius)
         self._base = reference_table(dmp.motion(), robot)
+        self._goals = {i: dmp.index(name) for i, name in self._moved("goal")}
+        self._amplitudes = {i: dmp.index(name) for i, name in self._moved("amplitude")}
+        self._moves_root = min((*self._goals.values(), *self._amplitudes.values())) < FEET.start
 
     @property
     def steps(self) -> int:
@@ -254,16 +296,17 @@ class ImitationProblem(Problem):
 
     def motion(self, x: Array) -> Motion:
         """The reference of one candidate (k,), carrying the demonstration."""
-        goal, amplitude = self.dmp.goal, self.dmp.amplitude
-        for value, parameter in zip(x, self.parameters, strict=True):
-            dimension, kind = parameter.name.split(".")
-            (goal if kind == "goal" else amplitude)[self.dmp.index(dimension)] = value
-        return self.dmp.motion(goal, amplitude)
+        goal, amplitude = self._modulation(x[None])
+        return self.dmp.motion(goal[0], amplitude[0])
 
     def tables(self, x: Array) -> NDArray[Any]:
         """References of n candidates (n, k) for the controller, (n, t) of `SAMPLE`."""
-        feet = self.dmp.foot_table(x[:, :4], x[:, 4:])
+        goal, amplitude = self._modulation(x)
+        feet = self.dmp.foot_table(goal, amplitude)
         tables = np.repeat(self._base[None], len(x), axis=0)
+        if self._moves_root:
+            for table, g, a in zip(tables, goal, amplitude, strict=True):
+                put_root(table, self.demonstration.target, *self.dmp.root(g, a))
         tables["foot_pos"] = feet.foot_pos_b
         tables["joint_pos"] = feet.joint_pos
         tables["joint_vel"] = feet.joint_vel
@@ -279,6 +322,51 @@ class ImitationProblem(Problem):
         """The first episode from the start, the others at a random phase and perturbed."""
         steps = round(duration_s * self.config.rate_hz)
         return perturbed_start(episodes, self.demonstration.n_samples, rng), steps
+
+    def _moved(self, kind: str) -> list[tuple[int, str]]:
+        """Positions among the parameters and dimensions of all goals, or all amplitudes."""
+        names = [parameter.name.split(".") for parameter in self.parameters]
+        return [(i, dimension) for i, (dimension, of) in enumerate(names) if of == kind]
+
+    def _modulation(self, x: Array) -> tuple[Array, Array]:
+        """Baselines and amplitudes (n, 24) of candidates (n, k)."""
+        goal = np.repeat(self.dmp.goal[None], len(x), axis=0)
+        amplitude = np.repeat(self.dmp.amplitude[None], len(x), axis=0)
+        goal[:, list(self._goals.values())] = x[:, list(self._goals)]
+        amplitude[:, list(self._amplitudes.values())] = x[:, list(self._amplitudes)]
+        return goal, amplitude
+
+
+def widest(*groups: str) -> str:
+    """That of the groups which holds all others."""
+    return max(groups, key=list(PARAMETER_GROUPS).index)
+
+
+def group_of(names: Iterable[str], dmp: MotionDmp) -> str:
+    """The smallest group that holds parameters of these names.
+
+    Raises:
+        MotionError: no group does.
+    """
+    wanted = set(names)
+    for group, parameters in PARAMETER_GROUPS.items():
+        if wanted <= {p.name for p in parameters(dmp)}:
+            return group
+    raise MotionError(f"the motion '{dmp.fitted.name}' moves {', '.join(sorted(wanted))}, which no method optimises")
+
+
+def parameters_of_group(group: str, dmp: MotionDmp) -> tuple[Parameter, ...]:
+    """What is optimised in a group.
+
+    Raises:
+        ConfigError: no such group.
+    """
+    if group not in PARAMETER_GROUPS:
+        raise ConfigError(
+            f"unknown parameters '{group}'; there are {', '.join(PARAMETER_GROUPS)}"
+            f"{did_you_mean(group, PARAMETER_GROUPS)}"
+        )
+    return PARAMETER_GROUPS[group](dmp)
 
 
 def clearance_penalty(objective: Objective, rollout: Rollout, wanted: Array) -> Array:

@@ -21,7 +21,15 @@ from fastmimic.imitation.rollout import Rollout, Start, perturbed_start
 from fastmimic.motion.contacts import stances_of
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.stitch_layout import Layout
-from fastmimic.optimize.problem import ImitationProblem, Objective, Problem, clearance_penalty
+from fastmimic.optimize.problem import (
+    FOOT_HEIGHT,
+    ImitationProblem,
+    Objective,
+    Problem,
+    clearance_penalty,
+    group_of,
+    widest,
+)
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.reach import foot_table
 from fastmimic.primitive.rhythmic import N_BASIS
@@ -52,9 +60,10 @@ class StitchedProblem(Problem):
         robot: "Robot",
         demonstration: Motion,
         *,
-        start: Mapping[str, float] | Sequence[Array] | None = None,
+        start: Mapping[str, float] | Sequence[Mapping[str, float]] | None = None,
         objective: Objective | None = None,
         config: ControllerConfig | None = None,
+        group: str = FOOT_HEIGHT,
         workers: int | None = None,
         n_basis: int = N_BASIS,
     ) -> None:
@@ -62,23 +71,24 @@ class StitchedProblem(Problem):
         Args:
             robot: the robot.
             demonstration: from `stitch_motions`.
-            start: where the search begins, by parameter, or (k_i,) for each segment, within the bounds; the unmodulated
-                motion if None.
+            start: where the search begins, by parameter, or by each segment's own, brought within the bounds; what it
+                does not name, or None, is as in the unmodulated motion.
             objective: how candidates are scored; each segment has the same clearance rule. An episode is the whole
                 motion, whatever the objective's duration.
             config: the controller's.
+            group: what is optimised of each segment, one of `PARAMETER_GROUPS`.
             workers: threads; one for each core if None.
             n_basis: basis functions of each DMP.
 
         Raises:
-            ConfigError: fewer than one worker, or a start of another size.
+            ConfigError: fewer than one worker, no such group, or a start of other parameters.
             MotionError: the motion is not a stitched one.
         """
         self.layout = Layout.of(demonstration)
         objective = replace(objective or Objective(), duration_s=(demonstration.n_samples - 1) / demonstration.rate_hz)
         fits = [MotionDmp.fit(part, robot, n_basis) for part in demonstration.parts]
         self.segments = [
-            ImitationProblem(robot, demonstration.parts[s.part], fits[s.part], config=config, workers=1)
+            ImitationProblem(robot, demonstration.parts[s.part], fits[s.part], group=group, config=config, workers=1)
             for s in self.layout.segments
         ]
         parameters = [
@@ -87,12 +97,16 @@ class StitchedProblem(Problem):
             for p in problem.parameters
         ]
         super().__init__(robot, demonstration, parameters, objective=objective, config=config, workers=workers)
-        if isinstance(start, Mapping):
-            values = np.array([float(start.get(p.name, p.initial)) for p in parameters])
-        else:
-            values = self.initial if start is None else np.concatenate([np.asarray(own) for own in start])
-        if values.shape != (len(parameters),):
-            raise ConfigError(f"the start has {len(values)} values; expected {len(parameters)}")
+        if start is not None and not isinstance(start, Mapping):
+            if len(start) != len(self.segments):
+                raise ConfigError(f"the start is of {len(start)} segments; the motion has {len(self.segments)}")
+            named = zip(self.layout.segments, start, strict=True)
+            start = {f"{i}:{s.name}/{p}": v for i, (s, own) in enumerate(named, start=1) for p, v in own.items()}
+        given = start or {}
+        unknown = sorted(given.keys() - {p.name for p in parameters})
+        if unknown:
+            raise ConfigError(f"the start names {', '.join(unknown)}, which is not optimised here")
+        values = np.array([float(given.get(p.name, p.initial)) for p in parameters])
         self._start = np.clip(values, *self.bounds)
         self.divisions = tuple(s.first for s in self.layout.segments[1:])
         self._table = reference_table(demonstration, robot)
@@ -188,48 +202,58 @@ def make_problem(
     *,
     objective: Objective | None = None,
     config: ControllerConfig | None = None,
+    group: str = FOOT_HEIGHT,
     workers: int | None = None,
     n_basis: int = N_BASIS,
 ) -> Problem:
     """The problem of optimising a motion: of its cycle or, if it is stitched, of its segments from where they are.
 
     Raises:
+        ConfigError: no such group of parameters.
         MotionError: the motion neither repeats nor is a stitched one.
     """
     demonstration = motion.target
     if demonstration.cycle is None and demonstration.parts:
+        own = motion.meta["stitch"].get("parameters") or {}
+        names = {name.rpartition("/")[2]: value for name, value in own.items()}
         return StitchedProblem(
             robot,
             demonstration,
-            start=motion.meta["stitch"].get("parameters"),
+            start=own or None,
             objective=objective,
             config=config,
+            group=needed_group(group, [names], demonstration.parts[0], robot),
             workers=workers,
             n_basis=n_basis,
         )
     dmp = MotionDmp.fit(demonstration, robot, n_basis)
-    return ImitationProblem(robot, demonstration, dmp, objective=objective, config=config, workers=workers)
+    return ImitationProblem(robot, demonstration, dmp, group=group, objective=objective, config=config, workers=workers)
 
 
-def parameters_of(motion: Motion, robot: "Robot") -> Array:
-    """An optimised cyclic motion's parameters (k,) in the problem of its demonstration; the unmodulated ones of others.
+def needed_group(group: str, starts: Sequence[Mapping[str, float]], motion: Motion, robot: "Robot") -> str:
+    """The group itself, or a wider one that holds all parameters of the starts, for motions like `motion`."""
+    dmp = MotionDmp.fit(motion, robot)
+    return widest(group, *(group_of(start, dmp) for start in starts))
+
+
+def parameters_of(motion: Motion) -> dict[str, float]:
+    """An optimised cyclic motion's parameters by name, as far as they differ from the fitted ones; none of others.
 
     Raises:
-        MotionError: the motion does not repeat, or its `meta` cannot be read.
+        MotionError: the motion's `meta` cannot be read, or it modulates what no method optimises.
     """
-    problem = ImitationProblem(robot, motion.target, MotionDmp.fit(motion.target, robot), workers=1)
-    x, dmp = problem.initial, motion.meta.get("dmp")
+    dmp = motion.meta.get("dmp")
     if motion.demonstration is None or dmp is None:
-        return x
+        return {}
+    found = {}
     try:
-        names = list(dmp["names"])
-        for i, parameter in enumerate(problem.parameters):
-            dimension, _, kind = parameter.name.partition(".")
-            if dimension in names and kind in ("goal", "amplitude"):
-                x[i] = float(dmp[kind][names.index(dimension)])
+        for i, name in enumerate(dmp["names"]):
+            for kind, fitted in (("goal", float(dmp["fitted_goal"][i])), ("amplitude", 1.0)):
+                if (value := float(dmp[kind][i])) != fitted:
+                    found[f"{name}.{kind}"] = value
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise MotionError(f"motion '{motion.name}': the DMP parameters in its 'meta' are damaged ({error!r})") from None
-    return np.clip(x, *problem.bounds)
+    return found
 
 
 def segment_clearance(motion: Motion, foot_radius: float, layout: Layout) -> Array:

@@ -101,9 +101,7 @@ class MotionDmp:
         goal = _parameters("goal", self.goal if goal is None else goal, (len(NAMES),))
         amplitude = _parameters("amplitude", self.amplitude if amplitude is None else amplitude, (len(NAMES),))
         y = goal + amplitude * self._shape
-        position, quat, lin_vel, ang_vel = root_from_coordinates(y, self.twist, self.fitted.period_s)
-        if quat[0] @ self.fitted.root_quat_wxyz[0] < 0:  # the same of the two quaternions of a rotation
-            quat = -quat
+        position, quat, lin_vel, ang_vel = self._root(y)
         table = foot_table(self.robot, y[None, :, FEET].reshape(1, -1, 4, 3), self.fitted.rate_hz)
         return Motion(
             rate_hz=self.fitted.rate_hz,
@@ -120,12 +118,12 @@ class MotionDmp:
             demonstration=self.fitted.target,
         )
 
-    def foot_table(self, goal_z: Array, amplitude_z: Array) -> FootTable:
-        """Feet and joints of n candidates that differ in the feet's height, for the optimiser.
+    def foot_table(self, goal: Array, amplitude: Array) -> FootTable:
+        """Feet and joints of n candidates, for the optimiser: as `motion` makes them, all in one compiled call.
 
         Args:
-            goal_z: (n, 4) baselines of the four feet's z, body frame, m.
-            amplitude_z: (n, 4) their amplitudes.
+            goal: (n, 24) baselines g.
+            amplitude: (n, 24) amplitudes a.
 
         Returns:
             As `FootTable`: feet (n, t, 4, 3), joints (n, t, 12), and what was out of reach.
@@ -133,13 +131,31 @@ class MotionDmp:
         Raises:
             MotionError: arrays of another shape, or with a value that is not finite.
         """
-        n = len(np.atleast_2d(goal_z))
-        goal_z = _parameters("goal_z", goal_z, (n, 4))
-        amplitude_z = _parameters("amplitude_z", amplitude_z, (n, 4))
-        shape = self._shape[:, FEET].reshape(-1, 4, 3)
-        feet = np.repeat((self.rhythmic.goal[FEET].reshape(4, 3) + shape)[None], n, axis=0)
-        feet[..., 2] = goal_z[:, None] + amplitude_z[:, None] * shape[..., 2]
-        return foot_table(self.robot, feet, self.fitted.rate_hz)
+        n = len(np.atleast_2d(goal))
+        goal = _parameters("goal", goal, (n, len(NAMES)))[:, None, FEET]
+        amplitude = _parameters("amplitude", amplitude, (n, len(NAMES)))[:, None, FEET]
+        feet = goal + amplitude * self._shape[:, FEET]
+        return foot_table(self.robot, feet.reshape(n, -1, 4, 3), self.fitted.rate_hz)
+
+    def root(self, goal: Array, amplitude: Array) -> tuple[Array, Array, Array, Array]:
+        """The root of a candidate: world position (t, 3), quaternion (t, 4), linear and angular velocity (t, 3), SI.
+
+        Args:
+            goal: (24,) baselines g.
+            amplitude: (24,) amplitudes a.
+
+        Raises:
+            MotionError: arrays of another shape, or with a value that is not finite.
+        """
+        goal = _parameters("goal", goal, (len(NAMES),))
+        amplitude = _parameters("amplitude", amplitude, (len(NAMES),))
+        return self._root(goal + amplitude * self._shape)
+
+    def _root(self, y: Array) -> tuple[Array, Array, Array, Array]:
+        position, quat, lin_vel, ang_vel = root_from_coordinates(y, self.twist, self.fitted.period_s)
+        if quat[0] @ self.fitted.root_quat_wxyz[0] < 0:  # the same of the two quaternions of a rotation
+            quat = -quat
+        return position, quat, lin_vel, ang_vel
 
     @cached_property
     def _shape(self) -> Array:
