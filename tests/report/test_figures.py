@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import matplotlib
@@ -54,6 +55,22 @@ def test_convergence_shows_the_best_so_far_the_spread_and_the_baseline(tmp_path:
     assert high > 0.8
     assert figure.axes[1].get_yscale() == "log"
     assert len(np.unique(written(figure, tmp_path).reshape(-1, 3), axis=0)) > 50
+
+
+@pytest.mark.parametrize(
+    ("first", "last"), [(0.3, 0.29), (0.24, 0.21), (0.3, 0.08), (0.3, 0.012), (0.3, 1e-3), (0.3, 1e-9)]
+)
+def test_the_step_sizes_have_few_round_labels_that_do_not_touch(first: float, last: float) -> None:
+    k = np.arange(1, 21)
+    figure = convergence_figure(k, k / 20, k / 25, np.full(20, 0.05), np.geomspace(first, last, 20), 0.1)
+    figure.canvas.draw()
+    axis = figure.axes[1].yaxis
+    shown = [label for label in axis.get_ticklabels(which="both") if label.get_text()]
+    box = figure.axes[1].get_window_extent()
+    boxes = [b for b in (label.get_window_extent() for label in shown) if box.y0 <= (b.y0 + b.y1) / 2 <= box.y1]
+    assert 1 <= len(boxes) <= 6
+    heights = sorted((b.y0, b.y1) for b in boxes)
+    assert all(below[1] < above[0] for below, above in pairwise(heights))
 
 
 @pytest.mark.parametrize("n", [1, 2])

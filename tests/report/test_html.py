@@ -1,9 +1,14 @@
 """The report of a run and of a comparison: its numbers are the run's, it loads nothing, and a browser can draw it."""
 
+import base64
+import gzip
+import io
 import json
 import re
 import shutil
 import sys
+import time
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -12,18 +17,24 @@ import numpy as np
 import pytest
 
 from fastmimic.cli import main
+from fastmimic.commands.report import recorded
 from fastmimic.errors import ConfigError
+from fastmimic.experiments.tables import COLUMNS, to_csv
 from fastmimic.report.run_folder import write_json
 
 pytest.importorskip("plotly", reason="Plotly is not installed: pip install 'fastmimic[report]'")
 
 from fastmimic.report.html import make_report
-from fastmimic.report.html_comparison import markdown
-from fastmimic.report.html_plots import motor_torque
+from fastmimic.report.html_comparison import markdown, read_rows
+from fastmimic.report.html_limits import motor_torque
+from fastmimic.report.html_search import convergence, parameters
 
 SECTIONS = {"figures", "optimisation", "tracking", "terms", "limits", "run"}
-FIGURES = {"convergence", "parameters", "foot-z", "foot-x", "gait", "reward", "torque", "speed", "friction"}
+FIGURES = {"convergence", "parameters", "foot-z", "foot-x", "paths", "gait", "reward", "torque", "speed", "friction"}
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+PATIENCE_S = 60.0
 
 
 class Parsed(HTMLParser):
@@ -35,7 +46,7 @@ class Parsed(HTMLParser):
         self.urls: list[str] = []
         self.metrics: list[tuple[str, str, str]] = []
         self.plots: dict[str, Any] = {}
-        self.missing = ""
+        self.kept: dict[str, str] = {}
         self._open: tuple[str, dict[str, str | None]] = ("", {})
         self.feed(html)
         self.close()
@@ -53,6 +64,8 @@ class Parsed(HTMLParser):
             self.metrics.append((str(named["data-metric"]), str(named["value"]), data))
         elif named.get("id") == "plots":
             self.plots = json.loads(data)
+        elif named.get("type") == "text/plain":
+            self.kept[str(named["id"])] = gzip.decompress(base64.b64decode(data)).decode()
         self._open = ("", {})
 
 
@@ -82,7 +95,8 @@ def run(finished: Path, tmp_path: Path) -> Path:
 @pytest.fixture(scope="module")
 def page(finished: Path) -> Parsed:
     """Its report."""
-    report = make_report(finished)
+    pytest.importorskip("viser", reason="viser is not installed: pip install 'fastmimic[view]'")
+    report = make_report(finished, recorded)
     assert report.missing == ()
     report.save(finished / "report.html")
     return Parsed(report.html)
@@ -90,13 +104,15 @@ def page(finished: Path) -> Parsed:
 
 def test_has_every_part_once(page: Parsed) -> None:
     assert len(page.ids) == len(set(page.ids))
-    assert set(page.ids) >= SECTIONS | FIGURES | {"video", "verified"}
+    assert set(page.ids) >= SECTIONS | FIGURES | {"video", "replay", "verified"}
     assert "notes" not in page.ids  # nothing is missing, and the rerun has the recorded rewards
     assert set(page.plots) == {name for name in page.ids if re.fullmatch(r".*-\d+", name)}
 
 
 def test_loads_nothing(page: Parsed) -> None:
     assert [url[:40] for url in page.urls if not url.startswith(("data:", "#"))] == []
+    client = Parsed(page.kept["replay-page"].replace("<script data-p=", "<script data-client="))
+    assert [url[:40] for url in client.urls if not url.startswith("data:")] == []
 
 
 def test_its_numbers_are_those_of_the_metrics(page: Parsed, finished: Path) -> None:
@@ -201,6 +217,43 @@ def test_one_line_for_what_cannot_be(
     assert not list(tmp_path.rglob("*.html"))
 
 
+def test_without_viser_one_line_says_what_to_install(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    capsys.readouterr()
+    assert main(["report", str(run)]) == 0
+    warnings = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]
+    assert len(warnings) == 1
+    assert "pip install 'fastmimic[view]'" in warnings[0]
+    assert "without the replay in 3D" in warnings[0]
+    without = Parsed((run / "report.html").read_text())
+    assert "replay" not in without.ids
+    assert {"foot-z", "video", "notes"} <= {*without.ids}
+
+
+def test_says_if_the_search_found_nothing_better() -> None:
+    from fastmimic.report.html_run import Course
+
+    course = Course(np.full((3, 4), 0.5), np.zeros((3, 4, 2)))
+    assert "found nothing better" in convergence(course, 0.9, 0.91, unchanged=True).title
+    assert "The reward rises: 0.900 before, 0.910 after 3 iterations" in convergence(course, 0.9, 0.91).title
+
+
+def test_angles_have_a_scale_of_their_own() -> None:
+    def parameter(name: str, unit: str, initial: float) -> dict[str, Any]:
+        bounds = {"lower": initial - 0.1, "upper": initial + 0.1}
+        return {"name": name, "unit": unit, "initial": initial, "value": initial + 0.1, **bounds}
+
+    figure = parameters([parameter("FR_foot_z.goal", "m", -0.3), parameter("root_pitch.goal", "rad", 0.0)])
+    found = {p.layout["xaxis"]["title"]["text"]: p.data[2]["x"] for p in figure.panels}
+    assert found == {
+        "change of the baseline (mm)": [100.0],
+        "change of the baseline (°)": [pytest.approx(5.7296, 1e-4)],
+    }
+    assert "2 at a bound" in figure.title
+
+
 def test_without_plotly_says_what_to_install(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
     with pytest.raises(ConfigError, match=r"pip install 'fastmimic\[report\]'"):
@@ -217,42 +270,218 @@ def test_a_comparison_has_its_tables_and_figures(tmp_path: Path) -> None:
     )
     (tmp_path / "comparison.png").write_bytes(b"picture")
     report = make_report(tmp_path)
-    assert len(report.missing) == 1
-    assert "tracking.png is missing" in report.missing[0]
+    assert len(report.missing) == 2
+    assert "results.csv is missing" in report.missing[0]
+    assert "tracking.png is missing" in report.missing[1]
     assert "<td><code>trot</code></td><td>MBC</td>" in report.html
     assert "<strong>0.9</strong>" in report.html
     assert "<trot>" not in report.html
     assert Parsed(report.html).urls[1:] == ["data:image/png;base64,cGljdHVyZQ=="]
 
 
+def a_row(motion: str, method: str, seed: int, reward: float, variant: str = "") -> dict[str, Any]:
+    """A row of results.csv, as short as it can be."""
+    texts = {name: "x" for name in COLUMNS if name.endswith("_version") or name in ("parameters", "digest", "config")}
+    said = {"motion": motion, "method": method, "variant": variant, "seed": float(seed), "robot": "a1", "fell": False}
+    numbers = {"reward": reward, "reward_perturbed": reward - 0.1, "style_distance_realised": 0.1, "cpu_s": 10.0 + seed}
+    return {**dict.fromkeys(COLUMNS), **texts, **said, **numbers, "foot_z_rmse_after_m": 0.002, "fell_before": True}
+
+
+ROWS = [
+    a_row("trot", "mbc", 0, 0.5),
+    a_row("trot", "mbc-dmp", 0, 0.8123456789012345),
+    a_row("trot", "mbc-dmp", 1, 0.7),
+    a_row("pace", "mbc-dmp", 0, 0.9),
+    a_row("trot", "mbc-dmp", 0, 0.4, "no-adaptation"),
+]
+
+
+@pytest.fixture
+def compared(tmp_path: Path) -> Path:
+    """A comparison's folder without its pictures."""
+    folder = tmp_path / "compared"
+    folder.mkdir()
+    said = {"settings": {"robot": "a1"}, "methods": ["mbc", "mbc-dmp"], "motions": ["trot", "pace"], "seeds": 2}
+    write_json(folder / "environment.json", {**said, "ablations": ["no-adaptation"]})
+    (folder / "results.csv").write_text(to_csv(ROWS))
+    for name in ("table.md", "ablations.md"):
+        (folder / name).write_text("| motion | reward |\n| --- | --- |\n| `trot` | **0.500** |\n| `pace` | 0.9 ± 0 |\n")
+    return folder
+
+
+def test_results_are_read_as_they_were_written() -> None:
+    assert read_rows(to_csv(ROWS)) == ROWS
+
+
+def test_a_comparison_draws_the_numbers_of_its_results(compared: Path) -> None:
+    report = make_report(compared)
+    assert [line for line in report.missing if "tracking.png" not in line] == []
+    found = Parsed(report.html)
+    assert {"rewards", "manners", "cost", "ablation", "each"} <= {*found.ids}
+    nominal = {bar["name"]: bar for bar in found.plots["rewards-1"]["data"] if bar["type"] == "bar"}
+    assert nominal["MBC"]["y"] == [0.5]
+    assert nominal["MBC-DMP"]["y"] == [(0.8123456789012345 + 0.7) / 2, 0.9]
+    assert nominal["MBC-DMP"]["error_y"]["array"] == [pytest.approx(np.std([0.8123456789, 0.7], ddof=1), 1e-4), 0.0]
+    seeds = found.plots["rewards-1"]["data"][-1]
+    assert seeds["y"] == [0.8123456789012345, 0.7]
+    assert seeds["text"] == ["MBC-DMP on trot, seed 0", "MBC-DMP on trot, seed 1"]
+    rough = [bar for bar in found.plots["rewards-2"]["data"] if bar["name"] == "MBC"]
+    assert rough[0]["y"] == [0.4]
+    assert "no-adaptation, -0.356 of reward" in report.html  # 0.4 against the mean of its two seeds
+    assert 'data-value="0.8123456789012345">0.8123</td>' in report.html
+    assert [url[:40] for url in found.urls if not url.startswith(("data:", "#"))] == []
+
+
+def test_a_comparison_that_is_not_finished_shows_what_there_is(compared: Path) -> None:
+    (compared / "results.csv").unlink()
+    write_json(compared / "runs" / "trot-mbc-seed0" / "row.json", ROWS[0])
+    (compared / "runs" / "trot-lh-seed0").mkdir()
+    report = make_report(compared)
+    assert "1 finished runs are shown" in report.missing[0]
+    assert Parsed(report.html).plots["rewards-1"]["data"][0]["y"] == [0.5]
+
+
+def test_results_of_something_else_are_one_line(compared: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for text in ("reward\n1\n", to_csv(ROWS).replace("0.9,", "O.9,"), to_csv(ROWS).replace("mbc", "cbm")):
+        (compared / "results.csv").write_text(text)
+        capsys.readouterr()
+        assert main(["report", str(compared)]) == 2
+        error = capsys.readouterr().err
+        assert "results.csv: cannot be read" in error
+        assert error.count("\n") == 1
+    assert not (compared / "report.html").exists()
+
+
+def test_other_experiments_have_their_table_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_json(tmp_path / "environment.json", {"experiment": "stress", "settings": {"robot": "a1"}, "versions": {}})
+    assert len(make_report(tmp_path).missing) == 2
+    (tmp_path / "table.md").write_text("| method | push, N·s |\n| --- | --- |\n| MBC | **12.5** |\n")
+    (tmp_path / "success.png").write_bytes(b"picture")
+    report = make_report(tmp_path)
+    assert report.missing == ()
+    assert "<strong>12.5</strong>" in report.html
+    assert 'class="sortable"' in report.html
+    assert Parsed(report.html).urls[1:] == ["data:image/png;base64,cGljdHVyZQ=="]
+    (tmp_path / "environment.json").write_text("{")
+    assert main(["report", str(tmp_path)]) == 2
+    assert "environment.json: cannot be read" in capsys.readouterr().err
+
+
 def test_markdown_is_escaped() -> None:
     assert markdown("a <b> *c*\n\n- `d`: e.") == "<p>a &lt;b&gt; <em>c</em></p>\n<ul><li><code>d</code>: e.</li></ul>"
 
 
-@pytest.mark.parametrize("width", [1280, 390])
-def test_a_browser_draws_it(page: Parsed, finished: Path, tmp_path: Path, width: int) -> None:
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A browser that draws without a graphics card."""
     api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: pip install playwright")
     if CHROMIUM is None:
         pytest.skip("no Chromium: apt-get install chromium")
-    complaints: list[str] = []
-    requests: list[str] = []
     with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        tab = browser.new_page(viewport={"width": width, "height": 800})
-        tab.on("console", lambda m: complaints.append(m.text) if m.type in ("error", "warning") else None)
-        tab.on("pageerror", lambda error: complaints.append(str(error)))
-        tab.on("request", lambda r: requests.append(r.url) if not r.url.startswith(("file:", "data:")) else None)
-        tab.goto((finished / "report.html").as_uri())
-        tab.wait_for_function("document.documentElement.dataset.drawn !== undefined", timeout=60_000)
-        drawn = tab.evaluate(
-            "[...document.querySelectorAll('.plot')].map(p => [p.id,"
-            " p.querySelectorAll('.trace path').length, p.querySelector('svg').getBoundingClientRect().width])"
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--enable-unsafe-swiftshader"]
         )
-        overflow = tab.evaluate("document.documentElement.scrollWidth")
+        yield browser
         browser.close()
-    complaints = [c for c in complaints if "media" not in c.lower() and "video" not in c.lower()]  # it is not a video
-    assert complaints == []
-    assert requests == []
-    assert {name for name, _, _ in drawn} == set(page.plots)
-    assert all(paths > 0 and 0 < wide <= width for _, paths, wide in drawn), drawn
+
+
+class Tab:
+    """A page in a browser without a network, and what it complained about.
+
+    Attributes:
+        page: Playwright's.
+        complaints: errors and warnings of its console.
+        requests: what it asked for besides the file itself.
+    """
+
+    def __init__(self, browser: Any, path: Path, width: int = 1280) -> None:
+        self.complaints: list[str] = []
+        self.requests: list[str] = []
+        self._context = browser.new_context(viewport={"width": width, "height": 800}, offline=True)
+        self.page = self._context.new_page()
+        self.page.set_default_timeout(1e3 * PATIENCE_S)
+        self.page.on("console", self._heard)
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", self._asked)
+        self.page.goto(path.as_uri())
+        self.page.wait_for_selector("html[data-drawn]", state="attached")
+
+    def __enter__(self) -> "Tab":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._context.close()
+
+    def _heard(self, message: Any) -> None:
+        known = ("media", "video", "gl driver message", "three.clock")  # no real video here, and no graphics card
+        if message.type in ("error", "warning") and not any(word in message.text.lower() for word in known):
+            self.complaints.append(message.text)
+
+    def _asked(self, request: Any) -> None:
+        if not request.url.startswith(("file:", "data:", "blob:")):
+            self.requests.append(request.url)
+
+
+_DRAWN = """[...document.querySelectorAll('.plot')].map(p => [p.id, p.querySelectorAll('.trace path').length,
+    p.querySelector('svg').getBoundingClientRect().width, p.getBoundingClientRect().width])"""
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_browser_draws_it(page: Parsed, finished: Path, chromium: Any, width: int) -> None:
+    with Tab(chromium, finished / "report.html", width) as tab:
+        drawn = tab.page.evaluate(_DRAWN)
+        overflow = tab.page.evaluate("document.documentElement.scrollWidth")
+        tab.page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        printed = tab.page.evaluate(_DRAWN)
+    assert tab.complaints == []
+    assert tab.requests == []
+    assert {name for name, *_ in drawn} == set(page.plots)
+    assert all(paths > 0 and 0 < wide <= width for _, paths, wide, _ in drawn), drawn
     assert overflow <= width
+    assert all(wide <= there + 1 for _, _, wide, there in printed), printed
+    assert max(there for *_, there in printed) <= 700
+
+
+def test_the_replay_opens_on_demand_and_plays_without_a_network(page: Parsed, finished: Path, chromium: Any) -> None:
+    from PIL import Image
+
+    def colours(tab: Tab) -> int:
+        picture = Image.open(io.BytesIO(tab.page.locator(".replay").screenshot())).convert("RGB").resize((160, 100))
+        return len(picture.getcolors(16000) or [None] * 16000)
+
+    with Tab(chromium, finished / "report.html", width=500) as tab:
+        assert tab.page.locator("iframe").count() == 0
+        assert colours(tab) < 500
+        tab.page.click("button[data-opens]")
+        frame = tab.page.frame_locator(".replay iframe")
+        frame.locator("canvas").last.wait_for()
+        moment = frame.locator("input").first
+        began, end = float(moment.input_value()), time.monotonic() + PATIENCE_S
+        while time.monotonic() < end and (colours(tab) < 1000 or float(moment.input_value()) == began):
+            tab.page.wait_for_timeout(200)
+        assert colours(tab) >= 1000  # robots and ground, not an empty picture
+        assert float(moment.input_value()) != began  # it plays
+    assert tab.complaints == []
+    assert tab.requests == []
+
+
+def test_a_heading_sorts_its_table(compared: Path, chromium: Any) -> None:
+    report = make_report(compared)
+    report.save(compared / "report.html")
+    with Tab(chromium, compared / "report.html") as tab:
+        tab.page.click("summary")
+        heading = tab.page.locator("#each th", has_text="reward").first
+        orders = []
+        for _ in range(2):
+            heading.locator("button").click()
+            cells = tab.page.locator("#each tbody tr").evaluate_all("rows => rows.map(r => r.cells[4].dataset.value)")
+            orders.append([float(value) for value in cells])
+        said = heading.get_attribute("aria-sort")
+        tab.page.locator("table.sortable button", has_text="reward").first.click()
+        first = tab.page.locator("table.sortable tbody tr").first.inner_text()
+    rewards = sorted(row["reward"] for row in ROWS)
+    assert orders == [rewards, rewards[::-1]]
+    assert said == "descending"
+    assert "0.500" in first
+    assert tab.complaints == []
+    assert tab.requests == []

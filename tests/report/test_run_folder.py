@@ -2,11 +2,15 @@
 
 import json
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from fastmimic.errors import CheckpointError, ConfigError, OutputError
+from fastmimic.methods import METHODS
+from fastmimic.pipeline import imitate, load_motion
+from fastmimic.report import Track
 from fastmimic.report.run_folder import RunFolder, default_folder, open_run, write_json
 
 CONFIG = {"arguments": {"motion": "trot", "seed": 0}}
@@ -89,3 +93,31 @@ def test_refusals(tmp_path: Path, resume: bool, overwrite: bool, error: type[Exc
         open_run(tmp_path, CONFIG, CONFIG["arguments"], resume=resume, overwrite=overwrite),
     ):
         pytest.fail("the folder was opened")
+
+
+@pytest.mark.parametrize(
+    ("method", "optimised", "titles"),
+    [
+        ("mbc", False, ["as retargeted"]),
+        ("lh", True, ["as its motions were optimised"]),
+        ("mbc-dmp", True, ["before: as retargeted", "after: optimised"]),
+    ],
+)
+def test_the_video_says_what_it_shows(
+    method: str, optimised: bool, titles: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stitched motion is not as retargeted, even if the method of the whole optimises nothing."""
+    motion = load_motion("trot")
+    result = imitate(motion, method="mbc", duration_s=0.1)
+    stands_for = replace(motion, demonstration=motion) if optimised else motion
+    history = object() if len(titles) > 1 else None
+    result = replace(result, motion=stands_for, method=method, history=history)  # type: ignore[arg-type]
+    shown: list[Track] = []
+    monkeypatch.setattr(
+        "fastmimic.report.render_video", lambda robot, tracks, *_, **__: shown.extend(tracks), raising=False
+    )
+    assert not RunFolder(tmp_path).write_video(result)
+    assert [track.title for track in shown] == titles
+    labels = [METHODS[name].label for name in ("mbc", "mbc-dmp")] if history else [METHODS[method].label]
+    reward = f"{result.before.reward[0]:.2f}"
+    assert [track.caption for track in shown] == [f"trot · {label} · reward {reward}" for label in labels]

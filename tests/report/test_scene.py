@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from fastmimic.report.quality import HIGH, PREVIEW
 from fastmimic.report.scene import GHOST_GROUP, build_stage, ghost_rgba
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 
@@ -72,3 +73,29 @@ def test_decoration_casts_no_shadow_but_hidden_collision_geometry_does_not_repla
     shown = stage.casts_shadow
     assert shown[stage.model.geom("robot/flank").id]
     assert not shown[stage.model.geom("robot/trunk").id]
+
+
+def test_tiles_are_as_large_as_asked_for_and_lie_on_the_ground(a1: Robot) -> None:
+    stage = build_stage(a1, ghost=False, width=64, height=48, floor=FLOOR, tile=0.4)
+    assert stage.tiles is not None
+    geom, mesh = stage.model.geom(stage.tiles), stage.model.mesh("tiles")
+    first = stage.model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]].astype(float)
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, geom.quat)
+    corners = first @ rotation.reshape(3, 3).T + geom.pos
+    np.testing.assert_allclose(corners[:, 2], 0.001, atol=1e-6)
+    np.testing.assert_allclose(corners[:, :2] / 0.4, np.round(corners[:, :2] / 0.4), atol=1e-4)
+    textured = build_stage(a1, ghost=False, width=64, height=48, floor=FLOOR, quality=HIGH)
+    assert textured.tiles is None
+    assert textured.model.ntex == 1
+
+
+def test_only_high_quality_pays_for_a_shadow_map(a1: Robot) -> None:
+    preview, high = (
+        build_stage(a1, ghost=False, width=64, height=48, floor=FLOOR, quality=q).model for q in (PREVIEW, HIGH)
+    )
+    assert (preview.vis.quality.shadowsize, preview.vis.quality.offsamples) == (0, 0)
+    assert not preview.light_castshadow.any()
+    assert high.vis.quality.shadowsize > 0
+    assert high.vis.quality.offsamples > 1
+    assert high.light_castshadow.all()

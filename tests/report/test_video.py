@@ -9,10 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from video_files import RATE_HZ, read_video, stream_facts
 
 from fastmimic.errors import ConfigError, OutputError
-from fastmimic.report import Track, render_video
+from fastmimic.motion.catalogue import open_clip
+from fastmimic.motion.skeleton import KEYPOINTS
+from fastmimic.pipeline import load_motion
+from fastmimic.report import AnimalTrack, Track, render_video
+from fastmimic.report.animal import animal_track
 from fastmimic.report.playback import resample
 from fastmimic.robot import Robot
 
@@ -121,6 +126,106 @@ def test_supersampling_keeps_the_size_and_smooths_edges(a1: Robot, walk: Walk, t
     assert steps[1] < steps[0]
 
 
+@pytest.mark.usefixtures("opengl")
+def test_three_tracks_make_a_grid_whose_last_cell_is_blank(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    render_video(a1, [walk(0.1)] * 3, tmp_path / "v.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE, clock=False)
+    first = read_video(tmp_path / "v.mp4")[0].astype(int)
+    cells = [first[y : y + 82, x : x + 152] for y in (4, 94) for x in (4, 164)]
+    dark = [np.mean(cell.max(axis=-1) < 90) for cell in cells]
+    assert all(share > 0.02 for share in dark[:3])
+    assert np.ptp(cells[3], axis=(0, 1)).max() < 8
+    np.testing.assert_allclose(cells[0], cells[2], atol=60)  # the same robot, the same camera
+
+
+@pytest.mark.usefixtures("opengl")
+def test_a_gif_plays_for_ever_in_few_colours(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    info = render_video(a1, [walk(0.3)], tmp_path / "v.gif", rate_hz=RATE_HZ, fps=20, size=(161, 91))
+    assert info is not None
+    with Image.open(tmp_path / "v.gif") as gif:
+        assert (gif.n_frames, gif.size, gif.info["loop"], gif.info["duration"]) == (info.frames, (161, 91), 0, 50)
+        assert (info.frames, info.seconds) == (6, 0.3)
+    assert np.mean(read_video(tmp_path / "v.gif")[0].max(axis=-1) < 90) > 0.02
+    assert [path.name for path in tmp_path.iterdir()] == ["v.gif"]
+    with pytest.raises(
+        ConfigError, match="a GIF of 20 frames of 2000 x 2000 would be enormous; make it smaller, short"
+    ):
+        render_video(a1, [walk(1.0)], tmp_path / "v.gif", rate_hz=RATE_HZ, size=(2000, 2000))
+
+
+@pytest.mark.usefixtures("opengl")
+def test_a_webm_is_vp9(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    render_video(a1, [walk(0.2)], tmp_path / "v.webm", rate_hz=RATE_HZ, fps=10, size=SIZE)
+    assert "vp9" in stream_facts(tmp_path / "v.webm")
+    assert read_video(tmp_path / "v.webm").shape == (2, 180, 320, 3)
+
+
+@pytest.mark.usefixtures("opengl")
+def test_high_quality_has_smooth_edges_and_a_mirror_image(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    shots = {}
+    for quality in ("preview", "high"):
+        path = tmp_path / f"{quality}.mp4"
+        render_video(a1, [walk(0.1)], path, rate_hz=RATE_HZ, fps=10, size=SIZE, quality=quality, clock=False)
+        shots[quality] = read_video(path)[0].astype(int)
+    steps = {q: np.abs(np.diff(shot[45:150, 80:240].sum(axis=-1), axis=1)) for q, shot in shots.items()}
+    assert np.mean(steps["high"] > 200) < np.mean(steps["preview"] > 200)
+    ground = {q: shot[80:140, 60:260].sum(axis=-1) for q, shot in shots.items()}
+    shadow = {q: np.mean((g > 200) & (g < 420)) for q, g in ground.items()}
+    assert all(0.02 < share < 0.5 for share in shadow.values())  # between the robot's black and the ground
+
+
+@pytest.mark.usefixtures("opengl")
+def test_loaded_feet_are_marked_and_leave_trails(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    stands = replace(walk(0.4), contact=np.tile([True, False, False, False], (20, 1)))
+    coloured = {}
+    for name, track, marks in (("marks", stands, True), ("air", walk(0.4), True), ("bare", stands, False)):
+        render_video(a1, [track], tmp_path / f"{name}.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE, marks=marks)
+        last = read_video(tmp_path / f"{name}.mp4")[-1, 30:160].astype(int)
+        orange = np.mean((last[..., 0] - last[..., 2] > 90) & (last[..., 0] > 150))  # the right front leg's colour
+        blue = np.mean((last[..., 2] - last[..., 0] > 60) & (last[..., 2] > 120))  # the left front leg's
+        coloured[name] = (orange, blue)
+    assert coloured["marks"][0] > 1.3 * coloured["bare"][0]  # there is an orange stripe on the trunk as well
+    assert coloured["air"][1] > 5 * coloured["bare"][1] + 1e-3
+
+
+@pytest.mark.usefixtures("opengl")
+def test_an_animal_is_drawn_in_the_robots_place(a1: Robot, walk: Walk, tmp_path: Path) -> None:
+    clip = open_clip("trot", robot=a1)
+    track = animal_track(clip, a1, load_motion(clip, a1), 0.2, "animal")
+    render_video(a1, [track, walk(0.2)], tmp_path / "v.mp4", rate_hz=500, fps=10, size=SIZE)
+    left, right = np.split(read_video(tmp_path / "v.mp4")[0, 30:150].astype(int), [160], axis=1)
+
+    def brown(half: np.ndarray) -> float:
+        return float(np.mean((half[..., 0] - half[..., 2] > 40) & (half[..., 0] < 200)))
+
+    assert brown(left) > 0.05 > brown(right)
+
+
+@pytest.mark.usefixtures("opengl")
+@pytest.mark.parametrize("quality", ["preview", "high"])
+def test_a_loop_ends_on_the_ground_on_which_it_begins(a1: Robot, walk: Walk, tmp_path: Path, quality: str) -> None:
+    still = walk(1.6)
+    still = replace(still, joint_pos=np.tile(still.joint_pos[0], (80, 1)))
+    differences = []
+    for loop_m in (0.7, None):  # at 1 m/s: the frame after the loop's last is its first
+        render_video(
+            a1,
+            [still],
+            tmp_path / "v.mp4",
+            rate_hz=RATE_HZ,
+            fps=10,
+            size=SIZE,
+            quality=quality,
+            marks=False,
+            clock=False,
+            window_s=(0.4, 1.2),
+            loop_m=loop_m,
+        )
+        frames = read_video(tmp_path / "v.mp4").astype(int)
+        assert len(frames) == 8
+        differences.append(np.mean(np.abs(frames[7, 100:] - frames[0, 100:])))
+    assert differences[0] < 3 < differences[1]
+
+
 def test_resampling_interpolates_between_samples(walk: Walk) -> None:
     track = walk(0.1)
     poses = resample(track, RATE_HZ, np.array([0.0, 0.5, 1.0]) / RATE_HZ)
@@ -167,8 +272,8 @@ def test_a_place_that_cannot_be_written_is_one_clear_error(a1: Robot, walk: Walk
     (tmp_path / "folder.mp4").mkdir()
     with pytest.raises(OutputError, match="is a folder"):
         render_video(a1, [walk(0.1)], tmp_path / "folder.mp4", rate_hz=RATE_HZ, size=SIZE)
-    with pytest.raises(OutputError, match=r"must end in \.mp4"):
-        render_video(a1, [walk(0.1)], tmp_path / "v.gif", rate_hz=RATE_HZ, size=SIZE)
+    with pytest.raises(OutputError, match=r"must end in \.mp4 or \.gif or \.webm"):
+        render_video(a1, [walk(0.1)], tmp_path / "v.avi", rate_hz=RATE_HZ, size=SIZE)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.mp4"]
 
 
@@ -176,7 +281,7 @@ def test_a_place_that_cannot_be_written_is_one_clear_error(a1: Robot, walk: Walk
 def test_an_encoder_that_fails_is_one_clear_error_and_leaves_nothing(
     a1: Robot, walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fastmimic.report.encoding._ENCODE", ("-c:v", "no_such_codec"))
+    monkeypatch.setattr("fastmimic.report.encoding._encode", lambda *_: ("-c:v", "no_such_codec"))
     with pytest.raises(OutputError, match=r"v\.mp4: the video encoder .*Encoder not found"):
         render_video(a1, [walk(0.1)], tmp_path / "v.mp4", rate_hz=RATE_HZ, size=SIZE)
     assert not list(tmp_path.iterdir())
@@ -190,6 +295,9 @@ def test_an_encoder_that_fails_is_one_clear_error_and_leaves_nothing(
         ({"slow_motion": -1.0}, "slow_motion must be positive, found -1"),
         ({"supersampling": 0.0}, "supersampling must be positive"),
         ({"size": (321, 180)}, "even width and height, found 321 x 180"),
+        ({"quality": "hihg"}, "unknown quality 'hihg'; there are preview, high.*did you mean 'high'"),
+        ({"columns": 2}, "1 panels cannot stand in 2 columns"),
+        ({"window_s": (1.0, 2.0)}, "nothing is between 1 and 2 s of tracks of 0.07 s"),
     ],
 )
 def test_settings_out_of_range_say_what_was_found(
@@ -197,8 +305,9 @@ def test_settings_out_of_range_say_what_was_found(
 ) -> None:
     with pytest.raises(ConfigError, match=message):
         render_video(a1, [walk(0.1)], tmp_path / "v.mp4", **{"rate_hz": RATE_HZ, "size": SIZE, **change})
-    with pytest.raises(ConfigError, match="at least one track"):
-        render_video(a1, [], tmp_path / "v.mp4", rate_hz=RATE_HZ)
+    for count in (0, 5):
+        with pytest.raises(ConfigError, match=f"a video shows 1 to 4 tracks, found {count}"):
+            render_video(a1, [walk(0.1)] * count, tmp_path / "v.mp4", rate_hz=RATE_HZ)
     assert not list(tmp_path.iterdir())
 
 
@@ -210,6 +319,12 @@ def test_tracks_that_do_not_fit_are_refused(walk: Walk) -> None:
         replace(track, ghost=walk(0.2))
     with pytest.raises(ConfigError, match="first pose is not finite"):
         replace(track, root_pos_w=np.full((5, 3), np.nan))
+    with pytest.raises(ConfigError, match=r"needs contacts \(5, 4\), found \(4, 4\)"):
+        replace(track, contact=np.ones((4, 4), bool))
+    with pytest.raises(ConfigError, match=r"points have shape \(5, 3, 3\); expected \(t, 10, 3\)"):
+        AnimalTrack(np.zeros((5, 3, 3)), KEYPOINTS)
+    with pytest.raises(ConfigError, match="points are not finite"):
+        AnimalTrack(np.full((5, 10, 3), np.nan), KEYPOINTS)
 
 
 def test_without_opengl_there_is_a_warning_and_no_video(

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fastmimic.robot import Robot
 
 RUNS: Final = Path("runs")
-_NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video")
+_NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", "quality")
 """Arguments that change where and how a run happens, not what comes out."""
 
 
@@ -60,16 +60,21 @@ class Imitate(MotionOptions):
     """The method without its optimisation: mbc for mbc-dmp, lh for lh-dmp."""
     no_video: bool = False
     """Leave out the video."""
+    quality: Annotated[str, arg(metavar="preview|high")] = "preview"
+    """Of the video: quick, or with shadows, reflections and smooth edges."""
 
     def run(self) -> int:
         """Runs it, and writes the folder; returns the exit status."""
         check_duration(self.duration)
-        from fastmimic.methods import method_named
+        from fastmimic.methods import check_controller, method_named
+        from fastmimic.report.quality import quality_named
         from fastmimic.report.run_folder import default_folder, open_run
 
+        quality_named(self.quality)
         method = self.method
         if self.no_optimize:  # the method's own controller, on the motion as it is
             method = method_named(method).name.removesuffix("-dmp")
+        check_controller(method_named(method), False)
         if not method_named(method).optimises and self.resume:
             raise ConfigError("--resume goes on with an optimisation; without one there is nothing to resume")
         began = time.perf_counter()
@@ -87,7 +92,7 @@ class Imitate(MotionOptions):
             result = self._imitate(robot, motion, method, folder)
             result = dataclasses.replace(result, wall_s=result.wall_s + loading_s)
             folder.write(result, config)
-        return report(result, folder, self.iterations, video=not self.no_video)
+        return report(result, folder, self.iterations, video=None if self.no_video else self.quality)
 
     def _imitate(self, robot: "Robot", motion: "Motion", method: str, folder: "RunFolder") -> "Imitation":
         from fastmimic.pipeline import imitate

@@ -85,7 +85,7 @@ def describe_motion(motion: "Motion", robot: "Robot") -> list[str]:
         f"joints     least margin and greatest speed: {'; '.join(limits)}",
     ]
     lines += [f"assumed    {sentence}" for sentence in (*assumed(motion), *robot.assumed)]
-    return lines + _segments(motion) + _optimised(motion)
+    return lines + _segments(motion) + _optimised(motion) + _made_with(motion)
 
 
 def _describe_clip(clip: "Clip") -> list[str]:
@@ -134,6 +134,18 @@ def _optimised(motion: "Motion") -> list[str]:
     lines = _modulated(dmp)
     differ = "these DMP parameters" if lines else "no DMP parameter"
     return [f"optimised  carries its demonstration; {differ} differ{'' if lines else 's'} from it", *lines]
+
+
+def _made_with(motion: "Motion") -> list[str]:
+    """The controller with which the motion was optimised; empty if it does not say."""
+    from fastmimic.methods import MADE_WITH, controller_for
+
+    record = motion.meta.get(MADE_WITH)
+    if record is None:
+        return []
+    own = isinstance(record, dict) and record.get("config", "") is None
+    method, config = controller_for(motion, config="default" if own else None)
+    return [f"made with  method {method.name}, controller {'of its own parameters' if own else config.name}"]
 
 
 def _modulated(dmp: dict[str, Any]) -> list[str]:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import arg
 
-from fastmimic.errors import ConfigError, OutputError
+from fastmimic.errors import ConfigError, OutputError, PolicyError
 
 if TYPE_CHECKING:
+    from fastmimic.imitation.rollout import MakeController
     from fastmimic.motion.motion import Motion
     from fastmimic.robot import Robot
 
@@ -93,6 +94,35 @@ def parse_size(text: str) -> tuple[int, int]:
     if found is None:
         raise ConfigError(f"--size takes WIDTHxHEIGHT in pixels, such as 1280x720; found '{text}'")
     return int(found[1]), int(found[2])
+
+
+def policy_controller(path: Path, robot: "Robot", motion: "Motion") -> "MakeController":
+    """The controllers of the policy in a file, checked against robot and motion.
+
+    Raises:
+        PolicyError: it cannot be read, or is for another robot or motion; the message names the file.
+    """
+    from fastmimic.learning.controller import controlled_by
+    from fastmimic.learning.policy import Policy
+
+    policy = Policy.load(path)
+    try:
+        policy.check(robot, motion)
+    except PolicyError as error:
+        raise PolicyError(f"{path}: {error}") from None
+    return controlled_by(policy)
+
+
+def policy_with_digest(path: Path, robot: "Robot", motion: "Motion") -> "tuple[MakeController, str]":
+    """As `policy_controller`, with what tells the file's content from another's.
+
+    Raises:
+        PolicyError: as `policy_controller`.
+    """
+    import hashlib
+
+    controller = policy_controller(path, robot, motion)
+    return controller, hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def check_duration(seconds: float) -> float:

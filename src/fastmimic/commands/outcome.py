@@ -20,21 +20,21 @@ def about(robot: "Robot", motion: "Motion") -> list[str]:
     return lines + [f"retargeting: {sentence}" for sentence in unmet_bounds(motion)]
 
 
-def report(result: "Imitation", folder: "RunFolder", iterations: int, *, video: bool) -> int:
+def report(result: "Imitation", folder: "RunFolder", iterations: int, *, video: str | None) -> int:
     """Prints the figures and adds the video to the folder; returns the exit status.
 
     Args:
         result: already in the folder but for its video.
         folder: of the run.
         iterations: that were asked for.
-        video: whether to make it.
+        video: its quality; None for no video.
     """
     from fastmimic.commands.comparison import comparison
 
     for line in comparison(result):
         put(line)
-    if video:
-        _write_video(result, folder)
+    if video is not None:
+        _write_video(result, folder, video)
     put(f"results in {folder.path}")
     if not result.interrupted:
         return 0
@@ -45,10 +45,10 @@ def report(result: "Imitation", folder: "RunFolder", iterations: int, *, video: 
     return EXIT_INTERRUPTED
 
 
-def _write_video(result: "Imitation", folder: "RunFolder") -> None:
+def _write_video(result: "Imitation", folder: "RunFolder", quality: str) -> None:
     try:
         with count_progress("video, frame") as progress:
-            folder.write_video(result, progress)
+            folder.write_video(result, progress, quality)
     except KeyboardInterrupt:
         note(f"the video was left out; everything else is in {folder.path}")
         raise

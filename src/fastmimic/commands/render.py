@@ -1,5 +1,7 @@
-"""`fastmimic render`: a video of a motion."""
+"""`fastmimic render`: a video of one motion or of several beside each other."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
@@ -8,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from fastmimic.commands.console import count_progress, put, slow_start
 from fastmimic.commands.options import MotionOptions, check_duration, check_writable, parse_size
-from fastmimic.errors import OutputError
+from fastmimic.errors import ConfigError, OutputError
 
 if TYPE_CHECKING:
     from fastmimic.motion.motion import Motion
@@ -16,67 +18,131 @@ if TYPE_CHECKING:
     from fastmimic.robot import Robot
 
 SECONDS: Final = 5.0
+MOST: Final = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Render(MotionOptions):
-    """Writes a video of a motion under the controller in simulation, with its demonstration as a ghost."""
+    """Writes a video of a motion under the controller in simulation, with its demonstration as a ghost; of two motions
+    side by side, of three or four as 2 x 2.
+    """
 
-    motion: Annotated[Positional[str], arg(metavar="MOTION")]
-    """A robot motion (.npz), a clip, or a name of 'fastmimic motions'."""
-    out: Annotated[Path, arg(metavar="FILE.mp4")]
+    motions: Annotated[Positional[tuple[str, ...]], arg(metavar="MOTION [MOTION ...]")]
+    """Up to four: robot motions (.npz), folders of runs, clips, or names of 'fastmimic motions'."""
+    out: Annotated[Path, arg(metavar="FILE.mp4|.gif|.webm")]
     """The video."""
+    quality: Annotated[str, arg(metavar="preview|high")] = "preview"
+    """Quick, or with shadows, reflections and smooth edges."""
     kinematic: bool = False
-    """The motion as it is written, without physics."""
+    """The motions as they are written, without physics."""
     duration: Annotated[float | None, arg(metavar="S")] = None
-    """How much of it; by default 5, or the whole of a motion that does not repeat."""
-    config: Annotated[str, arg(metavar="default|paper")] = "default"
-    """The controller's parameters."""
-    size: Annotated[str, arg(metavar="WxH")] = "1280x720"
-    """Width and height, pixels, even."""
+    """How much of them; by default 5, or the whole of a motion that does not repeat."""
+    method: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ()
+    """Whose controller: raibert, mbc, lh; one for all motions or one for each; by default that with which the motion
+    was optimised, or mbc."""
+    config: Annotated[str | None, arg(metavar="default|paper")] = None
+    """The controller's parameters; by default those with which the motion was optimised, or "default"."""
+    size: Annotated[str | None, arg(metavar="WxH")] = None
+    """Width and height, pixels; by default 960x540, of high quality 1280x720, of a GIF 640x360."""
+    frame_rate: Annotated[float | None, arg(metavar="HZ")] = None
+    """Frames a second of the video; by default 30, or a GIF's 20."""
     slow_motion: Annotated[float, arg(metavar="FACTOR")] = 1.0
     """How many times slower than reality."""
+    no_marks: bool = False
+    """Leave out the feet's trails and the discs under loaded feet."""
 
     def run(self) -> int:
         """Writes it; returns the exit status."""
-        if self.duration is not None:
-            check_duration(self.duration)
-        size = parse_size(self.size)
-        out = check_writable(self.out, ".mp4")
+        self._check()
+        size = None if self.size is None else parse_size(self.size)
         from fastmimic.report import render_video
+        from fastmimic.report.encoding import ENDINGS
 
-        robot, motion = self.load(self.motion)
-        from fastmimic.pipeline import default_duration
-
-        seconds = self.duration if self.duration is not None else default_duration(motion, SECONDS)
-        shown = self._kinematic(motion, seconds) if self.kinematic else self._simulated(motion, robot, seconds)
-        track, rate_hz = shown
+        out = check_writable(self.out, *ENDINGS)
+        robot, shown = self._tracks()
+        rates = sorted({rate for _, rate in shown})
+        if len(rates) > 1:
+            raise ConfigError(f"motions of {' and '.join(f'{r:g}' for r in rates)} Hz cannot be shown together")
         with count_progress("frame") as progress:
             info = render_video(
                 robot,
-                [track],
+                [track for track, _ in shown],
                 out,
-                rate_hz=rate_hz,
+                rate_hz=rates[0],
+                fps=self.frame_rate,
                 size=size,
+                quality=self.quality,
                 progress=progress,
                 slow_motion=self.slow_motion,
+                marks=not self.no_marks,
             )
         if info is None:
-            raise OutputError(f"{out} was not written: there is no OpenGL to draw with")
-        put(f"{info.frames} frames, {info.seconds:.1f} s, in {out}")
+            raise OutputError(
+                f"{out} was not written: there is no OpenGL to draw with; 'fastmimic view' shows the same in a browser"
+                " without it"
+            )
+        put(f"{info.frames} frames, {info.seconds:.1f} s, {out.stat().st_size / 1e6:.1f} MB, in {out}")
         return 0
 
-    def _simulated(self, motion: "Motion", robot: "Robot", seconds: float) -> "tuple[Track, float]":
+    def _check(self) -> None:
+        """Refuses what cannot be before anything takes long."""
+        from fastmimic.methods import method_named
+        from fastmimic.report.quality import quality_named
+
+        if not 1 <= len(self.motions) <= MOST:
+            raise ConfigError(f"render takes one to {MOST} motions, found {len(self.motions)}")
+        if self.duration is not None:
+            check_duration(self.duration)
+        quality_named(self.quality)
+        for option, value in (("--frame-rate", self.frame_rate), ("--slow-motion", self.slow_motion)):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ConfigError(f"{option} must be positive, found {value:g}")
+        if len(self.method) not in (0, 1, len(self.motions)):
+            raise ConfigError(
+                f"--method takes one name, or one for each of the {len(self.motions)} motions; found {len(self.method)}"
+            )
+        for name in self.method:
+            method_named(name)
+        given = [f"--{name}" for name, value in (("method", self.method), ("config", self.config)) if value]
+        if self.kinematic and given:
+            raise ConfigError(f"{', '.join(given)} cannot be applied with --kinematic: there is no controller")
+
+    def _tracks(self) -> "tuple[Robot, list[tuple[Track, float]]]":
+        """The robot, and a panel with its rate for each motion."""
+        from fastmimic.pipeline import default_duration, load_motion
+        from fastmimic.stitching import motion_source
+
+        sources = [str(motion_source(source)) for source in self.motions]
+        robot = self.load_robot(sources[0])
+        overrides = self.overrides()
+        motions = [load_motion(source, robot, **overrides) for source in sources]
+        methods: Sequence[str | None] = self.method if len(self.method) == len(motions) else ()
+        methods = methods or [self.method[0] if self.method else None] * len(motions)
+        shown = []
+        for motion, method in zip(motions, methods, strict=True):
+            seconds = self.duration if self.duration is not None else default_duration(motion, SECONDS)
+            shown.append(
+                self._kinematic(motion, robot, seconds)
+                if self.kinematic
+                else self._simulated(motion, robot, seconds, method)
+            )
+        return robot, shown
+
+    def _simulated(self, motion: "Motion", robot: "Robot", seconds: float, method: str | None) -> "tuple[Track, float]":
+        from fastmimic.methods import METHODS
         from fastmimic.pipeline import evaluate
         from fastmimic.report.tracks import rollout_track
 
         with slow_start():
-            rollout = evaluate(motion, robot, duration_s=seconds, config=self.config, log=True).rollout
-        assert rollout.log is not None
-        return rollout_track(rollout, f"{motion.name} on {robot.name}"), rollout.log.rate_hz
+            found = evaluate(motion, robot, duration_s=seconds, method=method, config=self.config, log=True)
+        assert found.rollout.log is not None
+        note = METHODS[found.method].label + (f" ({found.config.name})" if found.config.name != "default" else "")
+        track = rollout_track(found.rollout, f"{motion.name} on {robot.name}", note=note)
+        return track, found.rollout.log.rate_hz
 
-    def _kinematic(self, motion: "Motion", seconds: float) -> "tuple[Track, float]":
+    def _kinematic(self, motion: "Motion", robot: "Robot", seconds: float) -> "tuple[Track, float]":
         from fastmimic.report.tracks import motion_track
 
         ghost = None if motion.demonstration is None else motion_track(motion.demonstration, seconds, "demonstration")
-        return motion_track(motion, seconds, f"{motion.name}, no physics", ghost), motion.rate_hz
+        caption = "as optimised, no physics" if ghost is not None else "as retargeted, no physics"
+        return motion_track(motion, seconds, f"{motion.name} on {robot.name}", ghost, caption), motion.rate_hz

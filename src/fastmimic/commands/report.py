@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
@@ -10,14 +10,17 @@ from fastmimic.commands.console import note, put, slow_start
 from fastmimic.commands.options import check_writable
 from fastmimic.errors import ConfigError
 
+if TYPE_CHECKING:
+    from fastmimic.report.html_run import Episodes
+
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Writes report.html into the folder of a run of 'imitate' or 'stitch', or of a comparison: one file that opens
-    anywhere and loads nothing, with the video, the figures before and after, and interactive plots.
+    """Writes report.html into the folder of a run of 'imitate' or 'stitch', or of 'compare', 'stress' or 'transfer':
+    one file that opens anywhere and loads nothing, with the video, the figures before and after, and interactive plots.
 
     A run's two nominal episodes are run again for the plots, and checked against its metrics.json. Needs Plotly:
-    pip install 'fastmimic[report]'.
+    pip install 'fastmimic[report]'. With viser as well, pip install 'fastmimic[view]', the file holds a replay in 3D.
     """
 
     runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN ...")]
@@ -39,9 +42,29 @@ class Report:
         outs = [check_writable(out, ".html", ".htm") for out in outs]
         for path, out in zip(self.runs, outs, strict=True):
             with slow_start():
-                report = make_report(path)
+                report = make_report(path, recorded)
             for line in report.missing:
                 note(f"fastmimic: warning: {line}")
             report.save(out)
             put(f"report in {out}")
         return 0
+
+
+def recorded(e: "Episodes") -> str:
+    """The episodes as a page that plays them in 3D, before and after beside each other.
+
+    Raises:
+        ConfigError: viser is not installed or too old.
+    """
+    from fastmimic.viewer.recording import recorded_page
+    from fastmimic.viewer.server import require_viser
+    from fastmimic.viewer.take import rollout_take
+
+    require_viser()
+    both = [("before", "before: as retargeted", e.motion.target, e.before)]
+    if e.after is not None:
+        both.append(("after", "after: optimised", e.motion, e.after))
+    else:
+        both = [("robot", "", e.motion.target, e.before)]
+    takes = [rollout_take(rollout, motion, e.robot, e.config, title) for _, title, motion, rollout in both]
+    return recorded_page(e.robot, takes, [name for name, *_ in both])

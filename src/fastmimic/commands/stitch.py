@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fastmimic.stitching import Stitching
 
 RUNS: Final = Path("runs")
-_NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video")
+_NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", "quality")
 """Arguments that change where and how a run happens, not what comes out."""
 
 
@@ -64,6 +64,8 @@ class Stitch:
     """Replace a run of other arguments."""
     no_video: bool = False
     """Leave out the video."""
+    quality: Annotated[str, arg(metavar="preview|high")] = "preview"
+    """Of the video: quick, or with shadows, reflections and smooth edges."""
 
     def run(self) -> int:
         """Runs it, and writes the folder; returns the exit status."""
@@ -75,9 +77,11 @@ class Stitch:
                 f" {len(self.cycles)}"
             )
         from fastmimic.methods import method_named
+        from fastmimic.report.quality import quality_named
         from fastmimic.report.run_folder import default_folder, open_run
         from fastmimic.robot import load_robot
 
+        quality_named(self.quality)
         if not method_named(self.method).optimises and self.resume:
             raise ConfigError("--resume goes on with an optimisation; without one there is nothing to resume")
         robot = load_robot(self.robot or self._robot_of_motions() or DEFAULT_ROBOT)
@@ -94,7 +98,7 @@ class Stitch:
             folder.write(result, config | {"source": meta.get("source"), "licence": meta.get("licence")})
         for line in segments(result):
             put(line)
-        return report(result, folder, self.iterations, video=not self.no_video)
+        return report(result, folder, self.iterations, video=None if self.no_video else self.quality)
 
     def _stitch(self, robot: "Robot", folder: "RunFolder") -> "Stitching":
         from fastmimic.stitching import stitch

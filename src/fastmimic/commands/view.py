@@ -45,9 +45,9 @@ class View(MotionOptions):
     seed: int = 0
     """Of the perturbations."""
     method: Annotated[str | None, arg(metavar="NAME")] = None
-    """Whose controller: raibert, mbc, lh; by default mbc, or the run's."""
+    """Whose controller: raibert, mbc, lh; by default the run's, that with which the motion was optimised, or mbc."""
     config: Annotated[str | None, arg(metavar="default|paper")] = None
-    """The controller's parameters; by default "default", or the run's."""
+    """The controller's parameters; by default the run's, those with which the motion was optimised, or "default"."""
 
     def run(self) -> int:
         """Serves until Ctrl-C; returns the exit status."""
@@ -135,7 +135,7 @@ class View(MotionOptions):
             if both
             else [(motion, motion.name)]
         )
-        shown = [self._takes(each, robot, seconds, title) for each, title in motions]
+        shown = [self._takes(each, motion, robot, seconds, title) for each, title in motions]
         animal = Animal(clip, robot, motion) if clip is not None else None
         return robot, shown, f"{motion.name} on {robot.name}", animal
 
@@ -146,16 +146,15 @@ class View(MotionOptions):
             raise ConfigError(f"--clip takes an animal's clip; {source} is already a robot motion")
         return open_clip(source, robot=robot, **overrides)
 
-    def _takes(self, motion: "Motion", robot: "Robot", seconds: float, title: str) -> "list[Take]":
-        """What one motion is in so many episodes."""
-        from fastmimic.control.config import controller_config
-        from fastmimic.methods import method_named
+    def _takes(self, motion: "Motion", of: "Motion", robot: "Robot", seconds: float, title: str) -> "list[Take]":
+        """What one motion is in so many episodes, under the controller of the motion that was given."""
+        from fastmimic.methods import controller_for
         from fastmimic.pipeline import evaluate
         from fastmimic.viewer.take import motion_take, rollout_take
 
         if self.kinematic:
             return [motion_take(motion, robot, seconds, title)]
-        method, name = self.method or "mbc", self.config or "default"
+        method, config = controller_for(of, self.method, self.config)
         episodes = 1 if self.episodes is None else self.episodes
         with slow_start():
             rollout = evaluate(
@@ -164,11 +163,10 @@ class View(MotionOptions):
                 episodes=episodes,
                 duration_s=seconds,
                 seed=self.seed,
-                method=method,
-                config=name,
+                method=method.name,
+                config=config,
                 log=True,
             ).rollout
-        config = method_named(method).configure(controller_config(name))
         return [rollout_take(rollout, motion, robot, config, title, episode) for episode in range(episodes)]
 
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fastmimic.conventions import LEGS
 from fastmimic.errors import ClipError
+from fastmimic.motion.skeleton import KEYPOINTS, Skeleton
 
 POINT_NAMES: Final = (
     "pelvis",
@@ -33,6 +34,9 @@ class Clip:
         scale: factor from the source's size to the robot's where the source fixes it (1.0 for a motion that
             is already the robot's own), else None.
         meta: where it came from: `source`, `format`, `assumed` (list of sentences for the user), `licence`.
+        body_w: (t, k, 3) all points of the source's skeleton where it has more than those ten, else None; they are
+            drawn and nothing else.
+        skeleton: which of the points that are drawn are joined.
     """
 
     points_w: NDArray[np.float64]
@@ -42,6 +46,8 @@ class Clip:
     leg_length_m: float | None = None
     scale: float | None = None
     meta: dict[str, Any] = field(default_factory=dict)
+    body_w: NDArray[np.float64] | None = None
+    skeleton: Skeleton = KEYPOINTS
 
     def __post_init__(self) -> None:
         shape = self.points_w.shape
@@ -56,10 +62,20 @@ class Clip:
             raise ClipError(f"frame rate must be positive, found {self.rate_hz}")
         if self.root_quat_wxyz is not None and self.root_quat_wxyz.shape != (shape[0], 4):
             raise ClipError(f"trunk quaternions have shape {self.root_quat_wxyz.shape}; expected ({shape[0]}, 4)")
+        if self.drawn_w.shape != (shape[0], self.skeleton.points, 3):
+            raise ClipError(
+                f"the skeleton's points have shape {self.drawn_w.shape}; expected"
+                f" ({shape[0]}, {self.skeleton.points}, 3)"
+            )
 
     @property
     def n_frames(self) -> int:
         return self.points_w.shape[0]
+
+    @property
+    def drawn_w(self) -> NDArray[np.float64]:
+        """The points that `skeleton` joins, (t, k, 3), world frame, m."""
+        return self.points_w if self.body_w is None else self.body_w
 
     def point(self, name: str) -> NDArray[np.float64]:
         """Trajectory of one keypoint, (t, 3), world frame, m."""
@@ -87,6 +103,7 @@ class Clip:
             self,
             points_w=self.points_w[start:end],
             root_quat_wxyz=quat,
+            body_w=None if self.body_w is None else self.body_w[start:end],
             is_cycle=self.is_cycle if (start, end) == (0, self.n_frames) else None,
             meta={**self.meta, "frames": [start, end]},
         )

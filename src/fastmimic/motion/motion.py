@@ -52,7 +52,7 @@ class Motion:
         root_lin_vel_w: (t, 3) base velocity, world, m/s.
         root_ang_vel_w: (t, 3) base angular velocity, world, rad/s.
         cycle: (dx, dy, dyaw) of one period in sample 0's heading frame, m and rad; None if not periodic.
-        meta: provenance, JSON-serialisable: `name`, `robot`, `source`, `licence`, `retarget`, `dmp`, ….
+        meta: provenance, JSON-serialisable: `name`, `robot`, `source`, `licence`, `retarget`, `dmp`, `made_with`, ….
         demonstration: the motion that an optimised one is scored against; None for a demonstration itself.
         parts: of a stitched demonstration, the cyclic motions that it is made of (see `fastmimic.motion.stitch`).
     """

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fastmimic.report.figures import convergence_figure, tracking_figure
     from fastmimic.report.inspection import motion_figure
-    from fastmimic.report.playback import Track
+    from fastmimic.report.playback import AnimalTrack, Track
     from fastmimic.report.style import save
     from fastmimic.report.video import VideoInfo, render_video
 
 __all__ = [
+    "AnimalTrack",
     "Track",
     "VideoInfo",
     "convergence_figure",
@@ -21,6 +22,7 @@ __all__ = [
 ]
 
 _WHERE = {
+    "AnimalTrack": "playback",
     "Track": "playback",
     "VideoInfo": "video",
     "convergence_figure": "figures",

@@ -13,20 +13,22 @@ from numpy.typing import NDArray
 from fastmimic.conventions import LEGS
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.tables import Summary
-from fastmimic.methods import METHODS, method_named
+from fastmimic.methods import ALL_METHODS, method_named
 from fastmimic.report.style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, new_figure, tidy
 
 Array = NDArray[np.float64]
 
-_STYLES: Final = (  # colours of Okabe and Ito, each with a hatch so that the bars read in grey
-    ("#e69f00", "//"),
-    ("#d55e00", ""),
-    ("#cc79a7", "\\\\"),
-    ("#0072b2", ""),
-    ("#56b4e9", "xx"),
-    ("#009e73", ""),
-    ("#999999", ".."),
-)
+_STYLES: Final = {  # colours of Okabe and Ito, each with a hatch so that the bars read in grey
+    "rl": ("#009e73", ".."),
+    "raibert": ("#e69f00", "//"),
+    "mbc": ("#d55e00", ""),
+    "lh": ("#cc79a7", "\\\\"),
+    "mbc-dmp": ("#0072b2", ""),
+    "lh-dmp": ("#56b4e9", "xx"),
+    "mbc-dmp-path": ("#f0e442", "--"),
+    "mbc-dmp-body": ("#000000", ".."),
+}
+_OTHER: Final = ("#999999", "--")
 _BAR: Final = 0.84
 """Share of a group's width that its bars take."""
 _LABEL: Final = 0.04
@@ -50,7 +52,7 @@ def comparison_figure(summaries: Sequence[Summary], title: str) -> Figure:
     axes = figure.subplots()
     width = _BAR / len(methods)
     for j, name in enumerate(methods):
-        color, hatch = _STYLES[list(METHODS).index(name) % len(_STYLES)]
+        color, hatch = _STYLES.get(name, _OTHER)
         for i, motion in enumerate(motions):
             if (motion, name) in found:
                 _bar(axes, i - _BAR / 2 + (j + 0.5) * width, width, found[motion, name], color, hatch)
@@ -64,7 +66,7 @@ def comparison_figure(summaries: Sequence[Summary], title: str) -> Figure:
     handles: list[Patch | Line2D] = [
         Patch(facecolor=c, hatch=h, edgecolor="white", label=method_named(name).label)
         for name in methods
-        for c, h in [_STYLES[list(METHODS).index(name) % len(_STYLES)]]
+        for c, h in [_STYLES.get(name, _OTHER)]
     ]
     handles += [
         Line2D(
@@ -230,5 +232,5 @@ def _row(axes: Axes, y: float, s: Summary) -> None:
 
 def _names(summaries: Sequence[Summary]) -> tuple[list[str], list[str]]:
     motions = list(dict.fromkeys(s.motion for s in summaries))
-    methods = [name for name in METHODS if any(s.method == name for s in summaries)]
+    methods = [name for name in ALL_METHODS if any(s.method == name for s in summaries)]
     return motions, methods

@@ -13,7 +13,7 @@ from fastmimic.experiments.compare import MOTIONS, RUNS
 from fastmimic.experiments.runs import RUN_FILES, TRACKING, Row, Run, run_of
 from fastmimic.experiments.tables import ablation_table, comparison_table, summaries, to_csv
 from fastmimic.files import check_folder, replace_file
-from fastmimic.methods import METHODS, method_named
+from fastmimic.methods import ALL_METHODS, method_named
 from fastmimic.report.run_folder import write_json
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class ComparisonFolder:
     def _in_order(self, rows: Sequence[Row]) -> list[Row]:
         """As a plan of all of them would have them."""
         motions = list(dict.fromkeys([*self._motions(), *(row["motion"] for row in rows)]))
-        methods, variants = list(METHODS), ["", *ABLATIONS]
+        methods, variants = list(ALL_METHODS), ["", *ABLATIONS]
 
         def place(row: Row) -> tuple[int, ...]:
             kind = (bool(row["variant"]), method_named(row["method"]).optimises, row["seed"])

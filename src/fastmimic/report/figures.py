@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
 from fastmimic.conventions import LEGS
@@ -47,6 +47,7 @@ def convergence_figure(
     _draw_reward(reward, k, np.fmax.accumulate(best), mean, std, baseline)
     step.semilogy(k, sigma, color=INK, linewidth=1.4, marker=_marker(k), markersize=4)
     tidy(step, "Step size of the search: it shrinks as the optimiser settles", "iteration", "σ (–)")
+    _label_step_sizes(step, sigma)
     step.xaxis.set_major_locator(MaxNLocator(integer=True))
     return figure
 
@@ -75,6 +76,19 @@ def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, bas
     drawn = drawn[np.isfinite(drawn)]
     margin = 0.06 * max(np.ptp(drawn), 0.02)
     axes.set_ylim(drawn.min() - margin, drawn.max() + margin)
+
+
+def _label_step_sizes(axes: Axes, sigma: Array) -> None:
+    """A few round numbers, which a low logarithmic axis has room for: 1, 2 and 5 of each decade, or whole decades."""
+    shown = sigma[np.isfinite(sigma) & (sigma > 0)]
+    if not shown.size:
+        return
+    low, high = shown.min() / 1.6, shown.max() * 1.6  # 2.5 from end to end: one of these is always in it
+    axes.set_ylim(low, high)
+    subs = (1.0, 2.0, 5.0) if high / low < 40 else (1.0,)
+    axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=5))
+    axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axes.yaxis.set_minor_locator(NullLocator())
 
 
 def _reward_title(best: Array, baseline: float) -> str:

@@ -1,23 +1,30 @@
 """The report of a run or a comparison: one HTML file that holds all it shows and loads nothing."""
 
+import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from fastmimic.conventions import LEGS
-from fastmimic.errors import ConfigError, OutputError
+from fastmimic.errors import ConfigError, FastMimicError, OutputError
 from fastmimic.files import replace_file
-from fastmimic.methods import METHODS
-from fastmimic.report import html_plots as plots
+from fastmimic.methods import ALL_METHODS
+from fastmimic.report import html_episodes, html_limits, html_search
 from fastmimic.report.comparison_folder import ENVIRONMENT
-from fastmimic.report.html_parts import NONE, Page, embedded, pairs, plotly_bundle, table
-from fastmimic.report.html_run import RunData, read_run
+from fastmimic.report.html_numbers import before_and_after, parameter_table, segments, tiles
+from fastmimic.report.html_parts import Page, embedded, pairs, plotly_bundle
+from fastmimic.report.html_run import Episodes, RunData, read_run
 from fastmimic.report.run_folder import CONFIG, METRICS
 
 REPORT: Final = "report.html"
+_REPLAY_HINT: Final = (
+    "Drag to turn, scroll or pinch to zoom, space to pause. The green ghost is the demonstration; coloured lines"
+    " are the paths of the feet, dashed ones the demonstration's. Under a foot a ring means that the schedule wants"
+    " it down, a disc that it is loaded, a square that the planner has it in stance. The scene tree, right of the"
+    " time, also has the forces, the centre of mass, and the legs' names."
+)
 
 
 @dataclass(frozen=True)
@@ -38,50 +45,78 @@ class Report:
 
 
 def kind_of(folder: str | Path) -> str:
-    """What a folder holds: "run" for one of `imitate` or `stitch`, "comparison" for one of `compare`.
+    """What a folder holds: "run" for one of `imitate` or `stitch`, "comparison" for one of `compare`, "results" for one
+    of `stress` or `transfer`.
 
     Raises:
-        ConfigError: neither.
+        ConfigError: none of these.
     """
     path = Path(folder)
     if (path / METRICS).is_file():
         return "run"
     if (path / ENVIRONMENT).is_file():
-        return "comparison"
+        return "results" if "experiment" in _environment(path) else "comparison"
     if not path.is_dir():
         raise ConfigError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}; give the folder of a run")
     if (path / CONFIG).is_file():
         raise ConfigError(f"{path}: the run is not finished ({METRICS} is missing); 'imitate --resume' may finish it")
     raise ConfigError(
-        f"{path}: not the folder of a run: neither {METRICS} of imitate and stitch nor {ENVIRONMENT} of compare"
+        f"{path}: not the folder of a run: neither {METRICS} of imitate and stitch nor {ENVIRONMENT} of compare, stress"
+        " and transfer"
     )
 
 
-def make_report(folder: str | Path) -> Report:
+def _environment(path: Path) -> dict[str, Any]:
+    try:
+        return dict(json.loads((path / ENVIRONMENT).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError) as error:
+        raise ConfigError(f"{path / ENVIRONMENT}: cannot be read ({error})") from None
+
+
+def make_report(folder: str | Path, replay: Callable[[Episodes], str] | None = None) -> Report:
     """Makes the page of a folder. A run's two episodes are run again for it.
 
     Args:
-        folder: of a run of `imitate` or `stitch`, or of a comparison.
+        folder: as `kind_of` knows them.
+        replay: makes an HTML page that plays the episodes of a run in 3D, needing nothing but itself, or raises
+            `FastMimicError`; None to go without.
 
     Raises:
         ConfigError: not such a folder, its figures cannot be read, or Plotly is not installed.
     """
-    if kind_of(folder) == "comparison":
+    kind = kind_of(folder)
+    if kind == "comparison":
         from fastmimic.report.html_comparison import comparison_page
 
         page, missing = comparison_page(Path(folder))
         return Report(page.html(), missing)
+    if kind == "results":
+        from fastmimic.report.html_results import results_page
+
+        page, missing = results_page(Path(folder), _environment(Path(folder)))
+        return Report(page.html(), missing)
     plotly_bundle()  # before the episodes: without it there is no page
     run = read_run(Path(folder))
-    return Report(run_page(run).html(), run.missing)
+    recorded = ""
+    if replay is not None and run.episodes is not None:
+        try:
+            recorded = replay(run.episodes)
+        except FastMimicError as error:
+            run = dataclasses.replace(run, missing=(*run.missing, f"{error}: without the replay in 3D"))
+    return Report(run_page(run, recorded).html(), run.missing)
 
 
-def run_page(run: RunData) -> Page:
-    """The page of a run."""
+def run_page(run: RunData, replay: str = "") -> Page:
+    """The page of a run.
+
+    Args:
+        run: its folder.
+        replay: an HTML page that plays its episodes; empty for none.
+    """
     m = run.metrics
     page = Page(f"{m['motion']} on {m['robot']}: FastMimic report")
     page.add(f"<h1>{escape(m['motion'])} on {escape(m['robot'])}</h1>", f'<p class="lead">{_summary(run)}</p>')
-    page.add(_notes(run), _tiles(run), _contents(run))
+    page.add(_notes(run), tiles(run), _contents(run, bool(replay)))
     if run.video is not None:
         page.section("video", "Video")
         try:
@@ -92,28 +127,39 @@ def run_page(run: RunData) -> Page:
             f'<video controls loop muted playsinline src="{source}"></video>'
             '<p class="hint">The green ghost is the demonstration.</p>'
         )
+    if replay:
+        page.section("replay", "In 3D")
+        page.replay(replay, "Open the replay", _REPLAY_HINT)
     page.section("figures", "In numbers")
-    page.add(_comparison(run))
-    page.add(_segments(m))
+    page.add(before_and_after(run))
+    page.add(segments(m))
     if m["parameters"]:
         page.section("optimisation", "Optimisation")
         if run.course is not None:
-            page.figure(plots.convergence(run.course, m["reward"]["before"], m["reward"]["after"]))
-        page.figure(plots.parameters(m["parameters"]))
-        page.add("<details><summary>Table of the parameters</summary>", _parameters(m), "</details>")
+            page.figure(
+                html_search.convergence(
+                    run.course,
+                    m["reward"]["before"],
+                    m["reward"]["after"],
+                    unchanged=html_search.as_fitted(m["parameters"]),
+                )
+            )
+        page.figure(html_search.parameters(m["parameters"]))
+        page.add("<details><summary>Table of the parameters</summary>", parameter_table(m), "</details>")
     e = run.episodes
     if e is not None:
         page.section("tracking", "Feet and gait")
-        for figure in plots.feet(e):
+        for figure in html_episodes.feet(e):
             page.figure(figure)
-        page.figure(plots.gait(e))
+        page.figure(html_episodes.paths(e))
+        page.figure(html_episodes.gait(e))
         page.section("terms", "Reward")
-        page.figure(plots.reward(e))
+        page.figure(html_episodes.reward(e))
         page.section("limits", "Limits of the robot")
-        for figure in plots.limits(e):
+        for figure in html_limits.limits(e):
             page.figure(figure)
-        page.figure(plots.friction(e))
-        solved = plots.solve_times(e)
+        page.figure(html_limits.friction(e))
+        solved = html_limits.solve_times(e)
         if solved is not None:
             page.section("times", "Solve times")
             page.figure(solved)
@@ -124,7 +170,7 @@ def run_page(run: RunData) -> Page:
 
 def _summary(run: RunData) -> str:
     m = run.metrics
-    method = METHODS.get(m.get("method", ""))
+    method = ALL_METHODS.get(m.get("method", ""))
     name = f"{method.label}, {method.summary}" if method is not None else str(m.get("method", "unknown method"))
     parts = [escape(name), f"{escape(str(m.get('config', '')))} controller", f"episodes of {m['duration_s']:g} s"]
     if m.get("iterations"):
@@ -153,9 +199,10 @@ def _notes(run: RunData) -> str:
     return found
 
 
-def _contents(run: RunData) -> str:
+def _contents(run: RunData, replay: bool) -> str:
     entries = {
         "video": ("Video", run.video is not None),
+        "replay": ("In 3D", replay),
         "figures": ("In numbers", True),
         "optimisation": ("Optimisation", run.optimised),
         "tracking": ("Feet and gait", run.episodes is not None),
@@ -164,128 +211,6 @@ def _contents(run: RunData) -> str:
         "run": ("What was run", True),
     }
     return f"<nav>{''.join(f'<a href=#{k}>{text}</a>' for k, (text, there) in entries.items() if there)}</nav>"
-
-
-def _value(metrics: Mapping[str, Any], key: str) -> Any:
-    """By its path, such as `reward.before` or `swing_clearance_m.after.2`; None if it is not there."""
-    found: Any = metrics
-    for name in key.split("."):
-        if isinstance(found, list):
-            found = found[int(name)] if int(name) < len(found) else None
-        else:
-            found = found.get(name) if isinstance(found, dict) else None
-    return found
-
-
-def _number(metrics: Mapping[str, Any], key: str, digits: int, scale: float = 1.0) -> str:
-    """A figure of `metrics.json`, with its exact value as data."""
-    value = _value(metrics, key)
-    if value is None:
-        return NONE
-    shown = ("yes" if value else "no") if isinstance(value, bool) else f"{scale * value:.{digits}f}"
-    return f'<data data-metric="{key}" value="{value!r}">{shown}</data>'
-
-
-def _tiles(run: RunData) -> str:
-    m = run.metrics
-    now = "after" if run.optimised else "before"
-    rows = (
-        ("Reward", "reward", 3, 1.0, ""),
-        ("Fell", "fell", 0, 1.0, ""),
-        ("Drift", "drift_m_per_s", 3, 1.0, "m/s"),
-        ("Foot height error", "foot_z_rmse_m", 1, 1e3, "mm"),
-        ("Fore-aft error", "foot_x_rmse_m", 1, 1e3, "mm"),
-    )
-    tiles = []
-    for label, key, digits, scale, unit in rows:
-        was = f"before {_number(m, f'{key}.before', digits, scale)}" if run.optimised else "not optimised"
-        was = f"RMS, {was}" if "rmse" in key else was
-        unit = f" <small>{unit}</small>" if unit else ""
-        value = _number(m, f"{key}.{now}", digits, scale)
-        tiles.append(f'<div class="tile"><dt>{label}</dt><dd>{value}{unit}<span class="was">{was}</span></dd></div>')
-    share, was = _least_share(m, now), _least_share(m, "before")
-    before = f"before {was}" if run.optimised else "not optimised"
-    tiles.insert(
-        2, f'<div class="tile"><dt>Swing clearance</dt><dd>{share}<span class="was">{before}</span></dd></div>'
-    )
-    return f'<dl class="tiles">{"".join(tiles)}</dl>'
-
-
-def _least_share(m: Mapping[str, Any], when: str) -> str:
-    """The smallest share of the demonstration's swing clearance among the legs that swing."""
-    wanted, got = _value(m, "swing_clearance_m.demonstration"), _value(m, f"swing_clearance_m.{when}")
-    shares = [g / w for g, w in zip(got or [], wanted or [], strict=False) if g is not None and w]
-    return f"{100 * min(shares):.0f} <small>%</small>" if shares else NONE
-
-
-def _comparison(run: RunData) -> str:
-    m = run.metrics
-    columns = ("before", "after") if run.optimised else ("before",)
-    rows: list[list[str]] = []
-
-    def row(label: str, keys: list[str], digits: int, scale: float = 1.0, sub: bool = False) -> None:
-        head = f"<th>{escape(label)}</th>"
-        rows.append([head, *(_number(m, key, digits, scale) for key in keys)])
-        if sub:
-            rows[-1][0] = f'<th style="padding-left:18px">{escape(label)}</th>'
-
-    row("reward", [f"reward.{c}" for c in columns], 4)
-    for term in _value(m, "reward.components_before") or {}:
-        row(term.replace("_", " "), [f"reward.components_{c}.{term}" for c in columns], 4, sub=True)
-    split = len(rows)
-    row("fell", [f"fell.{c}" for c in columns], 0)
-    row("drift, m/s", [f"drift_m_per_s.{c}" for c in columns], 3)
-    for i, leg in enumerate(LEGS):
-        wanted = _number(m, f"swing_clearance_m.demonstration.{i}", 1, 1e3)
-        row(f"swing clearance {leg}, mm", [f"swing_clearance_m.{c}.{i}" for c in columns], 1, 1e3)
-        rows[-1][0] = f"<th>swing clearance {leg}, mm (of {wanted})</th>"
-    row("early contacts, 1/s", [f"early_contacts_per_s.{c}" for c in columns], 1)
-    row("stance slip, mm", [f"stance_slip_m.{c}" for c in columns], 2, 1e3)
-    row("foot height error, RMS, mm", [f"foot_z_rmse_m.{c}" for c in columns], 2, 1e3)
-    row("foot fore-aft error, RMS, mm", [f"foot_x_rmse_m.{c}" for c in columns], 2, 1e3)
-    row("steps without a QP solution", [f"qp_failures.{c}" for c in columns], 0)
-    names = ("before", "after") if run.optimised else ("not optimised",)
-    effort = [
-        f"{_number(m, 'evaluations', 0)} episodes",
-        f"{_number(m, 'simulated_s', 0)} s simulated in {_number(m, 'wall_s', 1)} s",
-    ]
-    tables = "".join(table(("", *names), part) for part in (rows[:split], rows[split:]))
-    return (
-        f'<div class="two">{tables}</div><p class="hint">Swing clearance above: the least share of the demonstration\'s'
-        f" that a leg realises. RMS errors are over the four feet. {', '.join(effort)}.</p>"
-    )
-
-
-def _segments(m: Mapping[str, Any]) -> str:
-    """Of a stitched motion: its segments, and the transitions between them."""
-    found = m.get("segments")
-    if not found:
-        return ""
-    rows = []
-    for i, s in enumerate(found):
-        own = _number(m, f"individual_optima.segments.{i}", 3)
-        rows.append(
-            [
-                f"<th>{escape(str(s['motion']))}</th>",
-                *(_number(m, f"segments.{i}.{k}", d) for k, d in (("cycles", 0), ("first_s", 2), ("last_s", 2))),
-                *(_number(m, f"segments.{i}.reward.before", 3), own, _number(m, f"segments.{i}.reward.after", 3)),
-                _number(m, f"segments.{i}.fell.after", 0),
-            ]
-        )
-    header = ("segment", "cycles", "from, s", "to, s", "reward before", "own optimum", "after", "fell")
-    return "<h3 class='next'>Segments</h3>" + table(header, rows)
-
-
-def _parameters(m: Mapping[str, Any]) -> str:
-    rows = [
-        [
-            f"<th><code>{escape(p['name'])}</code></th>",
-            *(_number(m, f"parameters.{i}.{k}", 4) for k in ("lower", "initial", "value", "upper")),
-            escape(p["unit"] if p["unit"] != "1" else NONE),
-        ]
-        for i, p in enumerate(m["parameters"])
-    ]
-    return table(("parameter", "lower bound", "as fitted", "found", "upper bound", "unit"), rows)
 
 
 def _provenance(run: RunData) -> str:

@@ -1,6 +1,7 @@
 """What pages are built of: text, tables, plots in panels, and the page that holds everything it needs in itself."""
 
 import base64
+import gzip
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,10 +18,30 @@ from fastmimic.errors import ConfigError
 
 NONE: Final = "–"
 _POLICY: Final = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; media-src data:"
+    "default-src 'none'; script-src 'unsafe-inline'{scripts}; style-src 'unsafe-inline'; img-src data:; media-src data:"
 )
 """Content-Security-Policy: the browser itself refuses whatever would come from a network."""
+_OF_REPLAY: Final = " 'unsafe-eval'; connect-src data:"  # viser's client has WebAssembly in it
+REPLAY: Final = "replay-page"
+"""The id of the kept text that the replay's button opens."""
 _ZOOM: Final = ' <span class="screen">Drag over a plot to zoom, double-click for everything.</span>'
+_PATTERNS: Final = {
+    "": "",
+    "/": "M3 12L9 2M9 12L15 2M15 12L21 2M21 12L27 2",
+    "\\": "M3 2L9 12M9 2L15 12M15 2L21 12M21 2L27 12",
+    "x": "M3 12L9 2M3 2L9 12M12 12L18 2M12 2L18 12M21 12L27 2M21 2L27 12",
+    ".": "M4 5h2M10 5h2M16 5h2M22 5h2M7 9h2M13 9h2M19 9h2M25 9h2",
+    "-": "M1 5.5h28M1 9h28",
+}
+_SYMBOLS: Final = {
+    "circle": "M15 2a5 5 0 1 0 .01 0z",
+    "cross": "M13 2h4v3h3v4h-3v3h-4v-3h-3v-4h3z",
+    "diamond": "M15 1l6 6-6 6-6-6z",
+    "square": "M10 2h10v10h-10z",
+    "star": "M15 1l1.6 4.2 4.4.2-3.4 2.8 1.2 4.3-3.8-2.4-3.8 2.4 1.2-4.3-3.4-2.8 4.4-.2z",
+    "triangle-down": "M9 3h12l-6 10z",
+    "triangle-up": "M9 12h12l-6-10z",
+}
 _DASHES: Final = {"solid": "", "dash": "7 4", "dot": "2 3", "dashdot": "8 3 2 3", "2px,5px": "2 5"}
 
 
@@ -31,7 +52,8 @@ class Key:
     Attributes:
         label: its name.
         color: `var(--name)` of the style sheet.
-        dash: one of Plotly's dash patterns; "fill" for an area, "o" and "d" for an open circle and a diamond.
+        dash: one of Plotly's dash patterns; "fill" for an area, followed by Plotly's name of its pattern if it has one;
+            "o" and "d" for an open circle and a diamond, "symbol " and Plotly's name for another one.
     """
 
     label: str
@@ -40,8 +62,11 @@ class Key:
 
     def html(self) -> str:
         """The entry with a sample of its line."""
-        if self.dash == "fill":
+        if self.dash.startswith("fill"):
             mark = f'<rect x="1" y="2" width="28" height="10" fill="{self.color}"/>'
+            mark += f'<path d="{_PATTERNS[self.dash[4:]]}" stroke="var(--paper)" stroke-width="1.4" fill="none"/>'
+        elif self.dash.startswith("symbol "):
+            mark = f'<path d="{_SYMBOLS[self.dash[7:]]}" fill="{self.color}"/>'
         elif self.dash == "o":
             mark = f'<circle cx="15" cy="7" r="4.5" fill="none" stroke="{self.color}" stroke-width="1.8"/>'
         elif self.dash == "d":
@@ -99,11 +124,13 @@ class Page:
         title: of the document.
         body: finished HTML.
         plots: by the id of the element that shows them.
+        kept: long texts by the id of the element that holds them, compressed.
     """
 
     title: str
     body: list[str] = field(default_factory=list)
     plots: dict[str, Any] = field(default_factory=dict)
+    kept: dict[str, str] = field(default_factory=dict)
 
     def add(self, *html: str) -> None:
         """Appends HTML."""
@@ -132,23 +159,38 @@ class Page:
             f'<div class="panels c{figure.columns}">{"".join(boxes)}</div></figure>',
         )
 
+    def replay(self, page: str, label: str, hint: str) -> None:
+        """Appends a button that opens a page within the page; until then it costs nothing.
+
+        Args:
+            page: HTML that needs nothing but itself.
+            label: of the button.
+            hint: how to use what opens.
+        """
+        self.kept[REPLAY] = page
+        self.add(
+            f'<div class="replay screen"><button type="button" data-opens="{REPLAY}">{escape(label)}</button></div>',
+            f'<p class="hint screen">{hint}</p>',
+        )
+
     def html(self) -> str:
         """The whole document.
 
         Raises:
             ConfigError: there are plots, and Plotly is not installed.
         """
-        scripts = ""
-        if self.plots:
-            data = json.dumps(self.plots, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-            data = data.replace("<", "\\u003c")  # no text can end the script element
-            scripts = (
-                f'<script type="application/json" id="plots">{data}</script>\n<script>{plotly_bundle()}</script>\n'
-                f"<script>{_asset('html_page.js')}</script>\n"
-            )
+        data = json.dumps(self.plots, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+        data = data.replace("<", "\\u003c")  # no text can end the script element
+        kept = {"plotly": plotly_bundle(), **self.kept} if self.plots else self.kept
+        scripts = (
+            f'<script type="application/json" id="plots">{data}</script>\n'
+            + "".join(f'<script type="text/plain" id="{k}">{compressed(text)}</script>\n' for k, text in kept.items())
+            + f"<script>{_asset('html_page.js')}</script>\n"
+        )
+        policy = _POLICY.format(scripts=_OF_REPLAY if REPLAY in self.kept else "")
         return (
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
+            f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             f'<meta name="generator" content="fastmimic {__version__}">\n<title>{escape(self.title)}</title>\n'
             f'<link rel="icon" href="data:,">\n<style>{_asset("html_page.css")}</style>\n</head>\n<body>\n<main>\n'
@@ -175,13 +217,19 @@ def plotly_bundle() -> str:
     return str(get_plotlyjs())
 
 
+def compressed(text: str) -> str:
+    """A text as the page keeps it: gzip, in base64."""
+    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
+
+
 def embedded(path: Path, mime: str) -> str:
     """A file as a `data:` URL; raises `OSError`."""
     return f"data:{mime};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> str:
-    """A table of finished cells, HTML; the first `left` columns are text, the others numbers."""
+def table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1, sortable: bool = False) -> str:
+    """A table of finished cells, HTML; the first `left` columns are text, the others numbers. The headings of a
+    `sortable` one are buttons that sort it by their columns."""
 
     def cells(tag: str, row: Sequence[str]) -> str:
         kinds = ["" if i < left else ' class="n"' for i in range(len(row))]
@@ -190,9 +238,11 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1
             for cell, kind in zip(row, kinds, strict=True)
         )
 
-    head = f"<thead><tr>{cells('th', [escape(h) for h in header])}</tr></thead>" if header else ""
+    headings = [f'<button type="button">{escape(h)}</button>' if sortable else escape(h) for h in header]
+    head = f"<thead><tr>{cells('th', headings)}</tr></thead>" if header else ""
     body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
-    return f'<div class="scroll"><table>{head}<tbody>{body}</tbody></table></div>'
+    kind = ' class="sortable"' if sortable else ""
+    return f'<div class="scroll"><table{kind}>{head}<tbody>{body}</tbody></table></div>'
 
 
 def pairs(values: Mapping[str, Any]) -> str:

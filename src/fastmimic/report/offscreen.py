@@ -9,6 +9,7 @@ import logging
 import os
 import sys
 import warnings
+from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 _OFF: Final = ("disable", "disabled", "off", "false", "0")
 _NAMED: Final = ("egl", "osmesa", "glfw", "cgl")
+
+
+BLANK: Final = (0.93, 0.95, 0.97)
+"""Colour of a cell without a scene: that of the haze."""
 
 
 class NoRendererError(Exception):
@@ -61,14 +66,23 @@ class Offscreen:
         self.height = int(model.vis.global_.offheight)
         self._gl, self._context = _open(model, self.width, self.height)
 
-    def draw(self, scenes: "list[mujoco.MjvScene]") -> NDArray[np.uint8]:
-        """The scenes beside each other, left to right: (height, width, 3), first row on top."""
+    def draw(self, scenes: "Sequence[mujoco.MjvScene]", columns: int | None = None) -> NDArray[np.uint8]:
+        """The scenes in a grid, row by row: (height, width, 3), first row on top.
+
+        Args:
+            scenes: what is in each cell; cells that are left over are blank.
+            columns: of the grid; as many as scenes if None.
+        """
         import mujoco
 
         self._gl.make_current()
-        edges = np.linspace(0, self.width, len(scenes) + 1).round().astype(int)
-        for scene, left, right in zip(scenes, edges[:-1], edges[1:], strict=True):
-            mujoco.mjr_render(mujoco.MjrRect(left, 0, right - left, self.height), scene, self._context)
+        cells = grid_cells(len(scenes), self.width, self.height, columns)
+        for i, (left, top, right, bottom) in enumerate(cells):
+            rect = mujoco.MjrRect(left, self.height - bottom, right - left, bottom - top)
+            if i < len(scenes):
+                mujoco.mjr_render(rect, scenes[i], self._context)
+            else:
+                mujoco.mjr_rectangle(rect, *BLANK, 1.0)
         picture = np.empty((self.height, self.width, 3), dtype=np.uint8)
         whole = mujoco.MjrRect(0, 0, self.width, self.height)
         mujoco.mjr_readPixels(picture, None, whole, self._context)
@@ -86,6 +100,21 @@ class Offscreen:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def grid_cells(count: int, width: int, height: int, columns: int | None = None) -> list[tuple[int, int, int, int]]:
+    """Left, top, right, bottom of the cells of a grid for so many pictures, row by row, pixels from the top left.
+
+    Args:
+        count: of pictures; the last row's cells are all there, filled or not.
+        width, height: of the whole, pixels.
+        columns: of the grid; as many as pictures if None.
+    """
+    columns = count if columns is None else columns
+    rows = -(-count // columns)
+    x = np.linspace(0, width, columns + 1).round().astype(int).tolist()
+    y = np.linspace(0, height, rows + 1).round().astype(int).tolist()
+    return [(x[j], y[i], x[j + 1], y[i + 1]) for i in range(rows) for j in range(columns)]
 
 
 def _open(model: "mujoco.MjModel", width: int, height: int) -> tuple[Any, Any]:

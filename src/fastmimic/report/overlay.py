@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.report.offscreen import grid_cells
+
 if TYPE_CHECKING:
     from PIL import Image, ImageFont
 
@@ -22,9 +24,11 @@ class Overlay:
     Args:
         width: of the frames, pixels.
         height: of the frames, pixels.
-        panels: a title and a caption for each panel, left to right.
+        panels: a title and a caption for each panel, row by row.
         legend: colour (r, g, b, 0 to 1) and name of what the translucent robot is; None without one.
         speed_note: such as "slow motion × 0.25", shown with the clock.
+        columns: of panels; as many as panels if None.
+        clock: whether the time is shown.
     """
 
     def __init__(
@@ -34,30 +38,46 @@ class Overlay:
         panels: Sequence[tuple[str, str]],
         legend: tuple[tuple[float, float, float], str] | None = None,
         speed_note: str = "",
+        *,
+        columns: int | None = None,
+        clock: bool = True,
     ) -> None:
-        self._unit = height / 720
         self._note = f"   {speed_note}" if speed_note else ""
-        margin, step = round(18 * self._unit), width / len(panels)
+        self._clock = clock
+        cells = grid_cells(len(panels), width, height, columns)
+        self._unit = _unit(width, height, cells[0][3])
+        margin = round(18 * self._unit)
         self._patches: list[_Patch] = []
-        for i, (title, caption) in enumerate(panels):
-            plate = _text_plate(title, caption, self._unit, round(step) - 2 * margin)
+        for (title, caption), (left, top, right, _) in zip(panels, cells, strict=False):
+            plate = _text_plate(title, caption, self._unit, right - left - 2 * margin)
             if plate is not None:
-                self._patches.append(_Patch(plate, margin, round(i * step) + margin))
+                self._patches.append(_Patch(plate, top + margin, left + margin))
         if legend is not None:
             plate = _legend_plate(*legend, self._unit)
             self._patches.append(_Patch(plate, height - plate.height - margin, width - plate.width - margin))
-        self._bars = [round(i * step) for i in range(1, len(panels))]
+        self._columns = sorted({left for left, *_ in cells} - {0})
+        self._rows = sorted({top for _, top, *_ in cells} - {0})
         self._clock_at = (margin, height - margin)
 
     def draw(self, frame: NDArray[np.uint8], time_s: float) -> None:
         """Draws onto `frame` (height, width, 3) in place."""
-        for bar in self._bars:
-            half = max(1, round(1.5 * self._unit))
+        half = max(1, round(1.5 * self._unit))
+        for bar in self._columns:
             frame[:, bar - half : bar + half] = 255
+        for bar in self._rows:
+            frame[bar - half : bar + half] = 255
         for patch in self._patches:
             patch.blend(frame)
+        if not self._clock:
+            return
         clock = _clock_plate(f"{time_s:.1f} s{self._note}", self._unit)
         _Patch(clock, self._clock_at[1] - clock.height, self._clock_at[0]).blend(frame)
+
+
+def _unit(width: int, height: int, cell_height: int) -> float:
+    """The letters' size, as a share of that in a picture of 1280 x 720: in a small one they are to be read, too, and in
+    a low panel to leave room for the robot."""
+    return min(max(float(np.sqrt(width * height)) / 960, 0.6), max(cell_height / 330, 0.45))
 
 
 class _Patch:

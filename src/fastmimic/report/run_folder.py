@@ -14,7 +14,9 @@ from fastmimic.files import check_folder, replace_file
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 
 if TYPE_CHECKING:
+    from fastmimic.imitation.rollout import Rollout
     from fastmimic.pipeline import Imitation
+    from fastmimic.report import Track
 
 CHECKPOINTS: Final = "checkpoint*.npz"
 MOTION: Final = "motion.npz"
@@ -65,22 +67,28 @@ class RunFolder:
             self._remove(CHECKPOINT)  # an earlier run's
         self._write_metrics(result, None)
 
-    def write_video(self, result: "Imitation", progress: Callable[[int, int], None] | None = None) -> bool:
+    def write_video(
+        self, result: "Imitation", progress: Callable[[int, int], None] | None = None, quality: str = "preview"
+    ) -> bool:
         """Adds the video, and its time to the metrics; False, with a warning in the log, if nothing can draw.
+
+        Args:
+            result: already in the folder.
+            progress: called with (frames done, frames in all).
+            quality: how carefully it is drawn, one of `fastmimic.report.quality.QUALITIES`.
 
         Raises:
             OutputError: it cannot be written.
         """
         from fastmimic.report import render_video
-        from fastmimic.report.tracks import rollout_track
 
         began = time.perf_counter()
-        tracks = [rollout_track(result.before, "before: as retargeted")]
-        if result.history is not None:
-            tracks.append(rollout_track(result.after, "after: optimised"))
         assert result.before.log is not None
         rate_hz = result.before.log.rate_hz
-        info = render_video(result.robot, tracks, self.path / VIDEO, rate_hz=rate_hz, progress=progress)
+        tracks = _tracks(result)
+        info = render_video(
+            result.robot, tracks, self.path / VIDEO, rate_hz=rate_hz, progress=progress, quality=quality
+        )
         if info is not None:
             self._write_metrics(result, time.perf_counter() - began)
         return info is not None
@@ -224,6 +232,23 @@ def _remove_empty(created: list[Path]) -> None:
             path.rmdir()
         except OSError:  # not empty, or gone
             return
+
+
+def _tracks(result: "Imitation") -> "list[Track]":
+    """What the video shows: the episode before and, if something was optimised, the one after."""
+    from fastmimic.methods import method_named
+    from fastmimic.report.tracks import rollout_track
+
+    def track(rollout: "Rollout", title: str, method: str) -> "Track":
+        return rollout_track(rollout, title, note=f"{result.motion.name} · {method_named(method).label}")
+
+    if result.history is not None:  # before it, there was only the method's controller
+        return [
+            track(result.before, "before: as retargeted", result.method.removesuffix("-dmp")),
+            track(result.after, "after: optimised", result.method),
+        ]
+    as_it_is = "as retargeted" if result.motion.demonstration is None else "as its motions were optimised"
+    return [track(result.before, as_it_is, result.method)]
 
 
 def _tracking_figure(result: "Imitation", title: str) -> Any:

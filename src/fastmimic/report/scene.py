@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.report.style import DEMONSTRATION
+from fastmimic.report.quality import PREVIEW, Quality
+from fastmimic.report.style import DEMONSTRATION, LEG_LINES
 
 if TYPE_CHECKING:
     import mujoco
@@ -19,16 +20,34 @@ _ROBOT: Final = "robot/"
 _GHOST: Final = "ghost/"
 GHOST_GROUP: Final = 4
 _HIDDEN_GROUP: Final = 5
+_CHECKER: Final = "checker"
+_TILES: Final = "tiles"
 _GHOST_SHRINK: Final = 0.97
 """Of the sizes, so that surfaces do not flicker where the robot is exactly on its demonstration."""
 LIGHT_DIR: Final = (0.30, 0.40, -1.0)
 _FOVY_DEG: Final = 30.0
+TILE_M: Final = 0.5
+"""Edge of a tile of the ground."""
+_TILED_M: Final = 12.0
+"""How far from the camera's point the tiles reach: the fog hides what is beyond."""
+_LIGHT_TILE: Final = (0.80, 0.82, 0.84)
+_DARK_TILE: Final = (0.70, 0.73, 0.76)
+_HAZE: Final = (0.93, 0.95, 0.97)
 
 
 def ghost_rgba(alpha: float = 0.36) -> tuple[float, float, float, float]:
     """The demonstration's colour, as in the figures, translucent."""
-    r, g, b = (int(DEMONSTRATION.color[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    return r, g, b, alpha
+    return (*_rgb(DEMONSTRATION.color), alpha)
+
+
+def leg_rgba(leg: int, alpha: float) -> tuple[float, float, float, float]:
+    """A leg's colour, as in the figures."""
+    return (*_rgb(LEG_LINES[leg].color), alpha)
+
+
+def _rgb(color: str) -> tuple[float, float, float]:
+    r, g, b = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return r, g, b
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,15 +59,30 @@ class Stage:
         robot_qpos: (19,) indices of the robot's root position, quaternion and joints in the common order.
         ghost_qpos: the same of the ghost; None without one.
         casts_shadow: (ngeom,) which geoms have a shadow: the robot's main ones.
+        quality: how it is drawn.
+        tiles: the geom that is the ground's pattern, to be kept under the camera; None where that is a texture.
+        tile: edge of a tile, m.
     """
 
     model: "mujoco.MjModel"
     robot_qpos: NDArray[np.int64]
     ghost_qpos: NDArray[np.int64] | None
     casts_shadow: NDArray[np.bool_]
+    quality: Quality = PREVIEW
+    tiles: int | None = None
+    tile: float = TILE_M
 
 
-def build_stage(robot: "Robot", *, ghost: bool, width: int, height: int, floor: Array) -> Stage:
+def build_stage(
+    robot: "Robot",
+    *,
+    ghost: bool,
+    width: int,
+    height: int,
+    floor: Array,
+    quality: Quality = PREVIEW,
+    tile: float = TILE_M,
+) -> Stage:
     """Puts a robot, and a ghost of it, on a checkered ground.
 
     Args:
@@ -57,12 +91,15 @@ def build_stage(robot: "Robot", *, ghost: bool, width: int, height: int, floor: 
         width: of the whole picture, pixels.
         height: of the whole picture, pixels.
         floor: (2, 2) lowest and highest x and y that the robots reach, m.
+        quality: how carefully it is drawn.
+        tile: edge of a tile of the ground, m.
     """
     import mujoco
 
     spec = mujoco.MjSpec()
-    _set_visual(spec, width, height)
-    _add_ground(spec, floor)
+    _set_visual(spec, width, height, quality)
+    _add_ground(spec, floor, quality, tile)
+    _add_light(spec, quality)
     for prefix in (_ROBOT, _GHOST)[: 1 + ghost]:
         spec.attach(_bare_robot(robot), prefix=prefix, frame=spec.worldbody.add_frame())
     model = spec.compile()
@@ -71,59 +108,110 @@ def build_stage(robot: "Robot", *, ghost: bool, width: int, height: int, floor: 
     if ghost:
         ghost_qpos, ghost_geoms = _find(model, robot, _GHOST)
         _make_ghost(model, ghost_geoms)
-    return Stage(model, robot_qpos, ghost_qpos, _main_geoms(model, robot_geoms))
+    tiles = None if quality.textured else int(model.geom(_TILES).id)
+    return Stage(model, robot_qpos, ghost_qpos, _main_geoms(model, robot_geoms), quality, tiles, tile)
 
 
-def _set_visual(spec: "mujoco.MjSpec", width: int, height: int) -> None:
-    """Settings that keep software rendering fast: no multisampling, no shadow map, few facets."""
+def _set_visual(spec: "mujoco.MjSpec", width: int, height: int, quality: Quality) -> None:
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = width, height
     visual.global_.fovy = _FOVY_DEG
-    visual.quality.offsamples = 0
-    visual.quality.shadowsize = 0
-    visual.quality.numslices, visual.quality.numstacks, visual.quality.numquads = 18, 9, 1
+    visual.quality.offsamples = quality.samples
+    visual.quality.shadowsize = quality.shadow_map
+    facets = visual.quality
+    facets.numslices, facets.numstacks, facets.numquads = quality.facets, quality.facets // 2, 1
     visual.headlight.ambient = [0.42, 0.42, 0.42]
     visual.headlight.diffuse = [0.28, 0.28, 0.28]
     visual.headlight.specular = [0.1, 0.1, 0.1]
-    visual.rgba.fog = [0.93, 0.95, 0.97, 1]
+    visual.rgba.fog = [*_HAZE, 1]
     visual.map.fogstart, visual.map.fogend = 2.5, 11.0
-    visual.map.znear, visual.map.zfar = 0.02, 60.0
+    visual.map.znear, visual.map.zfar = 0.2, 60.0  # what lies on the ground is a millimetre above it
+    visual.map.shadowclip = 2.0  # m about the robot that have a shadow; specks where they end
     spec.stat.extent = 1.0
     spec.stat.center = [0, 0, 0.2]
 
 
-def _add_ground(spec: "mujoco.MjSpec", floor: Array) -> None:
+def _add_ground(spec: "mujoco.MjSpec", floor: Array, quality: Quality, tile: float) -> None:
+    import mujoco
+
+    half = float(np.max(floor[1] - floor[0])) / 2 + 22.0  # the fog hides the edge
+    ground = spec.worldbody.add_geom(
+        name="ground",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        pos=[*np.round(floor.mean(axis=0) / (2 * tile)) * (2 * tile), 0],
+        size=[half, half, half],  # the third is the grid's spacing: one quad is enough without spotlights
+        rgba=[*_LIGHT_TILE, 1],
+    )
+    if quality.textured:
+        _add_checker(spec, tile, quality.reflectance)
+        ground.material, ground.rgba = _CHECKER, [1, 1, 1, 1]
+        return
+    vertices, faces = _checkered(tile, _TILED_M)
+    spec.add_mesh(
+        name=_TILES,
+        uservert=vertices.ravel(),
+        userface=faces.ravel(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    spec.worldbody.add_geom(
+        name=_TILES,
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=_TILES,
+        pos=[0, 0, 0.001],
+        rgba=[*_DARK_TILE, 1],
+        contype=0,
+        conaffinity=0,
+    )
+
+
+def _add_checker(spec: "mujoco.MjSpec", tile: float, reflectance: float) -> None:
+    """The ground's pattern as a material."""
     import mujoco
 
     spec.add_texture(
-        name="checker",
+        name=_CHECKER,
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         mark=mujoco.mjtMark.mjMARK_EDGE,
-        rgb1=[0.80, 0.82, 0.84],
-        rgb2=[0.70, 0.73, 0.76],
+        rgb1=_LIGHT_TILE,
+        rgb2=_DARK_TILE,
         markrgb=[0.90, 0.91, 0.92],
         width=512,
         height=512,
     )
     material = spec.add_material(
-        name="ground", texrepeat=[2, 2], texuniform=True, specular=0.0, shininess=0.0, reflectance=0.0
+        name=_CHECKER,
+        texrepeat=[1 / tile, 1 / tile],  # a plane's texture spans two units of length, and two tiles
+        texuniform=True,
+        specular=0.0,
+        shininess=0.0,
+        reflectance=reflectance,
     )
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "checker"
-    half = float(np.max(floor[1] - floor[0])) / 2 + 22.0  # the fog hides the edge
-    spec.worldbody.add_geom(
-        name="ground",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        pos=[*np.round(floor.mean(axis=0)), 0],
-        size=[half, half, half],  # the third is the grid's spacing: one quad is enough without spotlights
-        material="ground",
-    )
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _CHECKER
+
+
+def _checkered(tile: float, reach: float) -> tuple[Array, NDArray[np.int32]]:
+    """Every other tile of a square of `reach` m each way: vertices (4 k, 3) and triangles (2 k, 3), facing up."""
+    n = 2 * int(np.ceil(reach / (2 * tile)))
+    column, row = np.meshgrid(np.arange(-n, n), np.arange(-n, n))
+    low = np.stack([column, row], axis=-1)[(column + row) % 2 == 0] * tile
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * tile
+    vertices = np.zeros((len(low), 4, 3))
+    vertices[..., :2] = low[:, None] + corners
+    first = 4 * np.arange(len(low))[:, None, None]
+    faces = first + np.array([[0, 1, 2], [0, 2, 3]])
+    return vertices.reshape(-1, 3), faces.reshape(-1, 3).astype(np.int32)
+
+
+def _add_light(spec: "mujoco.MjSpec", quality: Quality) -> None:
+    import mujoco
+
     spec.worldbody.add_light(
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
         dir=LIGHT_DIR,
         diffuse=[0.55, 0.55, 0.55],
         specular=[0.2, 0.2, 0.2],
-        castshadow=False,
+        castshadow=quality.shadow_map > 0,
     )
 
 

@@ -1,6 +1,6 @@
 """What videos and figures take, out of logs and motions."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +17,24 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def rollout_track(rollout: "Rollout", title: str = "", episode: int = 0) -> Track:
+LOADED_N: Final = 1.0
+"""Vertical force from which a foot is marked as loaded, N."""
+
+
+def rollout_track(rollout: "Rollout", title: str = "", episode: int = 0, note: str = "") -> Track:
     """An episode as it happened, falls included, with the demonstration in force at each step as its ghost.
 
     Args:
         rollout: with its log.
         title: first line of the panel; the second tells the reward, and when the robot fell.
         episode: which one.
+        note: what the second line begins with, such as the method.
     """
     log = rollout.log
     assert log is not None, "a track needs a rollout with its log"
     robot, ghost = log.observation[episode], log.demonstration[episode]
-    caption = f"reward {rollout.reward[episode]:.2f}"
+    caption = f"{note} · " if note else ""
+    caption += f"reward {rollout.reward[episode]:.2f}"
     if rollout.fell[episode]:
         caption += f", fell after {rollout.steps[episode] / log.rate_hz:.1f} s"
     return Track(
@@ -38,10 +44,13 @@ def rollout_track(rollout: "Rollout", title: str = "", episode: int = 0) -> Trac
         title=title,
         caption=caption,
         ghost=Track(ghost["root_pos"], ghost["root_quat"], ghost["joint_pos"], title="demonstration"),
+        contact=robot["foot_force"][..., 2] > LOADED_N,  # False for the NaN after a fall
     )
 
 
-def motion_track(motion: "Motion", duration_s: float, title: str = "", ghost: Track | None = None) -> Track:
+def motion_track(
+    motion: "Motion", duration_s: float, title: str = "", ghost: Track | None = None, caption: str = ""
+) -> Track:
     """A motion as it is written, without physics: its cycles one after another, or once if it has none.
 
     Args:
@@ -49,6 +58,7 @@ def motion_track(motion: "Motion", duration_s: float, title: str = "", ghost: Tr
         duration_s: how much of it, s.
         title: first line of the panel.
         ghost: of the same length.
+        caption: second line.
     """
     n = max(1, round(duration_s * motion.rate_hz))
     if motion.cycle is None:
@@ -60,7 +70,7 @@ def motion_track(motion: "Motion", duration_s: float, title: str = "", ghost: Tr
     position = motion.root_pos_w[sample] - np.array([first[0], first[1], 0.0])
     position[:, :2] = origin[:, :2] + rotate_planar(origin[:, 2] - yaw0, position[:, :2])
     quat = quat_multiply(quat_from_yaw(origin[:, 2] - yaw0), motion.root_quat_wxyz[sample])
-    return Track(position, quat, motion.joint_pos[sample], title=title, ghost=ghost)
+    return Track(position, quat, motion.joint_pos[sample], title, caption, ghost, motion.contact[sample])
 
 
 def realised_feet(rollout: "Rollout", robot: "Robot", episode: int = 0) -> Array:

@@ -1,22 +1,24 @@
-"""Videos of robots in motion, one or two side by side, each with its demonstration as a ghost."""
+"""Videos of robots in motion, up to four in a grid, each with its demonstration as a ghost."""
 
 import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.errors import ConfigError
-from fastmimic.report.encoding import VideoFile
+from fastmimic.report.encoding import FPS, GIF_FPS, GIF_SIZE, VideoFile
 from fastmimic.report.offscreen import NoRendererError, Offscreen
 from fastmimic.report.overlay import Overlay
-from fastmimic.report.playback import Track, resample
-from fastmimic.report.scene import Stage, build_stage, ghost_rgba
-from fastmimic.rotations import yaw_from_quat
+from fastmimic.report.playback import AnimalTrack, Track, resample, resample_contact, resample_points
+from fastmimic.report.quality import PREVIEW, Quality, quality_named
+from fastmimic.report.scene import TILE_M, Stage, build_stage, ghost_rgba, leg_rgba
+from fastmimic.rotations import quat_rotate, yaw_from_quat
 
 if TYPE_CHECKING:
     import mujoco
@@ -33,6 +35,14 @@ _CAMERA_AZIMUTH_DEG: Final = 122.0
 _CAMERA_SMOOTHING_S: Final = 0.35
 _LOOK_AT_HEIGHT: Final = 0.62
 """Of the base's height: leaves room above for the words and below for the shadow."""
+MAX_PANELS: Final = 4
+_TRAIL_S: Final = 0.45
+_TRAIL_PIECES: Final = 24
+_TRAIL_WIDTH: Final = 3.0
+"""Pixels in a picture of 720 lines; at least half of it."""
+_BONE_RGBA: Final = (0.66, 0.47, 0.30, 1.0)
+
+AnyTrack: TypeAlias = Track | AnimalTrack
 
 
 @dataclass(frozen=True)
@@ -44,78 +54,143 @@ class VideoInfo:
 
 
 @dataclass(frozen=True, eq=False)
+class _Shown:
+    """What a track shows in each of n frames.
+
+    Attributes:
+        root: (n, 3) what the camera follows, world, m.
+        yaw: heading in the first frame, rad.
+        robot: (n, 19) poses; None for an animal.
+        ghost: (n, 19); None without one.
+        feet: (n, p, 4, 3) centres of the feet now and at the p - 1 moments before that a trail joins, world, m; None
+            without marks.
+        contact: (n, 4) which of them are loaded.
+        bones: (n, b, 2, 3) their ends, world, m; None for a robot.
+        radii: (b,) theirs, m.
+    """
+
+    root: Array
+    yaw: float
+    robot: Array | None = None
+    ghost: Array | None = None
+    feet: Array | None = None
+    contact: NDArray[np.bool_] | None = None
+    bones: Array | None = None
+    radii: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
 class _Panel:
-    """A view with what it shows in each of n frames: poses (n, 19) and points (n, 3) to look at."""
+    """A view with what it shows, the points (n, 3) to look at, and the width of trails, pixels."""
 
     view: "View"
-    robot: Array
-    ghost: Array | None
+    shown: _Shown
     look_at: Array
+    trail_width: float
 
     def scene(self, frame: int) -> "mujoco.MjvScene":
-        ghost = None if self.ghost is None else self.ghost[frame]
-        self.view.update(self.robot[frame], ghost, self.look_at[frame])
+        shown = self.shown
+        robot = None if shown.robot is None else shown.robot[frame]
+        ghost = None if shown.ghost is None else shown.ghost[frame]
+        self.view.update(robot, ghost, self.look_at[frame])
+        if shown.bones is not None:
+            for (start, end), radius in zip(shown.bones[frame], shown.radii, strict=True):
+                self.view.capsule(start, end, radius, _BONE_RGBA)
+        if shown.feet is not None and shown.contact is not None:
+            for leg in range(4):
+                if shown.contact[frame, leg]:
+                    self.view.disc(shown.feet[frame, 0, leg], leg_rgba(leg, 0.75))
+                self._trail(shown.feet[frame, :, leg], leg)
         return self.view.scene
+
+    def _trail(self, path: Array, leg: int) -> None:
+        """The last moments of a foot's path (p, 3), the present first, fading."""
+        for i, (start, end) in enumerate(pairwise(path)):
+            if np.array_equal(start, end):
+                continue
+            self.view.line(start, end, leg_rgba(leg, 0.9 * (1 - i / _TRAIL_PIECES)), self.trail_width)
 
 
 def render_video(
     robot: "Robot",
-    tracks: Sequence[Track],
+    tracks: Sequence[AnyTrack],
     path: str | Path,
     *,
     rate_hz: float,
-    fps: float = 30.0,
-    size: tuple[int, int] = (1280, 720),
+    fps: float | None = None,
+    size: tuple[int, int] | None = None,
+    quality: Quality | str = PREVIEW,
     progress: Callable[[int, int], None] | None = None,
     slow_motion: float = 1.0,
     supersampling: float = 1.0,
+    columns: int | None = None,
+    marks: bool = True,
+    clock: bool = True,
+    window_s: tuple[float, float] | None = None,
+    loop_m: float | None = None,
 ) -> VideoInfo | None:
-    """Writes an H.264 video of one or more tracks, side by side.
+    """Writes a video of up to four tracks: one alone, two side by side, three or four as 2 x 2.
 
     Args:
         robot: the robot that all tracks show.
         tracks: one for each panel; a shorter one holds its last pose.
-        path: the `.mp4` to write; replaced only once the new video is whole.
+        path: the `.mp4` (H.264), `.webm` (VP9) or `.gif` to write; replaced only once the new video is whole.
         rate_hz: samples a second of the tracks.
-        fps: frames a second of the video.
-        size: width and height, pixels, even.
+        fps: frames a second of the video; if None 30, or a GIF's 20.
+        size: width and height, pixels, even but for a GIF; if None the quality's, or a GIF's 640 x 360.
+        quality: how carefully it is drawn, one of `fastmimic.report.quality.QUALITIES`.
         progress: called with (frames done, frames in all) after each frame.
         slow_motion: how many times slower than reality the video plays.
-        supersampling: draw larger by this factor and scale down: 1 is quick, 2 has smooth edges.
+        supersampling: draw larger by this factor and scale down.
+        columns: of panels, if not as said above.
+        marks: whether feet leave trails, and discs on the ground show which are loaded.
+        clock: whether the time is shown.
+        window_s: the part of the tracks that is shown, s; camera and trails know what is before and after it.
+        loop_m: how far the robots come along their heading in it, m, if it is to be played again and again: the
+            ground's tiles are made to fit.
 
     Returns:
         What was written; None, with a warning in the log, if this machine has no OpenGL to draw with.
 
     Raises:
-        ConfigError: no track, a size that H.264 does not take, or a number that is not positive.
+        ConfigError: no track or too many, a size that the format does not take, or a number that is not positive.
         OutputError: `path` cannot be written.
     """
-    if not tracks:
-        raise ConfigError("a video needs at least one track")
+    if not 1 <= len(tracks) <= MAX_PANELS:
+        raise ConfigError(f"a video shows 1 to {MAX_PANELS} tracks, found {len(tracks)}")
+    quality = quality_named(quality) if isinstance(quality, str) else quality
+    gif = Path(path).suffix.lower() == ".gif"
+    fps = fps if fps is not None else (GIF_FPS if gif else FPS)
+    size = size if size is not None else (GIF_SIZE if gif else quality.size)
+    columns = columns if columns is not None else min(len(tracks), 2)
     numbers = {"rate_hz": rate_hz, "fps": fps, "slow_motion": slow_motion, "supersampling": supersampling}
     for name, value in numbers.items():
         if not (np.isfinite(value) and value > 0):
             raise ConfigError(f"{name} must be positive, found {value:g}")
+    if not 1 <= columns <= len(tracks):
+        raise ConfigError(f"{len(tracks)} panels cannot stand in {columns} columns")
     drawn_size = (round(size[0] * supersampling), round(size[1] * supersampling))
-    video = VideoFile(path, drawn_size, size, fps)
-    times = _frame_times(max(len(t.root_pos_w) for t in tracks), rate_hz, fps * slow_motion)
-    poses = [resample(track, rate_hz, times) for track in tracks]
-    ghosts = [resample(t.ghost, rate_hz, times) if t.ghost is not None else None for t in tracks]
-    stage = _stage(robot, poses, ghosts, drawn_size)
-    overlay = _overlay(tracks, drawn_size, slow_motion)
+    times = _frame_times(max(_samples(t) for t in tracks), rate_hz, fps * slow_motion)
+    frames = _frames(times, window_s)
+    video = VideoFile(path, drawn_size, size, fps, quality, frames=len(frames))
+    shown = [_shown(robot, track, rate_hz, times, marks) for track in tracks]
+    stage = _stage(robot, shown, drawn_size, quality, loop_m)
+    overlay = _overlay(tracks, drawn_size, slow_motion, columns, clock)
     try:
         screen = Offscreen(stage.model)
     except NoRendererError as error:
         _LOG.warning("%s was not written: %s; set MUJOCO_GL to a backend that works", path, error)
         return None
     with screen, video:
-        panels = _panels(stage, robot, poses, ghosts, times, drawn_size)
-        _film(panels, times, screen, overlay, video, progress)
-    return VideoInfo(len(times), len(times) / fps)
+        panels = _panels(stage, robot, shown, times, drawn_size, columns)
+        _film(panels, columns, frames, times, screen, overlay, video, progress)
+    return VideoInfo(len(frames), len(frames) / fps)
 
 
 def _film(
     panels: list[_Panel],
+    columns: int,
+    frames: range,
     times: Array,
     screen: Offscreen,
     overlay: Overlay,
@@ -130,13 +205,13 @@ def _film(
 
     with ThreadPoolExecutor(max_workers=1) as writer:
         written: Future[None] | None = None
-        for i, time_s in enumerate(times):
-            frame = screen.draw([panel.scene(i) for panel in panels])
+        for done, i in enumerate(frames, start=1):
+            frame = screen.draw([panel.scene(i) for panel in panels], columns)
             if written is not None:
                 written.result()
-            written = writer.submit(finish, frame, float(time_s))
+            written = writer.submit(finish, frame, float(times[i]))
             if progress is not None:
-                progress(i + 1, len(times))
+                progress(done, len(frames))
         if written is not None:
             written.result()
 
@@ -147,46 +222,87 @@ def _frame_times(samples: int, rate_hz: float, frames_per_s: float) -> Array:
     return np.arange(count) / frames_per_s
 
 
-def _stage(robot: "Robot", poses: list[Array], ghosts: list[Array | None], size: tuple[int, int]) -> Stage:
-    paths = np.concatenate([p[:, :2] for p in (*poses, *ghosts) if p is not None])
+def _frames(times: Array, window_s: tuple[float, float] | None) -> range:
+    """Which of the frames at `times` are in the window."""
+    if window_s is None:
+        return range(len(times))
+    first, end = np.searchsorted(times, np.array(window_s) - 1e-9)
+    if first >= end:
+        raise ConfigError(f"nothing is between {window_s[0]:g} and {window_s[1]:g} s of tracks of {times[-1]:.2f} s")
+    return range(int(first), int(end))
+
+
+def _samples(track: AnyTrack) -> int:
+    return len(track.points_w if isinstance(track, AnimalTrack) else track.root_pos_w)
+
+
+def _shown(robot: "Robot", track: AnyTrack, rate_hz: float, times: Array, marks: bool) -> _Shown:
+    if isinstance(track, AnimalTrack):
+        points = resample_points(track, rate_hz, times)
+        bones = points[:, np.array(track.skeleton.bones)]
+        middle = (points.min(axis=1) + points.max(axis=1)) / 2
+        heading = float(np.arctan2(*(middle[-1] - middle[0])[1::-1]))  # of its travel
+        return _Shown(middle, heading, bones=bones, radii=track.skeleton.radii)
+    pose = resample(track, rate_hz, times)
+    ghost = resample(track.ghost, rate_hz, times) if track.ghost is not None else None
+    yaw = float(yaw_from_quat(pose[0, 3:7]))
+    if not marks:
+        return _Shown(pose[:, :3], yaw, pose, ghost)
+    from fastmimic.robot.kinematics import foot_positions
+
+    moments = times[:, None] - np.linspace(0.0, _TRAIL_S, _TRAIL_PIECES + 1)
+    before = resample(track, rate_hz, np.maximum(moments, 0.0).ravel())
+    feet_b = foot_positions(robot, np.ascontiguousarray(before[:, 7:]))
+    feet = (before[:, None, :3] + quat_rotate(before[:, None, 3:7], feet_b)).reshape(*moments.shape, 4, 3)
+    return _Shown(pose[:, :3], yaw, pose, ghost, feet, resample_contact(track, rate_hz, times))
+
+
+def _stage(robot: "Robot", shown: list[_Shown], size: tuple[int, int], quality: Quality, loop_m: float | None) -> Stage:
+    paths = np.concatenate([path[:, :2] for s in shown for path in (s.root, s.ghost) if path is not None])
+    tile = TILE_M
+    if loop_m is not None and loop_m > 0:  # a whole number of the pattern's periods
+        tile = loop_m / (2 * max(1, round(loop_m / (2 * TILE_M))))
     return build_stage(
         robot,
-        ghost=any(g is not None for g in ghosts),
+        ghost=any(s.ghost is not None for s in shown),
         width=size[0],
         height=size[1],
         floor=np.array([paths.min(axis=0), paths.max(axis=0)]),
+        quality=quality,
+        tile=tile,
     )
 
 
-def _overlay(tracks: Sequence[Track], size: tuple[int, int], slow_motion: float) -> Overlay:
-    ghosts = [t.ghost for t in tracks if t.ghost is not None]
+def _overlay(
+    tracks: Sequence[AnyTrack], size: tuple[int, int], slow_motion: float, columns: int, clock: bool
+) -> Overlay:
+    ghosts = [t.ghost for t in tracks if isinstance(t, Track) and t.ghost is not None]
     legend = (ghost_rgba()[:3], ghosts[0].title or "demonstration") if ghosts else None
     note = f"slow motion 1 : {slow_motion:g}" if slow_motion != 1 else ""
-    return Overlay(*size, [(t.title, t.caption) for t in tracks], legend, note)
+    words = [(t.title, t.caption) for t in tracks]
+    return Overlay(*size, words, legend, note, columns=columns, clock=clock)
 
 
 def _panels(
-    stage: Stage,
-    robot: "Robot",
-    poses: list[Array],
-    ghosts: list[Array | None],
-    times: Array,
-    size: tuple[int, int],
+    stage: Stage, robot: "Robot", shown: list[_Shown], times: Array, size: tuple[int, int], columns: int
 ) -> list[_Panel]:
     """All panels look from the same side and distance, each following its own robot."""
     from fastmimic.report.view import View
 
     span = np.ptp(robot.hip_pos_b[:, 0]) + robot.leg_length
-    aspect = size[0] / len(poses) / size[1]
+    rows = -(-len(shown) // columns)
+    aspect = size[0] / columns / (size[1] / rows)
     half_tan = np.tan(np.radians(stage.model.vis.global_.fovy) / 2)
     distance = float(max(0.62 * span / half_tan, 0.74 * span / (half_tan * aspect)))
-    azimuth = np.degrees(float(yaw_from_quat(poses[0][0, 3:7]))) + _CAMERA_AZIMUTH_DEG
+    first = next((s for s in shown if s.robot is not None), shown[0])
+    azimuth = np.degrees(first.yaw) + _CAMERA_AZIMUTH_DEG
+    height = _LOOK_AT_HEIGHT * float(np.median(first.root[:, 2]))
     dt = times[1] - times[0] if len(times) > 1 else 1.0
     panels = []
-    for pose, ghost in zip(poses, ghosts, strict=True):
-        look_at = _low_pass(pose[:, :3], _CAMERA_SMOOTHING_S / dt)
-        look_at[:, 2] = _LOOK_AT_HEIGHT * np.median(pose[:, 2])
-        panels.append(_Panel(View(stage, azimuth, distance), pose, ghost, look_at))
+    for each in shown:
+        look_at = _low_pass(each.root, _CAMERA_SMOOTHING_S / dt)
+        look_at[:, 2] = height
+        panels.append(_Panel(View(stage, azimuth, distance), each, look_at, _TRAIL_WIDTH * max(size[1] / 720, 0.5)))
     return panels
 
 

@@ -70,10 +70,17 @@ def plot_data(base: Array, time_s: float) -> tuple[Array, ...]:
     return (*(np.ascontiguousarray(column) for column in rows.T), cursor)
 
 
-def gait_strip(take: "Take", row: int) -> str:
-    """An SVG of what was wanted, loaded and in stance around the present: outlined, filled and hatched bars."""
-    half = round(STRIP_S / 2 * take.rate_hz)
-    first, end = max(row - half, 0), min(row + half + 1, take.rows)
+def gait_strip(take: "Take", row: int, now: float = 0.5) -> str:
+    """An SVG of what was wanted, loaded and in stance around the present: outlined, filled and hatched bars.
+
+    Args:
+        take: what is shown.
+        row: the present one.
+        now: where the present is, share of the strip: 1 to show the past only.
+    """
+    samples = round(STRIP_S * take.rate_hz)
+    left_row = row - round(now * samples)
+    first, end = max(left_row, 0), min(left_row + samples + 1, take.rows)
     leg_height = len(_KINDS) * _ROW + _LEG_GAP
     height = len(LEGS) * leg_height + 14
     known = {"wanted": take.wanted, "measured": take.measured, "stance": take.stance}
@@ -83,7 +90,7 @@ def gait_strip(take: "Take", row: int) -> str:
     ]
 
     def x(at: float) -> float:
-        return _LEFT + (at - (row - half)) / (2 * half) * (_STRIP_WIDTH - _LEFT)
+        return _LEFT + (at - left_row) / samples * (_STRIP_WIDTH - _LEFT)
 
     for leg, name in enumerate(LEGS):
         colour = LEG_LINES[leg].color
@@ -109,7 +116,8 @@ def gait_strip(take: "Take", row: int) -> str:
                 )
     middle, bottom = x(row), len(LEGS) * leg_height
     parts.append(f'<line x1="{middle}" x2="{middle}" y1="0" y2="{bottom}" stroke="#ff0033" stroke-width="1.4"/>')
-    for share, text in ((0.0, f"−{STRIP_S / 2:g} s"), (0.5, "now"), (1.0, f"+{STRIP_S / 2:g} s")):
+    ends = [(0.0, f"−{now * STRIP_S:g} s"), (now, "now")] + ([(1.0, f"+{(1 - now) * STRIP_S:g} s")] if now < 1 else [])
+    for share, text in ends:
         anchor = "start" if share == 0 else "end" if share == 1 else "middle"
         at = _LEFT + share * (_STRIP_WIDTH - _LEFT)
         parts.append(

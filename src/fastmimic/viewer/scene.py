@@ -1,6 +1,7 @@
 """What is seen, as viser's scene nodes: each robot under a frame of its own, which moves against its path if the view
 follows it, so that the camera stays where the user has put it."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -10,6 +11,7 @@ from fastmimic.conventions import LEGS
 from fastmimic.report.scene import ghost_rgba
 from fastmimic.report.style import LEG_LINES
 from fastmimic.viewer.animal import bone_segments
+from fastmimic.viewer.bodies import Puppet
 from fastmimic.viewer.marks import (
     TRAIL_POINTS,
     asked_segments,
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 
     from fastmimic.robot import Robot
     from fastmimic.viewer.animal import Animal
-    from fastmimic.viewer.bodies import Body, Placed, Puppet
+    from fastmimic.viewer.bodies import Body, Placed
     from fastmimic.viewer.take import Take
 
 Array = NDArray[np.float64]
@@ -62,11 +64,46 @@ def animal_aside(robot: "Robot") -> float:
     return -0.7 * gap(robot)
 
 
+def line_up(
+    server: "viser.ViserServer",
+    robot: "Robot",
+    takes: "Sequence[Take]",
+    animal: "Animal | None" = None,
+    names: Sequence[str] | None = None,
+) -> "list[RobotScene]":
+    """Robots beside each other, seen from the front the first on the left.
+
+    Args:
+        server: viser's.
+        robot: the robot.
+        takes: what each does first.
+        animal: beside the first; None for none.
+        names: of their frames in the scene tree.
+    """
+    n = len(takes)
+    ground = (24.0, 24.0) if n == 1 else (3.0, round(gap(robot) / _CELL_M) * _CELL_M)
+    puppet = Puppet(robot)
+    return [
+        RobotScene(
+            server,
+            f"/{names[i]}" if names is not None else f"/robot{i}",
+            robot,
+            puppet,
+            take,
+            gap(robot) * (i - 0.5 * (n - 1)),
+            ground,
+            animal if i == 0 else None,
+        )
+        for i, take in enumerate(takes)
+    ]
+
+
 class RobotScene:
     """One robot with all that is drawn about it.
 
     Attributes:
         take: what it does.
+        aside: where it stands, metres to the left of the middle.
         root: its frame, which holds everything else.
 
     Args:
@@ -92,7 +129,7 @@ class RobotScene:
         animal: "Animal | None" = None,
     ) -> None:
         self._server, self._robot, self._puppet, self._animal = server, robot, puppet, animal
-        self._aside = aside
+        self.aside = aside
         self._length = robot.leg_length  # of an arrow that carries the weight
         self.root = server.scene.add_frame(name, show_axes=False)
         self._groups = {
@@ -151,7 +188,7 @@ class RobotScene:
         reference = None if take.reference is None else take.reference[row]
         placed, ghost = self._puppet.place(take.pose[row], reference)
         shift = -self._path[row] if follow else np.zeros(2)
-        self.root.position = (float(shift[0]), float(shift[1]) + self._aside, 0.0)
+        self.root.position = (float(shift[0]), float(shift[1]) + self.aside, 0.0)
         x, y = np.round(self._path[row] / _CELL_M) * _CELL_M
         self._grid.position = (float(x), float(y), -0.001)
         _move(self._bodies, placed)

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fastmimic.errors import ConfigError
-from fastmimic.viewer.bodies import Puppet
 from fastmimic.viewer.clock import Clock
 from fastmimic.viewer.panel import Panel
-from fastmimic.viewer.scene import RobotScene, animal_aside, gap
+from fastmimic.viewer.scene import animal_aside, line_up
 
 if TYPE_CHECKING:
     import viser
@@ -68,6 +67,30 @@ def require_viser() -> None:
         raise ConfigError(f"viser {viser.__version__} is too old: pip install --upgrade 'fastmimic[view]'")
 
 
+def start_server(port: int = DEFAULT_PORT) -> "viser.ViserServer":
+    """viser's server, silent, on loopback.
+
+    Args:
+        port: the first one to try.
+
+    Raises:
+        ConfigError: viser is not installed, or no port is free.
+    """
+    require_viser()
+    import viser
+
+    # connections that come and go are no news
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)
+    with contextlib.redirect_stdout(io.StringIO()):
+        return viser.ViserServer(host=HOST, port=free_port(port), label="FastMimic", verbose=False)
+
+
+def stop_server(server: "viser.ViserServer") -> None:
+    """Ends it, silently."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
 @dataclass(frozen=True)
 class Camera:
     """Where a camera stands and what it looks at, scene coordinates, m."""
@@ -105,6 +128,51 @@ def default_camera(robot: "Robot", beside: Sequence[float], yaw: float, aspect: 
     return Camera((x, y, z), (float(look_at[0]), float(look_at[1]), height))
 
 
+def aim_at_first(server: "viser.ViserServer", camera: Camera) -> None:
+    """Where the camera of each browser is to begin."""
+    initial = server.initial_camera
+    initial.position, initial.look_at, initial.fov = camera.position, camera.look_at, _FOV_RAD
+
+
+class Cameras:
+    """Those of all browsers: where they begin, and where they go back to.
+
+    Args:
+        server: viser's.
+        robot, beside, yaw: as for `default_camera`.
+    """
+
+    def __init__(self, server: "viser.ViserServer", robot: "Robot", beside: Sequence[float], yaw: float) -> None:
+        self._server, self._robot, self._beside, self._yaw = server, robot, tuple(beside), yaw
+        aim_at_first(server, default_camera(robot, beside, yaw))
+        server.on_client_connect(self._welcome)
+
+    def reset(self, client: "viser.ClientHandle | None") -> None:
+        """Puts the camera of one browser, or of all, where it was at first."""
+        for each in self._server.get_clients().values() if client is None else (client,):
+            self._aim(each)
+
+    def _welcome(self, client: "viser.ClientHandle") -> None:
+        """Aims, and aims anew when the panels have taken their places beside the picture."""
+        self._aim(client)
+        began, aimed = time.monotonic(), float(client.camera.aspect)
+
+        @client.camera.on_update
+        def _(camera: "viser.CameraHandle") -> None:
+            nonlocal aimed
+            aspect = float(camera.aspect)
+            if time.monotonic() - began < _SETTLE_S and abs(aspect - aimed) > 0.05 * aimed:
+                aimed = aspect
+                self._aim(client)
+
+    def _aim(self, client: "viser.ClientHandle") -> None:
+        """A narrow window, as a phone's, needs a camera further away."""
+        camera = default_camera(self._robot, self._beside, self._yaw, float(client.camera.aspect))
+        client.camera.position, client.camera.look_at = camera.position, camera.look_at
+        client.camera.up_direction = (0.0, 0.0, 1.0)
+        client.camera.fov = _FOV_RAD
+
+
 class Viewer:
     """Serves takes to browsers on this machine. Use it as a context manager, or `close` it.
 
@@ -127,30 +195,16 @@ class Viewer:
         port: int = DEFAULT_PORT,
         animal: "Animal | None" = None,
     ) -> None:
-        require_viser()
-        import viser
-
         self._robot, self._shown = robot, [tuple(takes) for takes in shown]
-        # connections that come and go are no news
-        logging.getLogger("websockets").setLevel(logging.CRITICAL)
-        with contextlib.redirect_stdout(io.StringIO()):
-            self.server = viser.ViserServer(host=HOST, port=free_port(port), label="FastMimic", verbose=False)
+        self.server = start_server(port)
         self.lock = threading.RLock()
         first = [takes[0] for takes in self._shown]
         self.clock = _clock(first)
-        n = len(first)
-        aside = gap(robot) * (np.arange(n) - 0.5 * (n - 1))  # seen from the front, the first is on the left
-        self._beside = [float(a) for a in aside] + (
-            [float(aside[0]) + animal_aside(robot)] if animal is not None else []
-        )
-        ground = (24.0, 24.0) if n == 1 else (3.0, round(gap(robot) / 0.25) * 0.25)
-        puppet = Puppet(robot)
-        self.robots = [
-            RobotScene(self.server, f"/robot{i}", robot, puppet, take, float(a), ground, animal if i == 0 else None)
-            for i, (take, a) in enumerate(zip(first, aside, strict=True))
-        ]
-        self._yaw = float(first[0].heading[0])
-        self._set_up_camera()
+        self.robots = line_up(self.server, robot, first, animal)
+        self._beside = [scene.aside for scene in self.robots]
+        if animal is not None:
+            self._beside.append(self._beside[0] + animal_aside(robot))
+        self._cameras = Cameras(self.server, robot, self._beside, float(first[0].heading[0]))
         self.panel = Panel(self, heading, [len(takes) for takes in self._shown])
         self._drawn: tuple[int, int] | None = None
         self._charts_at = 0.0
@@ -174,8 +228,7 @@ class Viewer:
 
     def reset_camera(self, client: "viser.ClientHandle | None") -> None:
         """Puts the camera of one browser, or of all, where it was at first."""
-        for each in self.server.get_clients().values() if client is None else (client,):
-            self._aim(each)
+        self._cameras.reset(client)
 
     def draw(self, *, force: bool = False) -> None:
         """Brings scene and panel to the present row, if they are not there."""
@@ -213,40 +266,13 @@ class Viewer:
 
     def close(self) -> None:
         """Ends the server."""
-        with contextlib.redirect_stdout(io.StringIO()):
-            self.server.stop()
+        stop_server(self.server)
 
     def __enter__(self) -> "Viewer":
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
-
-    def _set_up_camera(self) -> None:
-        camera = default_camera(self._robot, self._beside, self._yaw)
-        initial = self.server.initial_camera
-        initial.position, initial.look_at, initial.fov = camera.position, camera.look_at, _FOV_RAD
-        self.server.on_client_connect(self._welcome)
-
-    def _welcome(self, client: "viser.ClientHandle") -> None:
-        """Aims, and aims anew when the panels have taken their places beside the picture."""
-        self._aim(client)
-        began, aimed = time.monotonic(), float(client.camera.aspect)
-
-        @client.camera.on_update
-        def _(camera: "viser.CameraHandle") -> None:
-            nonlocal aimed
-            aspect = float(camera.aspect)
-            if time.monotonic() - began < _SETTLE_S and abs(aspect - aimed) > 0.05 * aimed:
-                aimed = aspect
-                self._aim(client)
-
-    def _aim(self, client: "viser.ClientHandle") -> None:
-        """A narrow window, as a phone's, needs a camera further away."""
-        camera = default_camera(self._robot, self._beside, self._yaw, float(client.camera.aspect))
-        client.camera.position, client.camera.look_at = camera.position, camera.look_at
-        client.camera.up_direction = (0.0, 0.0, 1.0)
-        client.camera.fov = _FOV_RAD
 
 
 def _clock(takes: Sequence["Take"]) -> Clock:

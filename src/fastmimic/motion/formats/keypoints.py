@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fastmimic.errors import ClipError
 from fastmimic.motion.clip import POINT_NAMES, Clip
 from fastmimic.motion.formats.table import check_frames, check_rate, read_table, to_array
+from fastmimic.motion.skeleton import DOG
 
 COLUMNS: Final = 81
 DEFAULT_RATE_HZ: Final = 60.0
@@ -53,7 +54,8 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None) -> Clip
     check_frames(len(values))
     rate = DEFAULT_RATE_HZ if fps is None else float(fps)
     check_rate(rate)
-    points = values.reshape(-1, 27, 3)[:, [_POINT_INDEX[name] for name in POINT_NAMES]]
+    body = values.reshape(-1, 27, 3)
+    points = body[:, [_POINT_INDEX[name] for name in POINT_NAMES]]
     assumed = [] if fps is not None else [f"{rate:g} frames a second: the file does not say"]
     if up is None:
         up = _vertical_axis(points)
@@ -63,7 +65,8 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None) -> Clip
     _check_right_handed(points)
     height = float(np.mean(points[:, 2:6, 2] - points[:, 6:10, 2]))
     assumed.append(f"coordinates are in metres: hips {height:.2f} m above the toes on average")
-    return Clip(points_w=points, rate_hz=rate, meta={"assumed": assumed})
+    body = np.ascontiguousarray(body[..., _TO_Z_UP[up]])
+    return Clip(points_w=points, rate_hz=rate, meta={"assumed": assumed}, body_w=body, skeleton=DOG)
 
 
 def _column_name(column: int) -> str:

@@ -1,0 +1,164 @@
+"""The plots of what it took: torque, speed, friction, and time to plan."""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.conventions import GRAVITY, JOINTS_PER_LEG, LEGS
+from fastmimic.imitation.rollout import Log
+from fastmimic.report.html_parts import Figure, Key, Panel, numbers
+from fastmimic.report.html_run import Episodes
+from fastmimic.report.html_traces import (
+    BEFORE,
+    LIMIT,
+    arrow,
+    curve,
+    first_window,
+    greatest,
+    keys,
+    layout_of,
+    level,
+    log_of,
+    points,
+    segment_lines,
+    series,
+    times,
+    whole_episode,
+)
+from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
+
+Array = NDArray[np.float64]
+
+
+LOADED: Final = 0.05
+"""Share of the robot's weight above which a foot counts as loaded in the plot of friction."""
+
+
+def limits(e: Episodes) -> list[Figure]:
+    """Joint torque and joint speed against the motors' limits, two figures."""
+    figures = []
+    for name, title, unit, limit in (
+        ("torque", "Motor torque", "N·m", e.robot.torque_limit),
+        ("speed", "Joint speed", "rad/s", e.robot.joint_speed_limit),
+    ):
+        panels, used = [], [0.0 for _ in series(e)]
+        for j, joint in enumerate(JOINTS_PER_LEG):
+            most = float(np.min(limit.reshape(4, 3)[:, j]))
+            data: list[dict[str, Any]] = []
+            peaks = []
+            for i, (rollout, key) in enumerate(series(e)):
+                log = log_of(rollout)
+                values = motor_torque(log, limit) if name == "torque" else log.observation["joint_vel"][0].copy()
+                values[rollout.steps[0] :] = np.nan
+                largest = np.abs(values).reshape(-1, 4, 3)[:, :, j].max(axis=1)
+                data.insert(0, curve(times(log), largest, key, peak=True))
+                peaks.append(greatest(largest))
+                used[i] = float(np.fmax(used[i], peaks[-1] / most))
+            layout = layout_of(
+                "time (s)", f"greatest of four ({unit})", 230, whole_episode(e), yrange=(0, 1.08 * max(most, *peaks))
+            )
+            layout["shapes"] = [level(most, LIMIT), *segment_lines(e)]
+            panels.append(
+                Panel(
+                    f"{joint.capitalize()} <small>peak {arrow(peaks, 1)}, limit {most:g} {unit}</small>", data, layout
+                )
+            )
+        beyond = ", beyond it" if max(used) > 1.0 else ""
+        how = (
+            "Torque of the motor law at the start of each control step, cut off at the limit."
+            if name == "torque"
+            else "The simulation does not cut speeds off: above the limit a real motor would not follow."
+        )
+        figures.append(
+            Figure(
+                name,
+                f"{title}: at most {arrow([100 * u for u in used], 0)} % of the limit{beyond}",
+                f"The greatest absolute value among the four legs. {how}",
+                panels,
+                3,
+                (*keys(e), LIMIT),
+            )
+        )
+    return figures
+
+
+def friction(e: Episodes) -> Figure:
+    """Tangential over normal force of each loaded foot."""
+    loaded = LOADED * e.robot.mass * GRAVITY
+    assumed, ground = e.config.stance.friction, GROUND_FRICTION
+    mu = Key(f"μ that the controller assumes, {assumed:g}", "var(--limit)", "dashdot")
+    real = Key(f"μ of the simulated ground, {ground:g}", "var(--muted)", "dot")
+    panels, top = [], []
+    for leg, label in enumerate(LEGS):
+        data: list[dict[str, Any]] = []
+        typical = []
+        for rollout, key in series(e):
+            log = log_of(rollout)
+            force = log.observation["foot_force"][0, :, leg]
+            use = np.full(len(force), np.nan)
+            on = force[:, 2] > loaded
+            on[rollout.steps[0] :] = False
+            use[on] = np.hypot(force[on, 0], force[on, 1]) / force[on, 2]
+            data.insert(0, curve(times(log), use, key, peak=True))
+            typical.append(float(np.nanpercentile(use, 95)) if on.any() else float("nan"))
+        top.append(typical)
+        layout = layout_of(
+            "time (s)", "tangential / normal force", 230, first_window(e), (0, 1.15 * max(assumed, ground))
+        )
+        layout["shapes"] = [level(assumed, mu), level(ground, real), *segment_lines(e)]
+        panels.append(Panel(f"{label} <small>95 % below {arrow(typical, 2)}</small>", data, layout))
+    worst = [greatest(np.array(column)) for column in zip(*top, strict=True)]
+    return Figure(
+        "friction",
+        f"Friction use: {arrow(worst, 2)} at most for 95 % of the time on any foot; the ground has μ {ground:g}",
+        f"Only feet that carry more than {100 * LOADED:g} % of the weight ({loaded:.0f} N); gaps are swings. Where a"
+        " curve reaches the ground's μ the foot slides.",
+        panels,
+        4,
+        (*keys(e), mu, real),
+    )
+
+
+def solve_times(e: Episodes) -> Figure | None:
+    """How long the controller planned ahead; None if it never did."""
+    data, legend, medians, worst = [], [], [], []
+    for rollout, key in series(e):
+        log = log_of(rollout)
+        at = np.flatnonzero(log.solve_time[0] > 0)
+        if not len(at):
+            return None
+        ms = 1e3 * log.solve_time[0, at]
+        shown = Key(key.label, key.color, "o" if key is BEFORE else "d")
+        legend.append(shown)
+        data.append(points(numbers((at + 1) / log.rate_hz), numbers(ms), shown, "", size=5))
+        medians.append(float(np.median(ms)))
+        worst.append(float(np.percentile(ms, 99)))
+    layout = layout_of("time (s)", "solve time (ms)", 260, whole_episode(e))
+    layout["yaxis"]["type"] = "log"
+    return Figure(
+        "solve-times",
+        f"Planning ahead takes {arrow(medians, 2)} ms in the median, 99 % stay below {arrow(worst, 2)} ms",
+        f"One point a plan, {e.config.horizon.solve_rate_hz:g} a second, measured while this page was made, on the"
+        " machine that made it.",
+        [Panel("", data, layout)],
+        1,
+        legend,
+    )
+
+
+def motor_torque(log: Log, limit: Array) -> Array:
+    """Torque of the motors at the start of each control step (t, 12), N·m; NaN in the first, whose state is not logged.
+
+    Args:
+        log: of one episode or more; the first counts.
+        limit: (12,) N·m.
+    """
+    command, seen = log.command[0], log.observation[0]
+    torque = np.full(command["torque"].shape, np.nan)
+    torque[1:] = (
+        command["torque"][1:]
+        + command["stiffness"][1:] * (command["joint_pos"][1:] - seen["joint_pos"][:-1])
+        + command["damping"][1:] * (command["joint_vel"][1:] - seen["joint_vel"][:-1])
+    )
+    return np.asarray(np.clip(torque, -limit, limit))

@@ -1,0 +1,136 @@
+"""The plots of the optimisation."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fastmimic.report.html_parts import Figure, Key, Panel, numbers
+from fastmimic.report.html_run import Course
+from fastmimic.report.html_traces import layout_of, line, points
+
+
+def convergence(course: Course, before: float, after: float, *, unchanged: bool = False) -> Figure:
+    """Scores of the candidates by generation, and how far apart they still are.
+
+    Args:
+        course: of the optimiser.
+        before, after: rewards of the run.
+        unchanged: whether the motion as fitted is the result.
+    """
+    scores = course.scores
+    k = np.arange(1, len(scores) + 1)
+    mean, std = scores.mean(axis=1), scores.std(axis=1)
+    best = np.maximum.accumulate(scores.max(axis=1))
+    spread = course.candidates.std(axis=1).mean(axis=1)
+    x, mode = k.tolist(), "lines" if len(k) > 2 else "lines+markers"
+    band = Key("candidates, ± 1 std", "var(--band)", "fill")
+    average = Key("candidates, mean", "var(--before)", "dot")
+    leader = Key("best so far", "var(--after)", "solid")
+    start = Key("reward before", "var(--demo)", "dash")
+    data = [
+        line(x, mean - std, Key("", "rgba(0,0,0,0)"), hoverinfo="skip"),
+        line(x, mean + std, Key("", "rgba(0,0,0,0)"), fill="tonexty", fillcolor="var(--band)", hoverinfo="skip"),
+        line(x, mean, average, mode=mode),
+        line(x, best, leader, mode=mode),
+        line([x[0], x[-1]], np.array([before, before]), start),
+    ]
+    drawn = np.concatenate([mean - std, best, [before]])
+    low, high = float(np.percentile(drawn, 2)), float(max(best.max(), before))
+    margin = 0.08 * max(high - low, 1e-3)
+    reward = layout_of("iteration", "score (reward − penalty)", height=330, yrange=(low - margin, high + margin))
+    step = layout_of("iteration", "spread (share of the range)", height=330)
+    step["yaxis"]["type"] = "log"
+    for layout in (reward, step):
+        layout["xaxis"] |= {"tickmode": "linear", "dtick": 1, "tick0": 0} if len(k) <= 10 else {}
+    gained = after - before
+    verb = "rises" if gained > 5e-4 else "falls" if gained < -5e-4 else "hardly changes"
+    effort = f"{len(k)} iteration{'s' if len(k) > 1 else ''}"
+    title = f"The reward {verb}: {before:.3f} before, {after:.3f} after {effort}"
+    if unchanged:
+        title = f"{effort.capitalize()} found nothing better than the motion as fitted, whose reward is {after:.3f}"
+    return Figure(
+        "convergence",
+        title,
+        "Left, the candidates' scores: the reward of an episode less the penalty for feet lifted too little. The result"
+        " is chosen by longer, perturbed episodes among the best of them and the motion as fitted. Right, how far the"
+        " candidates of CMA-ES are apart, mean standard deviation over the parameters: it falls as the search settles.",
+        [Panel("Score", data, reward), Panel("Spread of the candidates", [line(x, spread, leader, mode=mode)], step)],
+        2,
+        (leader, average, band, start),
+    )
+
+
+def as_fitted(found: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether the result is the motion as fitted, from the parameters of `metrics.json`."""
+    return all(p["value"] == p["initial"] for p in found)
+
+
+def parameters(found: Sequence[dict[str, Any]]) -> Figure:
+    """Baselines and amplitudes between their bounds.
+
+    Args:
+        found: of `metrics.json`.
+    """
+    panels = []
+    for kind, measured, title, axis, unit, scale in (
+        ("goal", "m", "Baseline g", "change of the baseline (mm)", "mm", 1e3),
+        ("goal", "rad", "Baseline g of angles", "change of the baseline (°)", "°", float(np.degrees(1.0))),
+        ("amplitude", "1", "Amplitude a", "amplitude (1 = as fitted)", "", 1.0),
+    ):
+        own = [p for p in found if p["name"].endswith(f".{kind}") and p["unit"] == measured]
+        if not own:
+            continue
+        shift = [p["initial"] if kind == "goal" else 0.0 for p in own]
+        names = [p["name"].rsplit(".", 1)[0].replace("_foot_z", " foot z").replace("_", " ") for p in own]
+        ends: list[float | None] = []
+        for p, s in zip(own, shift, strict=True):
+            ends += [*numbers([scale * (p["lower"] - s), scale * (p["upper"] - s)]), None]
+        rows = [name for name in names for _ in range(3)]
+        data = [
+            {
+                **line(ends, rows, Key("bounds", "var(--muted)")),
+                "mode": "lines+markers",
+                "marker": {"symbol": "line-ns-open", "size": 11, "color": "var(--muted)"},
+                "line": {"color": "var(--grid)", "width": 6},
+            },
+            points(
+                numbers([scale * (p["initial"] - s) for p, s in zip(own, shift, strict=True)]),
+                names,
+                Key("as fitted", "var(--before)", "o"),
+                unit,
+            ),
+            points(
+                numbers([scale * (p["value"] - s) for p, s in zip(own, shift, strict=True)]),
+                names,
+                Key("found", "var(--after)", "d"),
+                unit,
+            ),
+        ]
+        layout = layout_of(axis, "", height=70 + 26 * len(own))
+        layout["yaxis"] |= {
+            "autorange": "reversed",
+            "showgrid": False,
+            "tickmode": "linear",
+            "dtick": 1,
+            "type": "category",
+        }
+        layout["hovermode"] = "closest"
+        panels.append(Panel(title, data, layout))
+    at = sum(min(p["value"] - p["lower"], p["upper"] - p["value"]) < 0.01 * (p["upper"] - p["lower"]) for p in found)
+    ending = "none at a bound" if not at else f"{at} at a bound, where the search would have gone further"
+    if as_fitted(found):
+        ending = "all as they were fitted"
+    return Figure(
+        "parameters",
+        f"What the optimiser chose: {len(found)} parameters, {ending}",
+        "Each grey bar is what the search may use. The baseline moves a foot's path up or down, the amplitude stretches"
+        " it about its mean; the shape stays the animal's.",
+        panels,
+        2,
+        (
+            Key("as fitted", "var(--before)", "o"),
+            Key("found", "var(--after)", "d"),
+            Key("bounds", "var(--grid)", "fill"),
+        ),
+    )

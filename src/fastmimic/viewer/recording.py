@@ -1,0 +1,52 @@
+"""Takes as one HTML page that plays them in 3D: viser's client and a recording of its scene, with nothing to fetch."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+from fastmimic.viewer.scene import LAYERS, line_up
+from fastmimic.viewer.server import FRAMES_PER_S, aim_at_first, default_camera, start_server, stop_server
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+    from fastmimic.viewer.take import Take
+
+SHOWN: Final = ("ghost", "contacts", "paths")
+"""Of `LAYERS`, what is seen at first; the others can be switched on in the scene tree."""
+LONGEST_S: Final = 10.0
+
+
+def recorded_page(robot: "Robot", takes: Sequence["Take"], names: Sequence[str], longest_s: float = LONGEST_S) -> str:
+    """The page: robots beside each other that do what they did, again and again.
+
+    A server is started on loopback for as long as the recording takes, as viser's scenes belong to one.
+
+    Args:
+        robot: the robot.
+        takes: at one rate; the shorter ones stay at their ends.
+        names: of each in the scene tree, without slashes.
+        longest_s: what is later is left out, s.
+
+    Raises:
+        ConfigError: viser is not installed or too old, or no port is free.
+    """
+    server = start_server()
+    try:
+        robots = line_up(server, robot, takes, names=names)
+        for name, scene in zip(names, robots, strict=True):
+            for layer in LAYERS:
+                scene.set_layer(layer, layer in SHOWN)
+            # the robot stays in its place: its title need not move, which labels do late on a slow machine
+            above = (0.0, scene.aside, robot.home_height + 0.6 * robot.leg_length)
+            server.scene.add_label(f"/title/{name}", scene.take.title, position=above, anchor="bottom-center")
+        aim_at_first(server, default_camera(robot, [scene.aside for scene in robots], float(takes[0].heading[0])))
+        rate_hz = takes[0].rate_hz
+        last = min(max(take.rows for take in takes), round(longest_s * rate_hz))
+        stride = max(1, round(rate_hz / FRAMES_PER_S))
+        serializer = server.get_scene_serializer()
+        for row in range(0, last, stride):
+            for scene in robots:
+                scene.show(row, follow=True)
+            serializer.insert_sleep(stride / rate_hz)
+        return str(serializer.as_html())
+    finally:
+        stop_server(server)

@@ -1,0 +1,54 @@
+"""The animal as a video shows it."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fastmimic.motion.catalogue import open_clip
+from fastmimic.motion.motion import Motion
+from fastmimic.motion.retarget import choose_scale
+from fastmimic.motion.skeleton import DOG, KEYPOINTS
+from fastmimic.pipeline import load_motion
+from fastmimic.report.animal import animal_track
+from fastmimic.report.tracks import motion_track
+from fastmimic.robot import Robot
+
+
+@pytest.fixture(scope="module")
+def trot(a1: Robot) -> Motion:
+    return load_motion("trot", a1)
+
+
+def test_the_animal_goes_where_the_demonstration_goes(a1: Robot, trot: Motion) -> None:
+    clip = open_clip("trot", robot=a1)
+    track = animal_track(clip, a1, trot, 2 * trot.period_s, "animal", "by formula")
+    path = motion_track(trot, 2 * trot.period_s)
+    assert track.skeleton.bones == KEYPOINTS.bones
+    assert (track.title, track.caption) == ("animal", "by formula")
+    middle = track.points_w[:, :2].mean(axis=1)  # of pelvis and neck
+    np.testing.assert_allclose(middle[:, :2], path.root_pos_w[:, :2], atol=0.005)
+    spine = np.linalg.norm(np.diff(track.points_w[:, :2], axis=1), axis=-1)
+    original = np.linalg.norm(clip.point("neck") - clip.point("pelvis"), axis=-1).mean()
+    np.testing.assert_allclose(spine, choose_scale(clip, a1) * original, rtol=0.01)
+    assert track.points_w[..., 2].min() > -0.02
+    n = trot.n_samples
+    moved = track.points_w[n:] - track.points_w[:n]
+    np.testing.assert_allclose(moved, np.broadcast_to(moved[0, 0], moved.shape), atol=1e-6)  # whole cycles
+
+
+def test_a_recorded_dog_has_all_its_bones(a1: Robot) -> None:
+    if not Path(os.environ.get("FASTMIMIC_DATA", ""), "dog_keypoints", "dog_walk03_joint_pos.txt").is_file():
+        pytest.skip("needs FASTMIMIC_DATA with dog_keypoints")
+    clip = open_clip("dog:trot", robot=a1)
+    assert clip.skeleton is DOG
+    assert clip.drawn_w.shape == (clip.n_frames, 27, 3)
+    np.testing.assert_array_equal(clip.drawn_w[:, 3], clip.point("neck"))
+    lengths = np.linalg.norm(np.diff(clip.drawn_w[:, np.array(DOG.bones)], axis=2)[:, :, 0], axis=-1)
+    assert np.all(lengths.std(axis=0) < 0.02 * lengths.mean(axis=0) + 1e-3), "a bone keeps its length"
+    assert lengths.mean(axis=0).max() < 0.4
+    scale = choose_scale(clip, a1)
+    track = animal_track(clip, a1, load_motion(clip, a1), 0.2)
+    np.testing.assert_allclose(track.skeleton.radii, scale * np.array(DOG.radii))
+    assert track.points_w.shape == (100, 27, 3)
