@@ -1,19 +1,16 @@
 """The server: its port, its end, what a user can get wrong, and what a browser sees."""
 
 import dataclasses
-import io
 import json
 import os
-import shutil
 import signal
 import socket
 import subprocess
 import sys
 import threading
-import time
 import types
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +24,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.viewer.server import HOST, free_port
 from fastmimic.viewer.take import Take
-
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-SOFTWARE_GL = ("--no-sandbox", "--enable-unsafe-swiftshader")
-PATIENCE_S = 60.0
+from view.browsing import PATIENCE_S, picture, until
 
 
 @pytest.fixture
@@ -150,34 +144,6 @@ def test_a_run_is_shown_before_and_after_as_it_was_made(
     assert with_animal._prepare(run=False)[3] is not None
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Headless Chromium, or a skip that says what is missing."""
-    pytest.importorskip("viser", reason="the extra 'view' is not installed")
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (pip install playwright)")
-    executable = next((found for name in BROWSERS if (found := shutil.which(name))), None)
-    if executable is None:
-        pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is installed")
-    with api.sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=executable, args=list(SOFTWARE_GL))
-        yield launched
-        launched.close()
-
-
-def _until(condition: Callable[[], bool], page: Any) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, "the browser did not get there"
-        page.wait_for_timeout(100)
-
-
-def _picture(page: Any) -> np.ndarray:
-    from PIL import Image
-
-    data = page.locator("canvas").first.screenshot(timeout=1e3 * PATIENCE_S)
-    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"), dtype=np.float64)
-
-
 def test_a_browser_sees_the_robot_and_scrubs(browser: Any, take: Take, a1: Robot) -> None:
     from fastmimic.viewer.server import Viewer
 
@@ -194,8 +160,8 @@ def test_a_browser_sees_the_robot_and_scrubs(browser: Any, take: Take, a1: Robot
             page.on("pageerror", lambda error: wrong.append(str(error)))
             page.goto(viewer.url)
             page.get_by_role("button", name="Play", exact=True).wait_for(timeout=1e3 * PATIENCE_S)
-            _until(lambda: _picture(page).std() > 12.0, page)  # not blank: ground, sky and a dark robot
-            before = _picture(page)
+            until(lambda: picture(page).std() > 12.0, page)  # not blank: ground, sky and a dark robot
+            before = picture(page)
             trunk = viewer.robots[0].frame("trunk")
             np.testing.assert_allclose(trunk.position, take.pose[0, :3], atol=1e-6)
 
@@ -203,25 +169,25 @@ def test_a_browser_sees_the_robot_and_scrubs(browser: Any, take: Take, a1: Robot
             slider.focus()
             slider.press("End")
             last = take.rows - 1
-            _until(lambda: viewer.clock.row == last, page)
-            _until(lambda: np.allclose(trunk.position, take.pose[last, :3], atol=1e-6), page)
+            until(lambda: viewer.clock.row == last, page)
+            until(lambda: np.allclose(trunk.position, take.pose[last, :3], atol=1e-6), page)
             np.testing.assert_allclose(np.abs(trunk.wxyz @ take.pose[last, 3:7]), 1.0, atol=1e-6)
-            _until(lambda: np.abs(_picture(page) - before).mean() > 0.2, page)
+            until(lambda: np.abs(picture(page) - before).mean() > 0.2, page)
 
             page.get_by_role("button", name="first", exact=True).click()
-            _until(lambda: viewer.clock.row == 0, page)
+            until(lambda: viewer.clock.row == 0, page)
             page.get_by_role("button", name="+ 1", exact=True).click()
-            _until(lambda: viewer.clock.row == take.cycle_starts[1], page)
+            until(lambda: viewer.clock.row == take.cycle_starts[1], page)
 
             (client,) = viewer.server.get_clients().values()
             at_first = np.array(client.camera.position)
             client.camera.position = (3.0, 3.0, 3.0)
-            _until(lambda: np.allclose(client.camera.position, 3.0, atol=1e-3), page)
+            until(lambda: np.allclose(client.camera.position, 3.0, atol=1e-3), page)
             page.get_by_role("button", name="Reset the view", exact=True).click()
-            _until(lambda: np.allclose(client.camera.position, at_first, atol=1e-2), page)
+            until(lambda: np.allclose(client.camera.position, at_first, atol=1e-2), page)
 
             page.get_by_role("button", name="Play", exact=True).click()
-            _until(lambda: viewer.clock.row != take.cycle_starts[1], page)
+            until(lambda: viewer.clock.row != take.cycle_starts[1], page)
             page.get_by_role("button", name="Pause", exact=True).wait_for()
             assert wrong == []
             page.close()

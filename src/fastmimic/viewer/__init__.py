@@ -7,6 +7,7 @@
     clock       play, pause, speed, cycles
     charts      the gait strip, the table of the legs, and the reward's plot
     scene       all of it as viser objects; panel: the controls; server: the port and the loop
+    play        the page of a live session (`fastmimic.play`): scene, panel, history, steering by keys and gamepad
 
-Only the last line needs viser, which comes with the extra `view`.
+Only the last two lines need viser, which comes with the extra `view`.
 """

@@ -1,0 +1,87 @@
+"""`fastmimic play`: the robot live in the browser, steered by hand."""
+
+import sys
+import threading
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
+
+from fastmimic.commands.console import note, put, slow_start
+
+if TYPE_CHECKING:
+    from fastmimic.viewer.play import PlayPage
+
+
+@dataclass(frozen=True, kw_only=True)
+class Play:
+    """Simulates a robot under the controller live in the browser: other motions, speed, turn, swing height, pushes,
+    friction and payload while it runs, by mouse, keyboard or gamepad. If it falls it gets up and goes on.
+
+    The server listens on this machine only (127.0.0.1); Ctrl-C ends it.
+    """
+
+    motions: Annotated[Positional[tuple[str, ...]], arg(metavar="[MOTION|RUN ...]")] = ()
+    """Names of 'fastmimic motions', clips, robot motions (.npz) or folders of runs that repeat; by default built-in
+    gaits. "stand" and "in-place" are always there."""
+    robot: Annotated[str | None, arg(metavar="NAME|FILE.xml")] = None
+    """a1, go1, go2, or the MJCF of your own; by default a1, or the robot of the first robot motion."""
+    port: Annotated[int, arg(metavar="PORT")] = 8080
+    """Where to listen; if it is taken, the next one that is free."""
+    method: Annotated[str, arg(metavar="NAME")] = "mbc"
+    """The controller to begin with: mbc, lh, raibert."""
+    config: Annotated[str, arg(metavar="default|paper")] = "default"
+    """The controller's parameters."""
+
+    def run(self) -> int:
+        """Serves until Ctrl-C; returns the exit status."""
+        from fastmimic.viewer.server import free_port, require_viser
+
+        require_viser()
+        free_port(self.port)  # a port that cannot be is no reason to load motions first
+        from fastmimic.commands.options import DEFAULT_ROBOT, robot_of
+        from fastmimic.control.config import controller_config
+        from fastmimic.play.library import DEFAULTS, Library, load_library_motions, warm_up
+        from fastmimic.play.session import LiveSession, check_method
+        from fastmimic.robot import load_robot
+        from fastmimic.stitching import motion_source
+        from fastmimic.viewer.play import PlayPage
+
+        check_method(self.method)
+        config = controller_config(self.config)
+        sources = self.motions or DEFAULTS
+        own = next((found for s in self.motions if (found := robot_of(str(motion_source(s))))), None)
+        name = self.robot or own or DEFAULT_ROBOT
+        robot = load_robot(name)
+        # transitions take a second or so each: in another process, so that the simulation keeps its time
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_behind_the_scenes) as executor:
+            executor.submit(warm_up, name)  # which starts, while this one is busy loading
+            with slow_start():
+                motions = load_library_motions(sources, robot)
+                library = Library(robot, motions, executor=executor, source=name)
+                session = LiveSession(robot, library, method=self.method, config=config)
+            try:
+                return self._serve(PlayPage(session, f"{robot.name}, live", self.port))
+            finally:
+                executor.shutdown(wait=False, cancel_futures=True)
+
+    def _serve(self, page: "PlayPage") -> int:
+        with page:
+            if page.server.get_port() != self.port:
+                note(f"port {self.port} is taken; listening on {page.server.get_port()} instead")
+            put(f"{', '.join(page.session.library.names)}: open {page.url} in a browser; Ctrl-C ends it")
+            sys.stdout.flush()
+            try:
+                page.run(threading.Event())
+            except KeyboardInterrupt:
+                note("closed")
+        return 0
+
+
+def _behind_the_scenes() -> None:
+    """Ctrl-C is for the process that serves."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

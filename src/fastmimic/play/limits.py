@@ -1,0 +1,73 @@
+"""How far a motion may be modulated: one rule for all, from what the motion asks of the robot.
+
+The constants are those at which the motions still stood in `benchmarks/play.py`, with a margin; see docs/viewer.md.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+SPEED: Final = (0.9, 1.25)
+"""Factors on the phase's rate."""
+JOINT_SPEED_SHARE: Final = 1.1
+"""Of the joints' speed limit that the reference may ask for at one sample when it is sped up or lifted higher."""
+TURN: Final = 1.0
+"""Added turn rate at most, rad/s."""
+TURN_ACCELERATION: Final = 0.6
+"""Centripetal acceleration at most that is added, at the highest speed, m/s²."""
+TURN_ANGLE: Final = 0.3
+"""What the body may turn over a foot between the middle of its stance and its end, rad."""
+LIFT: Final = (0.5, 1.5)
+"""Factors on the swing height."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Ranges of a modulation: speed factor, added turn rate (rad/s) and factor on the swing height."""
+
+    speed: tuple[float, float] = (1.0, 1.0)
+    turn: tuple[float, float] = (0.0, 0.0)
+    lift: tuple[float, float] = (1.0, 1.0)
+
+    def within(self, other: "Limits") -> "Limits":
+        """What both allow."""
+        return Limits(_common(self.speed, other.speed), _common(self.turn, other.turn), _common(self.lift, other.lift))
+
+    def hold(self, speed: float, turn: float, lift: float, slack: float = 0.0) -> bool:
+        """Whether a modulation is within the ranges."""
+        return all(
+            low - slack <= value <= high + slack
+            for (low, high), value in zip((self.speed, self.turn, self.lift), (speed, turn, lift), strict=True)
+        )
+
+
+def _common(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
+    return max(a[0], b[0]), min(a[1], b[1])
+
+
+def limits_of(course: NDArray[Any], joint_vel: NDArray[np.float64], robot: "Robot") -> Limits:
+    """Ranges of a cyclic motion.
+
+    A motion in which a foot never lifts off has nothing that could be modulated. Speed and swing height end where the
+    joints of the reference would be faster than they can be, the turn rate where a foot would turn too far under the
+    body, or the curve would be too tight for the speed.
+
+    Args:
+        course: (t,) of `COURSE`.
+        joint_vel: (t, 12) of the motion, rad/s.
+        robot: its joints' speed limits.
+    """
+    if course["contact"].all(axis=0).any():
+        return Limits()
+    used = float(np.max(np.abs(joint_vel) / robot.joint_speed_limit))
+    room = max(1.0, JOINT_SPEED_SHARE / max(used, 1e-9))
+    travel = float(np.hypot(*course["travel"].T).max())
+    arc = float(np.abs(course["since_middle"]).max())
+    fastest = min(SPEED[1], room)
+    turn = min(TURN, TURN_ANGLE / max(arc, 1e-9), TURN_ACCELERATION / max(fastest * travel, 1e-9))
+    return Limits((SPEED[0], fastest), (-turn, turn), (LIFT[0], min(LIFT[1], room)))

@@ -1,0 +1,88 @@
+"""What is done to the robot and the ground while it runs: pushes, friction, payload."""
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.errors import ConfigError
+from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
+
+if TYPE_CHECKING:
+    from fastmimic.simulation.mujoco_sim import MujocoSimulation
+
+Array = NDArray[np.float64]
+
+PUSH_S: Final = 0.1
+"""Over which a push acts."""
+MAX_IMPULSE: Final = 100.0
+FRICTION: Final = (0.2, 1.5)
+MAX_PAYLOAD_KG: Final = 10.0
+
+
+class World:
+    """The ground and the trunk's load of one simulated robot.
+
+    Attributes:
+        friction: coefficient between every foot and the ground.
+        payload_kg: mass at the trunk's centre of mass that the controller does not know of.
+    """
+
+    def __init__(self, simulation: "MujocoSimulation") -> None:
+        import mujoco
+
+        model = simulation.model
+        self._batch = simulation.batch
+        self._step_s = simulation.substeps * float(model.opt.timestep)
+        free = int(np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))[0])
+        self.trunk = int(model.jnt_bodyid[free])
+        self._applied = self._batch.bind("xfrc_applied")
+        self._mass = self._batch.expand("body_mass")
+        self._sliding = self._batch.expand("geom_friction")
+        self._own_mass = float(model.body_mass[self.trunk])
+        self._push = np.zeros(3)
+        self._push_steps = 0
+        self.friction, self.payload_kg = GROUND_FRICTION, 0.0
+
+    def push(self, impulse: float, direction: float, yaw: float = 0.0) -> None:
+        """Pushes the trunk's centre of mass horizontally, for `PUSH_S` from now.
+
+        Args:
+            impulse: N·s.
+            direction: rad, from the heading, positive to the left.
+            yaw: the heading, rad.
+
+        Raises:
+            ConfigError: an impulse that is not within 0 … `MAX_IMPULSE`, or a direction that is not finite.
+        """
+        if not (math.isfinite(impulse) and 0.0 <= impulse <= MAX_IMPULSE and math.isfinite(direction)):
+            raise ConfigError(f"a push has 0 to {MAX_IMPULSE:g} N·s, found {impulse:g} N·s")
+        self._push_steps = max(1, round(PUSH_S / self._step_s))
+        force = impulse / (self._push_steps * self._step_s)
+        self._push[:] = force * math.cos(yaw + direction), force * math.sin(yaw + direction), 0.0
+
+    @property
+    def force(self) -> Array:
+        """What pushes at present, (3,) world, N."""
+        return self._push if self._push_steps > 0 else np.zeros(3)
+
+    def apply(self) -> None:
+        """Before each control step."""
+        self._applied[0, self.trunk, :3] = self.force
+        self._push_steps = max(0, self._push_steps - 1)
+
+    def set_friction(self, coefficient: float) -> None:
+        """Of every contact; raises `ConfigError` outside `FRICTION`."""
+        if not FRICTION[0] <= coefficient <= FRICTION[1]:
+            raise ConfigError(f"friction must be {FRICTION[0]:g} to {FRICTION[1]:g}, found {coefficient:g}")
+        self._sliding[0, :, 0] = coefficient  # MuJoCo takes the greater one of two surfaces
+        self.friction = coefficient
+
+    def set_payload(self, mass_kg: float) -> None:
+        """Of the trunk; raises `ConfigError` outside 0 … `MAX_PAYLOAD_KG`."""
+        if not 0.0 <= mass_kg <= MAX_PAYLOAD_KG:
+            raise ConfigError(f"the payload must be 0 to {MAX_PAYLOAD_KG:g} kg, found {mass_kg:g}")
+        self._mass[0, self.trunk] = self._own_mass + mass_kg
+        self._batch.set_const()
+        self.payload_kg = mass_kg

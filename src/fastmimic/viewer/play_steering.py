@@ -1,0 +1,85 @@
+"""Keys that are held and a gamepad, from the browser to the server.
+
+viser knows hotkeys, which say that a key was pressed, but neither that it is still held nor a gamepad. A few lines of
+JavaScript in the page fill that gap with what the page has anyway: they write the state of arrow keys, W A S D and the
+first gamepad's left stick into a text field of the panel, which viser brings to the server like anything that is typed,
+and turn the gamepad's buttons into hotkeys. The same keys would move viser's camera; the mouse does that.
+"""
+
+import html
+import re
+from typing import Final
+
+FIELD: Final = "steer"
+"""First word of the text, by which the page finds its field."""
+IDLE: Final = f"{FIELD} +0.00 +0.00"
+_READING: Final = re.compile(rf"{FIELD} ([+-]\d\.\d\d) ([+-]\d\.\d\d)")
+
+_SCRIPT: Final = """
+(() => {
+  if (window.fastmimicSteering) return;
+  window.fastmimicSteering = true;
+  const axes = {ArrowLeft: [1, 0], KeyA: [1, 0], ArrowRight: [-1, 0], KeyD: [-1, 0],
+                ArrowUp: [0, 1], KeyW: [0, 1], ArrowDown: [0, -1], KeyS: [0, -1]};
+  const buttons = {0: ['p', 'KeyP'], 1: ['x', 'KeyX'], 4: ['[', 'PageUp', 'PageUp'], 5: [']', 'PageDown', 'PageDown'],
+                   9: [' ', 'Space']};
+  const held = new Set(), pressed = new Set();
+  let last = null;
+  const typing = (e) => e.target.closest && e.target.closest('input, textarea, select, [role=slider]');
+  const signed = (v) => (v < 0 ? '-' : '+') + Math.abs(v).toFixed(2);
+  const send = (text) => {
+    if (text === last) return;
+    const field = [...document.querySelectorAll('input')].find((i) => i.value.startsWith('FIELD '));
+    if (!field) return;
+    Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(field, text);
+    field.dispatchEvent(new Event('input', {bubbles: true}));
+    last = text;
+  };
+  const update = () => {
+    let x = 0, y = 0;
+    for (const code of held) { x += axes[code][0]; y += axes[code][1]; }
+    const pad = [...(navigator.getGamepads ? navigator.getGamepads() : [])].find((p) => p);
+    if (pad) {
+      const dead = (v) => Math.abs(v) < 0.15 ? 0 : v;
+      x -= dead(pad.axes[0] || 0);
+      y -= dead(pad.axes[1] || 0);
+      for (const [index, key] of Object.entries(buttons)) {
+        const down = pad.buttons[index] && pad.buttons[index].pressed;
+        if (down && !pressed.has(index)) {
+          const name = key[2] || key[0];
+          document.documentElement.dispatchEvent(
+            new KeyboardEvent('keydown', {key: name, code: key[1], bubbles: true, cancelable: true}));
+        }
+        down ? pressed.add(index) : pressed.delete(index);
+      }
+    }
+    const clip = (v) => Math.max(-1, Math.min(1, v));
+    send('FIELD ' + signed(clip(x)) + ' ' + signed(clip(y)));
+  };
+  window.addEventListener('keydown', (e) => {
+    if (!(e.code in axes) || typing(e) || e.ctrlKey || e.metaKey || e.altKey) return;
+    held.add(e.code);
+    e.preventDefault();
+    e.stopImmediatePropagation();
+    update();
+  }, true);
+  window.addEventListener('keyup', (e) => { if (held.delete(e.code)) update(); }, true);
+  window.addEventListener('blur', () => { held.clear(); update(); });
+  setInterval(update, 50);
+})();
+"""
+
+
+def steering_script() -> str:
+    """HTML that starts the script once; viser inserts it as it is, and an inserted script would not run."""
+    pixel = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw=="
+    code = html.escape(_SCRIPT.replace("FIELD", FIELD), quote=True)
+    return f'<img src="{pixel}" alt="" width="1" height="1" style="position:absolute" onload="{code}">'
+
+
+def read_steering(text: str) -> tuple[float, float] | None:
+    """(to the left, forwards), each in [−1, 1], from the field's text; None if it is not one of ours."""
+    found = _READING.fullmatch(text.strip())
+    if found is None:
+        return None
+    return tuple(min(max(float(v), -1.0), 1.0) for v in found.groups())  # type: ignore[return-value]

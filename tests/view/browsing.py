@@ -1,0 +1,36 @@
+"""A headless browser for the pages: what it sees, and waiting for what it is to see."""
+
+import io
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+SOFTWARE_GL = ("--no-sandbox", "--enable-unsafe-swiftshader")
+PATIENCE_S = 60.0
+
+
+def until(condition: Callable[[], bool], page: Any) -> None:
+    """Waits for a condition while the page goes on."""
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, "the browser did not get there"
+        page.wait_for_timeout(100)
+
+
+def picture(page: Any) -> np.ndarray:
+    """The canvas, (h, w, 3)."""
+    from PIL import Image
+
+    data = page.locator("canvas").first.screenshot(timeout=1e3 * PATIENCE_S)
+    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"), dtype=np.float64)
+
+
+def errors_of(page: Any) -> list[str]:
+    """A list to which the page's console and its scripts add their errors from now on."""
+    wrong: list[str] = []
+    page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    return wrong
