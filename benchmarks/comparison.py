@@ -44,7 +44,7 @@ OPTIONS = {
     "printed": ("--config", "paper", "--seeds", "2", "--iterations", "60"),
     "parameters": (
         *("--methods", "mbc", "mbc-dmp", "mbc-dmp-path", "mbc-dmp-body"),
-        *("--motions", "dog:trot", "dog:left-turn", "dog:canter", "bound"),
+        *("--motions", "dog:trot", "dog:canter"),
         *("--seeds", "1", "--iterations", "100"),
     ),
 }
@@ -92,13 +92,14 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="by default runs/comparison-WHICH")
     parser.add_argument("--write", action="store_true", help="put tables and figures into docs/")
     parser.add_argument("--scaling", action="store_true", help="measure threads against processes instead")
-    parser.add_argument("options", nargs="*", help="passed on to compare, after --")
-    args = parser.parse_args()
+    given = sys.argv[1:]
+    end = given.index("--") if "--" in given else len(given)
+    args = parser.parse_args(given[:end])
     if args.scaling:
         scaling()
         return
     out = args.out if args.out is not None else Path("runs") / f"comparison-{args.which}"
-    options = ["--out", str(out), *OPTIONS[args.which], *args.options]
+    options = ["--out", str(out), *OPTIONS[args.which], *given[end + 1 :]]
     options += ["--resume"] if (out / ENVIRONMENT).is_file() else []
     status = fastmimic(["compare", *options])
     if status == 0 and args.write:
