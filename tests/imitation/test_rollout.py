@@ -73,7 +73,7 @@ def lifted(motion: Motion, robot: Robot, factor: float) -> Motion:
 
 def same(a: Rollout, b: Rollout, rows_a: slice = slice(None), rows_b: slice = slice(None)) -> bool:
     """Whether all figures of some episodes agree bit for bit."""
-    names = [f.name for f in dataclasses.fields(Rollout) if f.name not in ("duration_s", "log", "parts")]
+    names = [f.name for f in dataclasses.fields(Rollout) if f.name not in ("duration_s", "log", "parts", "estimation")]
     return all(getattr(a, n)[rows_a].tobytes() == getattr(b, n)[rows_b].tobytes() for n in names)
 
 

@@ -1,10 +1,10 @@
 """The closed loop: robots in simulation under the controller, scored against the demonstration."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,14 @@ from fastmimic.control.reference import advance_clocks, make_clocks, place_clock
 from fastmimic.control.state import COMMAND, OBSERVATION
 from fastmimic.conventions import GRAVITY
 from fastmimic.errors import ConfigError, MotionError
+from fastmimic.estimation.estimator import START
+from fastmimic.imitation.observer import EstimationErrors, Observer
 from fastmimic.imitation.reward import TALLY, TERMS, WEIGHTS, score_step
 from fastmimic.motion.motion import Motion
 from fastmimic.robot.kinematics import foot_positions
-from fastmimic.rotations import quat_rotate, quat_rotate_inverse, rotate_planar
-from fastmimic.simulation.mujoco_sim import MujocoSimulation
+from fastmimic.rotations import quat_rotate, quat_rotate_inverse, rotate_planar, yaw_from_quat
+from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.simulators import Simulation, make_simulation
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot
@@ -38,11 +41,13 @@ class Start:
         sample: (n,) index into the motion.
         joint_offset: (n, 12) rad, added to the demonstration's joints.
         velocity_offset: (n, 3) m/s, added to its base velocity, world frame.
+        stream: (n,) numbers of the episodes' random streams (`Conditions.seed`); 0 … n − 1 if None.
     """
 
     sample: NDArray[np.int64]
     joint_offset: Array
     velocity_offset: Array
+    stream: NDArray[np.int64] | None = None
 
     @property
     def n(self) -> int:
@@ -50,7 +55,12 @@ class Start:
 
     def part(self, rows: slice) -> "Start":
         """Some of the episodes."""
-        return Start(self.sample[rows], self.joint_offset[rows], self.velocity_offset[rows])
+        return Start(self.sample[rows], self.joint_offset[rows], self.velocity_offset[rows], self.streams[rows])
+
+    @property
+    def streams(self) -> NDArray[np.int64]:
+        """(n,) numbers of the episodes' random streams."""
+        return self.stream if self.stream is not None else np.arange(self.n)
 
 
 def nominal_start(n: int) -> Start:
@@ -83,6 +93,7 @@ class Log:
         solve_time: (n, t) s that the controller took to plan ahead, 0 in steps in which it did not.
         terms: (n, t, 5) the reward's terms in the order of `TERMS`; 0 after a fall.
         demonstration: (n, t) of `SAMPLE`, the demonstration in force, its root and feet in the world and body frame.
+        estimate: (n, t) of `OBSERVATION`, what the controller was told after each step where it has sensors only.
     """
 
     rate_hz: float
@@ -94,6 +105,7 @@ class Log:
     solve_time: Array
     terms: Array
     demonstration: NDArray[Any]
+    estimate: NDArray[Any] | None = None
 
     @property
     def reward(self) -> Array:
@@ -119,6 +131,7 @@ class Rollout:
         qp_failures: (n,) steps at which the stance QP failed, until the fall.
         log: the whole course, if it was asked for.
         parts: the same of each part of the episodes, if they were divided; a robot that fell does so in one of them.
+        estimation: how far the estimate was from the truth over whole episodes, where the controller has sensors only.
     """
 
     reward: Array
@@ -134,10 +147,37 @@ class Rollout:
     qp_failures: NDArray[np.int64]
     log: Log | None = None
     parts: "tuple[Rollout, ...]" = ()
+    estimation: EstimationErrors | None = None
 
     def components(self, episode: int) -> dict[str, float]:
         """The reward's terms of one episode by name."""
         return {name: float(value) for name, value in zip(TERMS, self.terms[episode], strict=True)}
+
+
+class LoopController(Protocol):
+    """What the loop needs of a controller; see `fastmimic.control.controller.Controller`.
+
+    Attributes:
+        config: its rate, and the thresholds by which contacts are counted.
+        tables: (1 or n, t) of `SAMPLE`, what the robots follow.
+        memory: (n,) of `MEMORY`.
+        command: (n,) of `COMMAND`, the last ones.
+    """
+
+    config: ControllerConfig
+    tables: NDArray[Any]
+    memory: NDArray[Any]
+    command: NDArray[Any]
+
+    def reset(self, sample: NDArray[np.int64]) -> None:
+        """Begins n episodes at samples (n,) of the reference."""
+
+    def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
+        """Commands (n,) of `COMMAND` for the next control step."""
+
+
+MakeController = Callable[["Robot", Motion, int, ControllerConfig], LoopController]
+"""Makes a controller for a robot, its demonstration, n robots, and the loop's configuration."""
 
 
 class ClosedLoop:
@@ -151,20 +191,33 @@ class ClosedLoop:
         config: ControllerConfig | None = None,
         *,
         threads: int = 1,
+        conditions: Conditions | None = None,
+        controller: MakeController | None = None,
     ) -> None:
         """
         Raises:
             ConfigError: the motion is for another robot or another rate.
+            FastMimicError: as `controller`, which makes another controller than the model-based one.
         """
         config = config if config is not None else default_config()
+        self.conditions = conditions if conditions is not None else Conditions()
         of = demonstration.meta.get("robot")
         if of is not None and of != robot.name:
             raise ConfigError(f"motion '{demonstration.name}' is for robot '{of}', not for '{robot.name}'")
         self.robot = robot
         self.demonstration = demonstration
         self.n = n
-        self.controller = Controller(robot, [demonstration], n, config)
-        self.simulation = MujocoSimulation(robot, n, control_rate_hz=config.rate_hz, threads=threads)
+        self.controller: LoopController = (
+            Controller(robot, [demonstration], n, config)
+            if controller is None
+            else controller(robot, demonstration, n, config)
+        )
+        self.simulation: Simulation = make_simulation(
+            robot, n, self.conditions, control_rate_hz=config.rate_hz, threads=threads
+        )
+        self.observer = (
+            Observer(robot, n, config.rate_hz, self.conditions) if self.conditions.observe == "sensors" else None
+        )
         self._table = self.controller.tables[0]
         self._clocks = make_clocks(demonstration, n)
         self._tallies = np.zeros(n, TALLY)
@@ -196,28 +249,20 @@ class ClosedLoop:
             MotionError: the references' period is not the demonstration's.
         """
         self._reset(references, start)
-        controller, simulation, clocks, tallies = self.controller, self.simulation, self._clocks, self._tallies
-        geometry = self.robot.geometry.rows
+        controller, simulation, tallies = self.controller, self.simulation, self._tallies
+        observer = self.observer
         recorder = _Recorder(self, steps) if log else None
-        observation = simulation.observation
+        seen, clocks = (simulation.observation, self._clocks) if observer is None else self._first_look(observer, start)
         cuts = [0, *(d for d in divisions if 0 < d < steps), steps] if len(divisions) else []
         counted = [tallies.copy()]
         for step in range(steps):
-            commands = controller.step(observation, clocks)
-            observation = simulation.step(commands)
-            advance_clocks(clocks, controller.tables, observation["root_pos"])
-            score_step(
-                geometry,
-                self.robot.foot_radius,
-                self._threshold,
-                self._dt,
-                self._table,
-                clocks,
-                observation,
-                controller.memory,
-                tallies,
-                self._work,
-            )
+            commands = controller.step(seen, clocks)
+            if observer is None:
+                seen = truth = simulation.step(commands)
+            else:
+                truth = simulation.step(observer.to_motors(commands))
+                seen = observer.look(truth, controller.memory["stance"], controller.tables)
+            self._score(truth)
             if recorder is not None:
                 recorder.add(step)
             if step + 1 in cuts:
@@ -229,7 +274,41 @@ class ClosedLoop:
             self._result(b - a, None, _since(before, after))
             for (a, b), (before, after) in zip(pairwise(cuts), pairwise(counted), strict=True)
         )
-        return self._result(steps, recorder.log() if recorder is not None else None, tallies, parts)
+        estimation = observer.errors() if observer is not None else None
+        return self._result(steps, recorder.log() if recorder is not None else None, tallies, parts, estimation)
+
+    def _first_look(self, observer: Observer, start: Start) -> tuple[NDArray[Any], NDArray[Any]]:
+        """What sensors tell of robots that start as the demonstration does, and the controller's own clocks.
+
+        What is added to the start, the controller is not told.
+        """
+        table, clocks = self._table, self._clocks
+        position, quat = world_root(table, start.sample, clocks["origin"])
+        known = np.zeros(self.n, START)
+        known["position"], known["heading"] = position[:, :2], yaw_from_quat(quat)
+        known["velocity"] = table["lin_vel"][start.sample]
+        known["velocity"][:, :2] = rotate_planar(clocks["origin"][:, 2], known["velocity"][:, :2])
+        planned = self.controller.memory["stance"]
+        seen = observer.reset(self.simulation.observation, known, planned, start.streams, clocks)
+        return seen, observer.clocks
+
+    def _score(self, truth: NDArray[Any]) -> None:
+        """Scores the robots' true states after a control step against the demonstration, synchronised to the truth."""
+        advance_clocks(self._clocks, self.controller.tables, truth["root_pos"])
+        score_step(
+            self.robot.geometry.rows,
+            self.robot.foot_radius,
+            self._threshold,
+            self._dt,
+            self._table,
+            self._clocks,
+            truth,
+            self.controller.memory,
+            self._tallies,
+            self._work,
+        )
+        if self.observer is not None:
+            self.observer.compare(truth, self._tallies)
 
     def _reset(self, references: Sequence[Motion] | NDArray[Any] | None, start: Start) -> None:
         if start.n != self.n:
@@ -281,7 +360,14 @@ class ClosedLoop:
             )
         return tables
 
-    def _result(self, steps: int, log: Log | None, t: NDArray[Any], parts: tuple[Rollout, ...] = ()) -> Rollout:
+    def _result(
+        self,
+        steps: int,
+        log: Log | None,
+        t: NDArray[Any],
+        parts: tuple[Rollout, ...] = (),
+        estimation: EstimationErrors | None = None,
+    ) -> Rollout:
         """What the tallies `t` of some steps amount to."""
         rate = self.controller.config.rate_hz
         lived = np.maximum(t["steps"], 1)
@@ -302,6 +388,7 @@ class ClosedLoop:
             qp_failures=t["qp_failures"].copy(),
             log=log,
             parts=parts,
+            estimation=estimation,
         )
 
 
@@ -327,6 +414,7 @@ class _Recorder:
         self._terms = np.zeros((n, steps, 5))
         self._sample = np.zeros((n, steps), np.int64)
         self._origin = np.zeros((n, steps, 3))
+        self._estimate = np.zeros((n, steps), OBSERVATION) if loop.observer is not None else None
 
     def add(self, step: int) -> None:
         loop = self._loop
@@ -339,6 +427,8 @@ class _Recorder:
         self._terms[alive, step] = loop._tallies["reward"][alive]
         self._sample[:, step] = loop._clocks["sample"]
         self._origin[:, step] = loop._clocks["origin"]
+        if self._estimate is not None and loop.observer is not None:
+            self._estimate[:, step] = loop.observer.estimator.observation
 
     def log(self) -> Log:
         table = self._loop._table
@@ -358,6 +448,7 @@ class _Recorder:
             solve_time=self._solve_time,
             terms=self._terms,
             demonstration=demonstration,
+            estimate=self._estimate,
         )
 
 
@@ -393,6 +484,8 @@ def run_episodes(
     duration_s: float = 10.0,
     config: ControllerConfig | None = None,
     log: bool = False,
+    conditions: Conditions | None = None,
+    controller: MakeController | None = None,
 ) -> Rollout:
     """Runs episodes of a motion once; the demonstration it is scored against is `motion.target`.
 
@@ -404,9 +497,11 @@ def run_episodes(
         duration_s: length of an episode, s; at most to the end of a motion that does not repeat.
         config: the controller's.
         log: whether to keep the whole course.
+        conditions: what the robot meets and what its controller sees.
+        controller: makes another controller than the model-based one, such as a policy.
     """
     start = start if start is not None else nominal_start(1)
-    loop = ClosedLoop(robot, motion.target, start.n, config)
+    loop = ClosedLoop(robot, motion.target, start.n, config, conditions=conditions, controller=controller)
     steps = max(1, math.ceil(duration_s * loop.controller.config.rate_hz - 1e-9))
     if motion.cycle is None:  # it ends, and so do its episodes
         steps = max(1, min(steps, motion.n_samples - 1 - int(start.sample.max())))

@@ -41,7 +41,7 @@ class Conditions:
             if value not in known:
                 raise ConfigError(f"unknown {what} '{value}'; there are {', '.join(known)}{did_you_mean(value, known)}")
         if self.seed < 0:
-            raise ConfigError(f"the seed of the conditions must not be negative, found {self.seed}")
+            raise ConfigError(f"seed must not be negative, found {self.seed}")
         given: tuple[Any, ...] = self.disturbances
         read = tuple(parse_disturbance(d) if isinstance(d, str) else d for d in given)
         object.__setattr__(self, "disturbances", read)

@@ -4,7 +4,7 @@ The motor law τ + k_p (q* − q) + k_d (q̇* − q̇), clipped to the torque li
 joint has an affine actuator whose bias holds the gains, per robot and per step.
 """
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -26,11 +26,25 @@ DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
 GROUND_FRICTION: Final = 0.8
 
 
-def build_model(robot: "Robot", physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ) -> mujoco.MjModel:
+class HeightField(NamedTuple):
+    """Uneven ground: heights (rows along y, columns along x) in m over a square of 2 `half_side` m about the origin."""
+
+    heights: Array
+    half_side: float
+
+
+def build_model(
+    robot: "Robot", physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ, ground: HeightField | None = None
+) -> mujoco.MjModel:
     """The robot on a floor, with motors that take stiffness and damping, and sensors for the ground's force on each
     foot.
 
     Only the floor collides with the robot; its links do not collide with each other.
+
+    Args:
+        robot: the robot.
+        physics_rate_hz: Hz.
+        ground: what the floor is if it is not flat.
     """
     spec = robot.spec()
     for group in (spec.actuators, spec.sensors, spec.keys):
@@ -41,11 +55,10 @@ def build_model(robot: "Robot", physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ
         geom.contype, geom.conaffinity = 0, int(bool(collides))
     spec.worldbody.add_geom(
         name=FLOOR,
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0, 0, 0.05],
         friction=[GROUND_FRICTION, 0.005, 0.0001],
         contype=1,
         conaffinity=0,
+        **_floor_shape(spec, ground),
     )
     for joint, limit in zip(robot.joint_names, robot.torque_limit, strict=True):
         actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -80,6 +93,22 @@ def build_model(robot: "Robot", physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ
     return spec.compile()
 
 
+def _floor_shape(spec: mujoco.MjSpec, ground: HeightField | None) -> dict[str, Any]:
+    """What the floor's geom is: a plane, or a height field, which is added to the model's assets."""
+    if ground is None:
+        return {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0, 0, 0.05]}
+    lowest, highest = float(ground.heights.min()), float(ground.heights.max())
+    rows, columns = ground.heights.shape
+    spec.add_hfield(
+        name=FLOOR,
+        size=[ground.half_side, ground.half_side, max(highest - lowest, 1e-6), 0.1],
+        nrow=rows,
+        ncol=columns,
+        userdata=((ground.heights - lowest) / max(highest - lowest, 1e-6)).ravel(),
+    )
+    return {"type": mujoco.mjtGeom.mjGEOM_HFIELD, "hfieldname": FLOOR, "pos": [0, 0, lowest]}
+
+
 @kernel
 def _observe(qpos: Array, qvel: Array, sensors: Array, contacts: Any, index: Any, out: Any) -> None:
     """From MuJoCo's state to observations; `index` is (24,): addresses of the joints in qpos, then in qvel."""
@@ -108,7 +137,7 @@ def _observe(qpos: Array, qvel: Array, sensors: Array, contacts: Any, index: Any
 
 
 @kernel
-def _actuate(commands: Any, ctrl: Array, bias: Array) -> None:
+def actuate(commands: Any, ctrl: Array, bias: Array) -> None:
     """Writes joint commands as the affine actuators' control and gains."""
     for i in range(commands.shape[0]):
         c = commands[i]
@@ -129,6 +158,7 @@ class MujocoSimulation:
         control_rate_hz: float = 500.0,
         physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
         threads: int = 1,
+        ground: HeightField | None = None,
     ) -> None:
         """
         Raises:
@@ -141,7 +171,7 @@ class MujocoSimulation:
                 f" ({control_rate_hz:g} Hz)"
             )
         self.substeps = round(substeps)
-        self.model = build_model(robot, physics_rate_hz)
+        self.model = build_model(robot, physics_rate_hz, ground)
         self.batch = Batch(self.model, n, nthread=threads)
         self.observation = np.zeros(n, OBSERVATION)
         self._qpos = self.batch.bind("qpos")
@@ -167,6 +197,32 @@ class MujocoSimulation:
         self.batch.forward()
         self.observe()
 
+    def place(
+        self,
+        rows: NDArray[np.int64],
+        root_pos: Array,
+        root_quat: Array,
+        joint_pos: Array,
+        lin_vel: Array,
+        ang_vel_b: Array,
+        joint_vel: Array,
+    ) -> None:
+        """Puts some robots (k,) into given states and leaves the others alone; arrays (k, …) as in `reset`.
+
+        Their contact forces are 0 until the next step.
+        """
+        self.batch.reset(rows, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        joints, joint_dofs = self._index[:12], self._index[12:]
+        self._qpos[rows, :3], self._qpos[rows, 3:7] = root_pos, root_quat
+        self._qpos[rows[:, None], joints] = joint_pos
+        self._qvel[rows, :3], self._qvel[rows, 3:6] = lin_vel, ang_vel_b
+        self._qvel[rows[:, None], joint_dofs] = joint_vel
+        self._ctrl[rows] = 0.0
+        self._bias[rows, :, 1:3] = 0.0
+        self.observe()
+        self.observation["foot_force"][rows] = 0.0
+        self.observation["other_contact"][rows] = 0.0
+
     def observe(self) -> NDArray[Any]:
         """The robots' present states, (n,) of `OBSERVATION`; contact forces are those of the last substep."""
         _observe(self._qpos, self._qvel, self._sensors, self._contacts, self._index, self.observation)
@@ -174,6 +230,6 @@ class MujocoSimulation:
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
         """Applies commands (n,) of `COMMAND` for one control step and returns the new observation."""
-        _actuate(commands, self._ctrl, self._bias)
+        actuate(commands, self._ctrl, self._bias)
         self.batch.step(nstep=self.substeps)
         return self.observe()

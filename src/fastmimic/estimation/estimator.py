@@ -1,0 +1,356 @@
+"""The estimator: from readings to what the controller is told, all robots in one compiled call."""
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.state import OBSERVATION
+from fastmimic.control.vectors import quat_to_matrix, times
+from fastmimic.conventions import GRAVITY
+from fastmimic.estimation.config import EstimatorConfig, pack_config
+from fastmimic.estimation.contact import estimate_contact
+from fastmimic.estimation.kalman import (
+    STATES,
+    anchor,
+    predict,
+    surprise,
+    update_height,
+    update_position,
+    update_velocity,
+)
+from fastmimic.jit import inlined, kernel, record_dtype
+from fastmimic.robot.dynamics import cross
+from fastmimic.robot.kinematics import leg_forward, leg_jacobian
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+START_VELOCITY_NOISE: Final = 0.1  # m/s
+START_HEIGHT_NOISE: Final = 0.01  # m
+
+START: Final = record_dtype([("position", "f8", (2,)), ("heading", "f8"), ("velocity", "f8", (3,))])
+"""Where a robot is known to start: x and y, heading and velocity of its base, world frame, m, rad and m/s."""
+
+STATE: Final = record_dtype(
+    [
+        ("quat", "f8", (4,)),
+        ("heading", "f8"),
+        ("ground", "f8", (2,)),
+        ("ground_time", "f8"),
+        ("estimate", "f8", (3, STATES)),
+        ("cov", "f8", (2, STATES, STATES)),
+        ("slow", "f8", (15,)),
+        ("tare", "f8", (4,)),
+        ("filtered", "f8", (4,)),
+        ("force", "f8", (4,)),
+        ("loaded", "i8", (4,)),
+        ("swing_time", "f8", (4,)),
+        ("stance_time", "f8", (4,)),
+    ]
+)
+"""What the estimator remembers of one robot: orientation by the IMU, and the heading of its world in ours; the small
+rotation about x and y from its level frame to the ground's, and the time constant with which that is learnt at present;
+by axis of the ground's frame, the estimate of (p, v, four feet), with its covariance for x and y and for z; gyro and
+joint speeds, smoothed; the foot sensors' offsets, what they say smoothed, and the loads, N; whether feet are loaded,
+for how long they have swung, and for how long they have borne the estimate, s."""
+
+SCRATCH: Final = record_dtype(
+    [
+        ("rotation", "f8", (3, 3)),
+        ("jacobian", "f8", (3, 3)),
+        ("ang_vel", "f8", (3,)),  # world
+        ("accel", "f8", (3,)),  # of the base, world, without gravity
+        ("foot", "f8", (4, 3)),  # from the base, world
+        ("roll", "f8", (4, 3)),  # velocity of the feet's centres where they roll, world
+        ("velocity", "f8", (4, 3)),  # of the base by each leg, world
+        ("work", "f8", (2, STATES)),
+        ("quat", "f8", (4,)),
+    ]
+)
+"""Work memory of the kernels. One record for each thread."""
+
+
+@inlined
+def turn_by(q: Array, x: float, y: float, z: float, local: bool) -> None:
+    """Turns the quaternion (4,) by the rotation vector (x, y, z), given in the body frame (`local`) or the world."""
+    angle = np.sqrt(x * x + y * y + z * z)
+    factor = 0.5 if angle < 1e-9 else np.sin(0.5 * angle) / angle
+    a, b, c, d = np.cos(0.5 * angle), factor * x, factor * y, factor * z
+    w, i, j, k = q[0], q[1], q[2], q[3]
+    sign = 1.0 if local else -1.0
+    q[0] = w * a - i * b - j * c - k * d
+    q[1] = w * b + i * a + sign * (j * d - k * c)
+    q[2] = w * c + j * a + sign * (k * b - i * d)
+    q[3] = w * d + k * a + sign * (i * c - j * b)
+    norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    for m in range(4):
+        q[m] /= norm
+
+
+@inlined
+def _follow_orientation(config: Any, state: Any, reading: Any, measured: Array) -> None:
+    """Integrates the gyro and follows the IMU's orientation, which is noisy, slowly; `measured` (4,) is scratch."""
+    g, dt = reading.gyro, config.dt
+    turn_by(state.quat, g[0] * dt, g[1] * dt, g[2] * dt, True)
+    measured[:] = reading.quat
+    turn_by(measured, 0.0, 0.0, state.heading, False)
+    q, m = state.quat, measured
+    # measured ⊗ q⁻¹, world
+    w = m[0] * q[0] + m[1] * q[1] + m[2] * q[2] + m[3] * q[3]
+    x = -m[0] * q[1] + m[1] * q[0] - m[2] * q[3] + m[3] * q[2]
+    y = -m[0] * q[2] + m[2] * q[0] - m[3] * q[1] + m[1] * q[3]
+    z = -m[0] * q[3] + m[3] * q[0] - m[1] * q[2] + m[2] * q[1]
+    if w < 0.0:
+        w, x, y, z = -w, -x, -y, -z
+    sine = np.sqrt(x * x + y * y + z * z)
+    factor = 2.0 if sine < 1e-9 else 2.0 * np.arctan2(sine, w) / sine
+    factor *= config.orientation_gain
+    turn_by(q, factor * x, factor * y, factor * z, False)
+
+
+@inlined
+def _sense_legs(config: Any, reading: Any, scratch: Any) -> None:
+    """Where the feet are, how they would roll, and how fast the base is if they do; all in the world frame."""
+    rotation, jacobian, g = scratch.rotation, scratch.jacobian, reading.gyro
+    times(rotation, g, scratch.ang_vel)
+    for leg in range(4):
+        geometry, j = config.geometry[leg], 3 * leg
+        q, dq = reading.joint_pos[j : j + 3], reading.joint_vel[j : j + 3]
+        x, y, z = leg_forward(geometry, q[0], q[1], q[2])
+        leg_jacobian(geometry, q[0], q[1], q[2], jacobian)
+        vx, vy, vz = cross(g[0], g[1], g[2], x, y, z)
+        for i in range(3):
+            vx += jacobian[0, i] * dq[i]
+            vy += jacobian[1, i] * dq[i]
+            vz += jacobian[2, i] * dq[i]
+        # the calf's angular velocity turns the sphere over its contact point
+        pitching = dq[1] + dq[2]
+        wx, wy, wz = g[0] + dq[0], g[1] + pitching * np.cos(q[0]), g[2] + pitching * np.sin(q[0])
+        turn_x = rotation[0, 0] * wx + rotation[0, 1] * wy + rotation[0, 2] * wz
+        turn_y = rotation[1, 0] * wx + rotation[1, 1] * wy + rotation[1, 2] * wz
+        scratch.roll[leg, 0], scratch.roll[leg, 1] = config.foot_radius * turn_y, -config.foot_radius * turn_x
+        scratch.roll[leg, 2] = 0.0
+        for k in range(3):
+            scratch.foot[leg, k] = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z
+            moving = rotation[k, 0] * vx + rotation[k, 1] * vy + rotation[k, 2] * vz
+            scratch.velocity[leg, k] = scratch.roll[leg, k] - moving
+
+
+@inlined
+def _sense_acceleration(config: Any, reading: Any, scratch: Any) -> None:
+    """Acceleration of the base, level; a reading is the mean over a step, so the orientation is that of its middle."""
+    half, g, f = -0.5 * config.dt, reading.gyro, reading.accel
+    tx, ty, tz = cross(half * g[0], half * g[1], half * g[2], f[0], f[1], f[2])
+    x, y, z = f[0] + tx, f[1] + ty, f[2] + tz
+    for k in range(3):
+        r = scratch.rotation[k]
+        scratch.accel[k] = r[0] * x + r[1] * y + r[2] * z
+    scratch.accel[2] -= GRAVITY
+
+
+@inlined
+def _sense(config: Any, state: Any, reading: Any, scratch: Any) -> None:
+    """All that the readings say, in the frame of the ground."""
+    quat_to_matrix(state.quat, scratch.rotation)
+    _sense_acceleration(config, reading, scratch)
+    gx, gy, a = state.ground[0], state.ground[1], scratch.accel
+    scratch.quat[:] = state.quat
+    turn_by(scratch.quat, gx, gy, 0.0, False)
+    quat_to_matrix(scratch.quat, scratch.rotation)
+    a[0], a[1], a[2] = a[0] + gy * a[2], a[1] - gx * a[2], a[2] + gx * a[1] - gy * a[0]
+    _sense_legs(config, reading, scratch)
+
+
+@inlined
+def _lean_on_ground(config: Any, state: Any, scratch: Any) -> None:
+    """Turns the frame into the plane of the standing feet, by how high above it kinematics has them (normalised LMS).
+
+    While a rotation (e_x, e_y) is missing, feet at (x, y) from the base seem to be higher by e_y x − e_x y.
+    """
+    x = y = total = 0.0
+    standing = 0
+    for leg in range(4):
+        if state.stance_time[leg] > config.settle_time:
+            foot = scratch.foot[leg]
+            above = state.estimate[2, 0] + foot[2] - config.foot_radius
+            x -= above * foot[1]
+            y += above * foot[0]
+            total += foot[0] * foot[0] + foot[1] * foot[1]
+            standing += 1
+    if standing > 1:
+        gain = config.dt / state.ground_time
+        state.ground[0] += gain * x / total
+        state.ground[1] += gain * y / total
+        state.ground_time = min(state.ground_time + config.dt, config.ground_time)
+
+
+@inlined
+def _take_in_leg(config: Any, state: Any, scratch: Any, leg: int) -> None:
+    """What a foot that bears the estimate says about the base."""
+    mean, cov, work = state.estimate, state.cov, scratch.work
+    settled = min(state.stance_time[leg] / config.settle_time, 1.0) if config.settle_time > 0 else 1.0
+    weight = 1.0 / (settled * settled)
+    velocity_var = config.velocity_var * weight
+    excess = surprise(mean, cov, scratch.velocity[leg], velocity_var) / config.gate_sq
+    if excess > 1.0:
+        anchor(mean, cov, leg, scratch.foot[leg], config.position_var)
+        velocity_var *= excess * excess
+    update_position(mean, cov, leg, scratch.foot[leg], config.position_var * weight, work)
+    update_velocity(mean, cov, scratch.velocity[leg], velocity_var, work)
+    update_height(mean, cov, leg, config.foot_radius, config.height_var * weight, work)
+
+
+@inlined
+def _rate_of_change(config: Any, state: Any, i: int, value: float) -> float:
+    """Of angular velocity or a joint's speed, by how much it is ahead of its own lag of first order, which goes on."""
+    ahead = value - state.slow[i]
+    state.slow[i] += config.dt / (config.dt + config.rate_time) * ahead
+    return ahead / config.rate_time
+
+
+@inlined
+def _tell(config: Any, state: Any, reading: Any, scratch: Any, out: Any) -> None:
+    """The state as it is now, `latency` after the readings were taken."""
+    t, g = config.latency, reading.gyro
+    q = out.root_quat
+    q[:] = scratch.quat
+    turn_by(q, g[0] * t, g[1] * t, g[2] * t, True)
+    for k in range(3):
+        out.root_pos[k] = state.estimate[k, 0] + t * (state.estimate[k, 1] + 0.5 * t * scratch.accel[k])
+        out.lin_vel[k] = state.estimate[k, 1] + t * scratch.accel[k]
+    quat_to_matrix(q, scratch.rotation)
+    turning = scratch.work[0, :3]
+    for k in range(3):
+        turning[k] = g[k] + t * _rate_of_change(config, state, k, g[k])
+    times(scratch.rotation, turning, out.ang_vel)
+    for j in range(12):
+        speed = reading.joint_vel[j]
+        rate = _rate_of_change(config, state, 3 + j, speed)
+        out.joint_vel[j] = speed + t * rate
+        out.joint_pos[j] = reading.joint_pos[j] + t * (speed + 0.5 * t * rate)
+    for leg in range(4):
+        out.foot_force[leg, 0], out.foot_force[leg, 1] = 0.0, 0.0
+        out.foot_force[leg, 2] = state.force[leg]
+    out.other_contact = 0.0
+
+
+@kernel
+def estimate_step(config: Any, states: Any, readings: Any, planned: Any, outs: Any, scratches: Any) -> None:
+    """Takes in the readings of all robots and writes what their controllers are told.
+
+    Args:
+        config: (1,) packed configuration.
+        states: (n,) of `STATE`.
+        readings: (n,) of `READING`.
+        planned: (n, 4) whether the controller lets each leg stand.
+        outs: (n,) of `OBSERVATION`.
+        scratches: (1,) of `SCRATCH`.
+    """
+    c, scratch = config[0], scratches[0]
+    for i in range(states.shape[0]):
+        state, reading = states[i], readings[i]
+        _follow_orientation(c, state, reading, scratch.quat)
+        _sense(c, state, reading, scratch)
+        predict(state.estimate, state.cov, scratch.accel, scratch.roll, c.accel_var, c.foot_var, c.dt)
+        for leg in range(4):
+            stood = state.stance_time[leg] > 0.0
+            estimate_contact(c, state, leg, reading.foot_force[leg], planned[i, leg] == 1)
+            if not stood:
+                anchor(state.estimate, state.cov, leg, scratch.foot[leg], c.position_var)
+        for leg in range(4):
+            if state.stance_time[leg] > 0.0:
+                _take_in_leg(c, state, scratch, leg)
+        _lean_on_ground(c, state, scratch)
+        _tell(c, state, reading, scratch, outs[i])
+
+
+@kernel
+def begin(config: Any, states: Any, readings: Any, starts: Any, planned: Any, outs: Any, scratches: Any) -> None:
+    """Starts the estimates of all robots from `starts` (n,) of `START`; the rest as in `estimate_step`."""
+    c, scratch = config[0], scratches[0]
+    for i in range(states.shape[0]):
+        state, reading, start = states[i], readings[i], starts[i]
+        m = reading.quat
+        heading = np.arctan2(2 * (m[0] * m[3] + m[1] * m[2]), 1 - 2 * (m[2] * m[2] + m[3] * m[3]))
+        state.heading = start.heading - heading
+        state.quat[:] = m
+        turn_by(state.quat, 0.0, 0.0, state.heading, False)
+        state.ground[:] = 0.0
+        state.ground_time = min(c.ground_start, c.ground_time)
+        _sense(c, state, reading, scratch)
+        state.estimate[:, :], state.cov[:, :, :] = 0.0, 0.0
+        state.slow[:3] = reading.gyro
+        state.slow[3:] = reading.joint_vel
+        lowest = np.inf
+        for leg in range(4):
+            lowest = min(lowest, scratch.foot[leg, 2])
+        for k in range(2):
+            state.estimate[k, 0] = start.position[k]
+            state.cov[k, 1, 1] = START_VELOCITY_NOISE * START_VELOCITY_NOISE
+        state.estimate[2, 0] = c.foot_radius - lowest
+        state.cov[1, 0, 0] = START_HEIGHT_NOISE * START_HEIGHT_NOISE
+        state.estimate[:, 1] = start.velocity
+        for leg in range(4):
+            anchor(state.estimate, state.cov, leg, scratch.foot[leg], c.position_var)
+            state.tare[leg], state.swing_time[leg], state.stance_time[leg] = 0.0, 0.0, 0.0
+            force = reading.foot_force[leg]
+            state.filtered[leg] = force
+            state.loaded[leg] = 1 if force > c.contact_force else 0
+            state.force[leg] = force if state.loaded[leg] == 1 else 0.0
+            if planned[i, leg] == 1 and state.loaded[leg] == 1:
+                update_velocity(state.estimate, state.cov, scratch.velocity[leg], c.velocity_var, scratch.work)
+        for k in range(3):
+            state.estimate[k, 0] -= c.latency * state.estimate[k, 1]
+        _tell(c, state, reading, scratch, outs[i])
+
+
+class Estimator:
+    """Estimates of n robots. Not to be shared between threads: it owns the kernels' work arrays."""
+
+    def __init__(self, robot: "Robot", n: int, rate_hz: float, config: EstimatorConfig | None = None) -> None:
+        """
+        Args:
+            robot: the robot.
+            n: number of robots.
+            rate_hz: control steps a second.
+            config: parameters; the default configuration if None.
+        """
+        self.config = config if config is not None else EstimatorConfig()
+        self.state = np.zeros(n, STATE)
+        self.observation = np.zeros(n, OBSERVATION)
+        self._config = pack_config(self.config, robot, rate_hz)
+        self._scratch = np.zeros(1, SCRATCH)
+
+    def reset(self, readings: NDArray[Any], starts: NDArray[Any], planned: NDArray[np.int64]) -> NDArray[Any]:
+        """Starts from the first readings where the robots are known to be, at rest or in motion.
+
+        Height comes from the lowest foot, roll and pitch from the IMU; standing legs correct the velocity.
+
+        Args:
+            readings: (n,) of `READING`.
+            starts: (n,) of `START`.
+            planned: (n, 4) whether each leg is meant to stand.
+
+        Returns:
+            (n,) of `OBSERVATION`, overwritten by the next call.
+        """
+        begin(self._config, self.state, readings, starts, planned, self.observation, self._scratch)
+        return self.observation
+
+    def step(self, readings: NDArray[Any], planned: NDArray[np.int64]) -> NDArray[Any]:
+        """Takes in the readings of one control step.
+
+        Args:
+            readings: (n,) of `READING`.
+            planned: (n, 4) whether the controller lets each leg stand.
+
+        Returns:
+            (n,) of `OBSERVATION`, the estimate for now: base pose and velocity in the frame of the ground, joints,
+            the vertical force on each foot without the sensor's offset, 0 where it does not touch; overwritten by
+            the next call.
+        """
+        estimate_step(self._config, self.state, readings, planned, self.observation, self._scratch)
+        return self.observation

@@ -1,0 +1,390 @@
+"""PyBullet: the manufacturer's own description of the robot in another physics engine, behind the same interface.
+
+The masses, inertias, collision shapes and torque limits are those of Unitree's URDF in `pybullet_data`, which differ
+from our MJCF's; it knows no rotor inertia. Contacts are Bullet's: rigid, by sequential impulses. Each robot is alone
+in a physics client of its own.
+"""
+
+import contextlib
+import io
+import os
+import tempfile
+import weakref
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.state import OBSERVATION
+from fastmimic.conventions import GRAVITY, LEGS
+from fastmimic.errors import ConfigError
+from fastmimic.robot.kinematics import foot_positions
+from fastmimic.rotations import quat_conjugate, quat_multiply, quat_rotate, yaw_from_quat
+from fastmimic.simulation.disturbances import PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M, Disturbance, driving_limit, make_world
+from fastmimic.simulation.terrain import CELL_M, rough_ground, turns
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
+
+DESCRIPTIONS: Final = {"a1": "a1/a1.urdf"}
+"""In the package `pybullet_data`, by the robot's name."""
+_JOINTS: Final = tuple(f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "upper", "lower"))
+_TOES: Final = tuple(f"{leg}_toe" for leg in LEGS)
+_TRUNK: Final = "trunk"
+_FIT_M: Final = 2e-3
+"""By how much the feet may differ from those of our model."""
+
+
+def require_pybullet() -> Any:
+    """PyBullet's module; raises `ConfigError` with what to do if it is not installed."""
+    with contextlib.redirect_stderr(io.StringIO()), _quiet():  # it tells when it was built
+        try:
+            import pybullet
+            import pybullet_data  # noqa: F401
+        except ImportError:
+            raise ConfigError("the second simulator needs PyBullet: pip install 'fastmimic[pybullet]'") from None
+    return pybullet
+
+
+class PybulletSimulation:
+    """n robots, each in a physics client of its own, stepped one after another. One thread at a time."""
+
+    def __init__(
+        self,
+        robot: "Robot",
+        n: int,
+        *,
+        disturbances: Sequence[Disturbance] = (),
+        seed: int = 0,
+        control_rate_hz: float = 500.0,
+        physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
+    ) -> None:
+        """
+        Args:
+            robot: one of `DESCRIPTIONS`.
+            n: how many.
+            disturbances: each with one value, or one for each robot.
+            seed: of uneven ground.
+            control_rate_hz: Hz.
+            physics_rate_hz: of the motor law and of Bullet's steps, Hz.
+
+        Raises:
+            ConfigError: PyBullet is missing, the robot is another one, a disturbance that is not realised here, or the
+                physics rate is not a multiple of the control rate.
+        """
+        substeps = physics_rate_hz / control_rate_hz
+        if substeps < 1 or abs(substeps - round(substeps)) > 1e-9:
+            raise ConfigError(
+                f"the physics rate ({physics_rate_hz:g} Hz) must be a multiple of the control rate"
+                f" ({control_rate_hz:g} Hz)"
+            )
+        self._bullet = bullet = require_pybullet()
+        description = _description(robot)
+        self.substeps = round(substeps)
+        self.observation = np.zeros(n, OBSERVATION)
+        self._rate = physics_rate_hz
+        self._seed = seed
+        self.world = world = make_world(disturbances, n, "pybullet")
+        self._heights = rough_ground(float(world["roughness"][0]), seed) if world.has("roughness") else None
+        self._turns = turns(n, seed)
+        self._clients: list[int] = []
+        self._close = weakref.finalize(self, _disconnect, bullet, self._clients)
+        for _ in range(n):
+            client = bullet.connect(bullet.DIRECT)
+            if client < 0:
+                raise ConfigError(f"PyBullet has room for {len(self._clients)} robots at a time; {n} were asked for")
+            self._clients.append(client)
+        self._descriptions = [
+            _changed(description, *(float(world[name][i]) for name in ("payload", "com-x", "com-y"))) for i in range(n)
+        ]
+        self._bodies = [
+            _Body(bullet, client, text) for client, text in zip(self._clients, self._descriptions, strict=True)
+        ]
+        self._limit = np.minimum(self._bodies[0].torque_limit, robot.torque_limit)
+        _check_fit(self._bodies[0], robot)
+        self._sent: list[NDArray[Any]] = []
+        self._late = np.round(world["delay"] * physics_rate_hz).astype(np.int64)
+        self._steps = 0
+        self._headings: Array | None = None
+
+    def close(self) -> None:
+        """Ends the physics clients; otherwise done when the simulation is forgotten."""
+        self._close()
+
+    def reset(
+        self, root_pos: Array, root_quat: Array, joint_pos: Array, lin_vel: Array, ang_vel_b: Array, joint_vel: Array
+    ) -> None:
+        """Puts the robots into given states; arrays (n, …), world frame but for the angular velocity (body frame).
+
+        Everything is loaded anew: Bullet remembers contacts, and the same start must lead to the same course.
+        """
+        n = len(self._bodies)
+        wide = [
+            np.broadcast_to(np.asarray(a, dtype=np.float64), (n, k))
+            for a, k in ((root_pos, 3), (root_quat, 4), (joint_pos, 12), (lin_vel, 3), (ang_vel_b, 3), (joint_vel, 12))
+        ]
+        self._steps, self._sent, self._headings = 0, [], None
+        for i, client in enumerate(self._clients):
+            self._load(i, client)
+            position, quat, joints, velocity, turning, speeds = (a[i] for a in wide)
+            self._bodies[i].place(position, quat, joints, velocity, quat_rotate(quat, turning), speeds)
+            self._bodies[i].observe(self.observation[i], self._rate)
+
+    def observe(self) -> NDArray[Any]:
+        """The robots' present states, (n,) of `OBSERVATION`; contact forces are those of the last substep."""
+        return self.observation
+
+    def step(self, commands: NDArray[Any]) -> NDArray[Any]:
+        """Applies commands (n,) of `COMMAND` for one control step and returns the new observation."""
+        self._sent.append(commands.copy())
+        if len(self._sent) > int(self._late.max()) // self.substeps + 2:
+            self._sent.pop(0)
+        push = self.world.push(self._steps * self.substeps / self._rate) if self.world.given else None
+        if push is None:
+            self._headings = None
+        elif self._headings is None:
+            self._headings = yaw_from_quat(self.observation["root_quat"])
+        oldest = self._steps + 1 - len(self._sent)
+        for i, body in enumerate(self._bodies):
+            strength, top_speed = self.world["motor-strength"][i], self.world["top-speed"][i]
+            for substep in range(self.substeps):
+                sent = max(0, (self._steps * self.substeps + substep - int(self._late[i])) // self.substeps)
+                body.drive(self._sent[sent - oldest][i], self._limit, strength, top_speed)
+                if push is not None and self._headings is not None:
+                    body.push(push[i], self._headings[i])
+                self._bullet.stepSimulation(physicsClientId=self._clients[i])
+            body.observe(self.observation[i], self._rate)
+        self._steps += 1
+        return self.observation
+
+    def _load(self, i: int, client: int) -> None:
+        """An empty world with its ground and the robot."""
+        bullet, world = self._bullet, self.world
+        bullet.resetSimulation(physicsClientId=client)
+        bullet.setTimeStep(1.0 / self._rate, physicsClientId=client)
+        bullet.setGravity(*(GRAVITY * world.gravity[i]), physicsClientId=client)
+        bullet.setPhysicsEngineParameter(deterministicOverlappingPairs=1, physicsClientId=client)
+        self._bodies[i] = body = _Body(bullet, client, self._descriptions[i])
+        ground = _ground(bullet, client, self._heights, float(self._turns[i]))
+        # Bullet multiplies the coefficients of the two bodies: the ground has them, the robot 1
+        bullet.changeDynamics(ground, -1, lateralFriction=float(world["friction"][i]), physicsClientId=client)
+        body.ground = ground
+        body.prepare(float(world["joint-friction"][i]), float(world["joint-damping"][i]))
+
+
+class _Body:
+    """One robot in its client."""
+
+    def __init__(self, bullet: Any, client: int, description: str) -> None:
+        self._bullet, self._client = bullet, client
+        self.ground = -1
+        with tempfile.TemporaryDirectory() as folder:  # PyBullet reads files only
+            path = Path(folder) / "robot.urdf"
+            path.write_text(description, encoding="utf-8")
+            with _quiet():
+                self.id = bullet.loadURDF(
+                    str(path), useFixedBase=False, flags=bullet.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client
+                )
+        joints, links, limits = {}, {}, {}
+        for index in range(bullet.getNumJoints(self.id, physicsClientId=client)):
+            about = bullet.getJointInfo(self.id, index, physicsClientId=client)
+            joints[about[1].decode()], links[about[12].decode()] = index, index
+            limits[about[1].decode()] = about[10]
+        self.joints = [joints[name] for name in _JOINTS]
+        self.toes = [links[name] for name in _TOES]
+        self.torque_limit = np.array([limits[name] for name in _JOINTS])
+        trunk = bullet.getDynamicsInfo(self.id, -1, physicsClientId=client)
+        # the base is reported as the trunk's inertial frame, given here in the trunk's own
+        self.com_b = np.array(trunk[3])
+        self.frame_b = _wxyz(trunk[4])
+
+    @property
+    def links(self) -> range:
+        """Indices of all links, the base (−1) among them."""
+        return range(-1, self._bullet.getNumJoints(self.id, physicsClientId=self._client))
+
+    def prepare(self, friction: float, damping: float) -> None:
+        """Motors off but for the joints' own friction; no drag of the air, which Bullet has by default."""
+        bullet, on = self._bullet, {"physicsClientId": self._client}
+        for link in self.links:
+            # each in a call of its own: together with the damping, a link's friction would be ignored
+            bullet.changeDynamics(self.id, link, lateralFriction=1.0, **on)
+            bullet.changeDynamics(self.id, link, linearDamping=0.0, angularDamping=0.0, **on)
+        for joint in self.joints:
+            bullet.setJointMotorControl2(
+                self.id, joint, bullet.VELOCITY_CONTROL, targetVelocity=0, force=friction, **on
+            )
+            if damping > 0:
+                bullet.changeDynamics(self.id, joint, jointDamping=damping, **on)
+
+    def place(
+        self, position: Array, quat: Array, joint_pos: Array, lin_vel: Array, ang_vel: Array, joint_vel: Array
+    ) -> None:
+        """Sets the state; all in the world frame, of the trunk's frame."""
+        bullet, on = self._bullet, {"physicsClientId": self._client}
+        arm = quat_rotate(quat, self.com_b)
+        frame = quat_multiply(quat, self.frame_b)
+        bullet.resetBasePositionAndOrientation(self.id, position + arm, frame[[1, 2, 3, 0]], **on)
+        bullet.resetBaseVelocity(self.id, lin_vel + np.cross(ang_vel, arm), ang_vel, **on)
+        for joint, angle, speed in zip(self.joints, joint_pos, joint_vel, strict=True):
+            bullet.resetJointState(self.id, joint, angle, speed, **on)
+
+    def drive(self, command: Any, limit: Array, strength: float, top_speed: float) -> None:
+        """The motor law for one physics step."""
+        bullet = self._bullet
+        states = bullet.getJointStates(self.id, self.joints, physicsClientId=self._client)
+        position = np.array([state[0] for state in states])
+        velocity = np.array([state[1] for state in states])
+        torque = (
+            command["torque"]
+            + command["stiffness"] * (command["joint_pos"] - position)
+            + command["damping"] * (command["joint_vel"] - velocity)
+        )
+        most = limit
+        if np.isfinite(top_speed):
+            driving = driving_limit(limit, np.array([[top_speed]]), velocity[None])[0]
+            most = np.where(torque * velocity > 0, driving, limit)
+        torque = strength * np.clip(torque, -most, most)
+        bullet.setJointMotorControlArray(
+            self.id, self.joints, bullet.TORQUE_CONTROL, forces=torque.tolist(), physicsClientId=self._client
+        )
+
+    def push(self, force: Array, heading: float) -> None:
+        """A force (2,) on the trunk's centre of mass, along a heading and to its left, for one physics step."""
+        c, s = np.cos(heading), np.sin(heading)
+        world = [c * force[0] - s * force[1], s * force[0] + c * force[1], 0.0]
+        at, _ = self._bullet.getBasePositionAndOrientation(self.id, physicsClientId=self._client)
+        self._bullet.applyExternalForce(self.id, -1, world, at, self._bullet.WORLD_FRAME, physicsClientId=self._client)
+
+    def observe(self, out: Any, rate: float) -> None:
+        """Writes the state, and the ground's forces in the last physics step, into a record of `OBSERVATION`."""
+        bullet, on = self._bullet, {"physicsClientId": self._client}
+        at, frame = bullet.getBasePositionAndOrientation(self.id, **on)
+        velocity, turning = (np.array(v) for v in bullet.getBaseVelocity(self.id, **on))
+        quat = quat_multiply(_wxyz(frame), quat_conjugate(self.frame_b))
+        arm = quat_rotate(quat, self.com_b)
+        out["root_pos"] = np.array(at) - arm
+        out["root_quat"] = quat
+        out["lin_vel"] = velocity - np.cross(turning, arm)
+        out["ang_vel"] = turning
+        states = bullet.getJointStates(self.id, self.joints, **on)
+        out["joint_pos"] = [state[0] for state in states]
+        out["joint_vel"] = [state[1] for state in states]
+        forces, others = np.zeros((4, 3)), 0
+        for contact in bullet.getContactPoints(bodyA=self.id, bodyB=self.ground, **on) if self.ground >= 0 else ():
+            force = contact[9] * np.array(contact[7]) + contact[10] * np.array(contact[11])
+            force += contact[12] * np.array(contact[13])
+            if contact[3] in self.toes:
+                forces[self.toes.index(contact[3])] += force
+            elif contact[9] > 0:  # Bullet also reports what is near without touching
+                others += 1
+        out["foot_force"] = forces
+        out["other_contact"] = others
+
+    def feet(self, joint_pos: Array) -> Array:
+        """Feet of the robot in the trunk's frame at some joint angles, (4, 3) m; leaves it there."""
+        self.place(np.zeros(3), np.array([1.0, 0, 0, 0]), joint_pos, np.zeros(3), np.zeros(3), np.zeros(12))
+        links = self._bullet.getLinkStates(self.id, self.toes, computeForwardKinematics=1, physicsClientId=self._client)
+        return np.array([link[4] for link in links])
+
+
+def _description(robot: "Robot") -> str:
+    """The robot's URDF without what only decorates."""
+    import pybullet_data
+
+    if robot.name not in DESCRIPTIONS:
+        raise ConfigError(
+            f"PyBullet has a description of {' and '.join(DESCRIPTIONS)}, none of '{robot.name}'; run it in mujoco"
+        )
+    path = Path(pybullet_data.getDataPath()) / DESCRIPTIONS[robot.name]
+    tree = ElementTree.fromstring(path.read_text(encoding="utf-8"))
+    for link in tree.iter("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+def _changed(description: str, payload: float, com_x: float, com_y: float) -> str:
+    """The description with a payload on the trunk and the trunk's centre of mass shifted."""
+    if not (payload or com_x or com_y):
+        return description
+    tree = ElementTree.fromstring(description)
+    origin = tree.find(f"link[@name='{_TRUNK}']/inertial/origin")
+    assert origin is not None, "the trunk has a centre of mass"
+    x, y, z = (float(value) for value in origin.get("xyz", "0 0 0").split())
+    origin.set("xyz", f"{x + com_x!r} {y + com_y!r} {z!r}")
+    if payload:
+        moment = payload * PAYLOAD_SIDE_M**2 / 6.0
+        load = ElementTree.SubElement(tree, "link", name="payload")
+        inertial = ElementTree.SubElement(load, "inertial")
+        ElementTree.SubElement(inertial, "mass", value=repr(payload))
+        moments = {f"i{a}{b}": repr(moment) if a == b else "0" for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")}
+        ElementTree.SubElement(inertial, "inertia", moments)
+        joint = ElementTree.SubElement(tree, "joint", name="payload_joint", type="fixed")
+        ElementTree.SubElement(joint, "parent", link=_TRUNK)
+        ElementTree.SubElement(joint, "child", link="payload")
+        ElementTree.SubElement(joint, "origin", xyz=f"0 0 {PAYLOAD_HEIGHT_M!r}", rpy="0 0 0")
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+def _check_fit(body: _Body, robot: "Robot") -> None:
+    """Refuses a robot of the same name with other legs."""
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        joints = rng.uniform(robot.joint_lower, robot.joint_upper)
+        apart = float(np.abs(body.feet(joints) - foot_positions(robot, joints)).max())
+        if apart > _FIT_M:
+            raise ConfigError(
+                f"PyBullet's description of '{robot.name}' has other legs than the given model: its feet are"
+                f" {1e3 * apart:.0f} mm apart; run it in mujoco"
+            )
+
+
+def _ground(bullet: Any, client: int, heights: Array | None, turn: float) -> int:
+    """A plane, or a height field turned about its middle."""
+    on = {"physicsClientId": client}
+    if heights is None:
+        return int(bullet.createMultiBody(0, bullet.createCollisionShape(bullet.GEOM_PLANE, **on), **on))
+    shape = bullet.createCollisionShape(
+        bullet.GEOM_HEIGHTFIELD,
+        meshScale=[CELL_M, CELL_M, 1.0],
+        heightfieldData=heights.ravel().tolist(),
+        numHeightfieldRows=heights.shape[1],
+        numHeightfieldColumns=heights.shape[0],
+        **on,
+    )
+    middle = [0.0, 0.0, float(heights.max() + heights.min()) / 2]  # Bullet centres the heights about their range
+    return int(bullet.createMultiBody(0, shape, -1, middle, bullet.getQuaternionFromEuler([0, 0, turn]), **on))
+
+
+def _disconnect(bullet: Any, clients: list[int]) -> None:
+    while clients:
+        with contextlib.suppress(bullet.error):
+            bullet.disconnect(physicsClientId=clients.pop())
+
+
+def _wxyz(quat: Sequence[float]) -> Array:
+    x, y, z, w = quat
+    return np.array([w, x, y, z])
+
+
+@contextlib.contextmanager
+def _quiet() -> Any:
+    """Sends what C code writes to the terminal nowhere."""
+    with open(os.devnull, "wb") as nowhere:
+        kept = [(fd, os.dup(fd)) for fd in (1, 2)]
+        try:
+            for fd, _ in kept:
+                os.dup2(nowhere.fileno(), fd)
+            yield
+        finally:
+            for fd, copy in kept:
+                os.dup2(copy, fd)
+                os.close(copy)
