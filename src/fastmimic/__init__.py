@@ -25,10 +25,12 @@ if TYPE_CHECKING:
     from fastmimic.pipeline import Evaluation, Imitation, evaluate, imitate, load_motion
     from fastmimic.primitive import MotionDmp
     from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
+    from fastmimic.simulation.conditions import Conditions
     from fastmimic.stitching import Stitching, stitch
 
 _WHERE = {
     "Clip": "fastmimic.motion.clip",
+    "Conditions": "fastmimic.simulation.conditions",
     "ControllerConfig": "fastmimic.control.config",
     "Evaluation": "fastmimic.pipeline",
     "FastMimicError": "fastmimic.errors",
@@ -51,6 +53,7 @@ _WHERE = {
 __all__ = [
     "ROBOT_NAMES",
     "Clip",
+    "Conditions",
     "ControllerConfig",
     "Evaluation",
     "FastMimicError",

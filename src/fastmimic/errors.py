@@ -36,6 +36,10 @@ class OutputError(FastMimicError):
     """A place that cannot be written to, or that holds something else."""
 
 
+class PolicyError(FastMimicError):
+    """A policy that is damaged, or made for another robot or motion."""
+
+
 class CheckpointError(FastMimicError):
     """A checkpoint that is damaged or belongs to another problem."""
 

@@ -48,6 +48,8 @@ FILES = {
 @pytest.mark.parametrize("kind", FILES)
 def test_a_file_that_cannot_be_used(kind: str, verb: str, run: Run, tmp_path: Path) -> None:
     make, said = FILES[kind]
+    if (kind, verb) == ("folder", "render"):  # which takes the folder of a run
+        said = "a folder without motion.npz"
     path = make(tmp_path)
     before = sorted(tmp_path.iterdir())
     out = {"retarget": ["--out", "out.npz"], "render": ["--out", "out.mp4"]}.get(verb, [])
@@ -142,11 +144,36 @@ def test_evaluate_refuses(kind: str, run: Run, files: dict[str, str]) -> None:
         (["retarget", "trot", "--out", "{clip}/out.npz"], "cannot be written to"),
         (["retarget", "trot", "--out", "out.txt"], "the file's name must end in .npz"),
         (["inspect", "trot", "--figure", "out.gif"], "must end in .png or .pdf or .svg"),
-        (["render", "trot", "--out", "out.avi"], "the file's name must end in .mp4"),
+        (["render", "trot", "--out", "out.avi"], "the file's name must end in .mp4 or .gif or .webm"),
+        (["render", *5 * ["trot"], "--out", "out.mp4"], "render takes one to 4 motions, found 5"),
+        (
+            ["render", "trot", "--out", "out.mp4", "--quality", "best"],
+            "unknown quality 'best'; there are preview, high",
+        ),
+        (["render", "trot", "--out", "out.mp4", "--method", "mpc"], "unknown method 'mpc'"),
+        (
+            ["render", *3 * ["trot"], "--out", "out.mp4", "--method", "mbc", "lh"],
+            "--method takes one name, or one for each of the 3 motions; found 2",
+        ),
+        (
+            ["render", "trot", "--out", "out.mp4", "--kinematic", "--method", "lh"],
+            "--method cannot be applied with --kinematic: there is no controller",
+        ),
+        (["render", ".", "--out", "out.mp4"], "a folder without motion.npz"),
+        (
+            ["render", "trot", "--out", "out.mp4", "--kinematic", "--frame-rate", "0"],
+            "--frame-rate must be positive, found 0",
+        ),
+        (
+            ["render", "trot", "--out", "out.gif", "--kinematic", "--size", "1920x1080"],
+            "a GIF of 100 frames of 1920 x 1080 would be enormous",
+        ),
+        (["imitate", "trot", "--quality", "best"], "unknown quality 'best'"),
+        (["stitch", "trot", "trot", "--quality", "best"], "unknown quality 'best'"),
         (["render", "trot", "--out", "out.mp4", "--size", "large"], "--size takes WIDTHxHEIGHT"),
         (
             ["render", "trot", "--out", "out.mp4", "--slow-motion", "0", "--kinematic"],
-            "slow_motion must be positive",
+            "--slow-motion must be positive, found 0",
         ),
         (["data", "list", "dog_keypoints"], "data list takes no dataset"),
         (["data", "fetch", "cats"], "unknown dataset 'cats'"),

@@ -2,6 +2,7 @@
 
 import http.server
 import json
+import re
 import threading
 from collections.abc import Iterator
 from functools import partial
@@ -11,14 +12,18 @@ from pathlib import Path
 import pytest
 
 from cli.running import TINY, Run
+from fastmimic.control.config import controller_config
+from fastmimic.methods import METHODS, made_with
 from fastmimic.motion.catalogue import RECORDED, open_clip
 from fastmimic.motion.data import Dataset
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.retarget import retarget
 from fastmimic.motion.synthesis import GAITS
+from fastmimic.pipeline import load_motion
 from fastmimic.primitive import MotionDmp
+from fastmimic.report import Track
 from fastmimic.report.offscreen import NoRendererError, Offscreen
-from fastmimic.robot import ROBOT_NAMES, load_robot
+from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from motion.sample_files import csv_text, keypoint_text
 
 EVALUATION_KEYS = {
@@ -49,9 +54,27 @@ def test_evaluate_of_several_episodes_depends_on_the_seed_alone(run: Run) -> Non
 
 def test_evaluate_in_words(run: Run) -> None:
     lines = run("evaluate", "trot", "--duration", "0.6", "--episodes", "2").out.splitlines()
-    assert lines[0] == "trot on a1, 2 episodes of 0.6 s"
+    assert lines[0] == "trot on a1 with mbc, 2 episodes of 0.6 s"
     assert lines[1].startswith("reward ")
     assert "±" in lines[1]
+
+
+def test_evaluate_by_sensors_says_how_far_the_estimate_is_off(run: Run) -> None:
+    options = ("evaluate", "trot", "--duration", "1.5", "--observe", "sensors")
+    found = json.loads(run(*options, "--json").out)
+    assert 0 < found["estimate_velocity_rmse_m_per_s"] < 0.1
+    assert 0 < found["estimate_drift_percent"] < 10
+    lines = run(*options).out.splitlines()
+    assert any(line.startswith("estimate's drift") and line.endswith("% of the distance") for line in lines)
+    truthful = json.loads(run("evaluate", "trot", "--duration", "1.5", "--json").out)
+    assert not [key for key in truthful if key.startswith("estimate")]
+    assert truthful["reward_mean"] != found["reward_mean"]
+
+
+def test_evaluate_knows_what_can_be_observed(run: Run) -> None:
+    done = run("evaluate", "trot", "--observe", "sensor")
+    assert done.status == 2
+    assert "unknown observation 'sensor'; there are truth, sensors" in done.err
 
 
 def test_retarget_writes_a_motion_that_the_other_verbs_take(run: Run, in_folder: Path) -> None:
@@ -190,15 +213,51 @@ def opengl() -> None:
 @pytest.mark.parametrize("how", [[], ["--kinematic"]])
 def test_render(how: list[str], run: Run, in_folder: Path) -> None:
     done = run("render", "trot", *how, "--duration", "0.2", "--size", "160x120", "--out", "trot.mp4")
-    assert done.out == "6 frames, 0.2 s, in trot.mp4\n"
+    assert re.fullmatch(r"6 frames, 0\.2 s, \d\.\d MB, in trot\.mp4\n", done.out)
     assert b"ftyp" in (in_folder / "trot.mp4").read_bytes()[:12]
+
+
+@pytest.mark.usefixtures("opengl")
+def test_render_of_several_motions_by_several_methods_as_a_gif(run: Run, in_folder: Path) -> None:
+    some = ("--duration", "0.1", "--size", "160x120", "--frame-rate", "20", "--out", "v.gif")
+    done = run("render", "trot", "pace", "trot", "--method", "mbc", "raibert", "lh", *some)
+    assert done.out.startswith("2 frames, 0.1 s, ")
+    assert (in_folder / "v.gif").read_bytes().startswith(b"GIF89a")
+
+
+def test_the_verbs_take_what_a_motion_was_optimised_with(
+    run: Run, in_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trot = load_motion("trot", load_robot("a1"))
+    made_with(trot, "lh-dmp", METHODS["lh-dmp"].configure(controller_config("paper"))).save(in_folder / "m.npz")
+    assert "made with  method lh-dmp, controller paper" in run("inspect", "m.npz").out
+    assert run("evaluate", "m.npz", "--duration", "0.2").out.startswith("trot on a1 with lh-dmp (paper), 1 episode")
+    given = run("evaluate", "m.npz", "--duration", "0.2", "--method", "raibert", "--config", "default").out
+    assert given.startswith("trot on a1 with raibert, 1 episode")
+    shown: list[Track] = []
+
+    def catch(robot: Robot, tracks: list[Track], *_: object, **__: object) -> None:
+        shown.extend(tracks)
+
+    monkeypatch.setattr("fastmimic.report.render_video", catch, raising=False)
+    some = ("--duration", "0.2", "--out", "v.mp4")
+    run("render", "m.npz", "trot", *some)
+    run("render", "m.npz", "--method", "mbc", *some)
+    run("render", "m.npz", "--kinematic", *some)
+    assert [track.title for track in shown] == 4 * ["trot on a1"]
+    assert [track.caption.split(" · ")[0] for track in shown] == [
+        "LH-DMP (paper)",
+        "MBC",
+        "MBC (paper)",
+        "as retargeted, no physics",
+    ]
 
 
 def test_render_without_opengl_is_an_error(run: Run, monkeypatch: pytest.MonkeyPatch, in_folder: Path) -> None:
     monkeypatch.setenv("MUJOCO_GL", "disable")
     done = run("render", "trot", "--kinematic", "--duration", "0.2", "--out", "trot.mp4")
     assert done.status == 2
-    assert "there is no OpenGL to draw with" in done.err.splitlines()[-1]
+    assert "there is no OpenGL to draw with; 'fastmimic view' shows the same in a browser" in done.err.splitlines()[-1]
     assert not (in_folder / "trot.mp4").exists()
 
 

@@ -1,5 +1,7 @@
 """Dog keypoints: which column is which point, which axis is up, and what is wrong with a bad file."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from sample_files import HIP_HEIGHT, TOE_HEIGHT, keypoint_text, keypoint_values, table_text
@@ -120,3 +122,12 @@ def test_real_takes_are_upright_dogs(data_folder):
     forward = clip.point("neck") - clip.point("pelvis")
     left = np.cross([0, 0, 1], forward)
     assert np.all(np.sum(left * (clip.point("RL_hip") - clip.point("RR_hip")), axis=1) > 0)
+
+
+def test_all_points_are_kept_for_pictures_and_cut_with_the_others():
+    clip = keypoints.parse(keypoint_text())
+    assert clip.drawn_w.shape == (clip.n_frames, 27, 3)
+    np.testing.assert_array_equal(clip.drawn_w[:, [0, 3, 11, 6, 20, 16, 15, 10, 23, 19]], clip.points_w)
+    assert clip.cut(2, 7).drawn_w.tobytes() == clip.drawn_w[2:7].tobytes()
+    with pytest.raises(ClipError, match=r"the skeleton's points have shape \(2, 27, 3\); expected \(12, 27, 3\)"):
+        dataclasses.replace(clip, body_w=clip.body_w[:2])

@@ -13,7 +13,8 @@ EXIT_INTERRUPTED: Final = 130
 """As a shell reports SIGINT."""
 
 SLOW_START_S: Final = 3.0
-SLOW_START: Final = "preparing; the first use compiles the controller, which takes about a minute and happens once"
+FIRST_USE: Final = "the first use compiles the controller, which takes about a minute and happens once"
+SLOW_START: Final = f"preparing; {FIRST_USE}"
 CHOOSING: Final = "choosing among the best candidates by longer episodes"
 PLAIN_STEPS: Final = 10  # lines in all, where there is no terminal to draw a bar on
 

@@ -2,12 +2,13 @@
 
 import json
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
 from fastmimic.commands.console import put, slow_start, table
-from fastmimic.commands.options import MotionOptions, check_duration
+from fastmimic.commands.options import MotionOptions, check_duration, policy_controller
 from fastmimic.conventions import LEGS
 
 
@@ -26,11 +27,21 @@ class Evaluate(MotionOptions):
     duration: Annotated[float | None, arg(metavar="S")] = None
     """Length of each; by default 10, or the whole of a motion that does not repeat."""
     seed: int = 0
-    """Of the perturbations."""
-    method: Annotated[str, arg(metavar="NAME")] = "mbc"
-    """Whose controller: raibert, mbc, lh; the motion is run as it is."""
-    config: Annotated[str, arg(metavar="default|paper")] = "default"
-    """The controller's parameters."""
+    """Of the perturbations and the sensors' errors."""
+    method: Annotated[str | None, arg(metavar="NAME")] = None
+    """Whose controller: raibert, mbc, lh; by default that with which the motion was optimised, or mbc. The motion is
+    run as it is."""
+    config: Annotated[str | None, arg(metavar="default|paper")] = None
+    """The controller's parameters; by default those with which the motion was optimised, or "default"."""
+    policy: Annotated[Path | None, arg(metavar="FILE")] = None
+    """A trained policy (policy.npz of 'fastmimic train') in place of a method's controller."""
+    observe: Annotated[str, arg(metavar="truth|sensors")] = "truth"
+    """What the controller sees: the simulator's state, or an estimate from noisy, biased and late sensors."""
+    simulator: Annotated[str, arg(metavar="mujoco|pybullet")] = "mujoco"
+    """Where the robot is: the one that motions are optimised in, or another with the manufacturer's own description."""
+    disturb: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=VALUE")] = ()
+    """What is not as the controller expects, such as payload=2 (kg) or friction=0.4; may be given several times. An
+    unknown NAME lists them all."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
@@ -39,8 +50,17 @@ class Evaluate(MotionOptions):
         if self.duration is not None:
             check_duration(self.duration)
         from fastmimic.pipeline import evaluate
+        from fastmimic.simulation.conditions import Conditions
+        from fastmimic.simulation.disturbances import names_of, parse_disturbance
 
+        conditions = Conditions(
+            simulator=self.simulator,
+            observe=self.observe,
+            seed=self.seed,
+            disturbances=tuple(parse_disturbance(text) for text in self.disturb),
+        )
         robot, motion = self.load(self.motion)
+        controller = None if self.policy is None else policy_controller(self.policy, robot, motion)
         with slow_start():
             evaluation = evaluate(
                 motion,
@@ -50,13 +70,21 @@ class Evaluate(MotionOptions):
                 seed=self.seed,
                 method=self.method,
                 config=self.config,
+                controller=controller,
+                conditions=conditions,
             )
         figures = evaluation.as_dict()
+        figures |= {
+            "simulator": conditions.simulator,
+            "disturbances": {d.name: d.values[0] for d in conditions.disturbances},
+        }
         if self.json:
             put(json.dumps(_finite(figures), allow_nan=False))
         else:
             for line in _lines(figures, robot.name):
                 put(line)
+            if conditions.simulator != "mujoco" or conditions.disturbances:
+                put(f"in {conditions.simulator}; disturbances: {names_of(conditions.disturbances) or 'none'}")
         return 0
 
 
@@ -79,8 +107,18 @@ def _lines(figures: dict[str, Any], robot: str) -> list[str]:
         ("foot z rmse, mm", f"{1e3 * figures['foot_z_rmse_m']:.1f}"),
         ("foot x rmse, mm", f"{1e3 * figures['foot_x_rmse_m']:.1f}"),
     ]
+    if "estimate_drift_percent" in figures:
+        drift = figures["estimate_drift_percent"]
+        rows += [
+            ("estimate's drift", "–" if drift is None else f"{drift:.2f} % of the distance"),
+            ("  velocity rmse, m/s", f"{figures['estimate_velocity_rmse_m_per_s']:.3f}"),
+            ("  height rmse, mm", f"{1e3 * figures['estimate_height_rmse_m']:.1f}"),
+            ("  tilt rmse, mrad", f"{1e3 * figures['estimate_tilt_rmse_rad']:.1f}"),
+            ("  heading error, mrad", f"{1e3 * figures['estimate_heading_error_rad']:.1f}"),
+        ]
     episodes = f"{figures['episodes']} episode{'s' if several else ''} of {figures['duration_s']:g} s"
-    return [f"{figures['motion']} on {robot}, {episodes}", *table(rows)]
+    method = figures["method"] + (f" ({figures['config']})" if figures["config"] != "default" else "")
+    return [f"{figures['motion']} on {robot} with {method}, {episodes}", *table(rows)]
 
 
 def _finite(figures: dict[str, Any]) -> dict[str, Any]:

@@ -1,16 +1,16 @@
 """The comparison: which runs there are, what they start from, and their rows."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from fastmimic.control.config import controller_config
-from fastmimic.errors import ConfigError, OutputError
+from fastmimic.errors import ConfigError, OutputError, PolicyError
 from fastmimic.experiments.ablations import ABLATED, ablation_named, ablations_of
-from fastmimic.experiments.runs import Row, Run, Settings, digest, finished_row, run_of, slug
+from fastmimic.experiments.runs import POLICY, Row, Run, Settings, digest, finished_row, run_of, slug
 from fastmimic.experiments.schedule import Report, Task, run_all
-from fastmimic.methods import METHODS, method_named
+from fastmimic.methods import METHODS, RL, method_named
 from fastmimic.motion.catalogue import open_clip
 from fastmimic.motion.formats import detect_format
 from fastmimic.motion.motion import Motion
@@ -21,11 +21,28 @@ from fastmimic.optimize.problem import Objective
 from fastmimic.pipeline import load_motion
 from fastmimic.robot import Robot, load_robot
 
+if TYPE_CHECKING:
+    from fastmimic.learning.policy import Policy
+
 PAPER_MOTIONS: Final = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps")
 """The paper's four, as far as they are public."""
 BUILT_IN_MOTIONS: Final = ("trot", "pace", "turn", "side-step")
 RUNS: Final = "runs"
 MOTIONS: Final = "motions"
+
+
+@dataclass(frozen=True)
+class ChosenPolicy:
+    """The policy that does a motion: `seed` is that of its training, `file` where it is."""
+
+    motion: str
+    seed: int
+    file: Path
+
+    @property
+    def run(self) -> Run:
+        """The run that it is for."""
+        return Run(self.motion, RL, "", self.seed)
 
 
 @dataclass(frozen=True)
@@ -38,6 +55,7 @@ class Plan:
         methods: names.
         seeds: number of seeds of the methods that optimise.
         ablations: whether to run the variants of `ABLATED` as well.
+        policies: of the learned method; see `choose_policies`.
     """
 
     settings: Settings
@@ -45,6 +63,7 @@ class Plan:
     methods: tuple[str, ...]
     seeds: int
     ablations: bool
+    policies: tuple[ChosenPolicy, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.motions:
@@ -55,6 +74,13 @@ class Plan:
             raise ConfigError(f"seeds must be at least 1, found {self.seeds}")
         for name in self.methods:
             method_named(name)
+        if RL in self.methods and not self.policies:
+            raise ConfigError(
+                f"method '{RL}' needs a trained policy for each motion: --policy FILE or FOLDER ...; 'fastmimic train'"
+                " makes one"
+            )
+        if self.policies and RL not in self.methods:
+            raise ConfigError(f"policies are for the method '{RL}', which is not among {', '.join(self.methods)}")
         for what, names in (("motion", [_stem(m) for m in self.motions]), ("method", self.methods)):
             twice = sorted({name for name in names if list(names).count(name) > 1})
             if twice:
@@ -78,7 +104,9 @@ class Plan:
         """
         methods = [*self.methods, *([ABLATED] if self.ablations and ABLATED not in self.methods else [])]
         optimising = [name for name in methods if method_named(name).optimises]
-        runs = [Run(motion, name, "", 0) for motion in self.motions for name in methods if name not in optimising]
+        once = [name for name in methods if name not in optimising and name != RL]
+        runs = [Run(motion, name, "", 0) for motion in self.motions for name in once]
+        runs += [policy.run for policy in self.policies]
         for seed in range(self.seeds):
             runs += [Run(motion, name, "", seed) for motion in self.motions for name in optimising]
         for seed in range(self.seeds):
@@ -142,20 +170,30 @@ def prepare(plan: Plan, out: Path, *, keep: bool, prepared: Callable[[str], None
     """
     robot = load_robot(plan.settings.robot)
     files = {_file(out, *key): motion for key, motion in _demonstrations(plan, robot, prepared)}
+    given = {policy.run: policy.file for policy in plan.policies}
+    policies = {
+        run: _policy(file, robot, files[_file(out, run.motion, consistent=True)]) for run, file in given.items()
+    }
     found = _finished(out) if keep else {}
     known = dict(files)
     for run, row in found.items():
         path = _file(out, run.motion, ablation_named(run.variant).consistent)
         if path not in known:
             known[path] = Motion.load(path)
-        if row.get("digest") != digest(run, plan.settings, robot, known[path]):
+        if run.method == RL and run not in policies:
+            policies[run] = _policy(out / RUNS / run.folder / POLICY, robot, known[path])
+        if row.get("digest") != digest(run, plan.settings, robot, known[path], policies.get(run)):
             raise OutputError(
-                f"{out / RUNS / run.folder}: a finished run of another controller, motion or robot than this"
-                " installation's; choose another --out, or --overwrite it"
+                f"{out / RUNS / run.folder}: a finished run of another {'policy' if run in policies else 'controller'},"
+                " motion or robot than this installation's; choose another --out, or --overwrite it"
             )
     tasks = (
         Task(
-            run, plan.settings, _file(out, run.motion, ablation_named(run.variant).consistent), out / RUNS / run.folder
+            run,
+            plan.settings,
+            _file(out, run.motion, ablation_named(run.variant).consistent),
+            out / RUNS / run.folder,
+            given.get(run),
         )
         for run in plan.runs
         if run not in found
@@ -187,6 +225,67 @@ def compare(plan: Plan, out: Path, *, workers: int, report: Report, prepared: Ca
         KeyboardInterrupt: Ctrl-C; the folder holds what was done.
     """
     return prepare(plan, out, keep=True, prepared=prepared).perform(workers, report)
+
+
+def choose_policies(places: Sequence[Path], motions: Sequence[str]) -> tuple[ChosenPolicy, ...]:
+    """Which policies do which motions, in the order of the motions and of the seeds of training.
+
+    Args:
+        places: files, and folders all of whose policies count, at any depth.
+        motions: names, or files, as in a plan. Policies in folders for other motions are left aside.
+
+    Raises:
+        PolicyError: a file that is no policy.
+        ConfigError: a motion without a policy, a file for another motion, or two policies for one motion and seed.
+    """
+    from fastmimic.learning.policy import Policy
+
+    files: dict[Path, bool] = {}  # whether it was named itself
+    for place in places:
+        files.update(dict.fromkeys(sorted(place.rglob(POLICY)), False) if place.is_dir() else {place: True})
+    names = {_own_name(motion): motion for motion in motions}
+    found: dict[Run, ChosenPolicy] = {}
+    for file, named in files.items():
+        policy = Policy.load(file)
+        if policy.motion not in names:
+            if named:
+                raise ConfigError(f"{file}: a policy for '{policy.motion}', not among {', '.join(motions)}")
+            continue
+        chosen = ChosenPolicy(names[policy.motion], policy.seed, file)
+        if chosen.run in found and Policy.load(found[chosen.run].file).digest == policy.digest:
+            continue  # a copy
+        if chosen.run in found:
+            raise ConfigError(
+                f"{found[chosen.run].file} and {file}: two policies for '{chosen.motion}', both of seed {chosen.seed}"
+            )
+        found[chosen.run] = chosen
+    missing = [motion for motion in motions if all(chosen.motion != motion for chosen in found.values())]
+    if missing:
+        raise ConfigError(
+            f"no policy for {', '.join(missing)} in {', '.join(str(p) for p in places)}; 'fastmimic train' makes one,"
+            " or leave the motion out with --motions"
+        )
+    return tuple(sorted(found.values(), key=lambda chosen: (motions.index(chosen.motion), chosen.seed)))
+
+
+def _own_name(motion: str) -> str:
+    """What a motion calls itself: a robot motion's file says it, a clip's is the name of the file."""
+    path = Path(motion)
+    if not path.is_file():
+        return motion
+    return Motion.load(path).name if detect_format(path) == "npz" else path.stem
+
+
+def _policy(file: Path, robot: Robot, demonstration: Motion) -> "Policy":
+    """The policy in a file, once it is certain that it is for that robot and motion."""
+    from fastmimic.learning.policy import Policy
+
+    policy = Policy.load(file)
+    try:
+        policy.check(robot, demonstration)
+    except PolicyError as error:
+        raise PolicyError(f"{file}: {error}") from None
+    return policy
 
 
 def _stem(name: str) -> str:

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from fastmimic.errors import OutputError
 from fastmimic.experiments.ablations import ablation_named
 from fastmimic.files import replace_file
 from fastmimic.imitation.reward import TERMS
-from fastmimic.imitation.rollout import Rollout, perturbed_start, run_episodes, swing_clearance
+from fastmimic.imitation.rollout import MakeController, Rollout, perturbed_start, run_episodes, swing_clearance
 from fastmimic.imitation.style import style_distance
 from fastmimic.methods import method_named
 from fastmimic.motion.motion import Motion
@@ -35,13 +35,17 @@ from fastmimic.pipeline import Imitation, default_duration, imitate, versions
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 
+if TYPE_CHECKING:
+    from fastmimic.learning.policy import Policy
+
 Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 ROW: Final = "row.json"
 MOTION: Final = "motion.npz"
 TRACKING: Final = "tracking.npz"
-RUN_FILES: Final = (ROW, MOTION, TRACKING, CHECKPOINT)
+POLICY: Final = "policy.npz"
+RUN_FILES: Final = (ROW, MOTION, TRACKING, CHECKPOINT, POLICY)
 
 EVALUATION_S: Final = 10.0
 PERTURBED_EPISODES: Final = 8
@@ -102,8 +106,14 @@ def controller_of(run: Run, settings: Settings) -> ControllerConfig:
     return ablation_named(run.variant).change(controller_config(settings.config))
 
 
-def digest(run: Run, settings: Settings, robot: Robot, demonstration: Motion) -> str:
-    """What tells apart runs of different content: 16 hexadecimal digits of everything but the seed."""
+def digest(run: Run, settings: Settings, robot: Robot, demonstration: Motion, policy: "Policy | None" = None) -> str:
+    """What tells apart runs of different content: 16 hexadecimal digits of everything but the seed.
+
+    Args:
+        run, settings, robot: what is done, how, and by whom.
+        demonstration: the run's.
+        policy: of a learned method.
+    """
     found = hashlib.sha256(robot.xml.encode())
     for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "contact"):
         found.update(getattr(demonstration, name).tobytes())
@@ -116,6 +126,8 @@ def digest(run: Run, settings: Settings, robot: Robot, demonstration: Motion) ->
         "objective": asdict(Objective(settings.duration_s)),
         "settings": {k: v for k, v in asdict(settings).items() if k != "robot"},
     }
+    if policy is not None:
+        said["policy"] = policy.digest
     found.update(json.dumps(said, sort_keys=True).encode())
     return found.hexdigest()[:16]
 
@@ -127,6 +139,7 @@ def perform(
     demonstration: Motion,
     folder: Path,
     progress: Callable[[Progress], None] | None = None,
+    policy: "Policy | None" = None,
 ) -> Row:
     """Optimises if the method does, evaluates, and writes the run's folder; goes on from a checkpoint found there.
 
@@ -137,6 +150,7 @@ def perform(
         demonstration: the retargeted motion, as the run's variant has it.
         folder: of this run.
         progress: called after each iteration of the optimisation.
+        policy: of a learned method; a copy is kept in the folder.
 
     Returns:
         The row; see `COLUMNS` in `fastmimic.experiments.tables`.
@@ -149,7 +163,14 @@ def perform(
     resumed = checkpoint.is_file()
     config = controller_of(run, settings)
     # compiled, or loaded, before the clock starts
-    run_episodes(robot, demonstration, duration_s=_WARM_UP_S, config=method_named(run.method).configure(config))
+    controller = None if policy is None else _controlled_by(policy)
+    run_episodes(
+        robot,
+        demonstration,
+        duration_s=_WARM_UP_S,
+        config=method_named(run.method).configure(config),
+        controller=controller,
+    )
     busy = time.process_time()
     result = imitate(
         demonstration,
@@ -165,16 +186,20 @@ def perform(
         resume=resumed,
         progress=progress,
         n_basis=ablation_named(run.variant).n_basis,
+        controller=controller,
     )
     if result.interrupted:
         raise KeyboardInterrupt
     began = time.perf_counter()
-    row = _row(run, settings, result, folder)
+    row = _row(run, settings, result, folder, controller)
     row |= {
         "wall_s": result.wall_s + time.perf_counter() - began,
         "cpu_s": None if resumed else time.process_time() - busy,
-        "digest": digest(run, settings, robot, demonstration),
+        "digest": digest(run, settings, robot, demonstration, policy),
     }
+    if policy is not None:
+        row |= _with_training(row, policy)
+        policy.save(folder / POLICY)
     if method_named(run.method).optimises:
         result.motion.save(folder / MOTION)
     text = json.dumps(row, indent=1, allow_nan=False)
@@ -204,13 +229,32 @@ def run_of(row: Row) -> Run:
     return Run(row["motion"], row["method"], row["variant"], row["seed"])
 
 
-def _row(run: Run, settings: Settings, result: Imitation, folder: Path) -> Row:
+def _controlled_by(policy: "Policy") -> MakeController:
+    from fastmimic.learning.controller import controlled_by  # with Gymnasium, which other runs do without
+
+    return controlled_by(policy)
+
+
+def _with_training(row: Row, policy: "Policy") -> Row:
+    """What a policy's run cost with its training, as far as the policy says; its parameters are named by its digest."""
+    training = policy.training
+    costs = {name: (row[name], training.get(name)) for name in ("wall_s", "cpu_s", "simulated_s")}
+    return {
+        "parameters": f"policy={policy.digest} steps={training.get('steps')}",
+        "evaluations": training.get("episodes"),
+        **{name: None if None in pair else sum(pair) for name, pair in costs.items()},
+    }
+
+
+def _row(
+    run: Run, settings: Settings, result: Imitation, folder: Path, controller: MakeController | None = None
+) -> Row:
     robot, demonstration = result.robot, result.demonstration
     method = method_named(run.method)
     seconds = _length(demonstration, settings.evaluation_s)
 
     def episode(motion: Motion) -> Rollout:
-        return run_episodes(robot, motion, duration_s=seconds, config=result.config, log=True)
+        return run_episodes(robot, motion, duration_s=seconds, config=result.config, log=True, controller=controller)
 
     after = episode(result.motion)
     before = episode(demonstration) if method.optimises else after
@@ -218,7 +262,9 @@ def _row(run: Run, settings: Settings, result: Imitation, folder: Path) -> Row:
     rng = np.random.default_rng(_EVALUATION_SEED)
     room = _room(demonstration, seconds)
     start = perturbed_start(settings.perturbed_episodes + 1, room, rng).part(slice(1, None))
-    rough = run_episodes(robot, result.motion, start=start, duration_s=seconds, config=result.config)
+    rough = run_episodes(
+        robot, result.motion, start=start, duration_s=seconds, config=result.config, controller=controller
+    )
     clearance = after.clearance[0]
     share = clearance / swing_clearance(demonstration, robot.foot_radius)
     found = {

@@ -32,12 +32,13 @@ _ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREAD
 
 @dataclass(frozen=True)
 class Task:
-    """A run and where its files are."""
+    """A run and where its files are; `policy` is that of a learned method."""
 
     run: Run
     settings: Settings
     demonstration: Path
     folder: Path
+    policy: Path | None = None
 
     @property
     def simulated_s(self) -> float:
@@ -221,7 +222,12 @@ def _work(index: int, task: Task) -> Row:
 
 def _perform(task: Task, progress: Callable[[Progress], None]) -> Row:
     robot = load_robot(task.settings.robot)
-    return perform(task.run, task.settings, robot, Motion.load(task.demonstration), task.folder, progress)
+    policy = None
+    if task.policy is not None:
+        from fastmimic.learning.policy import Policy  # with Gymnasium, which other runs do without
+
+        policy = Policy.load(task.policy)
+    return perform(task.run, task.settings, robot, Motion.load(task.demonstration), task.folder, progress, policy)
 
 
 def _result(future: Future[Row]) -> Row:

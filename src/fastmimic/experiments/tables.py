@@ -12,7 +12,7 @@ from fastmimic.experiments.ablations import ABLATED, ablation_named
 from fastmimic.experiments.runs import Row
 from fastmimic.imitation.reward import TERMS
 from fastmimic.imitation.rollout import JOINT_NOISE, VELOCITY_NOISE
-from fastmimic.methods import METHODS, method_named
+from fastmimic.methods import ALL_METHODS, RL, method_named
 
 NONE: Final = "–"
 
@@ -77,7 +77,7 @@ def summaries(rows: Iterable[Row]) -> list[Summary]:
         groups.setdefault((row["motion"], row["method"], row["variant"]), []).append(row)
     motions = list(dict.fromkeys(motion for motion, _, _ in groups))
     variants = list(dict.fromkeys(variant for _, _, variant in groups))
-    order = sorted(groups, key=lambda k: (motions.index(k[0]), variants.index(k[2]), list(METHODS).index(k[1])))
+    order = sorted(groups, key=lambda k: (motions.index(k[0]), variants.index(k[2]), list(ALL_METHODS).index(k[1])))
     return [Summary(*key, tuple(groups[key])) for key in order]
 
 
@@ -167,6 +167,11 @@ def _caption(rows: Sequence[Row]) -> str:
             f" Where something is optimised: mean ± sample standard deviation over {seeds}"
             f" of CMA-ES, {iterations} iterations of {all_of('population')} candidates,"
             f" episodes of {all_of('duration_s')} s. The other methods are deterministic and were run once."
+        )
+    if any(row["method"] == RL for row in rows):
+        search += (
+            f" {method_named(RL).label}: one policy a motion, trained beforehand, a row for each seed of the training;"
+            " its time and its episodes are those of the training as well, on whatever machine that was."
         )
     return (
         f"*Reward*: one episode of {all_of('evaluation_s')} s from the motion's start, scored against the retargeted"

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 FORMATS: Final = {
     "keypoints": "dog keypoints, 81 columns of text",
-    "deepmimic": "DeepMimic-style JSON of the Laikago, 19 numbers a frame",
+    "deepmimic": "DeepMimic-style JSON of the Laikago, or of the robot that it names, 19 numbers a frame",
     "csv": "retargeted robot motion, 19 columns of text: root xyz, quaternion xyzw, 12 joints",
     "npz": "FastMimic robot motion",
 }
@@ -99,7 +99,7 @@ def _parse(name: str, text: str, robot: "Robot | None", fps: float | None, up: s
             " convert the file, or leave the vertical axis out"
         )
     if name == "deepmimic":
-        return deepmimic.parse(text, fps=fps)
+        return deepmimic.parse(text, robot=robot, fps=fps)
     if robot is None:
         raise ClipError("a retargeted CSV holds joint angles: the robot that they belong to is needed")
     return csv_motion.parse(text, robot=robot, fps=fps)

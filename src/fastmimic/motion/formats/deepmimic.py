@@ -2,12 +2,12 @@
 
 The joint angles belong to the Laikago's model, so the clip that comes out holds the points of a Laikago: its
 abduction joint origins as hips and its foot centres as toes. The formulas agree with that model in a
-simulator to 1e-5 m.
+simulator to 1e-5 m. A file that names another `Robot`, as `fastmimic.motion.export` writes it, holds that robot's.
 """
 
 import json
 import re
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from fastmimic.motion.formats.robot_points import robot_points
 from fastmimic.motion.formats.table import LARGEST, check_frames, check_positive, check_rate
 from fastmimic.rotations import quat_conjugate, quat_multiply
 
+if TYPE_CHECKING:
+    from fastmimic.robot.robot import Robot
+
 FRAME_NAMES: Final = (
     *(f"root {axis}" for axis in "xyz"),
     *(f"root quaternion {axis}" for axis in "xyzw"),
@@ -28,6 +31,8 @@ FRAME_NAMES: Final = (
 LOOP_MODES: Final = ("Wrap", "Clamp")
 _LOOP_KEYS: Final = ("LoopMode", "EnableCycleOffsetPosition", "EnableCycleOffsetRotation")
 """Kept as provenance: what a cycle adds is measured on the motion itself."""
+_ROBOT_KEY: Final = "Robot"
+"""Of files that `fastmimic.motion.export` wrote: whose joints they hold, in place of the Laikago's."""
 
 # The Laikago's model, m. Rows are FR, FL, RR, RL.
 _SIDE: Final = np.where(LEFT, 1.0, -1.0)
@@ -43,11 +48,12 @@ LEG_LENGTH_M: Final = float(np.hypot(0.1422, 0.20833) + np.hypot(0.022, 0.25))
 Array = NDArray[np.float64]
 
 
-def parse(text: str, *, fps: float | None = None) -> Clip:
+def parse(text: str, *, robot: "Robot | None" = None, fps: float | None = None) -> Clip:
     """Reads the text of a motion file.
 
     Args:
         text: the file's content.
+        robot: the one that the file must name as its `Robot`, if it names one.
         fps: frames a second, in place of 1/FrameDuration.
 
     Raises:
@@ -67,16 +73,29 @@ def parse(text: str, *, fps: float | None = None) -> Clip:
             assumed.append(f"the loop does not close exactly: joints of first and last frame differ by {gap:.2f} rad")
         frames, joints, quat_file = frames[:-1], joints[:-1], quat_file[:-1]
         check_frames(len(frames))
-    assumed.append("joint angles are the Laikago's, retargeted through its foot positions")
-    quat = quat_multiply(quat_file, quat_conjugate(_MODEL_TO_BODY_WXYZ))
-    points = robot_points(frames[:, :3], quat, _ABDUCTION_ORIGIN_B, laikago_feet(joints))
+    of = document.get(_ROBOT_KEY)
+    if of is not None:
+        from fastmimic.robot.kinematics import foot_positions
+
+        own = _named(of, robot)
+        quat = quat_file
+        points = robot_points(frames[:, :3], quat, own.hip_pos_b, foot_positions(own, joints))
+    else:
+        assumed.append("joint angles are the Laikago's, retargeted through its foot positions")
+        quat = quat_multiply(quat_file, quat_conjugate(_MODEL_TO_BODY_WXYZ))
+        points = robot_points(frames[:, :3], quat, _ABDUCTION_ORIGIN_B, laikago_feet(joints))
     return Clip(
         points_w=points,
         rate_hz=rate,
         root_quat_wxyz=quat,
         is_cycle=True if loop == "Wrap" else False if loop == "Clamp" else None,
-        leg_length_m=LEG_LENGTH_M,
-        meta={"assumed": assumed, "loop": {key: document[key] for key in _LOOP_KEYS if key in document}},
+        leg_length_m=LEG_LENGTH_M if of is None else own.leg_length,
+        scale=None if of is None else 1.0,
+        meta={
+            **({} if of is None else {"robot": of}),
+            "assumed": assumed,
+            "loop": {key: document[key] for key in _LOOP_KEYS if key in document},
+        },
     )
 
 
@@ -104,6 +123,18 @@ def _rotate_x(angle: Array, v: Array) -> Array:
 def _rotate_y(angle: Array, v: Array) -> Array:
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([c * v[..., 0] + s * v[..., 2], v[..., 1], -s * v[..., 0] + c * v[..., 2]], axis=-1)
+
+
+def _named(name: Any, robot: "Robot | None") -> "Robot":
+    """The robot whose joints a file says it holds."""
+    from fastmimic.robot import ROBOT_NAMES, load_robot
+
+    if robot is not None and robot.name == name:
+        return robot
+    if robot is not None or name not in ROBOT_NAMES:
+        given = "" if robot is None else f", not '{robot.name}'"
+        raise ClipError(f"the joints are those of robot {json.dumps(name)[:40]}{given}; read it with that robot")
+    return load_robot(name)
 
 
 def _load(text: str) -> dict[str, Any]:

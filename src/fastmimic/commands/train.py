@@ -1,0 +1,182 @@
+"""`fastmimic train`: a policy that imitates a motion, by reinforcement learning."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from tyro.conf import Positional, arg
+
+from fastmimic.commands.console import PLAIN_STEPS, note, put, share_progress
+from fastmimic.commands.options import MotionOptions
+from fastmimic.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from fastmimic.learning.settings import TrainingSettings
+    from fastmimic.learning.training import Advance, Evaluated
+    from fastmimic.motion.motion import Motion
+    from fastmimic.robot import Robot
+
+RUNS: Final = Path("runs")
+PAPER_STEPS: Final = 100_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train(MotionOptions):
+    """Trains a policy to imitate a motion (PPO; Peng et al. 2018, 2020): the baseline that learns.
+
+    Writes policy.npz for 'evaluate --policy' and 'compare --policy', policy.onnx, evaluations.csv, TensorBoard's logs
+    and a checkpoint. After Ctrl-C or a crash, --resume goes on from the last minute. Needs: pip install
+    'fastmimic[rl]'.
+    """
+
+    motion: Annotated[Positional[str], arg(metavar="MOTION")]
+    """A name of 'fastmimic motions', or a file."""
+    steps: int = PAPER_STEPS
+    """Actions of all robots together. Asking for more later goes on with --resume."""
+    seed: int = 0
+    """Of weights, actions and episodes."""
+    robots: int = 256
+    """Simulated at once."""
+    hidden: tuple[int, ...] = (512, 256)
+    """Widths of the policy's hidden layers."""
+    entropy: float = 0.0
+    """Weight of the entropy bonus."""
+    randomise: Annotated[tuple[str, ...], arg(metavar="NAME=LOWER:UPPER ...")] = ()
+    """In what robots and grounds differ, such as friction=0.4:1.2 payload=0:2."""
+    evaluate_every: int = 500_000
+    """Steps between evaluations. The best policy that was evaluated is kept."""
+    device: Annotated[str, arg(metavar="auto|cpu|cuda")] = "auto"
+    """Of the networks; the simulation runs on the processor."""
+    threads: Annotated[int | None, arg(metavar="INT")] = None
+    """For the simulation; by default one for each core. The result does not depend on it."""
+    update_threads: int = 1
+    """For the networks on the processor; more than one is worth it with many idle cores only."""
+    out: Annotated[Path | None, arg(metavar="FOLDER")] = None
+    """By default runs/MOTION-ROBOT-rl-SEED. A folder with another training is refused."""
+    resume: bool = False
+    """Go on from the checkpoint in the folder."""
+    overwrite: bool = False
+    """Replace the training in the folder."""
+
+    def run(self) -> int:
+        """Trains, and writes the folder; returns the exit status."""
+        for name in ("steps", "evaluate_every"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"--{name.replace('_', '-')} must be at least 1, found {getattr(self, name)}")
+        from fastmimic.learning.learner import check_installed, choose_device
+        from fastmimic.learning.training import train
+        from fastmimic.learning.training_folder import CHECKPOINT, open_training
+        from fastmimic.optimize.problem import available_cores
+
+        settings = self._settings()
+        check_installed()
+        device = choose_device(self.device)
+        robot, motion = self.load(self.motion)
+        motion = motion.target
+        out = self.out or RUNS / re.sub(r"[^\w.-]+", "-", f"{motion.name}-{robot.name}-rl-{self.seed}")
+        same = _identity(robot, motion, settings, device, self.evaluate_every)
+        folder = open_training(out, same, resume=self.resume, overwrite=self.overwrite)
+        threads = self.threads if self.threads is not None else available_cores()
+        if not self.resume:
+            folder.clear()
+        folder.begin({"training": same, "motion": motion.meta})
+        note(f"{motion.name} on {robot.name}: {self.steps:,} steps of {self.robots} robots, networks on {device}")
+        try:
+            with _progress() as progress:
+                evaluations = train(
+                    robot,
+                    motion,
+                    self.steps,
+                    folder,
+                    settings,
+                    device=device,
+                    threads=threads,
+                    resume=self.resume,
+                    evaluate_every=self.evaluate_every,
+                    progress=progress,
+                )
+        except KeyboardInterrupt:
+            if (out / CHECKPOINT).is_file():
+                note(f"to go on from the checkpoint: the same command with --out {out} --resume")
+            raise
+        for line in _report(evaluations):
+            put(line)
+        put(f"to run it: fastmimic evaluate {self.motion} --policy {out / 'policy.npz'}")
+        return 0
+
+    def _settings(self) -> "TrainingSettings":
+        from fastmimic.learning.randomisation import parse_randomisation
+        from fastmimic.learning.settings import TrainingSettings
+
+        return TrainingSettings(
+            seed=self.seed,
+            robots=self.robots,
+            hidden=self.hidden,
+            entropy=self.entropy,
+            randomise=tuple(parse_randomisation(text) for text in self.randomise),
+            update_threads=self.update_threads,
+        )
+
+
+def _identity(
+    robot: "Robot", motion: "Motion", settings: "TrainingSettings", device: str, evaluate_every: int
+) -> dict[str, Any]:
+    """What must be the same for a training to go on, JSON-serialisable."""
+    import hashlib
+    import json
+
+    content = hashlib.sha256(robot.xml.encode())
+    for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "contact"):
+        content.update(getattr(motion, name).tobytes())
+    plain: dict[str, Any] = json.loads(json.dumps(settings.as_dict()))
+    return {
+        "robot": robot.name,
+        "motion": motion.name,
+        "content": content.hexdigest()[:16],
+        "device": device,
+        "evaluate_every": evaluate_every,
+        **plain,
+    }
+
+
+@contextmanager
+def _progress() -> "Iterator[Callable[[Advance], None]]":
+    """A bar on a terminal, otherwise a line now and then."""
+    shown = -1
+    with share_progress("training") as bar:
+
+        def report(at: "Advance") -> None:
+            nonlocal shown
+            share = at.steps / at.total
+            left = (at.total - at.steps) / at.steps_per_s
+            text = (
+                f"reward/step {at.iteration.reward:.3f}{_evaluated(at.evaluated)}, {at.steps_per_s:.0f} steps/s,"
+                f" {left // 3600:.0f}:{left // 60 % 60:02.0f} h left"
+            )
+            if bar is not None:
+                bar(share, text)
+            elif int(share * PLAIN_STEPS) > shown:
+                shown = int(share * PLAIN_STEPS)
+                note(f"{at.steps:,}/{at.total:,} steps: {text}")
+
+        yield report
+
+
+def _evaluated(found: "Evaluated | None") -> str:
+    return "" if found is None else f", evaluated {found.reward:.3f}"
+
+
+def _report(evaluations: "list[Evaluated]") -> list[str]:
+    if not evaluations:
+        return []
+    best = max(evaluations, key=lambda e: e.reward + e.reward_perturbed)
+    fell = ", fell" if best.fell else ""
+    return [
+        f"best evaluation, at {best.steps:,} steps: reward {best.reward:.3f}{fell}; perturbed starts"
+        f" {best.reward_perturbed:.3f}, {best.fell_perturbed:.0%} fell",
+    ]

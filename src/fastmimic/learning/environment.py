@@ -1,0 +1,190 @@
+"""Gymnasium's environments: one robot (`fastmimic/Imitation-v0`), and n of them as one vectorised environment."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from fastmimic.imitation.reward import TERMS
+from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, action_bounds
+from fastmimic.learning.episodes import EPISODE_S, Episodes, Outcome
+from fastmimic.learning.randomisation import parse_randomisation
+from fastmimic.motion.motion import Motion
+from fastmimic.pipeline import load_motion
+from fastmimic.robot import Robot, load_robot
+
+Seen = NDArray[np.float32]
+
+
+def spaces(config: PolicyConfig, robot: Robot) -> tuple[gymnasium.Space[Any], gymnasium.Space[Any]]:
+    """Of one robot's observation and action."""
+    lower, upper = action_bounds(config, robot)
+    return (
+        gymnasium.spaces.Box(-np.inf, np.inf, (OBSERVATION_SIZE,), np.float32),
+        gymnasium.spaces.Box(lower.astype(np.float32), upper.astype(np.float32), (ACTION_SIZE,), np.float32),
+    )
+
+
+class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
+    """A robot that is to imitate a motion.
+
+    An observation is what `fastmimic.learning.observation` says, an action twelve joint targets relative to the home
+    pose in units of 0.25 rad, a reward the mean of the common reward over the step's control steps. An episode begins
+    at a random phase of the motion, is terminated by a fall and truncated after `duration_s` or at the end of a motion
+    that does not repeat. `info["terms"]` has the reward's terms.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+
+    def __init__(
+        self,
+        motion: str | Path | Motion = "trot",
+        robot: str | Robot = "a1",
+        *,
+        duration_s: float = EPISODE_S,
+        perturbed: bool = True,
+        randomise: Sequence[str] = (),
+        config: PolicyConfig | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        """
+        Args:
+            motion: a motion, its name, or a file; what `fastmimic.load_motion` takes.
+            robot: the robot, its name, or its MJCF.
+            duration_s: of an episode at most, s.
+            perturbed: whether episodes begin off the reference, as in an evaluation.
+            randomise: in what each episode's robot and ground differ, such as `friction=0.4:1.2`.
+            config: how policies see and act.
+            render_mode: None; `fastmimic render` makes videos.
+
+        Raises:
+            FastMimicError: no such robot, motion or range, or they do not fit together.
+        """
+        self._robot = load_robot(robot)
+        self._motion = load_motion(motion, self._robot)
+        self._config = config if config is not None else PolicyConfig()
+        self._ranges = tuple(parse_randomisation(text) for text in randomise)
+        self._options: dict[str, Any] = {"duration_s": duration_s, "perturbed": perturbed}
+        self._episodes = self._make(0)
+        self.render_mode = render_mode
+        self.observation_space, self.action_space = spaces(self._config, self._robot)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:
+        """Begins an episode; the observation, and an empty info."""
+        super().reset(seed=seed)
+        if self._ranges:
+            self._episodes = self._make(int(self.np_random.integers(2**31)))
+        self._episodes.random = self.np_random
+        return self._episodes.reset()[0].copy(), {}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Seen, float, bool, bool, dict[str, Any]]:
+        """One policy step: observation, reward, whether the robot fell, whether the episode is over anyway, info."""
+        outcome = self._episodes.step(np.asarray(action, np.float64)[None])
+        seen = outcome.final[0] if outcome.done[0] else outcome.seen[0].copy()
+        terms = dict(zip(TERMS, self._episodes.terms[0].tolist(), strict=True))
+        return seen, float(outcome.reward[0]), bool(outcome.fell[0]), bool(outcome.ended[0]), {"terms": terms}
+
+    def _make(self, seed: int) -> Episodes:
+        return Episodes(self._robot, self._motion, 1, self._config, seed=seed, randomise=self._ranges, **self._options)
+
+
+class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
+    """n robots that imitate the same motion, simulated as one batch; each begins its next episode at once.
+
+    Where an episode ended, `info["final_obs"]` has what was seen last and `info["episode"]` its mean reward over the
+    whole length, steps after a fall counting 0, and its steps, as masks `_final_obs` and `_episode` say.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        motion: str | Path | Motion = "trot",
+        robot: str | Robot = "a1",
+        *,
+        duration_s: float = EPISODE_S,
+        perturbed: bool = True,
+        randomise: Sequence[str] = (),
+        config: PolicyConfig | None = None,
+        threads: int = 1,
+        render_mode: str | None = None,
+    ) -> None:
+        """
+        Args:
+            num_envs: number of robots.
+            motion, robot, duration_s, perturbed, config, render_mode: as for `ImitationEnv`.
+            randomise: in what the robots and their grounds differ, such as `friction=0.4:1.2`; drawn at a seeded reset.
+            threads: to divide the robots among; the results do not depend on it.
+
+        Raises:
+            FastMimicError: as `ImitationEnv`.
+        """
+        self._robot = load_robot(robot)
+        self._motion = load_motion(motion, self._robot)
+        self._config = config if config is not None else PolicyConfig()
+        self._options: dict[str, Any] = {
+            "duration_s": duration_s,
+            "perturbed": perturbed,
+            "randomise": tuple(parse_randomisation(text) for text in randomise),
+            "threads": threads,
+        }
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.single_observation_space, self.single_action_space = spaces(self._config, self._robot)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._episodes = self._make(0)
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Seen, dict[str, Any]]:
+        """Begins an episode with each robot; observations (n, …), and an empty info.
+
+        One seed is that of all robots; of a list the first counts.
+        """
+        first = seed[0] if isinstance(seed, list) else seed
+        super().reset(seed=first)
+        if first is not None:
+            self._episodes.close()
+            self._episodes = self._make(first)
+            self._episodes.random = self.np_random
+        return self._episodes.reset().copy(), {}
+
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[Seen, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """One policy step of all robots: observations, rewards, falls, other ends (n, …), info."""
+        outcome = self._episodes.step(np.asarray(actions, np.float64))
+        return (
+            outcome.seen.copy(),
+            outcome.reward.copy(),
+            outcome.fell.copy(),
+            outcome.ended.copy(),
+            self._info(outcome) if outcome.done.any() else {},
+        )
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Stops the threads."""
+        self._episodes.close()
+
+    def _info(self, outcome: Outcome) -> dict[str, Any]:
+        done = outcome.done
+        final = np.zeros_like(outcome.seen)
+        final[done] = outcome.final
+        score, steps = np.zeros(len(done)), np.zeros(len(done), np.int64)
+        score[done], steps[done] = outcome.score, outcome.steps
+        return {
+            "final_obs": final,
+            "_final_obs": done,
+            "episode": {"score": score, "steps": steps},
+            "_episode": done,
+        }
+
+    def _make(self, seed: int) -> Episodes:
+        return Episodes(self._robot, self._motion, self.num_envs, self._config, seed=seed, **self._options)

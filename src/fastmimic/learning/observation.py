@@ -1,0 +1,220 @@
+"""What a policy sees, and what becomes of its actions (Peng et al. 2020, §VI): one implementation, batched and
+compiled, for the environments and for the policy as a controller.
+
+Seen are roll, pitch and their rates from the IMU, joint angles and the last actions, each at the last three policy
+steps, newest first, and of the reference the frames 1, 2, 10 and 30 policy steps ahead: root position relative to where
+the reference is now, root orientation, both in the robot's heading frame, and joint angles. All of it a robot has
+without knowing where it is.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.vectors import quat_to_matrix
+from fastmimic.jit import inlined, kernel, record_dtype
+from fastmimic.learning.config import FRAMES, HISTORY, IMU_SIZE
+
+Array = NDArray[np.float64]
+
+SENSES: Final = record_dtype(
+    [
+        ("imu", "f8", (HISTORY, IMU_SIZE)),  # newest first
+        ("joints", "f8", (HISTORY, 12)),
+        ("actions", "f8", (HISTORY, 12)),
+        ("filter_in", "f8", (2, 12)),  # rad, targets that the last actions asked for
+        ("filter_out", "f8", (2, 12)),
+        ("before", "f8", (12,)),  # rad, joint targets at the beginning and the end of the action under way
+        ("after", "f8", (12,)),
+        ("age", "i8"),  # control steps since the last action; −1 before the first
+    ]
+)
+"""What is remembered of one robot between policy steps."""
+
+_FRAMES: Final = np.array(FRAMES, dtype=np.int64)
+
+
+def make_senses(n: int) -> NDArray[Any]:
+    """Of n robots before their first step, (n,) of `SENSES`."""
+    senses = np.zeros(n, SENSES)
+    senses["age"] = -1
+    return senses
+
+
+@kernel
+def observe(
+    settings: Any, tables: Any, clocks: Any, observations: Any, senses: Any, rotation: Array, out: NDArray[np.float32]
+) -> None:
+    """Takes in the robots' present states and writes what their policies see.
+
+    To be called once a policy step, before `act`.
+
+    Args:
+        settings: (1,) of `SETTINGS`.
+        tables: (k, t) of `SAMPLE`; robot i follows table min(i, k − 1).
+        clocks: (n,) of `CLOCK`.
+        observations: (n,) of `OBSERVATION`.
+        senses: (n,) of `SENSES`, changed in place.
+        rotation: (3, 3) scratch.
+        out: (n, `OBSERVATION_SIZE`).
+    """
+    for i in range(out.shape[0]):
+        table = tables[min(i, tables.shape[0] - 1)]
+        observe_robot(settings[0], table, clocks[i], observations[i], senses[i], rotation, out[i])
+
+
+@kernel
+def act(settings: Any, actions: Array, senses: Any) -> None:
+    """Takes in the robots' actions (n, 12): clipped to the joints' limits, low-pass filtered."""
+    for i in range(actions.shape[0]):
+        act_robot(settings[0], actions[i], senses[i])
+
+
+@kernel
+def command(settings: Any, senses: Any, commands: Any) -> None:
+    """Joint commands of the present control step, (n,) of `COMMAND`: targets on the line between two actions'."""
+    for i in range(commands.shape[0]):
+        command_robot(settings[0], senses[i], commands[i])
+
+
+@inlined
+def observe_robot(
+    settings: Any, table: Any, clock: Any, obs: Any, senses: Any, rotation: Array, out: NDArray[np.float32]
+) -> None:
+    """`observe` of one robot."""
+    quat_to_matrix(obs.root_quat, rotation)
+    if senses.age < 0:
+        _begin(settings, obs, senses)
+    _push(rotation, obs, senses)
+    at = 0
+    for h in range(HISTORY):
+        for k in range(IMU_SIZE):
+            out[at] = senses.imu[h, k]
+            at += 1
+    for h in range(HISTORY):
+        for j in range(12):
+            out[at] = senses.joints[h, j]
+            at += 1
+    for h in range(HISTORY):
+        for j in range(12):
+            out[at] = senses.actions[h, j]
+            at += 1
+    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
+    for k in range(_FRAMES.shape[0]):
+        at = _frame(table, clock, clock.sample + settings.decimation * _FRAMES[k], yaw, out, at)
+
+
+@inlined
+def _begin(settings: Any, obs: Any, senses: Any) -> None:
+    """Before the first action it has always been as now, and the actions were those that would have held it so."""
+    for h in range(HISTORY):
+        for j in range(12):
+            senses.joints[h, j] = obs.joint_pos[j]
+            senses.actions[h, j] = (obs.joint_pos[j] - settings.home[j]) / settings.action_scale
+    for j in range(12):
+        for h in range(2):
+            senses.filter_in[h, j] = obs.joint_pos[j]
+            senses.filter_out[h, j] = obs.joint_pos[j]
+        senses.before[j] = obs.joint_pos[j]
+        senses.after[j] = obs.joint_pos[j]
+
+
+@inlined
+def _push(rotation: Array, obs: Any, senses: Any) -> None:
+    """Roll, pitch, their rates and the joint angles into the histories; before the first step all of the former."""
+    first = senses.age < 0
+    if first:
+        senses.age = 0
+    else:
+        for h in range(HISTORY - 1, 0, -1):
+            for k in range(IMU_SIZE):
+                senses.imu[h, k] = senses.imu[h - 1, k]
+            for j in range(12):
+                senses.joints[h, j] = senses.joints[h - 1, j]
+    senses.imu[0, 0] = np.arctan2(rotation[2, 1], rotation[2, 2])
+    senses.imu[0, 1] = np.arcsin(min(max(-rotation[2, 0], -1.0), 1.0))
+    for k in range(2):  # in the body frame, as a gyroscope gives them
+        rate = 0.0
+        for a in range(3):
+            rate += rotation[a, k] * obs.ang_vel[a]
+        senses.imu[0, 2 + k] = rate
+    for j in range(12):
+        senses.joints[0, j] = obs.joint_pos[j]
+    if first:
+        for h in range(1, HISTORY):
+            for k in range(IMU_SIZE):
+                senses.imu[h, k] = senses.imu[0, k]
+
+
+@inlined
+def _frame(table: Any, clock: Any, sample: int, yaw: float, out: NDArray[np.float32], at: int) -> int:
+    """Writes the reference at a sample, which may lie beyond the period's end; returns where the next one goes."""
+    n = table.shape[0]
+    x = y = turned = 0.0  # of the frame's period from the present one's
+    if clock.repeats == 1:
+        while sample >= n:
+            c, s = np.cos(turned), np.sin(turned)
+            x += c * clock.cycle_step[0] - s * clock.cycle_step[1]
+            y += s * clock.cycle_step[0] + c * clock.cycle_step[1]
+            turned += clock.cycle_step[2]
+            sample -= n
+    else:
+        sample = min(sample, n - 1)  # it stays where it ends
+    now, then = table[clock.sample], table[sample]
+    c, s = np.cos(turned), np.sin(turned)
+    x += c * then.root_pos[0] - s * then.root_pos[1] - now.root_pos[0]
+    y += s * then.root_pos[0] + c * then.root_pos[1] - now.root_pos[1]
+    heading = clock.origin[2] - yaw
+    c, s = np.cos(heading), np.sin(heading)
+    out[at] = c * x - s * y
+    out[at + 1] = s * x + c * y
+    out[at + 2] = then.root_pos[2] - now.root_pos[2]
+    half = 0.5 * (heading + turned)
+    c, s = np.cos(half), np.sin(half)
+    q = then.root_quat
+    w = c * q[0] - s * q[3]
+    sign = 1.0 if w >= 0 else -1.0
+    out[at + 3] = sign * w
+    out[at + 4] = sign * (c * q[1] - s * q[2])
+    out[at + 5] = sign * (c * q[2] + s * q[1])
+    out[at + 6] = sign * (c * q[3] + s * q[0])
+    for j in range(12):
+        out[at + 7 + j] = then.joint_pos[j]
+    return at + 19
+
+
+@inlined
+def act_robot(settings: Any, action: Array, senses: Any) -> None:
+    """`act` of one robot. What is not finite is taken for the last action."""
+    for h in range(HISTORY - 1, 0, -1):
+        for j in range(12):
+            senses.actions[h, j] = senses.actions[h - 1, j]
+    b0, b1, b2 = settings.numerator[0], settings.numerator[1], settings.numerator[2]
+    a1, a2 = settings.denominator[0], settings.denominator[1]
+    for j in range(12):
+        wanted = settings.home[j] + settings.action_scale * action[j]
+        if not np.isfinite(wanted):
+            wanted = senses.filter_in[0, j]
+        wanted = min(max(wanted, settings.lower[j]), settings.upper[j])
+        senses.actions[0, j] = (wanted - settings.home[j]) / settings.action_scale
+        filtered = b0 * wanted + b1 * senses.filter_in[0, j] + b2 * senses.filter_in[1, j]
+        filtered -= a1 * senses.filter_out[0, j] + a2 * senses.filter_out[1, j]
+        senses.filter_in[1, j], senses.filter_in[0, j] = senses.filter_in[0, j], wanted
+        senses.filter_out[1, j], senses.filter_out[0, j] = senses.filter_out[0, j], filtered
+        senses.before[j], senses.after[j] = senses.after[j], filtered
+    senses.age = 0
+
+
+@inlined
+def command_robot(settings: Any, senses: Any, command: Any) -> None:
+    """`command` of one robot; a control step on."""
+    senses.age += 1
+    share = min(senses.age / settings.decimation, 1.0)
+    for j in range(12):
+        target = senses.before[j] + share * (senses.after[j] - senses.before[j])
+        command.joint_pos[j] = min(max(target, settings.lower[j]), settings.upper[j])
+        command.joint_vel[j] = 0.0
+        command.torque[j] = 0.0
+        command.stiffness[j] = settings.stiffness[j]
+        command.damping[j] = settings.damping[j]

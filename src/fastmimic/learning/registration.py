@@ -1,0 +1,19 @@
+"""The environment's entry in Gymnasium's registry."""
+
+from typing import Final
+
+ENVIRONMENT_ID: Final = "fastmimic/Imitation-v0"
+
+
+def register() -> None:
+    """Registers `ENVIRONMENT_ID`, unless it is or Gymnasium is not installed."""
+    try:
+        import gymnasium
+    except ModuleNotFoundError:
+        return
+    if ENVIRONMENT_ID not in gymnasium.registry:
+        gymnasium.register(
+            ENVIRONMENT_ID,
+            entry_point="fastmimic.learning.environment:ImitationEnv",
+            vector_entry_point="fastmimic.learning.environment:ImitationVectorEnv",
+        )

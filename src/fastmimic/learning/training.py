@@ -1,0 +1,265 @@
+"""A training from its first step to its last: iterations, evaluations in the common metric, checkpoints, logs."""
+
+import csv
+import io
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from fastmimic.files import replace_file
+from fastmimic.imitation.rollout import perturbed_start, run_episodes
+from fastmimic.learning.controller import controlled_by
+from fastmimic.learning.learner import Iteration, Learner
+from fastmimic.learning.policy import POLICY_FILE, Policy
+from fastmimic.learning.settings import TrainingSettings
+from fastmimic.learning.training_folder import EVALUATIONS, EVENTS, ONNX, Stopwatch, TrainingFolder
+from fastmimic.pipeline import default_duration, versions
+
+if TYPE_CHECKING:
+    from fastmimic.motion.motion import Motion
+    from fastmimic.robot import Robot
+
+CHECKPOINT_S: Final = 60.0
+"""Wall time between checkpoints; they do not change the course."""
+EVALUATION_STEPS: Final = 500_000
+"""Policy steps between evaluations."""
+EVALUATION_S: Final = 10.0
+PERTURBED_EPISODES: Final = 8
+_EVALUATION_SEED: Final = 20230617  # of the perturbed starts: those of a comparison
+LIBRARY: Final = "rsl-rl"
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """An evaluation of a policy under training, as `fastmimic compare` evaluates.
+
+    Attributes:
+        steps: policy steps of training so far.
+        wall_s, cpu_s: time of the training so far.
+        reward: of a nominal episode.
+        reward_perturbed: mean over episodes from perturbed starts.
+        fell: whether the nominal episode ended by a fall.
+        fell_perturbed: share of the others that did.
+    """
+
+    steps: int
+    wall_s: float
+    cpu_s: float
+    reward: float
+    reward_perturbed: float
+    fell: bool
+    fell_perturbed: float
+
+
+@dataclass(frozen=True)
+class Advance:
+    """How far a training is: `steps` of `total`, at a pace of `steps_per_s`; the last iteration and evaluation."""
+
+    steps: int
+    total: int
+    steps_per_s: float
+    iteration: Iteration
+    evaluated: Evaluated | None
+
+
+def train(
+    robot: "Robot",
+    motion: "Motion",
+    steps: int,
+    folder: TrainingFolder,
+    settings: TrainingSettings | None = None,
+    *,
+    device: str = "cpu",
+    threads: int = 1,
+    resume: bool = False,
+    evaluate_every: int = EVALUATION_STEPS,
+    progress: Callable[[Advance], None] | None = None,
+) -> list[Evaluated]:
+    """Trains a policy to imitate a motion, and keeps the best one evaluated as `policy.npz` and `policy.onnx`.
+
+    The folder holds, besides, `evaluations.csv`, TensorBoard's logs and a checkpoint. A training that was stopped goes
+    on from its checkpoint as if it had not been, to the bit on the same machine; one that is finished goes on if more
+    steps are asked for.
+
+    Args:
+        robot: the robot.
+        motion: what to imitate; of an optimised motion its demonstration.
+        steps: policy steps of all robots together, rounded up to whole iterations.
+        folder: where everything goes.
+        settings: how to learn.
+        device: of PyTorch.
+        threads: to divide the robots among; the result does not depend on it.
+        resume: whether to go on from the folder's checkpoint.
+        evaluate_every: policy steps between evaluations; there is always one at the end.
+        progress: called after each iteration.
+
+    Returns:
+        All evaluations.
+
+    Raises:
+        ConfigError: a missing library, or as `Learner`.
+        CheckpointError: a damaged checkpoint.
+        OutputError: something cannot be written.
+        KeyboardInterrupt: Ctrl-C; the checkpoint is of the last minute.
+    """
+    learner = Learner(
+        robot, motion, settings if settings is not None else TrainingSettings(), device=device, threads=threads
+    )
+    try:
+        return _Training(learner, folder, evaluate_every, progress).run(steps, resume)
+    finally:
+        learner.close()
+
+
+class _Training:
+    def __init__(
+        self,
+        learner: Learner,
+        folder: TrainingFolder,
+        evaluate_every: int,
+        progress: Callable[[Advance], None] | None,
+    ) -> None:
+        self._learner, self._folder, self._progress = learner, folder, progress
+        self._every = evaluate_every
+        self._per_iteration = learner.settings.steps_per_iteration
+        self._iterations = 0
+        self._episodes = 0
+        self._evaluations: list[Evaluated] = []
+        self._best = -np.inf
+        self._watch = Stopwatch()
+
+    @property
+    def _steps(self) -> int:
+        return self._iterations * self._per_iteration
+
+    def run(self, steps: int, resume: bool) -> list[Evaluated]:
+        from torch.utils.tensorboard import SummaryWriter
+
+        if resume:
+            self._restore(self._folder.load())
+        total = -(-steps // self._per_iteration)
+        first, began, saved = self._steps, time.perf_counter(), time.perf_counter()
+        with SummaryWriter(str(self._folder.path / EVENTS), purge_step=self._steps if resume else None) as log:
+            while self._iterations < total:
+                done = self._learner.iterate()
+                self._iterations += 1
+                self._episodes += len(done.scores)
+                _write(log, done, self._steps)
+                last = self._iterations == total
+                if last or self._steps // self._every > (self._steps - self._per_iteration) // self._every:
+                    _write_evaluation(log, self._evaluate())
+                if last or time.perf_counter() - saved > CHECKPOINT_S:
+                    self._folder.save(self._state())
+                    saved = time.perf_counter()
+                if self._progress is not None:
+                    pace = (self._steps - first) / (time.perf_counter() - began)
+                    evaluated = self._evaluations[-1] if self._evaluations else None
+                    self._progress(Advance(self._steps, total * self._per_iteration, pace, done, evaluated))
+        return self._evaluations
+
+    def _evaluate(self) -> Evaluated:
+        """Of the present policy; writes it if it is the best so far."""
+        policy = self._learner.policy(self._about())
+        found = evaluate_policy(
+            policy, self._learner.episodes.robot, self._learner.episodes.motion, self._steps, self._watch
+        )
+        self._evaluations = [e for e in self._evaluations if e.steps != found.steps] + [found]
+        worth = 0.5 * (found.reward + found.reward_perturbed)
+        if worth > self._best:
+            self._best = worth
+            policy.save(self._folder.path / POLICY_FILE)
+            network = self._learner.onnx()
+            replace_file(self._folder.path / ONNX, lambda file: file.write(network))
+        text = evaluations_csv(self._evaluations)
+        replace_file(self._folder.path / EVALUATIONS, lambda file: file.write(text.encode()))
+        return found
+
+    def _about(self) -> dict[str, Any]:
+        return {
+            "library": LIBRARY,
+            "source": self._learner.episodes.motion.meta.get("source"),
+            "licence": self._learner.episodes.motion.meta.get("licence"),
+            "versions": {**versions(), **{name: metadata.version(name) for name in ("torch", "rsl-rl-lib")}},
+            "training": {
+                "steps": self._steps,
+                "episodes": self._episodes,
+                "simulated_s": self._steps / self._learner.settings.policy.rate_hz,
+                "wall_s": self._watch.wall_s,
+                "cpu_s": self._watch.cpu_s,
+                "device": self._learner.device,
+                "settings": self._learner.settings.as_dict(),
+            },
+        }
+
+    def _state(self) -> dict[str, Any]:
+        return {
+            "learner": self._learner.state(),
+            "iterations": self._iterations,
+            "episodes": self._episodes,
+            "evaluations": [asdict(e) for e in self._evaluations],
+            "best": float(self._best),
+            "wall_s": self._watch.wall_s,
+            "cpu_s": self._watch.cpu_s,
+        }
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        self._learner.restore(state["learner"])
+        self._iterations, self._episodes = state["iterations"], state["episodes"]
+        self._evaluations = [Evaluated(**e) for e in state["evaluations"]]
+        self._best = state["best"]
+        self._watch = Stopwatch(state["wall_s"], state["cpu_s"])
+
+
+def evaluate_policy(policy: Policy, robot: "Robot", motion: "Motion", steps: int, watch: Stopwatch) -> Evaluated:
+    """One nominal episode and several from perturbed starts, the same ones as in a comparison."""
+    wall_s, cpu_s = watch.wall_s, watch.cpu_s
+    seconds = min(EVALUATION_S, default_duration(motion, EVALUATION_S))
+    room = motion.n_samples
+    if motion.cycle is None:
+        room = max(1, room - int(np.ceil(seconds * motion.rate_hz - 1e-9)))
+    start = perturbed_start(PERTURBED_EPISODES + 1, room, np.random.default_rng(_EVALUATION_SEED))
+    rollout = run_episodes(robot, motion, start=start, duration_s=seconds, controller=controlled_by(policy))
+    return Evaluated(
+        steps=steps,
+        wall_s=wall_s,
+        cpu_s=cpu_s,
+        reward=float(rollout.reward[0]),
+        reward_perturbed=float(rollout.reward[1:].mean()),
+        fell=bool(rollout.fell[0]),
+        fell_perturbed=float(rollout.fell[1:].mean()),
+    )
+
+
+def evaluations_csv(evaluations: list[Evaluated]) -> str:
+    """One line an evaluation."""
+    out = io.StringIO()
+    writer = csv.DictWriter(out, list(Evaluated.__dataclass_fields__), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(asdict(e) for e in evaluations)
+    return out.getvalue()
+
+
+def _write(log: Any, done: Iteration, steps: int) -> None:
+    figures = {
+        "train/reward_per_step": done.reward,
+        "train/action_deviation": done.deviation,
+        "train/learning_rate": done.learning_rate,
+        "time/collect_s": done.collect_s,
+        "time/update_s": done.update_s,
+        **{f"loss/{name}": value for name, value in done.losses.items()},
+    }
+    if done.scores:
+        figures["train/episode_reward"] = float(np.mean(done.scores))
+        figures["train/episode_steps"] = float(np.mean(done.lengths))
+        figures["train/fall_share"] = done.falls / len(done.scores)
+    for name, value in figures.items():
+        log.add_scalar(name, value, steps)
+
+
+def _write_evaluation(log: Any, found: Evaluated) -> None:
+    for name in ("reward", "reward_perturbed", "fell_perturbed"):
+        log.add_scalar(f"evaluation/{name}", getattr(found, name), found.steps)

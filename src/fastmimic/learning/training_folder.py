@@ -1,0 +1,137 @@
+"""The folder of a training: what lies in it, what may be written over, and what goes on."""
+
+import io
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from fastmimic.errors import CheckpointError, ConfigError, OutputError
+from fastmimic.files import check_folder, replace_file
+from fastmimic.learning.policy import POLICY_FILE
+
+CONFIG: Final = "config.json"
+CHECKPOINT: Final = "checkpoint.pt"
+ONNX: Final = "policy.onnx"
+EVALUATIONS: Final = "evaluations.csv"
+EVENTS: Final = "tensorboard"
+_VERSION: Final = 1
+_FILES: Final = (CONFIG, CHECKPOINT, ONNX, EVALUATIONS, POLICY_FILE)
+
+
+@dataclass(frozen=True)
+class TrainingFolder:
+    """Where a training keeps its files."""
+
+    path: Path
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is a checkpoint."""
+        return (self.path / CHECKPOINT).is_file()
+
+    def begin(self, record: Mapping[str, Any]) -> None:
+        """Writes `config.json`."""
+        text = json.dumps(record, indent=1, sort_keys=True) + "\n"
+        replace_file(self.path / CONFIG, lambda file: file.write(text.encode()))
+
+    def clear(self) -> None:
+        """Removes an earlier training: its own files, and nothing else."""
+        events = self.path / EVENTS
+        for file in (*(self.path / name for name in _FILES), *events.glob("events.out.tfevents.*")):
+            try:
+                file.unlink(missing_ok=True)
+            except OSError as error:
+                raise OutputError(f"{file}: cannot be replaced ({error.strerror or error})") from None
+        if events.is_dir() and not any(events.iterdir()):
+            events.rmdir()
+
+    def save(self, state: Mapping[str, Any]) -> None:
+        """Writes the checkpoint in place of an earlier one."""
+        import torch
+
+        out = io.BytesIO()
+        torch.save({"version": _VERSION, **state}, out)
+        replace_file(self.path / CHECKPOINT, lambda file: file.write(out.getbuffer()))
+
+    def load(self) -> dict[str, Any]:
+        """Reads the checkpoint; it holds tensors and plain values, and no code.
+
+        Raises:
+            CheckpointError: it is missing or damaged.
+        """
+        import torch
+
+        path = self.path / CHECKPOINT
+        try:
+            state = torch.load(path, map_location="cpu", weights_only=True)
+        except FileNotFoundError:
+            raise CheckpointError(f"{path}: no checkpoint to resume from; leave out --resume to start anew") from None
+        except Exception as error:  # noqa: BLE001  whatever a damaged archive makes PyTorch raise
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise CheckpointError(f"{path}: damaged checkpoint ({reason}); --overwrite starts anew") from None
+        if not isinstance(state, dict) or state.get("version") != _VERSION:
+            raise CheckpointError(f"{path}: not a checkpoint of this release; --overwrite starts anew")
+        return state
+
+
+def open_training(path: Path, same: Mapping[str, Any], *, resume: bool, overwrite: bool) -> TrainingFolder:
+    """Checks a folder for a training before anything takes long; writes nothing into it.
+
+    Args:
+        path: the folder.
+        same: what must be that of the folder's `config.json` to resume, under `training`.
+        resume: whether to go on with the training in the folder.
+        overwrite: whether to replace it.
+
+    Raises:
+        ConfigError: both `resume` and `overwrite`.
+        OutputError: the folder holds another training, or something else, or cannot be written to.
+    """
+    if resume and overwrite:
+        raise ConfigError("--resume goes on with a training and --overwrite replaces it: give one of them")
+    folder = TrainingFolder(path)
+    found = [name for name in _FILES if (path / name).exists()]
+    earlier = _record(path / CONFIG)
+    if found and earlier is None:
+        raise OutputError(f"{path} holds {', '.join(found)} of something else; choose another --out")
+    if resume:
+        if earlier is None or not folder.begun:
+            raise OutputError(f"{path} holds no training to resume; leave out --resume to start one")
+        differ = [name for name, value in same.items() if earlier.get(name) != value]
+        if differ:
+            old = ", ".join(f"{name.replace('_', '-')} {earlier.get(name)}" for name in differ)
+            raise OutputError(
+                f"{path} holds a training of other settings ({old}); --resume it with these, or choose another --out"
+            )
+    elif folder.begun and not overwrite:  # without a checkpoint nothing is lost
+        raise OutputError(
+            f"{path} holds a training; --resume goes on with it, --overwrite replaces it, or choose another --out"
+        )
+    check_folder(path)
+    return folder
+
+
+def _record(path: Path) -> dict[str, Any] | None:
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))["training"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return record if isinstance(record, dict) else None
+
+
+class Stopwatch:
+    """Wall and processor time of this process, on top of what went before."""
+
+    def __init__(self, wall_s: float = 0.0, cpu_s: float = 0.0) -> None:
+        self._wall_s, self._cpu_s = wall_s - time.perf_counter(), cpu_s - time.process_time()
+
+    @property
+    def wall_s(self) -> float:
+        return self._wall_s + time.perf_counter()
+
+    @property
+    def cpu_s(self) -> float:
+        return self._cpu_s + time.process_time()

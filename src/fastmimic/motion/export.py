@@ -1,0 +1,251 @@
+"""Robot motions as tracking references for other people's trainers.
+
+- `mjlab`: `.npz` as mjlab's and BeyondMimic's trainers read: `joint_pos`, `joint_vel`, `body_pos_w`, `body_quat_w`
+  (w, x, y, z), `body_lin_vel_w`, `body_ang_vel_w` (of each body's frame, world axes) and `fps`; and, because orders get
+  mixed up, `joint_names` and `body_names` beside them.
+- `deepmimic`: JSON text with 19 numbers a frame (root x, y, z, quaternion x, y, z, w, joints), the `Robot` whose joints
+  they are named in it. A cycle loops (`Wrap`): its last frame is its first, moved on.
+- `csv`: the same 19 numbers a line below a header, after a column `time`.
+"""
+
+import io
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.conventions import JOINT_NAMES
+from fastmimic.errors import ConfigError, MotionError, did_you_mean
+from fastmimic.files import replace_file
+from fastmimic.motion.motion import Motion
+from fastmimic.rotations import quat_continuous, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+EXPORTS: Final = {"mjlab": ".npz", "deepmimic": ".txt", "csv": ".csv"}
+"""Formats and the ending of their files' names."""
+DEFAULT_FPS: Final = 50.0
+REPEATED_S: Final = 10.0
+"""Of a cycle in a format that does not loop, if nothing is said."""
+DECIMALS: Final = 6
+"""Of numbers in text."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """A motion at even times, its cycles one after the other.
+
+    Attributes:
+        fps: frames a second.
+        root_pos_w: (t, 3) m.
+        root_quat_wxyz: (t, 4).
+        joint_pos: (t, 12) rad.
+        joint_vel: (t, 12) rad/s.
+        root_lin_vel_w: (t, 3) m/s.
+        root_ang_vel_w: (t, 3) rad/s, world frame.
+    """
+
+    fps: float
+    root_pos_w: Array
+    root_quat_wxyz: Array
+    joint_pos: Array
+    joint_vel: Array
+    root_lin_vel_w: Array
+    root_ang_vel_w: Array
+
+    @property
+    def n(self) -> int:
+        return len(self.root_pos_w)
+
+
+def export_motion(
+    motion: Motion,
+    robot: "Robot",
+    path: str | Path,
+    form: str,
+    *,
+    fps: float = DEFAULT_FPS,
+    duration_s: float | None = None,
+) -> Frames:
+    """Writes a motion for another trainer, in place of an existing file.
+
+    Args:
+        motion: what to write: the motion itself, not its demonstration.
+        robot: whose it is.
+        path: the file.
+        form: one of `EXPORTS`.
+        fps: frames a second; of a cycle as near to it as divides the cycle evenly.
+        duration_s: length, s; if None one cycle of a format that loops, `REPEATED_S` of one that does not, and the
+            whole of a motion that does not repeat.
+
+    Returns:
+        What was written.
+
+    Raises:
+        ConfigError: an unknown format, or a number out of its range.
+        MotionError: the motion is for another robot.
+        OutputError: the file cannot be written.
+    """
+    if form not in EXPORTS:
+        raise ConfigError(f"unknown format '{form}'; there are {', '.join(EXPORTS)}{did_you_mean(form, EXPORTS)}")
+    of = motion.meta.get("robot")
+    if of is not None and of != robot.name:
+        raise MotionError(f"motion '{motion.name}' is for robot '{of}', not for '{robot.name}'")
+    looping = form == "deepmimic" and motion.cycle is not None and duration_s is None
+    frames = sample(motion, fps, duration_s, looping=looping)
+    if form == "mjlab":
+        content = _mjlab(frames, robot)
+    elif form == "csv":
+        content = _csv(frames).encode()
+    else:
+        content = _deepmimic(frames, robot.name, looping).encode()
+    replace_file(path, lambda file: file.write(content))
+    return frames
+
+
+def sample(motion: Motion, fps: float, duration_s: float | None = None, *, looping: bool = False) -> Frames:
+    """A motion at even times.
+
+    Args:
+        motion: the motion.
+        fps: frames a second, as `export_motion` takes it.
+        duration_s: likewise.
+        looping: one cycle, and its first frame again, moved on.
+
+    Raises:
+        ConfigError: a rate or duration that cannot be.
+    """
+    if not (math.isfinite(fps) and 0 < fps <= motion.rate_hz):
+        raise ConfigError(f"fps must be above 0 and at most the motion's {motion.rate_hz:g}, found {fps:g}")
+    if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0):
+        raise ConfigError(f"the duration must be positive, found {duration_s:g}")
+    whole = motion.period_s - motion.dt
+    if motion.cycle is not None:
+        per_cycle = max(2, round(motion.period_s * fps))
+        fps = per_cycle / motion.period_s
+        length = motion.period_s if looping else duration_s if duration_s is not None else REPEATED_S
+    else:
+        length = whole if duration_s is None else duration_s
+        if length > whole + 1e-9:
+            raise ConfigError(f"the motion does not repeat and lasts {whole:g} s; found a duration of {length:g} s")
+    count = math.floor(length * fps + 1e-6) + 1
+    if count < 2:
+        raise ConfigError(f"{length:g} s at {fps:g} frames a second are no motion")
+    at = np.arange(count) / fps * motion.rate_hz
+    before = np.floor(at + 1e-9).astype(np.int64)
+    share = np.clip(at - before, 0.0, 1.0)
+    first, second = _at(motion, before), _at(motion, before + (share > 0))
+    mixed = [(1 - share[:, None]) * a + share[:, None] * b for a, b in zip(first, second, strict=True)]
+    quat = np.where(np.sum(first[1] * second[1], axis=1, keepdims=True) < 0, -second[1], second[1])
+    mixed[1] = (1 - share[:, None]) * first[1] + share[:, None] * quat  # neighbours at the motion's rate
+    mixed[1] = quat_continuous(mixed[1] / np.linalg.norm(mixed[1], axis=1, keepdims=True))
+    return Frames(fps, *mixed)
+
+
+def _at(motion: Motion, index: NDArray[np.int64]) -> list[Array]:
+    """The motion at samples that may lie in later cycles: what `Frames` holds, in its order."""
+    n = motion.n_samples
+    if motion.cycle is None:
+        lap, index = np.zeros_like(index), np.minimum(index, n - 1)
+    else:
+        lap, index = index // n, index % n
+    step = np.zeros(3) if motion.cycle is None else motion.cycle
+    shift = np.zeros((int(lap.max()) + 1, 2))
+    for k in range(1, len(shift)):
+        shift[k] = shift[k - 1] + rotate_planar(np.array((k - 1) * step[2]), step[:2])
+    turn = lap * step[2]
+    origin = motion.root_pos_w[0, :2]
+    heading = float(yaw_from_quat(motion.root_quat_wxyz[0]))
+    position = np.array(motion.root_pos_w[index])
+    position[:, :2] = origin + rotate_planar(heading, shift[lap]) + rotate_planar(turn, position[:, :2] - origin)
+    velocities = []
+    for velocity in (motion.root_lin_vel_w[index], motion.root_ang_vel_w[index]):
+        turned = np.array(velocity)
+        turned[:, :2] = rotate_planar(turn, turned[:, :2])
+        velocities.append(turned)
+    quat = quat_multiply(quat_from_yaw(turn), motion.root_quat_wxyz[index])
+    return [position, quat, np.array(motion.joint_pos[index]), np.array(motion.joint_vel[index]), *velocities]
+
+
+def _rows(frames: Frames) -> Array:
+    return np.hstack([frames.root_pos_w, frames.root_quat_wxyz[:, [1, 2, 3, 0]], frames.joint_pos])
+
+
+def _csv(frames: Frames) -> str:
+    header = ["time", *(f"root_{axis}" for axis in "xyz"), *(f"root_q{axis}" for axis in "xyzw"), *JOINT_NAMES]
+    lines = [",".join(header)]
+    for i, row in enumerate(_rows(frames)):
+        lines.append(",".join(f"{value:.{DECIMALS}f}" for value in (i / frames.fps, *row)))
+    return "\n".join(lines) + "\n"
+
+
+def _deepmimic(frames: Frames, robot: str, looping: bool) -> str:
+    rows = [", ".join(f"{value:.{DECIMALS}f}" for value in row) for row in _rows(frames)]
+    listed = ",\n".join(f"  [{row}]" for row in rows)
+    head = {
+        "LoopMode": "Wrap" if looping else "Clamp",
+        "FrameDuration": 1 / frames.fps,
+        "EnableCycleOffsetPosition": True,
+        "EnableCycleOffsetRotation": True,
+        "Robot": robot,
+        "Joints": list(JOINT_NAMES),
+    }
+    said = "".join(f"{json.dumps(name)}: {json.dumps(value)},\n" for name, value in head.items())
+    return f'{{\n{said}"Frames":\n[\n{listed}\n]\n}}\n'
+
+
+def _mjlab(frames: Frames, robot: "Robot") -> bytes:
+    arrays: dict[str, Any] = {"fps": np.array([frames.fps]), "joint_pos": frames.joint_pos}
+    arrays |= {"joint_vel": frames.joint_vel, **body_states(frames, robot)}
+    arrays |= {"joint_names": np.array(robot.joint_names)}
+    plain = {k: v.astype(np.float32) if v.dtype == np.float64 and k != "fps" else v for k, v in arrays.items()}
+    out = io.BytesIO()
+    np.savez_compressed(out, **plain)
+    return out.getvalue()
+
+
+def body_states(frames: Frames, robot: "Robot") -> dict[str, NDArray[Any]]:
+    """All bodies of the robot, the base first: `body_names` (b,), `body_pos_w` (t, b, 3), `body_quat_w` (t, b, 4),
+    `body_lin_vel_w` and `body_ang_vel_w` (t, b, 3) of the bodies' frames in world axes."""
+    import mujoco
+
+    model = robot.spec().compile()
+    data = mujoco.MjData(model)
+    joints = [model.joint(name) for name in robot.joint_names]
+    positions = [int(joint.qposadr[0]) for joint in joints]
+    speeds = [int(joint.dofadr[0]) for joint in joints]
+    bodies = range(1, model.nbody)
+    t, b = frames.n, model.nbody - 1
+    pos, quat, lin, ang = (np.zeros((t, b, k)) for k in (3, 4, 3, 3))
+    velocity = np.zeros(6)
+    for i in range(t):
+        data.qpos[:3], data.qpos[3:7] = frames.root_pos_w[i], frames.root_quat_wxyz[i]
+        data.qpos[positions] = frames.joint_pos[i]
+        turning = np.zeros(3)
+        inverse = np.zeros(4)
+        mujoco.mju_negQuat(inverse, frames.root_quat_wxyz[i])
+        mujoco.mju_rotVecQuat(turning, frames.root_ang_vel_w[i], inverse)
+        data.qvel[:3], data.qvel[3:6] = frames.root_lin_vel_w[i], turning
+        data.qvel[speeds] = frames.joint_vel[i]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+        pos[i], quat[i] = data.xpos[1:], data.xquat[1:]
+        for k in bodies:
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, k, velocity, 0)
+            ang[i, k - 1], lin[i, k - 1] = velocity[:3], velocity[3:]
+    names = np.array([model.body(k).name for k in bodies])
+    return {
+        "body_names": names,
+        "body_pos_w": pos,
+        "body_quat_w": quat,
+        "body_lin_vel_w": lin,
+        "body_ang_vel_w": ang,
+    }
