@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from fastmimic.experiments.stress import SUCCESS, StressSettings, all_sweeps, stress_table, sweep_file, to_csv
 from fastmimic.methods import ALL_METHODS, method_named
@@ -99,6 +100,7 @@ def _panel(axes: Axes, rows: Sequence[dict[str, Any]], methods: Sequence[str], c
     )
     if curve == "success":
         axes.axhline(SUCCESS, color="#bbbbbb", linewidth=0.8, zorder=1)
+    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
     if len(finite) < len(rows):
         ticks = [tick for tick in axes.get_xticks() if min(finite) <= tick <= max(finite)]
         axes.set_xticks([*ticks, beyond], [*(f"{tick:g}" for tick in ticks), "∞"])
