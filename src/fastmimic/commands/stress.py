@@ -1,0 +1,130 @@
+"""`fastmimic stress`: how much of each disturbance a motion withstands under several methods."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+from tyro.conf import Positional, arg
+
+from fastmimic.commands.console import FIRST_USE, note, optimisation_progress, put, share_progress, slow_start
+from fastmimic.commands.options import MotionOptions, check_duration, policy_with_digest
+
+if TYPE_CHECKING:
+    from fastmimic.experiments.entrants import Entrant
+    from fastmimic.experiments.stress import StressSettings
+    from fastmimic.robot import Robot
+
+OUT: Final = Path("runs/stress")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stress(MotionOptions):
+    """Runs a motion over the range of each disturbance, and says what it withstands.
+
+    A method that optimises does so first, undisturbed; a motion that is optimised already is run as it is. Writes
+    results.csv, table.md, success.png and reward.png. Each finished sweep, one method under one disturbance, is kept:
+    after Ctrl-C, --resume does the rest, and may be given more methods or disturbances.
+    """
+
+    motion: Annotated[Positional[str], arg(metavar="MOTION")]
+    """A robot motion (.npz), a clip, or a name of 'fastmimic motions'."""
+    methods: Annotated[tuple[str, ...], arg(metavar="METHOD ...")] = ("mbc", "mbc-dmp", "raibert")
+    """Which methods."""
+    disturbances: Annotated[tuple[str, ...] | None, arg(metavar="NAME ...")] = None
+    """Which disturbances; by default all. An unknown NAME lists them."""
+    episodes: int = 20
+    """Of each level of a disturbance: one from the motion's start, the others from random phases of it."""
+    duration: Annotated[float, arg(metavar="S")] = 6.0
+    """Length of each."""
+    simulator: Annotated[str, arg(metavar="mujoco|pybullet")] = "mujoco"
+    """Where the robot is; PyBullet is some ten times slower."""
+    observe: Annotated[str, arg(metavar="truth|sensors")] = "truth"
+    """What the controller sees."""
+    seed: int = 0
+    """Of the phases that episodes begin at, the sensors' errors, uneven ground, and CMA-ES."""
+    config: Annotated[str, arg(metavar="default|paper")] = "default"
+    """The controller's parameters."""
+    policy: Annotated[Path | None, arg(metavar="FILE")] = None
+    """A trained policy, for the method rl."""
+    iterations: int = 200
+    """Generations of CMA-ES where a method optimises."""
+    population: int = 10
+    """Candidates in each."""
+    out: Annotated[Path, arg(metavar="FOLDER")] = OUT
+    """Where everything goes. A folder with sweeps is refused unless --resume or --overwrite."""
+    resume: bool = False
+    """Keep what is finished in the folder, do what is not."""
+    overwrite: bool = False
+    """Replace the sweeps in the folder."""
+
+    def run(self) -> int:
+        """Runs it, and writes the folder; returns the exit status."""
+        check_duration(self.duration)
+        from fastmimic.experiments.entrants import MOTIONS, Search, check_methods, check_motion, make_entrant
+        from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of
+        from fastmimic.report.result_folder import ResultFolder
+        from fastmimic.report.stress import WRITTEN, write_stress
+        from fastmimic.simulation.simulators import check_simulator
+
+        check_methods(self.methods, self.policy is not None)
+        names = disturbances_of(self.disturbances, self.simulator)
+        robot, motion = self.load(self.motion)
+        settings = StressSettings(
+            robot=robot.name,
+            simulator=self.simulator,
+            observe=self.observe,
+            episodes=self.episodes,
+            duration_s=self.duration,
+            seed=self.seed,
+            config=self.config,
+            iterations=self.iterations,
+            population=self.population,
+        )
+        policy = None if self.policy is None else policy_with_digest(self.policy, robot, motion)
+        search = Search(self.config, self.iterations, self.population, self.seed)
+        check_motion(motion, self.methods)
+        check_length(motion, names, settings)
+        check_simulator(robot, self.simulator)
+        about = {"motion": motion.name, **asdict(settings)}
+        folder = ResultFolder(self.out, "stress", SWEEPS, WRITTEN, about)
+        folder.open(resume=self.resume, overwrite=self.overwrite)
+        planned = [(method, name) for method in self.methods for name in names]
+        try:
+            for k, method in enumerate(self.methods):
+                with optimisation_progress() as progress:
+                    entrant = make_entrant(
+                        method, motion, robot, search, self.out / MOTIONS, policy=policy, progress=progress
+                    )
+                self._sweeps(entrant, names, robot, settings, k * len(names), len(planned))
+        except KeyboardInterrupt:
+            write_stress(folder, settings, planned)
+            note("what is finished is kept; the same command with --resume goes on")
+            raise
+        write_stress(folder, settings, planned)
+        put(folder.table())
+        put(f"results in {self.out}")
+        return 0
+
+    def _sweeps(
+        self,
+        entrant: "Entrant",
+        names: Sequence[str],
+        robot: "Robot",
+        settings: "StressSettings",
+        done: int,
+        total: int,
+    ) -> None:
+        """The sweeps of one method that are not there yet."""
+        from fastmimic.experiments.parts import load_part, save_part
+        from fastmimic.experiments.stress import sweep, sweep_file
+
+        with share_progress("sweeps") as bar, slow_start(f"{entrant.method.name}: the first sweep runs; {FIRST_USE}"):
+            for k, name in enumerate(names, done + 1):
+                path = sweep_file(self.out, entrant.method.name, name)
+                if load_part(path, entrant.digest) is None:
+                    save_part(path, sweep(entrant, name, robot, settings), entrant.digest)
+                if bar is not None:
+                    bar(k / total, f"{entrant.method.name}, {name}")
+                else:
+                    note(f"{k}/{total} {entrant.method.name}, {name}")

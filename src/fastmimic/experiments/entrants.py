@@ -1,0 +1,158 @@
+"""Who takes part where nothing is optimised any more: a method with the motion that it runs, made or read once."""
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from fastmimic.control.config import ControllerConfig, controller_config
+from fastmimic.errors import ConfigError, OutputError
+from fastmimic.experiments.runs import slug
+from fastmimic.imitation.rollout import MakeController
+from fastmimic.methods import MADE_WITH, Method, check_controller, method_named
+from fastmimic.motion.motion import Motion
+from fastmimic.optimize.cma_es import CmaSettings, Progress
+from fastmimic.pipeline import imitate
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+MOTIONS: Final = "motions"
+DURATION_S: Final = 5.0
+"""Of the optimisation's episodes, as in `imitate`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """How motions are optimised where a method does so.
+
+    Attributes:
+        config: name of the controller's parameters, for all methods.
+        iterations, population, seed: of CMA-ES.
+    """
+
+    config: str = "default"
+    iterations: int = 200
+    population: int = 10
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        controller_config(self.config)
+        CmaSettings(self.iterations, self.population, self.seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Entrant:
+    """A method and what it runs.
+
+    Attributes:
+        method: one of `fastmimic.methods.ALL_METHODS`.
+        motion: what its controller follows; it carries its demonstration.
+        config: the controller's, as the method has it.
+        controller: of a trained policy; None for the model-based one.
+        policy: what tells this policy from another; empty without one.
+    """
+
+    method: Method
+    motion: Motion
+    config: ControllerConfig
+    controller: MakeController | None = None
+    policy: str = ""
+
+    @property
+    def digest(self) -> str:
+        """16 hexadecimal digits of all that its episodes depend on but the robot and the conditions."""
+        found = hashlib.sha256(json.dumps(self.config.as_dict(), sort_keys=True).encode() + self.policy.encode())
+        for motion in (self.motion, self.motion.target):
+            for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "foot_pos_b", "contact"):
+                found.update(np.ascontiguousarray(getattr(motion, name)).tobytes())
+        return found.hexdigest()[:16]
+
+
+def check_methods(names: Sequence[str], policy: bool) -> None:
+    """Raises `ConfigError` if the methods cannot be run together: none, one twice, one unknown, or a policy missing."""
+    if not names:
+        raise ConfigError("give at least one method, such as mbc")
+    twice = sorted({name for name in names if list(names).count(name) > 1})
+    if twice:
+        raise ConfigError(f"method {', '.join(twice)} is given twice")
+    for name in names:
+        method = method_named(name)
+        check_controller(method, policy and method.learned)
+    if policy and not any(method_named(name).learned for name in names):
+        raise ConfigError("a policy was given, and no method that uses it; add rl to --methods")
+
+
+def check_motion(motion: Motion, names: Sequence[str]) -> None:
+    """Raises `ConfigError` if a method would have to optimise a motion that is not one cycle of a gait."""
+    optimising = [name for name in names if method_named(name).optimises]
+    if optimising and motion is motion.target and motion.cycle is None:
+        raise ConfigError(
+            f"'{motion.name}' is not one cycle of a gait, and only cycles can be optimised;"
+            f" leave out {', '.join(optimising)}"
+        )
+
+
+def make_entrant(
+    method: str,
+    given: Motion,
+    robot: "Robot",
+    search: Search,
+    folder: Path,
+    *,
+    policy: "tuple[MakeController, str] | None" = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Entrant:
+    """A method with its motion; what it optimises is kept in `folder`, and read from there the next time.
+
+    Args:
+        method: its name.
+        given: an optimised motion is run as it is by the method that it was made with, anything else is optimised from
+            its demonstration.
+        robot: the robot.
+        search: how.
+        folder: for motions and checkpoints.
+        policy: the controller of a trained policy, and what tells it from another.
+        progress: called after each iteration.
+
+    Raises:
+        FastMimicError: the motion cannot be optimised, or the folder holds one of something else.
+        KeyboardInterrupt: Ctrl-C; the checkpoint is in the folder, and the next call goes on from it.
+    """
+    chosen, demonstration = method_named(method), given.target
+    config = chosen.configure(controller_config(search.config))
+    if not chosen.optimises:
+        return Entrant(chosen, demonstration, config, *(policy if policy is not None and chosen.learned else ()))
+    made = given.meta.get(MADE_WITH)
+    if given is not demonstration and (not isinstance(made, dict) or made.get("method") == method):
+        return Entrant(chosen, given, config)
+    stem = slug(f"{given.name}-{method}")
+    path, checkpoint = folder / f"{stem}.npz", folder / f"{stem}.checkpoint.npz"
+    if path.is_file():
+        motion = Motion.load(path)
+        if motion.target.joint_pos.tobytes() != demonstration.joint_pos.tobytes():
+            raise OutputError(f"{path} was optimised from another motion; remove it, or choose another --out")
+        return Entrant(chosen, motion, config)
+    folder.mkdir(parents=True, exist_ok=True)
+    result = imitate(
+        demonstration,
+        robot,
+        method=method,
+        config=search.config,
+        duration_s=DURATION_S,
+        iterations=search.iterations,
+        population=search.population,
+        seed=search.seed,
+        checkpoint=checkpoint,
+        resume=checkpoint.is_file(),
+        progress=progress,
+    )
+    if result.interrupted:
+        raise KeyboardInterrupt
+    result.motion.save(path)
+    checkpoint.unlink(missing_ok=True)
+    return Entrant(chosen, result.motion, config)

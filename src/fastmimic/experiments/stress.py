@@ -1,0 +1,303 @@
+"""How much a motion withstands: success and reward over the range of each disturbance.
+
+A sweep is one method under one disturbance, over all its levels. Every level has the same episodes, one from the
+motion's start and the others from random phases of it, none of them perturbed otherwise. An episode is a success if it
+does not end in a fall.
+"""
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from fastmimic.errors import ConfigError
+from fastmimic.experiments.entrants import Entrant
+from fastmimic.experiments.parts import all_parts
+from fastmimic.experiments.runs import Row, slug
+from fastmimic.imitation.rollout import Start, nominal_start, run_episodes
+from fastmimic.methods import ALL_METHODS, method_named
+from fastmimic.motion.motion import Motion
+from fastmimic.pipeline import default_duration
+from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.disturbances import DISTURBANCES, PUSH_TIME_S, Disturbance, disturbance_named, known
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+SUCCESS: Final = 0.95
+"""Share of the episodes that a disturbance must leave without a fall to be withstood."""
+AT_ONCE: Final = 120
+"""Robots in a batch, at most."""
+SWEEPS: Final = "sweeps"
+
+COLUMNS: Final = (
+    *("motion", "method", "disturbance", "unit", "value", "episodes", "success", "reward_mean", "reward_std"),
+    *("simulator", "observe", "duration_s", "seed"),
+)
+
+
+@dataclass(frozen=True)
+class StressSettings:
+    """What all sweeps have in common.
+
+    Attributes:
+        robot: its name, or the path of its MJCF.
+        simulator, observe: as in `Conditions`.
+        episodes: of each level.
+        duration_s: of an episode, s; a motion that does not repeat ends it at the latest.
+        seed: of the phases that episodes begin at, sensors and uneven ground.
+        config: name of the controller's parameters.
+        iterations, population: of CMA-ES where a method optimises.
+    """
+
+    robot: str = "a1"
+    simulator: str = "mujoco"
+    observe: str = "truth"
+    episodes: int = 20
+    duration_s: float = 6.0
+    seed: int = 0
+    config: str = "default"
+    iterations: int = 200
+    population: int = 10
+
+    def __post_init__(self) -> None:
+        if self.episodes < 1:
+            raise ConfigError(f"episodes must be at least 1, found {self.episodes}")
+        self.conditions()
+
+    def conditions(self, *disturbances: Disturbance) -> Conditions:
+        """Of episodes with these disturbances."""
+        return Conditions(self.simulator, self.observe, self.seed, disturbances)
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """What a method withstands of one disturbance: the levels about the nominal one without a level that fails between.
+
+    Attributes:
+        method, disturbance: whose, of what.
+        lower, upper: the outermost; None if the nominal level itself fails.
+        lower_tried, upper_tried: the outermost levels that were run.
+        nominal_success: share of episodes without a fall when nothing is disturbed.
+    """
+
+    method: str
+    disturbance: str
+    lower: float | None
+    upper: float | None
+    lower_tried: float
+    upper_tried: float
+    nominal_success: float
+
+
+def disturbances_of(names: Sequence[str] | None, simulator: str) -> list[str]:
+    """The disturbances to sweep: those named, or all that the simulator realises.
+
+    Raises:
+        ConfigError: an unknown one, one twice, or one that the simulator does not realise.
+    """
+    there = known(simulator)
+    if names is None:
+        return there
+    for name in names:
+        disturbance_named(name)
+        if name not in there:
+            raise ConfigError(
+                f"disturbance '{name}' is not realised in {simulator}; those that are: {', '.join(there)}"
+            )
+    twice = sorted({name for name in names if list(names).count(name) > 1})
+    if twice:
+        raise ConfigError(f"disturbance {', '.join(twice)} is given twice")
+    return list(names)
+
+
+def check_length(motion: Motion, names: Sequence[str], settings: StressSettings) -> float:
+    """Length of the motion's episodes, s; raises `ConfigError` if they end before something that is to happen."""
+    seconds = min(settings.duration_s, default_duration(motion, settings.duration_s))
+    late = [name for name in names if DISTURBANCES[name].timed]
+    if late and seconds <= PUSH_TIME_S:
+        raise ConfigError(
+            f"an episode of {seconds:g} s ends before the push at {PUSH_TIME_S:g} s; leave out"
+            f" '{late[0]}', or give a longer --duration"
+        )
+    return seconds
+
+
+def sweep(entrant: Entrant, disturbance: str, robot: "Robot", settings: StressSettings) -> list[Row]:
+    """Runs all levels of a disturbance.
+
+    Returns:
+        A row for each level, see `COLUMNS`.
+
+    Raises:
+        FastMimicError: the motion is too short for a push, or does not fit the robot.
+    """
+    kind, motion = DISTURBANCES[disturbance], entrant.motion
+    seconds = check_length(motion, [disturbance], settings)
+    room = motion.n_samples
+    if motion.cycle is None:
+        room = max(1, room - math.ceil(seconds * motion.rate_hz - 1e-9))
+    start = _starts(settings.episodes, room, settings.seed)
+    rows = []
+    for levels in _batches(kind.levels, settings.episodes if kind.per_robot else AT_ONCE):
+        values = tuple(float(v) for v in np.repeat(levels, settings.episodes)) if kind.per_robot else levels
+        rollout = run_episodes(
+            robot,
+            motion,
+            start=_repeated(start, len(levels)),
+            duration_s=seconds,
+            config=entrant.config,
+            conditions=settings.conditions(Disturbance(disturbance, values)),
+            controller=entrant.controller,
+        )
+        for i, level in enumerate(levels):
+            own = slice(i * settings.episodes, (i + 1) * settings.episodes)
+            rows.append(
+                {
+                    "motion": motion.name,
+                    "method": entrant.method.name,
+                    "disturbance": disturbance,
+                    "unit": kind.unit,
+                    "value": level if math.isfinite(level) else str(level),
+                    "episodes": settings.episodes,
+                    "success": float(1.0 - rollout.fell[own].mean()),
+                    "reward_mean": float(rollout.reward[own].mean()),
+                    "reward_std": float(rollout.reward[own].std()),
+                    "simulator": settings.simulator,
+                    "observe": settings.observe,
+                    "duration_s": rollout.duration_s,
+                    "seed": settings.seed,
+                }
+            )
+    return rows
+
+
+def _starts(episodes: int, room: int, seed: int) -> Start:
+    """The first from sample 0, the others from random ones below `room`."""
+    start = nominal_start(episodes)
+    start.sample[1:] = np.random.default_rng(seed).integers(room, size=episodes - 1)
+    return start
+
+
+def _batches(levels: tuple[float, ...], episodes: int) -> list[tuple[float, ...]]:
+    """Levels that are run together; each batch as large as it may be."""
+    count = max(1, AT_ONCE // episodes)
+    return [levels[i : i + count] for i in range(0, len(levels), count)]
+
+
+def _repeated(start: Start, times: int) -> Start:
+    """The same starts over and over, with the same random streams."""
+    return Start(
+        np.tile(start.sample, times),
+        np.tile(start.joint_offset, (times, 1)),
+        np.tile(start.velocity_offset, (times, 1)),
+        np.tile(start.streams, times),
+    )
+
+
+def sweep_file(out: Path, method: str, disturbance: str) -> Path:
+    """Where a finished sweep is kept."""
+    return out / SWEEPS / f"{slug(f'{method}-{disturbance}')}.json"
+
+
+def all_sweeps(out: Path) -> list[Row]:
+    """The rows of all finished sweeps of a folder, methods and disturbances in the order of their lists.
+
+    Raises:
+        OutputError: one cannot be read.
+    """
+    rows = [{**row, "value": float(row["value"])} for row in all_parts(out / SWEEPS)]  # "inf" is no JSON number
+    methods, names = list(ALL_METHODS), list(DISTURBANCES)
+    return sorted(rows, key=lambda r: (methods.index(r["method"]), names.index(r["disturbance"]), r["value"]))
+
+
+def tolerances(rows: Iterable[Row]) -> list[Tolerance]:
+    """What each method withstands of each disturbance, in the order of the rows."""
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["method"], row["disturbance"]), []).append(row)
+    return [_tolerance(*key, sorted(own, key=lambda row: float(row["value"]))) for key, own in groups.items()]
+
+
+def _tolerance(method: str, disturbance: str, rows: list[Row]) -> Tolerance:
+    values = [float(row["value"]) for row in rows]
+    holds = [row["success"] >= SUCCESS - 1e-9 for row in rows]
+    nominal = values.index(DISTURBANCES[disturbance].nominal)
+    first = last = nominal
+    while first > 0 and holds[first - 1]:
+        first -= 1
+    while last + 1 < len(values) and holds[last + 1]:
+        last += 1
+    within = holds[nominal]
+    return Tolerance(
+        method,
+        disturbance,
+        values[first] if within else None,
+        values[last] if within else None,
+        values[0],
+        values[-1],
+        float(rows[nominal]["success"]),
+    )
+
+
+def to_csv(rows: Iterable[Row]) -> str:
+    """One line a level."""
+    out = io.StringIO()
+    writer = csv.DictWriter(out, COLUMNS, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return out.getvalue()
+
+
+def stress_table(rows: Sequence[Row], settings: StressSettings, missing: int) -> str:
+    """What each method withstands, as Markdown: one line a disturbance, one column a method."""
+    found = tolerances(rows)
+    methods = list(dict.fromkeys(t.method for t in found))
+    by = {(t.method, t.disturbance): t for t in found}
+    first = rows[0]
+    lines = [
+        f"`{first['motion']}` on {settings.robot} in {settings.simulator}, controller told the {settings.observe};"
+        f" withstood: at least {SUCCESS:.0%} of {settings.episodes} episodes of {first['duration_s']:g} s without a"
+        f" fall.{f' **Unfinished: {missing} sweeps are missing.**' if missing else ''}",
+        "",
+        f"| disturbance | tried | {' | '.join(method_named(m).label for m in methods)} |",
+        f"| {' | '.join(['---'] * (2 + len(methods)))} |",
+    ]
+    for name in dict.fromkeys(t.disturbance for t in found):
+        kind = DISTURBANCES[name]
+        own = [by.get((method, name)) for method in methods]
+        tried = next(t for t in own if t is not None)
+        cells = [_withstood(t) for t in own]
+        unit = f", {kind.unit}" if kind.unit else ""
+        lines.append(
+            f"| {name}{unit} | {_number(tried.lower_tried)} … {_number(tried.upper_tried)} | {' | '.join(cells)} |"
+        )
+    nominal = {method: [t.nominal_success for t in found if t.method == method] for method in methods}
+    said = "; ".join(
+        f"{method_named(m).label} {_nominal_reward(rows, m):.3f}, {max(s):.0%} without a fall"
+        for m, s in nominal.items()
+    )
+    return "\n".join([*lines, "", f"Undisturbed, mean reward and success over the same starts: {said}.", ""])
+
+
+def _nominal_reward(rows: Sequence[Row], method: str) -> float:
+    own = [r for r in rows if r["method"] == method and r["value"] == DISTURBANCES[r["disturbance"]].nominal]
+    return float(np.mean([row["reward_mean"] for row in own]))
+
+
+def _withstood(t: Tolerance | None) -> str:
+    if t is None:
+        return "–"
+    if t.lower is None or t.upper is None:
+        return "none"
+    everything = t.lower == t.lower_tried and t.upper == t.upper_tried
+    return f"{_number(t.lower)} … {_number(t.upper)}" + (" (all)" if everything else "")
+
+
+def _number(value: float) -> str:
+    return "∞" if math.isinf(value) else f"{value:g}".replace("-", "−")

@@ -1,0 +1,257 @@
+"""Transfer without any change: a motion optimised in one simulator, run in conditions that it was not made for.
+
+The paper takes its motions to a real robot and reports three trials each. The robot here is one that differs in all
+that a real one differs in: another engine's contacts, the manufacturer's masses and inertias, motors with delay,
+friction and a torque–speed curve, a more slippery floor, and sensors in place of the truth.
+"""
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from fastmimic.errors import ConfigError
+from fastmimic.experiments.entrants import Entrant
+from fastmimic.experiments.parts import all_parts
+from fastmimic.experiments.runs import Row, slug
+from fastmimic.imitation.rollout import Start, perturbed_start, run_episodes
+from fastmimic.methods import ALL_METHODS, method_named
+from fastmimic.pipeline import default_duration
+from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.disturbances import Disturbance, names_of
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+PARTS: Final = "trials"
+COLUMNS: Final = ("motion", "method", "stage", "trial", "reward", "fell", "robot", "duration_s", "seed")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One set of conditions.
+
+    Attributes:
+        name: short.
+        label: as in figures.
+        simulator, observe, disturbances: as in `Conditions`.
+    """
+
+    name: str
+    label: str
+    simulator: str
+    observe: str
+    disturbances: tuple[Disturbance, ...] = ()
+
+    def conditions(self, seed: int) -> Conditions:
+        """With the seed of all that is random."""
+        return Conditions(self.simulator, self.observe, seed, self.disturbances)
+
+    def __str__(self) -> str:
+        """In words."""
+        said = f"{self.simulator}, {self.observe}"
+        return f"{said}, {names_of(self.disturbances)}" if self.disturbances else said
+
+
+ACTUATORS: Final = (
+    Disturbance("top-speed", (28.6,)),
+    Disturbance("delay", (0.002,)),
+    Disturbance("joint-friction", (0.2,)),
+    Disturbance("joint-damping", (0.02,)),
+)
+"""The motors of the last stage: 28.6 rad/s is the speed limit of hip and knee in Unitree's URDF; the others are in the
+order of what is measured on robots of this class, not identified on one."""
+FLOOR: Final = Disturbance("friction", (0.6,))
+
+SIMULATION: Final = "simulation"
+STAGES: Final = (
+    Stage(SIMULATION, "as optimised", "mujoco", "truth"),
+    Stage("sensors", "(a) sensors", "mujoco", "sensors"),
+    Stage("engine", "(b) PyBullet", "pybullet", "truth"),
+    Stage("robot", "(c) all", "pybullet", "sensors", (*ACTUATORS, FLOOR)),
+)
+"""From the simulator of the optimisation to a robot that differs in everything."""
+LAST: Final = STAGES[-1].name
+
+PAPER: Final = (
+    ("MBC-DMP", 0.803, 0.012, 0.627, 0.096),
+    ("RL", 0.483, 0.195, 0.17, 0.095),
+)
+"""The paper's turn: method, reward and its deviation in simulation, then on the robot over three trials."""
+
+
+@dataclass(frozen=True)
+class TransferSettings:
+    """What all trials have in common.
+
+    Attributes:
+        trials: of each stage.
+        duration_s: of each, s; a motion that does not repeat ends it at the latest.
+        seed: of the starts and the sensors.
+        config: name of the controller's parameters.
+        iterations, population: of CMA-ES where a method optimises.
+    """
+
+    trials: int = 3
+    duration_s: float = 10.0
+    seed: int = 0
+    config: str = "default"
+    iterations: int = 200
+    population: int = 10
+
+    def __post_init__(self) -> None:
+        if self.trials < 1:
+            raise ConfigError(f"trials must be at least 1, found {self.trials}")
+
+
+def trial_starts(trials: int, seed: int) -> Start:
+    """From the motion's start, as a robot that was put there by hand: joints ± 0.05 rad, base velocity ± 0.1 m/s."""
+    start = perturbed_start(trials + 1, 1, np.random.default_rng(seed)).part(slice(1, None))
+    return Start(start.sample, start.joint_offset, start.velocity_offset)
+
+
+def run_trials(entrant: Entrant, robot: "Robot", settings: TransferSettings) -> list[Row]:
+    """The trials of one method on one motion in all stages, from the same starts.
+
+    Returns:
+        A row for each trial, see `COLUMNS`.
+
+    Raises:
+        FastMimicError: PyBullet is missing or does not know the robot.
+    """
+    motion = entrant.motion
+    rows: list[Row] = []
+    seconds = min(settings.duration_s, default_duration(motion, settings.duration_s))
+    start = trial_starts(settings.trials, settings.seed)
+    for stage in STAGES:
+        rollout = run_episodes(
+            robot,
+            motion,
+            start=start,
+            duration_s=seconds,
+            config=entrant.config,
+            conditions=stage.conditions(settings.seed),
+            controller=entrant.controller,
+        )
+        rows += [
+            {
+                "motion": motion.name,
+                "method": entrant.method.name,
+                "stage": stage.name,
+                "trial": trial,
+                "reward": float(rollout.reward[trial]),
+                "fell": bool(rollout.fell[trial]),
+                "robot": robot.name,
+                "duration_s": rollout.duration_s,
+                "seed": settings.seed,
+            }
+            for trial in range(settings.trials)
+        ]
+    return rows
+
+
+def part_file(out: Path, motion: str, method: str) -> Path:
+    """Where the finished trials of a method on a motion are kept."""
+    return out / PARTS / f"{slug(f'{motion}-{method}')}.json"
+
+
+def all_trials(out: Path) -> list[Row]:
+    """The rows of all finished trials of a folder, the methods in the order of their list.
+
+    Raises:
+        OutputError: some cannot be read.
+    """
+    order = list(ALL_METHODS)
+    return sorted(all_parts(out / PARTS), key=lambda row: order.index(row["method"]))
+
+
+@dataclass(frozen=True)
+class Transferred:
+    """The trials of one method on one motion.
+
+    Attributes:
+        motion, method: which.
+        rewards: (stages, trials) in the order of `STAGES`.
+        falls: (stages,) how many trials ended in a fall.
+    """
+
+    motion: str
+    method: str
+    rewards: np.ndarray
+    falls: np.ndarray
+
+    @property
+    def drop(self) -> float:
+        """Share of the reward lost from the simulation to the last stage."""
+        means = self.rewards.mean(axis=1)
+        return float(1.0 - means[-1] / means[0]) if means[0] > 0 else float("nan")
+
+
+def transferred(rows: Iterable[Row]) -> list[Transferred]:
+    """The rows by motion and method, in their order."""
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["motion"], row["method"]), []).append(row)
+    motions = list(dict.fromkeys(motion for motion, _ in groups))
+    found = []
+    for motion, method in sorted(groups, key=lambda key: motions.index(key[0])):
+        own = groups[motion, method]
+        by = [[row for row in own if row["stage"] == stage.name] for stage in STAGES]
+        found.append(
+            Transferred(
+                motion,
+                method,
+                np.array([[row["reward"] for row in stage] for stage in by]),
+                np.array([sum(row["fell"] for row in stage) for stage in by]),
+            )
+        )
+    return found
+
+
+def to_csv(rows: Iterable[Row]) -> str:
+    """One line a trial."""
+    out = io.StringIO()
+    writer = csv.DictWriter(out, COLUMNS, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return out.getvalue()
+
+
+def transfer_table(rows: Sequence[Row], missing: int) -> str:
+    """Rewards by motion, method and stage next to the paper's, as Markdown.
+
+    Args:
+        rows: of the trials.
+        missing: how many pairs of motion and method are not finished.
+    """
+    found = transferred(rows)
+    lines = [
+        f"| motion | method | {' | '.join(stage.label for stage in STAGES)} | change to (c) |",
+        f"| {' | '.join(['---'] * (3 + len(STAGES)))} |",
+    ]
+    for t in found:
+        cells = [_cell(rewards, int(falls)) for rewards, falls in zip(t.rewards, t.falls, strict=True)]
+        lines.append(
+            f"| `{t.motion}` | {method_named(t.method).label} | {' | '.join(cells)} | {-100 * t.drop:+.0f} % |"
+        )
+    for label, simulated, deviation, real, spread in PAPER:
+        cells = [f"{simulated:.3f} ± {deviation:.3f}", "", "", f"on the robot {real:.3f} ± {spread:.3f}"]
+        lines.append(f"| turn (paper) | {label} | {' | '.join(cells)} | {100 * (real / simulated - 1):+.0f} % |")
+    first = rows[0]
+    notes = [
+        f"Mean ± standard deviation over {found[0].rewards.shape[1]} trials of {first['duration_s']:g} s on"
+        f" {first['robot']}, from the same starts in every column; nothing is changed between the columns."
+        + (f" **Unfinished: {missing} of motion and method are missing.**" if missing else ""),
+        *(f"{stage.label}: {stage}." for stage in STAGES),
+        "The paper's row is another clip on another robot: for context only.",
+    ]
+    return "\n".join([*lines, "", *(f"- {note}" for note in notes), ""])
+
+
+def _cell(rewards: np.ndarray, falls: int) -> str:
+    fell = f", {falls} of {len(rewards)} fell" if falls else ""
+    return f"{rewards.mean():.3f} ± {rewards.std():.3f}{fell}"

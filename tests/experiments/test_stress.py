@@ -1,0 +1,192 @@
+"""Sweeps over disturbances: the same episodes at every level, and what is made of their rows."""
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from control.motions import gait
+from fastmimic.errors import ConfigError, OutputError
+from fastmimic.experiments import stress
+from fastmimic.experiments.entrants import Entrant, Search, check_methods, make_entrant
+from fastmimic.experiments.parts import load_part, save_part
+from fastmimic.experiments.stress import (
+    COLUMNS,
+    StressSettings,
+    disturbances_of,
+    stress_table,
+    sweep,
+    to_csv,
+    tolerances,
+)
+from fastmimic.imitation.rollout import Start
+from fastmimic.motion.motion import Motion
+from fastmimic.pipeline import evaluate
+from fastmimic.report.stress import stress_figure
+from fastmimic.robot import Robot
+from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.disturbances import DISTURBANCES, Disturbance, known
+
+SETTINGS = StressSettings(episodes=2, duration_s=0.6)
+
+
+@pytest.fixture(scope="module")
+def motion(robot: Robot) -> Motion:
+    return gait(robot, (0.3, 0.0), 0.0, n_samples=200)
+
+
+@pytest.fixture(scope="module")
+def entrant(motion: Motion, robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Entrant:
+    return make_entrant("mbc", motion, robot, Search(), tmp_path_factory.mktemp("motions"))
+
+
+def made_up(method: str, name: str, success: list[float]) -> list[dict[str, Any]]:
+    """Rows of a sweep with these successes."""
+    about = {"motion": "trot", "unit": DISTURBANCES[name].unit, "episodes": 20, "reward_std": 0.0}
+    about |= {"simulator": "mujoco", "observe": "truth", "duration_s": 6.0, "seed": 0}
+    levels = DISTURBANCES[name].levels
+    return [
+        {**about, "method": method, "disturbance": name, "value": level, "success": s, "reward_mean": 0.9 * s}
+        for level, s in zip(levels, success, strict=True)
+    ]
+
+
+class TestSweep:
+    def test_a_row_for_each_level_and_worse_where_it_is_harder(self, entrant: Entrant, robot: Robot) -> None:
+        rows = sweep(entrant, "joint-damping", robot, SETTINGS)
+        assert tuple(row["value"] for row in rows) == DISTURBANCES["joint-damping"].levels
+        assert all(set(COLUMNS) == set(row) for row in rows)
+        assert rows[0]["success"] == 1.0
+        assert rows[-1]["reward_mean"] < rows[0]["reward_mean"]
+
+    def test_the_nominal_level_is_an_undisturbed_evaluation(self, entrant: Entrant, robot: Robot) -> None:
+        rows = sweep(entrant, "payload", robot, dataclasses.replace(SETTINGS, episodes=1))
+        plain = evaluate(entrant.motion, robot, duration_s=0.6).rollout
+        assert rows[0]["reward_mean"] == pytest.approx(plain.reward[0], abs=1e-6)
+
+    def test_a_level_among_others_is_as_alone(self, entrant: Entrant, robot: Robot) -> None:
+        rows = sweep(entrant, "friction", robot, dataclasses.replace(SETTINGS, episodes=1))
+        at = next(row for row in rows if row["value"] == 0.3)
+        conditions = Conditions(disturbances=(Disturbance("friction", (0.3,)),))
+        alone = evaluate(entrant.motion, robot, duration_s=0.6, conditions=conditions).rollout
+        assert at["reward_mean"] == float(alone.reward[0])
+
+    def test_episodes_begin_at_many_phases_and_unperturbed(
+        self, entrant: Entrant, robot: Robot, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        starts: list[Start] = []
+        real = stress.run_episodes
+
+        def seen(*args: Any, start: Start, **rest: Any) -> Any:
+            starts.append(start)
+            return real(*args, start=start, **rest)
+
+        monkeypatch.setattr(stress, "run_episodes", seen)
+        sweep(entrant, "payload", robot, dataclasses.replace(SETTINGS, episodes=5, duration_s=0.02))
+        samples = starts[0].sample.reshape(-1, 5)
+        assert samples[0, 0] == 0
+        assert len(set(samples[0].tolist())) > 3
+        assert (samples == samples[0]).all(), "the same at every level"
+        assert (starts[0].streams.reshape(-1, 5) == np.arange(5)).all()
+        assert not starts[0].joint_offset.any()
+
+    def test_uneven_ground_is_run_level_by_level(
+        self, entrant: Entrant, robot: Robot, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        kind = dataclasses.replace(DISTURBANCES["roughness"], levels=(0.0, 0.03))
+        monkeypatch.setitem(DISTURBANCES, "roughness", kind)
+        rows = sweep(entrant, "roughness", robot, SETTINGS)
+        assert [row["value"] for row in rows] == [0.0, 0.03]
+
+    def test_an_episode_must_last_beyond_the_push(self, entrant: Entrant, robot: Robot) -> None:
+        with pytest.raises(ConfigError, match=r"0.6 s ends before the push at 2 s; leave out 'push', or give a longer"):
+            sweep(entrant, "push", robot, SETTINGS)
+
+
+class TestTolerance:
+    def test_is_what_holds_about_the_nominal_level(self) -> None:
+        friction = made_up("mbc", "friction", [0, 0.5, 1, 0.9, 0.95, 1, 1, 1, 1, 1, 1])
+        t = tolerances(friction)[0]
+        assert (t.lower, t.upper) == (0.3, 1.2), "0.2 holds, but 0.25 between fails"
+        assert (t.lower_tried, t.upper_tried) == (0.1, 1.2)
+
+    def test_none_where_the_nominal_level_fails(self) -> None:
+        t = tolerances(made_up("raibert", "payload", [0.9, *[1.0] * 9]))[0]
+        assert t.lower is None
+        assert t.nominal_success == 0.9
+
+    def test_the_table_and_the_file_say_so(self) -> None:
+        rows = made_up("mbc", "top-speed", [0, 0, 0, 1, 1, 1, 1, 1, 1]) + made_up("raibert", "top-speed", [0.0] * 9)
+        table = stress_table(rows, StressSettings(), 1)
+        assert "| top-speed, rad/s | 15 … ∞ | 22 … ∞ | none |" in table
+        assert "**Unfinished: 1 sweeps are missing.**" in table
+        assert "MBC 0.900, 100% without a fall; Raibert 0.000, 0% without a fall" in table
+        assert len(to_csv(rows).splitlines()) == 1 + 18
+
+    def test_figures_have_a_panel_for_each_disturbance(self) -> None:
+        rows = made_up("mbc", "payload", [1.0] * 10) + made_up("mbc", "top-speed", [0.5] * 9)
+        figure = stress_figure(rows, "success", "title")
+        titles = [axes.get_title(loc="left") for axes in figure.axes]
+        assert titles[:2] == ["payload", "top-speed"]
+        x = figure.axes[1].lines[0].get_xdata()
+        assert np.isfinite(np.asarray(x, dtype=float)).all(), "what has no bound is drawn at the edge"
+
+
+class TestParts:
+    def test_come_back_and_are_told_apart(self, tmp_path: Path) -> None:
+        path = tmp_path / "part.json"
+        assert load_part(path, "a") is None
+        save_part(path, [{"value": "inf", "x": 1}], "a")
+        found = load_part(path, "a")
+        assert found is not None
+        assert math.isinf(float(found[0]["value"]))
+        with pytest.raises(OutputError, match="is of another motion or controller"):
+            load_part(path, "b")
+        path.write_text("{")
+        with pytest.raises(OutputError, match=r"cannot be read .* remove it"):
+            load_part(path, "a")
+
+
+class TestRefusals:
+    def test_disturbances(self) -> None:
+        assert disturbances_of(None, "pybullet") == known("pybullet")
+        assert "softness" not in known("pybullet")
+        with pytest.raises(ConfigError, match="unknown disturbance 'wind'; there are friction"):
+            disturbances_of(["wind"], "mujoco")
+        with pytest.raises(ConfigError, match="'softness' is not realised in pybullet"):
+            disturbances_of(["softness"], "pybullet")
+        with pytest.raises(ConfigError, match="payload is given twice"):
+            disturbances_of(["payload", "payload"], "mujoco")
+
+    def test_methods(self) -> None:
+        with pytest.raises(ConfigError, match="at least one method"):
+            check_methods([], False)
+        with pytest.raises(ConfigError, match="mbc is given twice"):
+            check_methods(["mbc", "mbc"], False)
+        with pytest.raises(ConfigError, match="'rl' needs a trained policy"):
+            check_methods(["rl"], False)
+        with pytest.raises(ConfigError, match="no method that uses it; add rl"):
+            check_methods(["mbc"], True)
+
+
+class TestEntrants:
+    def test_an_optimised_motion_is_made_once(self, motion: Motion, robot: Robot, tmp_path: Path) -> None:
+        search = Search(iterations=1, population=4)
+        made = make_entrant("mbc-dmp", motion, robot, search, tmp_path)
+        assert {p.name for p in tmp_path.iterdir()} == {f"{motion.name}-mbc-dmp.npz"}
+        again = make_entrant("mbc-dmp", motion, robot, Search(iterations=10**6), tmp_path)
+        assert again.digest == made.digest
+        assert made.motion.target.joint_pos.tobytes() == motion.joint_pos.tobytes()
+        # given to another command as it is, it is run as it is; a method that optimises nothing runs its demonstration
+        as_it_is = make_entrant("mbc-dmp", made.motion, robot, Search(iterations=10**6), tmp_path / "none")
+        assert as_it_is.motion is made.motion
+        assert make_entrant("mbc", made.motion, robot, search, tmp_path).motion is made.motion.target
+
+    def test_a_motion_of_something_else_is_not_taken(self, motion: Motion, robot: Robot, tmp_path: Path) -> None:
+        other = gait(robot, (0.2, 0.0), 0.0, n_samples=200)
+        other.save(tmp_path / f"{motion.name}-mbc-dmp.npz")
+        with pytest.raises(OutputError, match="was optimised from another motion; remove it"):
+            make_entrant("mbc-dmp", motion, robot, Search(), tmp_path)
