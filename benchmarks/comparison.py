@@ -1,10 +1,11 @@
 """The comparisons of docs/comparison.md: the paper's methods on the paper's motions, and what goes beyond them.
 
-    python benchmarks/comparison.py [full|printed|parameters] [--out FOLDER] [--write] [-- OPTIONS OF compare]
+    python benchmarks/comparison.py [full|ablations|printed|parameters] [--out FOLDER] [--write] [-- OPTIONS OF compare]
     python benchmarks/comparison.py --scaling
 
-`full` is `fastmimic compare` with its defaults; `printed` a shorter one under the controller as the paper prints it;
-`parameters` opens more of the DMPs to the optimiser than the paper does. Each goes on where it was interrupted. With
+`full` is `fastmimic compare` with its defaults; `ablations` takes mbc-dmp apart, in short; `printed` is a shorter one
+under the controller as the paper prints it; `parameters` opens more of the DMPs to the optimiser than the paper does.
+Each goes on where it was interrupted. With
 `--write` the tables go between the markers in docs/comparison.md and the figures into docs/images. Motions of the dog
 need `fastmimic data fetch`, or FASTMIMIC_DATA. `--scaling` measures instead what made us choose processes: the same
 searches by threads of one process, and by a process for each core.
@@ -29,18 +30,22 @@ from fastmimic.report.comparison_folder import ENVIRONMENT
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 FILES = {  # of each comparison: what goes between which markers, and which figure is which image
     "full": (
-        {"comparison": "table.md", "ablations": "ablations.md"},
+        {"comparison": "table.md"},
         {
             "comparison.png": "comparison.png",
             "tracking.png": "comparison-tracking.png",
-            "ablations.png": "ablations.png",
         },
     ),
+    "ablations": ({"ablations": "ablations.md"}, {"ablations.png": "ablations.png"}),
     "printed": ({"printed": "table.md"}, {"comparison.png": "comparison-printed.png"}),
     "parameters": ({"parameters": "table.md"}, {}),
 }
 OPTIONS = {
     "full": (),
+    "ablations": (
+        *("--ablations", "--methods", "mbc-dmp", "--motions", "dog:trot", "anim:side-steps"),
+        *("--seeds", "1", "--iterations", "30"),
+    ),
     "printed": ("--config", "paper", "--seeds", "2", "--iterations", "60"),
     "parameters": (
         *("--methods", "mbc", "mbc-dmp", "mbc-dmp-path", "mbc-dmp-body"),
