@@ -228,5 +228,5 @@ def test_parameters_out_of_their_range(change: dict[str, float], message: str) -
 def test_conditions_know_what_can_be_observed() -> None:
     with pytest.raises(ConfigError, match="unknown observation 'sensor'; there are truth, sensors; did you mean"):
         Conditions(observe="sensor")
-    with pytest.raises(ConfigError, match="seed of the conditions must not be negative"):
+    with pytest.raises(ConfigError, match="seed must not be negative"):
         Conditions(seed=-1)

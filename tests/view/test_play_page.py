@@ -20,6 +20,7 @@ from fastmimic.cli import main
 from fastmimic.play.library import IN_PLACE, STAND
 from fastmimic.play.session import LiveSession
 from fastmimic.robot import Robot
+from fastmimic.viewer.play_history import History
 from fastmimic.viewer.play_steering import IDLE, read_steering, steering_script
 from fastmimic.viewer.server import HOST
 from view.browsing import PATIENCE_S, errors_of, picture, until
@@ -121,7 +122,16 @@ def served(session: LiveSession, port: int) -> Iterator[Any]:
             thread.join()
 
 
-def test_a_browser_plays(browser: Any, a1: Robot) -> None:
+def test_a_browser_plays(browser: Any, a1: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    # all of it, since the page may be slower than the two seconds that its history keeps
+    rows: list[tuple[float, float]] = []  # force that pushes, N, and velocity to the left, m/s
+    add = History.add
+
+    def noted(history: History) -> None:
+        add(history)
+        rows.append((float(np.linalg.norm(history.now.push)), float(history.now.velocity_b[1])))
+
+    monkeypatch.setattr(History, "add", noted)
     session = LiveSession(a1, {})
     assert session.library.next_hop(STAND, IN_PLACE) is not None  # made before, so that no second is lost later
     assert session.library.next_hop(IN_PLACE, STAND) is not None
@@ -140,13 +150,18 @@ def test_a_browser_plays(browser: Any, a1: Robot) -> None:
         assert session.falls == 0
         assert trunk.position[2] == pytest.approx(session.snapshot().pose[2], abs=0.05)
 
-        def sideways() -> float:
-            with live.pacer.lock:
-                return max(row.velocity_b[1] for row in live.history._rows)  # of the last two seconds
-
-        until(lambda: sideways() < 0.15, page)
+        before = len(rows)
         page.get_by_role("button", name="Push", exact=True).click()
-        until(lambda: sideways() > 0.2, page)  # 4 N·s to the left
+
+        def given() -> float:
+            return sum(force for force, _ in rows[before:]) / live.history.rate_hz  # N·s
+
+        until(lambda: given() > 3.5, page)
+        page.wait_for_timeout(500)
+        assert given() == pytest.approx(4.0, rel=0.15)
+        first = next(i for i in range(before, len(rows)) if rows[i][0] > 0)
+        left = [velocity for _, velocity in rows[first : first + 15]]
+        assert max(left) - left[0] > 0.08  # by how much, the gait's phase decides
 
         page.mouse.click(300, 250)
         page.keyboard.down("ArrowLeft")
