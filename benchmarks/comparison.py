@@ -5,10 +5,9 @@
 
 `full` is `fastmimic compare` with its defaults; `ablations` takes mbc-dmp apart, in short; `printed` is a shorter one
 under the controller as the paper prints it; `parameters` opens more of the DMPs to the optimiser than the paper does.
-Each goes on where it was interrupted. With
-`--write` the tables go between the markers in docs/comparison.md and the figures into docs/images. Motions of the dog
-need `fastmimic data fetch`, or FASTMIMIC_DATA. `--scaling` measures instead what made us choose processes: the same
-searches by threads of one process, and by a process for each core.
+Each goes on where it was interrupted. With `--write` the tables go between the markers in docs/comparison.md and the
+figures into docs/images. Motions of the dog need `fastmimic data fetch`, or FASTMIMIC_DATA. `--scaling` measures
+instead what made us choose processes: the same searches by threads of one process, and by a process for each core.
 """
 
 import argparse
