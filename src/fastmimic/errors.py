@@ -40,6 +40,10 @@ class PolicyError(FastMimicError):
     """A policy that is damaged, or made for another robot or motion."""
 
 
+class DriverError(FastMimicError):
+    """A robot that cannot be reached, or is not the one that was meant."""
+
+
 class CheckpointError(FastMimicError):
     """A checkpoint that is damaged or belongs to another problem."""
 
