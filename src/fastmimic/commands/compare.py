@@ -69,7 +69,7 @@ class Compare:
         check_duration(self.duration)
         plan = self._plan()
         from fastmimic.experiments.compare import prepare
-        from fastmimic.optimize.problem import available_cores
+        from fastmimic.machine import available_cores
         from fastmimic.report.comparison_folder import open_comparison
 
         workers = self.workers if self.workers is not None else available_cores()

@@ -9,7 +9,6 @@ falls below a share of the demonstration's is penalised.
 import hashlib
 import json
 import math
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -26,6 +25,7 @@ from fastmimic.control.reference import put_root, reference_table
 from fastmimic.conventions import LEGS
 from fastmimic.errors import ConfigError, MotionError, did_you_mean
 from fastmimic.imitation.rollout import ClosedLoop, Rollout, Start, nominal_start, perturbed_start, swing_clearance
+from fastmimic.machine import available_cores
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.coordinates import FEET
@@ -382,8 +382,3 @@ def clearance_penalty(objective: Objective, rollout: Rollout, wanted: Array) -> 
     share = np.where(np.isnan(share) & rollout.fell[:, None] & np.isfinite(wanted), 0.0, share)
     missing = np.maximum(0.0, objective.clearance_floor - share)
     return np.asarray(objective.clearance_weight * np.nansum(missing, axis=1))
-
-
-def available_cores() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
