@@ -40,6 +40,7 @@ clean:
 $(VENV)/.made:
 	@test -n "$(PYTHON)" || { echo "no Python 3.11 or newer found; name one: make PYTHON=..." >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip  # a recent one finds versions in half of the time
 	touch $@
 
 $(VENV)/.installed: pyproject.toml | $(VENV)/.made

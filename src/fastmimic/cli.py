@@ -47,6 +47,7 @@ VERBS: Final = {
     "stitch": Verb("stitch", "Stitch", "join several motions to one that the robot can execute"),
     "retarget": Verb("retarget", "Retarget", "turn an animal's clip into a robot motion, without optimising it"),
     "export": Verb("export", "Export", "write a robot motion for other trainers"),
+    "segment": Verb("segment", "SegmentTake", "find the locomotion cycles in a long take"),
     "inspect": Verb("inspect", "Inspect", "say what a clip or a robot motion is"),
     "render": Verb("render", "Render", "write a video of a motion"),
     "report": Verb("report", "Report", "write a run or a comparison as one HTML file"),
