@@ -156,7 +156,8 @@ def load_motion(source: str | Path | Clip | Motion, robot: Robot | str = "a1", *
     Args:
         source: a `Motion` is returned as it is; a clip is retargeted to the robot.
         robot: the robot.
-        overrides: for clips, as `open_clip` takes them (`fps`, `up`, `scale`, `frames`, `speed`, `yaw_rate`, `duty`).
+        overrides: for clips, as `open_clip` takes them (`fps`, `up`, `point_map`, `scale`, `frames`,
+            `speed`, `yaw_rate`, `duty`).
 
     Raises:
         FastMimicError: nothing of that name, a file that cannot be read, or an override that does not apply.

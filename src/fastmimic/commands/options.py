@@ -31,6 +31,8 @@ class MotionOptions:
     """Frames a second of a clip file, in place of what it says."""
     up: Annotated[str | None, arg(metavar="y|z")] = None
     """Vertical axis of a clip file, in place of what its points show."""
+    point_map: Annotated[Path | None, arg(metavar="FILE.json")] = None
+    """Which of a BVH's joints, or of a table's points by name, neck, pelvis, hips and toes are."""
     scale: Annotated[float | None, arg(metavar="FACTOR")] = None
     """From the animal's size to the robot's, in place of the ratio of leg lengths."""
     speed: Annotated[float | None, arg(metavar="M/S")] = None
@@ -46,6 +48,7 @@ class MotionOptions:
             "frames": None if self.frames is None else parse_frames(self.frames),
             "fps": self.fps,
             "up": self.up,
+            "point_map": self.point_map,
             "scale": self.scale,
             "speed": self.speed,
             "yaw_rate": self.yaw_rate,

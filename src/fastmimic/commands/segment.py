@@ -27,6 +27,8 @@ class SegmentTake:
     """Frames a second of the file, in place of what it says."""
     up: Annotated[str | None, arg(metavar="y|z")] = None
     """Vertical axis of the file, in place of what its points show."""
+    point_map: Annotated[Path | None, arg(metavar="FILE.json")] = None
+    """Which of a BVH's joints, or of a table's points by name, neck, pelvis, hips and toes are."""
     json: bool = False
     """Print one JSON object instead of a table."""
     figure: Annotated[Path | None, arg(metavar="FILE.png")] = None
@@ -38,7 +40,7 @@ class SegmentTake:
         from fastmimic.motion.segment import find_segments
 
         figure = None if self.figure is None else check_writable(self.figure, ".png", ".pdf", ".svg")
-        overrides: dict[str, Any] = {"fps": self.fps, "up": self.up}
+        overrides: dict[str, Any] = {"fps": self.fps, "up": self.up, "point_map": self.point_map}
         clip = open_clip(self.take, **{name: value for name, value in overrides.items() if value is not None})
         segments = find_segments(clip)
         if self.json:
