@@ -60,10 +60,10 @@ def detect_content(content: str | bytes) -> str:
     if content.lstrip().startswith(bvh.KEYWORD):
         return "bvh"
     table = read_table("\n".join(content.split("\n", _LINES_READ)[:_LINES_READ]))
-    if table.header is not None and csv_motion.names_joints(table.header):
-        return "csv"
     if table.header is not None and named_points.names_points(table.header):
         return "points"
+    if table.header is not None and csv_motion.names_joints(table.header):
+        return "csv"
     if not table.rows:
         raise ClipError(f"the file holds no numbers; {EXPECTED}")
     if table.header is not None and not table.header_is_comment:
