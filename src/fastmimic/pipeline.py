@@ -341,7 +341,7 @@ def _held_out(
     over: Randomization, motion: Motion, robot: Robot, duration_s: float, config: ControllerConfig
 ) -> HeldOut:
     """A motion and its demonstration on the robots that nothing was optimised or chosen on."""
-    conditions = Conditions(disturbances=over.held_out())
+    conditions = Conditions(disturbances=over.held_out(HELD_OUT_ROBOTS))
     start = nominal_start(HELD_OUT_ROBOTS)
     before, after = (
         run_episodes(robot, m, start=start, duration_s=duration_s, config=config, conditions=conditions)

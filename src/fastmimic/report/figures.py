@@ -23,6 +23,8 @@ def convergence_figure(
     sigma: ArrayLike,
     baseline: float,
     title: str = "Optimisation",
+    *,
+    randomized: bool = False,
 ) -> Figure:
     """Reward and step size of the optimiser against the iteration.
 
@@ -35,6 +37,8 @@ def convergence_figure(
         sigma: (k,) CMA-ES's step size, relative to the parameters' scaled ranges.
         baseline: mean per-step reward of the motion that was not optimised, in [0, 1].
         title: heading of the figure, such as the motion's and the robot's name.
+        randomized: whether each iteration scores on other robots: each one's best is drawn then, since the best of all
+            would be that of the easiest robots.
 
     Returns:
         The figure; `save` writes it.
@@ -44,7 +48,10 @@ def convergence_figure(
     )
     figure = new_figure(8.0, 5.6, title)
     reward, step = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    _draw_reward(reward, k, np.fmax.accumulate(best), mean, std, baseline)
+    if randomized:
+        _draw_reward(reward, k, best, mean, std, baseline, "best of the iteration")
+    else:
+        _draw_reward(reward, k, np.fmax.accumulate(best), mean, std, baseline, "best so far")
     step.semilogy(k, sigma, color=INK, linewidth=1.4, marker=_marker(k), markersize=4)
     tidy(step, "Step size of the search: it shrinks as the optimiser settles", "iteration", "σ (–)")
     _label_step_sizes(step, sigma)
@@ -52,13 +59,13 @@ def convergence_figure(
     return figure
 
 
-def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, baseline: float) -> None:
+def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, baseline: float, label: str) -> None:
     marker = _marker(k)
     axes.fill_between(
         k, mean - std, mean + std, color=BEFORE.color, alpha=0.18, linewidth=0, label="candidates, ± 1 std"
     )
     axes.plot(k, mean, **BEFORE.kwargs(), marker=marker, markersize=4, label="candidates, mean")
-    axes.plot(k, best, **AFTER.kwargs(), marker=marker, markersize=4, label="best so far")
+    axes.plot(k, best, **AFTER.kwargs(), marker=marker, markersize=4, label=label)
     axes.axhline(baseline, color=DEMONSTRATION.color, linestyle=DEMONSTRATION.linestyle, linewidth=1.4)
     axes.annotate(
         f"not optimised {baseline:.3f}",
