@@ -37,11 +37,9 @@ def test_what_was_asked_for_and_what_came_of_it_is_recorded(run: Run, tmp_path: 
         assert 0 <= others[when]["worst"] < others[when]["mean"] < metrics["reward"][when] <= 1
         assert others[when]["fell"] == 0
     assert Motion.load(tmp_path / "run" / "motion.npz").meta["made_with"]["randomization"] == asked
-    lines = {
-        line.strip().rsplit("  ", 2)[0].strip(): line.split()[-1] for line in done.out.splitlines() if "  " in line
-    }
-    assert lines["over 16 other robots"] == f"{others['after']['mean']:.3f}"
-    assert lines["with the worst of them"] == f"{others['after']['worst']:.3f}"
+    for label, key in (("over 16 other robots", "mean"), ("with the worst of them", "worst")):
+        shown = next(line for line in done.out.splitlines() if line.strip().startswith(label))
+        assert shown.split()[-2:] == [f"{others[when][key]:.3f}" for when in ("before", "after")]
     assert run("report", "run", "--out", "run.html").status == 0
     page = (tmp_path / "run.html").read_text()
     assert f'data-metric="randomization.held_out.after.mean" value="{others["after"]["mean"]!r}"' in page
@@ -90,13 +88,17 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("verb", ["imitate", "stitch"])
 @pytest.mark.parametrize("kind", REFUSED)
-def test_refused_before_anything_is_done(kind: str, verb: str, run: Run, tmp_path: Path) -> None:
+def test_refused_before_anything_is_done(kind: str, run: Run, tmp_path: Path) -> None:
     arguments, said = REFUSED[kind]
-    if verb == "stitch" and kind in ("no search", "policy"):
-        pytest.skip("stitch has no such option, and no policies")
-    assert said in run(verb, *{"imitate": ["trot"], "stitch": ["trot", "pace"]}[verb], *arguments).error
+    assert said in run("imitate", "trot", *arguments).error
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", ["one robot", "unknown", "criterion without", "method"])
+def test_stitch_refuses_the_same(kind: str, run: Run, tmp_path: Path) -> None:
+    arguments, said = REFUSED[kind]
+    assert said in run("stitch", "trot", "pace", *arguments).error
     assert not list(tmp_path.iterdir())
 
 
