@@ -61,6 +61,7 @@ def test_convergence_over_other_robots_in_each_iteration_shows_each_ones_best() 
     best, ones = np.array([0.5, 0.7, 0.6, 0.8]), np.ones(4)
     figure = convergence_figure(np.arange(4), best, 0.4 * ones, 0.1 * ones, ones, 0.45, randomized=True)
     np.testing.assert_array_equal(line(figure, 0, "best of the iteration"), best)
+    assert figure.axes[0].get_title(loc="left").endswith("other robots in each of 4 iterations")
 
 
 @pytest.mark.parametrize(

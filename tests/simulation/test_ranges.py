@@ -1,9 +1,12 @@
 """Robots that are drawn: within their ranges, over all of each range, and the same for the same generator."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from fastmimic.errors import ConfigError
+from fastmimic.optimize.randomization import OVER
 from fastmimic.simulation.disturbances import DISTURBANCES, PUSH_TIME_S, make_world
 from fastmimic.simulation.ranges import (
     PUSH_WINDOW_S,
@@ -26,6 +29,13 @@ def test_every_disturbance_that_robots_of_a_batch_can_differ_in_has_a_usual_rang
         kind = DISTURBANCES[name]
         assert usual_range(name) == Range(name, lower, upper)
         assert np.isinf(kind.nominal) or lower <= kind.nominal <= upper, "the robot as it is must not be an outsider"
+
+
+def test_the_documentation_lists_them() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "robustness.md").read_text(encoding="utf-8")
+    for name, (lower, upper) in USUAL.items():
+        ends = f"{lower:g} … {upper:g} {DISTURBANCES[name].unit}".strip().replace("-", "−")
+        assert f"| `{name}` | {ends} | {'yes' if name in OVER else 'no'} |" in page, name
 
 
 @pytest.mark.parametrize("n", [2, 3, 8])

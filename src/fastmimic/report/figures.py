@@ -48,10 +48,8 @@ def convergence_figure(
     )
     figure = new_figure(8.0, 5.6, title)
     reward, step = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    if randomized:
-        _draw_reward(reward, k, best, mean, std, baseline, "best of the iteration")
-    else:
-        _draw_reward(reward, k, np.fmax.accumulate(best), mean, std, baseline, "best so far")
+    shown = best if randomized else np.fmax.accumulate(best)
+    _draw_reward(reward, k, shown, mean, std, baseline, randomized)
     step.semilogy(k, sigma, color=INK, linewidth=1.4, marker=_marker(k), markersize=4)
     tidy(step, "Step size of the search: it shrinks as the optimiser settles", "iteration", "σ (–)")
     _label_step_sizes(step, sigma)
@@ -59,16 +57,23 @@ def convergence_figure(
     return figure
 
 
-def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, baseline: float, label: str) -> None:
+def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, baseline: float, randomized: bool) -> None:
     marker = _marker(k)
     axes.fill_between(
         k, mean - std, mean + std, color=BEFORE.color, alpha=0.18, linewidth=0, label="candidates, ± 1 std"
     )
     axes.plot(k, mean, **BEFORE.kwargs(), marker=marker, markersize=4, label="candidates, mean")
-    axes.plot(k, best, **AFTER.kwargs(), marker=marker, markersize=4, label=label)
+    axes.plot(
+        k,
+        best,
+        **AFTER.kwargs(),
+        marker=marker,
+        markersize=4,
+        label="best of the iteration" if randomized else "best so far",
+    )
     axes.axhline(baseline, color=DEMONSTRATION.color, linestyle=DEMONSTRATION.linestyle, linewidth=1.4)
     axes.annotate(
-        f"not optimised {baseline:.3f}",
+        f"not optimised, first robots {baseline:.3f}" if randomized else f"not optimised {baseline:.3f}",
         (1, baseline),
         xycoords=("axes fraction", "data"),
         xytext=(-2, 3),
@@ -77,7 +82,8 @@ def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, bas
         fontsize=8.5,
         color=DEMONSTRATION.color,
     )
-    tidy(axes, _reward_title(best, baseline), ylabel="reward − penalty for lost clearance")
+    title = f"Objective of the search, other robots in each of {len(best)} iterations"
+    tidy(axes, title if randomized else _reward_title(best, baseline), ylabel="reward − penalty for lost clearance")
     axes.legend(loc="lower right", bbox_to_anchor=(1, 0.04), fontsize=8.5, frameon=True, framealpha=0.9)
     drawn = np.concatenate([best, mean, mean - std, mean + std, [baseline]])
     drawn = drawn[np.isfinite(drawn)]
