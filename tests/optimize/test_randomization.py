@@ -19,6 +19,7 @@ from fastmimic.optimize.problem import ImitationProblem, Objective
 from fastmimic.optimize.randomization import CRITERIA, HELD_OUT_ROBOTS, OVER, Randomization, randomization
 from fastmimic.optimize.stitching import StitchedProblem
 from fastmimic.robot import Robot
+from fastmimic.simulation.disturbances import Disturbance
 from fastmimic.simulation.ranges import Range
 from optimize.conftest import EPISODE_S
 from optimize.test_cma_es import KilledError, assert_same, stop_after
@@ -228,6 +229,39 @@ class TestSearch:
 
     def test_at_any_number_of_workers(self, make: Make, straight: Optimum) -> None:
         assert_same(optimize(make(workers=3), SETTINGS), straight)
+
+
+class TestInterrupted:
+    @staticmethod
+    def stopped_at(problem: ImitationProblem, call: int) -> Optimum:
+        """Ctrl-C when candidates are scored for the `call`-th time."""
+        evaluate, calls = problem.evaluate_over, 0
+
+        def interrupted(x: np.ndarray, robots: tuple[Disturbance, ...]) -> np.ndarray:
+            nonlocal calls
+            calls += 1
+            if calls == call:
+                raise KeyboardInterrupt
+            return evaluate(x, robots)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(problem, "evaluate_over", interrupted)
+            return optimize(problem, SETTINGS)
+
+    def test_before_anything_was_found_it_is_the_unmodulated_motion(self, make: Make) -> None:
+        problem = make()
+        optimum = self.stopped_at(problem, 2)
+        assert optimum.interrupted
+        np.testing.assert_array_equal(optimum.x, problem.initial)
+        assert optimum.history.best.shape == (0,)
+        assert optimum.score == optimum.history.baseline
+
+    def test_before_the_final_choice_it_is_what_scored_best(self, make: Make, straight: Optimum) -> None:
+        optimum = self.stopped_at(make(), 5)
+        assert optimum.interrupted
+        assert np.isnan(optimum.validation)
+        np.testing.assert_array_equal(optimum.history.best, straight.history.best)
+        assert optimum.score == max(straight.history.baseline, *straight.history.best[-2:])
 
 
 class TestResume:

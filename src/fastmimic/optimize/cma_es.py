@@ -82,7 +82,8 @@ class Optimum:
     Attributes:
         x: (k,) the parameters, physical units.
         score: its objective in the optimisation's episode; with the robots of the first iteration, if several.
-        validation: its mean objective over the validation episodes; NaN if Ctrl-C came before them.
+        validation: its mean objective over the validation episodes, or with several robots the criterion's over them;
+            NaN if Ctrl-C came before them.
         history: how it came about.
         evaluations: number of episodes run for it, those before a resume included.
         simulated_s: their length in all, s.
@@ -288,8 +289,8 @@ class _Search:
         return self._physical(u[best]), flat[best]
 
     def _last(self) -> tuple[Array, Array]:
-        """Of the last iterations, from the last backwards, the distribution's mean and the best candidate, and the
-        latter's score for both."""
+        """Of the last iterations, from the last backwards, the distribution's mean and the best candidate. Their
+        scores, until they are scored on the same robots, are the latter's for both."""
         rows: list[Array] = []
         scores: list[float] = []
         done = len(self.scores)
