@@ -114,8 +114,10 @@ def trial_starts(trials: int, seed: int) -> Start:
     return Start(start.sample, start.joint_offset, start.velocity_offset)
 
 
-def run_trials(entrant: Entrant, robot: "Robot", settings: TransferSettings) -> list[Row]:
-    """The trials of one method on one motion in all stages, from the same starts.
+def run_trials(
+    entrant: Entrant, robot: "Robot", settings: TransferSettings, stages: Sequence[Stage] = STAGES
+) -> list[Row]:
+    """The trials of one method on one motion in all stages, or some, from the same starts.
 
     Returns:
         A row for each trial, see `COLUMNS`.
@@ -127,7 +129,7 @@ def run_trials(entrant: Entrant, robot: "Robot", settings: TransferSettings) -> 
     rows: list[Row] = []
     seconds = min(settings.duration_s, default_duration(motion, settings.duration_s))
     start = trial_starts(settings.trials, settings.seed)
-    for stage in STAGES:
+    for stage in stages:
         rollout = run_episodes(
             robot,
             motion,
