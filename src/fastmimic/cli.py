@@ -44,6 +44,7 @@ VERBS: Final = {
     "train": Verb("train", "Train", "train a policy that imitates a motion: the baseline that learns"),
     "stress": Verb("stress", "Stress", "say how much of each disturbance a motion withstands"),
     "transfer": Verb("transfer", "Transfer", "run motions unchanged on a robot that they were not optimised on"),
+    "identify": Verb("identify", "Identify", "tell friction and payload from a logged run, for all motions"),
     "stitch": Verb("stitch", "Stitch", "join several motions to one that the robot can execute"),
     "retarget": Verb("retarget", "Retarget", "turn an animal's clip into a robot motion, without optimising it"),
     "export": Verb("export", "Export", "write a robot motion for other trainers"),

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.errors import ConfigError, MotionError
+from fastmimic.identification.log import RunLog
 from fastmimic.imitation.observer import EstimationErrors
 from fastmimic.imitation.reward import TERMS
 from fastmimic.imitation.rollout import (
@@ -22,6 +23,7 @@ from fastmimic.imitation.rollout import (
     nominal_start,
     perturbed_start,
     run_episodes,
+    run_log,
     swing_clearance,
 )
 from fastmimic.methods import RL, Method, check_controller, controller_for, made_with, method_named
@@ -360,12 +362,27 @@ class Evaluation:
         rollout: its episodes.
         method: one of `fastmimic.methods.METHODS`: whose controller ran it.
         config: the controller's parameters, as the method has them.
+        robot: the robot's name.
+        conditions: under which it ran.
     """
 
     motion: Motion
     rollout: Rollout
     method: str
     config: ControllerConfig
+    robot: str
+    conditions: Conditions
+
+    def run_log(self, episode: int = 0) -> RunLog:
+        """What the robot's own computer knew of an episode, for `fastmimic.identification.identify.identify`.
+
+        Raises:
+            ConfigError: the evaluation kept no log, or its controller was told the truth.
+        """
+        if self.rollout.log is None:
+            raise ConfigError("the evaluation kept no log; call evaluate(…, log=True)")
+        latency = self.conditions.estimator.latency_s
+        return run_log(self.rollout.log, episode, robot=self.robot, motion=self.motion.name, latency_s=latency)
 
     def as_dict(self) -> dict[str, Any]:
         """Figures over all episodes; means over legs and episodes where there are several."""
@@ -463,7 +480,7 @@ def evaluate(
         conditions=conditions,
         controller=controller,
     )
-    return Evaluation(motion, rollout, chosen.name, config)
+    return Evaluation(motion, rollout, chosen.name, config, robot.name, conditions or Conditions())
 
 
 def default_duration(motion: Motion, seconds: float) -> float:

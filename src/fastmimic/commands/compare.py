@@ -47,7 +47,7 @@ class Compare:
     """Also variants of mbc-dmp, each with one part taken away or changed."""
     robot: Annotated[str, arg(metavar="NAME|FILE.xml")] = DEFAULT_ROBOT
     """a1, go1, go2, or the MJCF of your own."""
-    config: Annotated[str, arg(metavar="default|paper")] = "default"
+    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
     """The controller's parameters: ours, or the paper's form."""
     iterations: int = 200
     """Generations of CMA-ES."""
