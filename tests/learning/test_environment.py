@@ -28,9 +28,9 @@ def test_it_is_registered_and_passes_gymnasiums_checks() -> None:
     assert all(any(text in str(w.message) for text in advice) for w in caught), [str(w.message) for w in caught]
 
 
-@pytest.mark.parametrize("randomise", [(), ("friction=0.4:1.2", "com-x=-0.03:0.03")])
-def test_a_seed_gives_the_same_episode_again(randomise: tuple[str, ...]) -> None:
-    env = gymnasium.make(ENVIRONMENT, motion="side-step", randomise=randomise)
+@pytest.mark.parametrize("randomize", [(), ("friction=0.4:1.2", "com-x=-0.03:0.03")])
+def test_a_seed_gives_the_same_episode_again(randomize: tuple[str, ...]) -> None:
+    env = gymnasium.make(ENVIRONMENT, motion="side-step", randomize=randomize)
     env.action_space.seed(0)
     actions = [0.2 * env.action_space.sample() for _ in range(8)]
 
@@ -76,7 +76,7 @@ def test_n_robots_at_once() -> None:
 
 def test_bad_input_is_one_line() -> None:
     with pytest.raises(ConfigError, match="did you mean 'friction'"):
-        ImitationEnv("trot", randomise=("fricton=0:1",))
+        ImitationEnv("trot", randomize=("fricton=0:1",))
     with pytest.raises(FastMimicError, match="trott"):
         ImitationEnv("trott")
     with pytest.raises(FastMimicError, match="a2"):

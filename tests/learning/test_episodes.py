@@ -141,8 +141,8 @@ def test_robots_can_differ(robot: Robot, motion: Motion) -> None:
     ranges = (Randomisation("friction", 0.3, 1.2), Randomisation("payload", 0.0, 3.0))
     actions = noise(2, 4) * 0
     alike = Episodes(robot, motion, 2, seed=6, perturbed=False)
-    differing = Episodes(robot, motion, 2, seed=6, perturbed=False, randomise=ranges)
-    divided = Episodes(robot, motion, 2, seed=6, perturbed=False, randomise=ranges, threads=2)
+    differing = Episodes(robot, motion, 2, seed=6, perturbed=False, randomize=ranges)
+    divided = Episodes(robot, motion, 2, seed=6, perturbed=False, randomize=ranges, threads=2)
     results = []
     for episodes in (alike, differing, divided):
         episodes.reset()
@@ -178,4 +178,4 @@ def test_what_does_not_fit_is_refused(robot: Robot, motion: Motion) -> None:
     with pytest.raises(ConfigError, match="at least a policy step"):
         Episodes(robot, motion, 1, duration_s=0.01)
     with pytest.raises(ConfigError, match="the range of 'friction' is given twice"):
-        Episodes(robot, motion, 1, randomise=[Randomisation("friction", 0.4, 1.0)] * 2)
+        Episodes(robot, motion, 1, randomize=[Randomisation("friction", 0.4, 1.0)] * 2)

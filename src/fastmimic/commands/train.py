@@ -46,7 +46,7 @@ class Train(MotionOptions):
     """Widths of the policy's hidden layers."""
     entropy: float = 0.0
     """Weight of the entropy bonus."""
-    randomise: Annotated[tuple[str, ...], arg(metavar="NAME=LOWER:UPPER ...")] = ()
+    randomize: Annotated[tuple[str, ...], arg(metavar="NAME=LOWER:UPPER ...")] = ()
     """In what robots and grounds differ, such as friction=0.4:1.2 payload=0:2."""
     evaluate_every: int = 500_000
     """Steps between evaluations. The best policy that was evaluated is kept."""
@@ -118,7 +118,7 @@ class Train(MotionOptions):
             robots=self.robots,
             hidden=self.hidden,
             entropy=self.entropy,
-            randomise=tuple(parse_randomisation(text) for text in self.randomise),
+            randomize=tuple(parse_randomisation(text) for text in self.randomize),
             update_threads=self.update_threads,
         )
 

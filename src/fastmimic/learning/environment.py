@@ -48,7 +48,7 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
         *,
         duration_s: float = EPISODE_S,
         perturbed: bool = True,
-        randomise: Sequence[str] = (),
+        randomize: Sequence[str] = (),
         config: PolicyConfig | None = None,
         render_mode: str | None = None,
     ) -> None:
@@ -58,7 +58,7 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
             robot: the robot, its name, or its MJCF.
             duration_s: of an episode at most, s.
             perturbed: whether episodes begin off the reference, as in an evaluation.
-            randomise: in what each episode's robot and ground differ, such as `friction=0.4:1.2`.
+            randomize: in what each episode's robot and ground differ, such as `friction=0.4:1.2`.
             config: how policies see and act.
             render_mode: None; `fastmimic render` makes videos.
 
@@ -68,7 +68,7 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
         self._robot = load_robot(robot)
         self._motion = load_motion(motion, self._robot)
         self._config = config if config is not None else PolicyConfig()
-        self._ranges = tuple(parse_randomisation(text) for text in randomise)
+        self._ranges = tuple(parse_randomisation(text) for text in randomize)
         self._options: dict[str, Any] = {"duration_s": duration_s, "perturbed": perturbed}
         self._episodes = self._make(0)
         self.render_mode = render_mode
@@ -90,7 +90,7 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
         return seen, float(outcome.reward[0]), bool(outcome.fell[0]), bool(outcome.ended[0]), {"terms": terms}
 
     def _make(self, seed: int) -> Episodes:
-        return Episodes(self._robot, self._motion, 1, self._config, seed=seed, randomise=self._ranges, **self._options)
+        return Episodes(self._robot, self._motion, 1, self._config, seed=seed, randomize=self._ranges, **self._options)
 
 
 class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
@@ -110,7 +110,7 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
         *,
         duration_s: float = EPISODE_S,
         perturbed: bool = True,
-        randomise: Sequence[str] = (),
+        randomize: Sequence[str] = (),
         config: PolicyConfig | None = None,
         threads: int = 1,
         render_mode: str | None = None,
@@ -119,7 +119,7 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
         Args:
             num_envs: number of robots.
             motion, robot, duration_s, perturbed, config, render_mode: as for `ImitationEnv`.
-            randomise: in what the robots and their grounds differ, such as `friction=0.4:1.2`; drawn at a seeded reset.
+            randomize: in what the robots and their grounds differ, such as `friction=0.4:1.2`; drawn at a seeded reset.
             threads: to divide the robots among; the results do not depend on it.
 
         Raises:
@@ -131,7 +131,7 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
         self._options: dict[str, Any] = {
             "duration_s": duration_s,
             "perturbed": perturbed,
-            "randomise": tuple(parse_randomisation(text) for text in randomise),
+            "randomize": tuple(parse_randomisation(text) for text in randomize),
             "threads": threads,
         }
         self.num_envs = num_envs

@@ -113,7 +113,7 @@ class Episodes:
         threads: int = 1,
         duration_s: float = EPISODE_S,
         perturbed: bool = True,
-        randomise: Sequence[Randomisation] = (),
+        randomize: Sequence[Randomisation] = (),
     ) -> None:
         """
         Args:
@@ -125,7 +125,7 @@ class Episodes:
             threads: to divide the robots among.
             duration_s: of an episode, s.
             perturbed: whether episodes begin off the reference.
-            randomise: in what the robots and their grounds differ.
+            randomize: in what the robots and their grounds differ.
 
         Raises:
             ConfigError: the motion is for another robot or rate, or a number out of its range.
@@ -152,7 +152,7 @@ class Episodes:
         self._table = reference_table(demonstration, robot)
         self._steps = max(1, round(duration_s * config.rate_hz))
         self._room = self._phases()
-        world = random_world(randomise, n, np.random.default_rng([seed, n]))
+        world = random_world(randomize, n, np.random.default_rng([seed, n]))
         bounds = np.linspace(0, n, min(threads, n) + 1).astype(int)
         self._parts = [slice(a, b) for a, b in pairwise(bounds)]
         self._shards = [

@@ -109,7 +109,7 @@ class Learner:
             seed=settings.seed,
             threads=threads,
             duration_s=settings.episode_s,
-            randomise=settings.randomise,
+            randomize=settings.randomize,
         )
         torch.set_num_threads(settings.update_threads)
         torch.manual_seed(settings.seed)

@@ -33,14 +33,14 @@ class RandomWorld:
         return RandomWorld(part(self.disturbances, rows))
 
 
-def random_world(randomise: Sequence[Randomisation], n: int, rng: np.random.Generator) -> RandomWorld:
+def random_world(randomize: Sequence[Randomisation], n: int, rng: np.random.Generator) -> RandomWorld:
     """Draws the disturbances of n robots.
 
     Raises:
         ConfigError: one is given twice.
     """
-    check_once(randomise)
-    return RandomWorld(tuple(Disturbance(r.name, tuple(rng.uniform(r.lower, r.upper, n).tolist())) for r in randomise))
+    check_once(randomize)
+    return RandomWorld(tuple(Disturbance(r.name, tuple(rng.uniform(r.lower, r.upper, n).tolist())) for r in randomize))
 
 
 def parse_randomisation(text: str) -> Randomisation:

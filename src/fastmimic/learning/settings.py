@@ -27,7 +27,7 @@ class TrainingSettings:
         entropy: weight of the entropy bonus.
         exploration: initial standard deviation of the actions, in units of `PolicyConfig.action_scale`.
         episode_s: length of an episode, s.
-        randomise: in what robots and grounds differ.
+        randomize: in what robots and grounds differ.
         update_threads: of the library's linear algebra; the bits of the result depend on it.
         policy: how the policy sees and acts.
     """
@@ -45,7 +45,7 @@ class TrainingSettings:
     entropy: float = 0.0
     exploration: float = 0.5
     episode_s: float = EPISODE_S
-    randomise: tuple[Randomisation, ...] = ()
+    randomize: tuple[Randomisation, ...] = ()
     update_threads: int = 1
     policy: PolicyConfig = field(default_factory=PolicyConfig)
 
