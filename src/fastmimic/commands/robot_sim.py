@@ -3,8 +3,9 @@
 import json
 import math
 import signal
-import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
@@ -12,9 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Final
 from tyro.conf import arg
 
 from fastmimic.commands.console import note, put, slow_start
+from fastmimic.errors import ConfigError
 
 if TYPE_CHECKING:
     from fastmimic.deploy.robot_sim.server import RobotSim as Server
+    from fastmimic.deploy.robot_sim.server import SimSettings
 
 WIRED: Final = ("go2",)
 
@@ -24,7 +27,7 @@ class RobotSim:
     """Is a robot: a Go2 in MuJoCo, in real time, that publishes its state and obeys low-level commands over DDS as the
     real one does. What commands it cannot tell the difference.
 
-    Without commands for 20 ms its motors damp. By default it talks on this computer only; Ctrl-C ends it.
+    It talks on this computer only, unless another interface is named. Ctrl-C ends it.
     """
 
     robot: Annotated[str, arg(metavar="NAME|FILE.xml")] = "go2"
@@ -40,12 +43,14 @@ class RobotSim:
     """Whether its sensors have noise, bias and latency."""
     seed: int = 0
     """Of the sensors' errors and of the faults."""
+    watchdog_ms: Annotated[float, arg(metavar="MS")] = 20.0
+    """Without a command for so long, its motors damp."""
     duration: Annotated[float | None, arg(metavar="S")] = None
     """Until it ends by itself; by default never."""
     log: Annotated[Path | None, arg(metavar="FILE.npz")] = None
     """Where to write what it really did."""
-    json: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Where to write the account that it prints at the end, '-' for stdout in place of it."""
+    json: bool = False
+    """Print the account at the end as JSON."""
     loss: Annotated[float, arg(metavar="SHARE")] = 0.0
     """Of the states that are lost."""
     corrupt: Annotated[float, arg(metavar="SHARE")] = 0.0
@@ -68,59 +73,19 @@ class RobotSim:
     def run(self) -> int:
         """Is a robot until Ctrl-C or the end; returns the exit status."""
         from fastmimic.commands.options import check_duration, check_writable
-        from fastmimic.deploy.dds import check_interface
-        from fastmimic.deploy.robot_sim.body import Start
-        from fastmimic.deploy.robot_sim.faults import Faults
         from fastmimic.deploy.robot_sim.server import RobotSim as Server
-        from fastmimic.deploy.robot_sim.server import SimSettings
         from fastmimic.deploy.robot_sim.truth import TruthLog
-        from fastmimic.errors import ConfigError
-        from fastmimic.robot import ROBOT_NAMES, load_robot
-        from fastmimic.simulation.sensors import ideal_sensors
+        from fastmimic.robot import load_robot
 
-        check_interface(self.interface)
-        if self.robot.lower() in ROBOT_NAMES and self.robot.lower() not in WIRED:
-            raise ConfigError(f"the {self.robot} has another wire than robot-sim: give one of {', '.join(WIRED)}")
-        for name, value, allowed in (
-            ("--start", self.start, [s.value for s in Start]),
-            ("--sensors", self.sensors, ["real", "ideal"]),
-        ):
-            if value not in allowed:
-                raise ConfigError(f"{name} takes {' or '.join(allowed)}, found '{value}'")
+        settings = self._settings()
+        duration = math.inf if self.duration is None else check_duration(self.duration)
         if self.log is not None:
             check_writable(self.log, ".npz")
-        if self.json is not None and str(self.json) != "-":
-            check_writable(self.json, ".json")
-        duration = math.inf if self.duration is None else check_duration(self.duration)
-        settings = SimSettings(
-            domain=self.domain,
-            interface=self.interface,
-            start=Start(self.start),
-            sensors=ideal_sensors() if self.sensors == "ideal" else None,
-            seed=self.seed,
-            states=Faults(
-                loss=self.loss,
-                corrupt=self.corrupt,
-                duplicate=self.duplicate,
-                reorder=self.reorder,
-                latency_s=self.latency_ms / 1e3,
-            ),
-            commands=Faults(
-                loss=self.command_loss, corrupt=self.command_corrupt, latency_s=self.command_latency_ms / 1e3
-            ),
-            dead_after_s=math.inf if self.dead_after is None else check_duration(self.dead_after),
-        )
         log = TruthLog() if self.log is not None else None
-        stop = threading.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: stop.set())
         with slow_start():
             server = Server(load_robot(self.robot), settings, log)
-        with server:
-            note(
-                f"a {self.robot}, {self.start}, in DDS domain {self.domain} on '{self.interface}':"
-                f" {messages_of(server)}; Ctrl-C ends it"
-            )
+        with server, _until_interrupted() as stop:
+            note(f"a {self.robot}, {self.start}, in DDS domain {self.domain} on '{self.interface}'; Ctrl-C ends it")
             server.run(stop, duration, _status)
         self._account(server)
         if log is not None and self.log is not None:
@@ -128,25 +93,65 @@ class RobotSim:
             note(f"what it really did: {self.log}")
         return 0
 
-    def _account(self, server: "Server") -> None:
-        from fastmimic.files import replace_file
+    def _settings(self) -> "SimSettings":
+        """What was asked for, once it is certain that it can be."""
+        from fastmimic.deploy.dds import check_interface
+        from fastmimic.deploy.robot_sim.body import Start
+        from fastmimic.deploy.robot_sim.faults import Faults
+        from fastmimic.deploy.robot_sim.server import SimSettings
+        from fastmimic.robot import ROBOT_NAMES
+        from fastmimic.simulation.sensors import ideal_sensors
 
+        check_interface(self.interface)
+        if self.robot.lower() in ROBOT_NAMES and self.robot.lower() not in WIRED:
+            raise ConfigError(f"the {self.robot} has another wire than robot-sim: give one of {', '.join(WIRED)}")
+        _check_choice("--start", self.start, [s.value for s in Start])
+        _check_choice("--sensors", self.sensors, ["real", "ideal"])
+        states = Faults(
+            loss=self.loss,
+            corrupt=self.corrupt,
+            duplicate=self.duplicate,
+            reorder=self.reorder,
+            latency_s=self.latency_ms / 1e3,
+        )
+        commands = Faults(loss=self.command_loss, corrupt=self.command_corrupt, latency_s=self.command_latency_ms / 1e3)
+        return SimSettings(
+            domain=self.domain,
+            interface=self.interface,
+            start=Start(self.start),
+            sensors=ideal_sensors() if self.sensors == "ideal" else None,
+            seed=self.seed,
+            states=states,
+            commands=commands,
+            command_timeout_s=self.watchdog_ms / 1e3,
+            dead_after_s=math.inf if self.dead_after is None else self.dead_after,
+        )
+
+    def _account(self, server: "Server") -> None:
         summary = {"robot": self.robot, **server.summary()}
-        text = json.dumps(summary, indent=1) + "\n"
-        if self.json is not None and str(self.json) != "-":
-            replace_file(self.json, lambda file: file.write(text.encode()))
-        if self.json is not None and str(self.json) == "-":
-            sys.stdout.write(text)
+        if self.json:
+            put(json.dumps(summary, indent=1))
             return
         for name, value in summary.items():
             put(f"{name.replace('_', ' ')}: {value}")
 
 
-def messages_of(server: "Server") -> str:
-    """What it publishes and obeys."""
-    from fastmimic.deploy.go2.messages import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, RATE_HZ
+@contextmanager
+def _until_interrupted() -> Iterator[threading.Event]:
+    """An event that Ctrl-C or SIGTERM sets, so that what runs can come to its end."""
+    stop = threading.Event()
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, lambda *_: stop.set()) for number in numbers]
+    try:
+        yield stop
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
 
-    return f"publishes {LOW_STATE_TOPIC} at {RATE_HZ:g} Hz, obeys {LOW_COMMAND_TOPIC}"
+
+def _check_choice(option: str, found: str, allowed: list[str]) -> None:
+    if found not in allowed:
+        raise ConfigError(f"{option} takes {' or '.join(allowed)}, found '{found}'")
 
 
 def _status(server: "Server") -> None:

@@ -45,7 +45,7 @@ _FIXED_SIZE: Final = 1 << 4
 
 _KEEP_LAST, _BEST_EFFORT, _RELIABLE, _XCDR1 = 0, 0, 1, 0
 _ANY_STATE: Final = 0x7F
-_TIMEOUT: Final = -10
+_NOT_NOW: Final = -4  # DDS_RETCODE_PRECONDITION_NOT_MET
 _PUBLICATIONS: Final = 0x7FFF0000 + 3  # the built-in topic of everybody's writers
 
 
@@ -267,17 +267,26 @@ def _enter_domain(domain: int, interface: str) -> None:
         if found is None:
             handle = library.dds_create_domain(domain, configuration(interface).encode())
             if handle < 0:
-                raise DriverError(
-                    f"DDS domain {domain} cannot be opened on '{interface}'"
-                    f" ({library.dds_strretcode(handle).decode()}): the interface is down or has no IPv4 address, or"
-                    " something else in this process has opened the domain"
-                )
+                raise DriverError(_why_not(handle, domain, interface))
             found = _domains[domain] = _OpenDomain(handle, interface)
         elif found.interface != interface:
             raise DriverError(
                 f"DDS domain {domain} is already open on '{found.interface}' in this process, not on '{interface}'"
             )
         found.users += 1
+
+
+def _why_not(code: int, domain: int, interface: str) -> str:
+    """Why a domain cannot be opened."""
+    if code == _NOT_NOW:
+        return f"DDS domain {domain} has been opened by something else in this process"
+    if interface == LOOPBACK:
+        return (
+            f"no place left in DDS domain {domain} on '{interface}': {MAX_PARTICIPANTS} programs of this computer are"
+            " in it; end some, or take another domain"
+        )
+    reason = _library().dds_strretcode(code).decode()
+    return f"DDS cannot use '{interface}' ({reason}): is it up, and has it an IPv4 address?"
 
 
 def _leave_domain(domain: int) -> None:
@@ -312,10 +321,7 @@ class Participant:
         self._handle = library.dds_create_participant(domain, None, None)
         if self._handle < 0:
             _leave_domain(domain)
-            raise DriverError(
-                f"no place left in DDS domain {domain} on '{interface}': {MAX_PARTICIPANTS} programs of this computer"
-                " are in it; end some, or take another domain"
-            )
+            raise DriverError(_why_not(self._handle, domain, interface))
 
     def topic(self, name: str, message: type[Message]) -> int:
         """The handle of a topic, created when first asked for."""

@@ -23,7 +23,7 @@ STATE_RATE_HZ: Final = 500.0
 PER_STATE: Final = 2
 """Physics steps from one measurement to the next."""
 COMMAND_TIMEOUT_S: Final = 0.02
-"""After which motors without commands damp."""
+"""Of a `Body`: ten commands."""
 MODE: Final = "normal"
 """The name of the motion service's mode while it is active."""
 
@@ -103,6 +103,7 @@ class Body:
         start: how it begins; standing, its motion service is active.
         sensors: what it measures with; those of `robot_sensors` if None.
         seed: of their errors.
+        command_timeout_s: after which motors without commands damp, s.
 
     Attributes:
         observation: (1,) of `OBSERVATION`, the truth.
@@ -116,7 +117,12 @@ class Body:
     """
 
     def __init__(
-        self, robot: "Robot", start: Start = Start.LYING, sensors: SensorConfig | None = None, seed: int = 0
+        self,
+        robot: "Robot",
+        start: Start = Start.LYING,
+        sensors: SensorConfig | None = None,
+        seed: int = 0,
+        command_timeout_s: float = COMMAND_TIMEOUT_S,
     ) -> None:
         self._simulation = MujocoSimulation(robot, 1, control_rate_hz=PHYSICS_RATE_HZ, physics_rate_hz=PHYSICS_RATE_HZ)
         self.sensors = Sensors(robot, 1, STATE_RATE_HZ, sensors if sensors is not None else robot_sensors())
@@ -125,7 +131,7 @@ class Body:
         self._damping = damping_command()
         self.command = self._damping
         self._last = np.zeros(1, COMMAND)
-        self._commanded_at = -np.inf
+        self._commanded_at, self._timeout_s = -np.inf, command_timeout_s
         self._steps = 0
         self.damped, self.damped_s, self.fell = True, 0.0, False
         self._place(robot, robot.home_joint_pos if start is Start.STANDING else lying, start)
@@ -148,7 +154,7 @@ class Body:
 
     def step(self) -> bool:
         """One physics step; whether the sensors have measured after it."""
-        fresh = self.time - self._commanded_at < COMMAND_TIMEOUT_S
+        fresh = self.time - self._commanded_at < self._timeout_s
         self.damped = not fresh and not self.service.active
         if self.service.active:
             self.command = self.service.command(1.0 / PHYSICS_RATE_HZ)

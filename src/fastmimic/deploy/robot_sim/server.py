@@ -14,10 +14,10 @@ from fastmimic.control.state import COMMAND
 from fastmimic.deploy.dds import LOOPBACK, Participant, Reader, Writer
 from fastmimic.deploy.go2 import messages, services
 from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowCommand, StateWire, roll_pitch_yaw
-from fastmimic.deploy.robot_sim.body import MODE, PHYSICS_RATE_HZ, Body, Start
+from fastmimic.deploy.robot_sim.body import COMMAND_TIMEOUT_S, MODE, PHYSICS_RATE_HZ, Body, Start
 from fastmimic.deploy.robot_sim.faults import Faults, FaultyLine
 from fastmimic.deploy.robot_sim.truth import TruthLog
-from fastmimic.errors import DriverError
+from fastmimic.errors import ConfigError, DriverError
 from fastmimic.simulation.sensors import SensorConfig
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ class SimSettings:
         sensors: what it measures with; None for `robot_sensors`.
         seed: of the sensors' errors and of the faults.
         states, commands: faults on the way out and in.
+        command_timeout_s: after which motors without commands damp.
         dead_after_s: when it falls silent for good and its motors damp, as if its computer had died.
     """
 
@@ -48,7 +49,14 @@ class SimSettings:
     seed: int = 0
     states: Faults = field(default_factory=Faults)
     commands: Faults = field(default_factory=Faults)
+    command_timeout_s: float = COMMAND_TIMEOUT_S
     dead_after_s: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.command_timeout_s) and self.command_timeout_s > 0):
+            raise ConfigError(f"commands must be able to be on time: found {self.command_timeout_s:g} s for them")
+        if not self.dead_after_s >= 0:
+            raise ConfigError(f"a robot dies after some seconds, not after {self.dead_after_s:g}")
 
 
 @dataclass
@@ -93,7 +101,7 @@ class RobotSim:
         self.settings = settings = settings if settings is not None else SimSettings()
         self.counts = SimCounts()
         self.realtime_factor = 1.0
-        self.body = Body(robot, settings.start, settings.sensors, settings.seed)
+        self.body = Body(robot, settings.start, settings.sensors, settings.seed, settings.command_timeout_s)
         self._log = log
         self._participant = Participant(settings.domain, settings.interface)
         participant = self._participant
