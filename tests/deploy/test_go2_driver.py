@@ -308,6 +308,6 @@ def test_nested_structures_are_unrolled_into_one_program() -> None:
     class Outer(Message):
         _fields_ = [("head", ctypes.c_uint16), ("inner", Inner * 2), ("last", ctypes.c_int32 * 3)]  # noqa: RUF012
 
-    # by dds/ddsc/dds_opcodes.h: ADR with the type and the flags (signed 8, floating point 4), the offset, an array's length
+    # dds/ddsc/dds_opcodes.h: ADR with type and flags (signed 8, floating point 4), offset, and an array's length
     short, octet, real, array = 0x01020000, 0x01010000, 0x01030004, 0x01080308
     assert program(Outer) == [short, 0, octet, 4, real, 8, octet, 12, real, 16, array, 20, 3]

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 MOST_BEHIND_S: Final = 0.05
 """What it still catches up with on a busy machine; the rest is lost, and the real-time factor says so."""
+_LOOK_S: Final = 0.5  # for another robot
 _SERVICE_PERIOD: Final = 20  # physics steps between two looks at requests to the services
 
 
@@ -105,6 +106,11 @@ class RobotSim:
         self._log = log
         self._participant = Participant(settings.domain, settings.interface)
         participant = self._participant
+        try:
+            _check_alone(participant)
+        except DriverError:
+            participant.close()
+            raise
         self._reader = Reader(participant, messages.LOW_COMMAND_TOPIC, LowCommand, 16)
         self._commands = CommandWire(self._reader.samples)
         self._writer = Writer(participant, messages.LOW_STATE_TOPIC, messages.LowState)
@@ -175,7 +181,6 @@ class RobotSim:
                 now = time.perf_counter()
                 self.realtime_factor = min(1.0, (self.body.time - reported[1]) / max(now - reported[0], 1e-9))
                 reported = now, self.body.time
-                self._check_alone()
                 report(self)
         self.realtime_factor = min(1.0, self.body.time / max(time.perf_counter() - begin, 1e-9))
 
@@ -215,14 +220,6 @@ class RobotSim:
     @property
     def _dead(self) -> bool:
         return self.body.time >= self.settings.dead_after_s
-
-    def _check_alone(self) -> None:
-        others = len(self._participant.publishers(messages.LOW_STATE_TOPIC)) - 1
-        if others > 0:
-            domain, interface = self.settings.domain, self.settings.interface
-            raise DriverError(
-                f"another robot publishes states in DDS domain {domain} on '{interface}': take another domain"
-            )
 
     def _receive(self) -> None:
         now = self.body.time
@@ -278,3 +275,15 @@ class RobotSim:
         if self.body.service.active:
             move()
         return {}
+
+
+def _check_alone(participant: Participant) -> None:
+    """Waits until whoever is in the domain can have been found; raises `DriverError` if there is a robot in it."""
+    end = time.monotonic() + _LOOK_S
+    while time.monotonic() < end:
+        if participant.publishers(messages.LOW_STATE_TOPIC):
+            raise DriverError(
+                f"another robot publishes states in DDS domain {participant.domain} on '{participant.interface}':"
+                " take another domain"
+            )
+        time.sleep(0.02)
