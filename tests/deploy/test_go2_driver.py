@@ -238,6 +238,18 @@ def test_two_robots_in_one_domain_are_not_told_apart(go2: Robot, publisher: Publ
         Go2Driver(go2, domain=publisher.domain).open()
 
 
+def test_a_second_robot_that_comes_later_is_not_listened_to(
+    go2: Robot, driver: Go2Driver, publisher: Publisher
+) -> None:
+    publisher.send()
+    assert newest(driver) is not None
+    other = Publisher(go2, publisher.domain)
+    with other.participant:
+        other.send(publisher.tick + 2)
+        assert newest(driver) is None
+    assert driver.packets.rejected == 1
+
+
 def test_silence_is_said_to_be_that(go2: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(driver_module, "FIRST_STATE_S", 0.3)
     domain = free_domain()

@@ -13,6 +13,7 @@ from fastmimic.deploy.driver import LowState, Packets
 from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowCommand, StateWire
 from fastmimic.deploy.go2.services import release_motion_service
+from fastmimic.deploy.identity import impossible_joint
 from fastmimic.errors import DriverError
 from fastmimic.estimation.reading import READING
 
@@ -21,16 +22,15 @@ if TYPE_CHECKING:
 
 FIRST_STATE_S: Final = 3.0
 """Within which the first state has to come."""
-_JUDGED: Final = 5  # states that are looked at before the driver is open
+_JUDGED: Final = 50  # states that are looked at before the driver is open
 _DEPTH: Final = 64  # states that wait at most until they are read: 0.13 s
-_BEYOND_LIMITS: Final = 0.3  # rad, by which an encoder may be off
 
 
 class Go2Driver:
     """A `RobotDriver`.
 
-    States are rejected whose checksum is wrong, that are not finite or have no orientation, or whose tick is not above
-    the last one's. Two kinds of publisher differ from a robot: one that never fills in a checksum (0 in the first
+    States are rejected whose checksum is wrong, that are not finite or have no orientation, that are from another
+    publisher than the first one, or whose tick is not above the last one's. Two kinds of publisher differ from a robot: one that never fills in a checksum (0 in the first
     states; unitree_mujoco in Python) is not held to it, and one that never counts ticks is counted for.
 
     Args:
@@ -78,7 +78,7 @@ class Go2Driver:
             self._command.clear()
             self._state = StateWire(self._reader.samples)
             self._checked = self._counted = True
-            self._sequence = -1
+            self._sequence, self._writer_of_states = -1, 0
             self._await_states()
             if self._release:
                 self.released = release_motion_service(participant, self._say)
@@ -140,6 +140,12 @@ class Go2Driver:
             if found != expected or not state.sound(i):
                 packets.rejected += 1
                 continue
+            writer = int(self._reader.publication[i])
+            if self._sequence < 0:
+                self._writer_of_states = writer
+            elif writer != self._writer_of_states:
+                packets.rejected += 1
+                continue
             tick = int(state.record["tick"][i]) if self._counted else self._sequence + 1
             if tick <= self._sequence:
                 packets.rejected += 1
@@ -163,7 +169,7 @@ class Go2Driver:
                     continue
                 writers.add(int(self._reader.publication[i]))
                 self._state.read(i, reading)
-                outside = self._outside(reading)
+                outside = impossible_joint(self._robot, reading["joint_pos"][0])
                 if not outside:
                     seen.append((*self._state.checksum(i), int(self._state.record["tick"][i])))
             if len(seen) >= _JUDGED:
@@ -183,18 +189,6 @@ class Go2Driver:
                 f" {expected:#010x}): another kind of robot or another version of its messages"
             )
         self._counted = any(entry[2] != 0 for entry in seen)
-
-    def _outside(self, reading: NDArray[Any]) -> str:
-        """What is impossible about the joints, if anything is."""
-        robot, q = self._robot, reading["joint_pos"][0]
-        off = np.maximum(robot.joint_lower - q, q - robot.joint_upper)
-        j = int(np.argmax(off))
-        if off[j] <= _BEYOND_LIMITS:
-            return ""
-        return (
-            f"{robot.joint_names[j]} is at {q[j]:.2f} rad, outside the {robot.name}'s {robot.joint_lower[j]:.2f} …"
-            f" {robot.joint_upper[j]:.2f} rad: another robot, or its joints are not calibrated"
-        )
 
     def _silence(self) -> str:
         """Why no state came."""
