@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from fastmimic.control.state import COMMAND
-from fastmimic.deploy import a1
-from fastmimic.deploy.a1 import A1Driver
+from fastmimic.deploy.a1 import driver as a1
+from fastmimic.deploy.a1.driver import A1Driver
 from fastmimic.errors import DriverError
 from fastmimic.robot import Robot, load_robot
 
@@ -67,6 +67,13 @@ def test_it_asks_with_commands_that_move_nothing(driver: A1Driver) -> None:
     assert binding.commands
     assert not any(command.any() for command in binding.commands)
     assert driver.packets.sent == 0
+
+
+def test_it_can_listen_without_saying_anything(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(a1, "FIRST_STATE_S", 0.05)
+    with pytest.raises(DriverError, match="no A1's state"):
+        A1Driver(robot, release=False).open()
+    assert not MADE[0].commands
 
 
 def test_a_command_is_interleaved_joint_by_joint(driver: A1Driver) -> None:

@@ -30,15 +30,16 @@ class Go2Driver:
     """A `RobotDriver`.
 
     States are rejected whose checksum is wrong, that are not finite or have no orientation, that are from another
-    publisher than the first one, or whose tick is not above the last one's. Two kinds of publisher differ from a robot: one that never fills in a checksum (0 in the first
-    states; unitree_mujoco in Python) is not held to it, and one that never counts ticks is counted for.
+    publisher than the first one, or whose tick is not above the last one's. Two kinds of publisher differ from a robot:
+    one that never fills in a checksum (0 in the first states; unitree_mujoco in Python) is not held to it, and one that
+    never counts ticks is counted for.
 
     Args:
         robot: which it is expected to be.
         domain: DDS domain; 0 for robots.
         interface: network interface to the robot; `lo` for a simulated one.
         release: let the robot's own motion service, if it has one that is active, lie it down and let go of the motors.
-            Without, an active one is an error.
+            Without, nothing is asked of it, and whatever it runs goes on: for reading only.
         say: is told what happens while it opens.
 
     Attributes:

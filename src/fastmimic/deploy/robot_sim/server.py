@@ -102,17 +102,20 @@ class RobotSim:
         self.settings = settings = settings if settings is not None else SimSettings()
         self.counts = SimCounts()
         self.realtime_factor = 1.0
-        self.body = Body(robot, settings.start, settings.sensors, settings.seed, settings.command_timeout_s)
         self._log = log
-        self._participant = Participant(settings.domain, settings.interface)
-        participant = self._participant
+        self._participant = participant = Participant(settings.domain, settings.interface)
         try:
+            self.body = Body(robot, settings.start, settings.sensors, settings.seed, settings.command_timeout_s)
             _check_alone(participant)
-        except DriverError:
+            self._connect(participant)
+        except BaseException:
             participant.close()
             raise
+
+    def _connect(self, participant: Participant) -> None:
+        """Everything that is said and heard."""
+        settings = self.settings
         self._reader = Reader(participant, messages.LOW_COMMAND_TOPIC, LowCommand, 16)
-        self._commands = CommandWire(self._reader.samples)
         self._writer = Writer(participant, messages.LOW_STATE_TOPIC, messages.LowState)
         self._state = np.zeros(1, np.dtype(messages.LowState))
         self._wire = StateWire(self._state)
@@ -128,7 +131,11 @@ class RobotSim:
         self._wire.write(self.body.reading, 0)
         self._received_wire.intact(0)
         self.body.sensors.to_motors(self._command)
-        self._servers = (
+        self._servers = self._serve(participant)
+
+    def _serve(self, participant: Participant) -> tuple[services.Server, ...]:
+        """The services of its own software."""
+        return (
             services.Server(
                 participant,
                 services.MOTION_SWITCHER,

@@ -7,6 +7,7 @@ turn. Legs come FR, FL, RR, RL, the quaternion w, x, y, z, angles and signs as i
 
 import importlib
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -36,14 +37,18 @@ class A1Driver:
     """A `RobotDriver`.
 
     The A1 answers those who write to it: until the first state, `open` writes commands without gains or torque, which
-    move nothing. Checksums are the SDK's business; of lost states it says nothing, so `packets.lost` stays 0.
+    move nothing but end the damping that it may be in. Checksums are the SDK's business; of lost states it says nothing,
+    so `packets.lost` stays 0.
 
     Args:
         robot: which it is expected to be.
+        release: write such commands; without, it only listens, and hears something only if the A1 answers anyway.
+        say: is told what happens while it opens.
     """
 
-    def __init__(self, robot: "Robot") -> None:
+    def __init__(self, robot: "Robot", *, release: bool = True, say: Callable[[str], None] = lambda text: None) -> None:
         self._robot = robot
+        self._release, self._say = release, say
         self.packets = Packets()
         self._interface: Any = None
         self._sequence = -1
@@ -125,8 +130,11 @@ class A1Driver:
     def _await_state(self) -> None:
         end, outside = time.monotonic() + FIRST_STATE_S, ""
         nothing = np.zeros(60, np.float32)
+        if self._release:
+            self._say("asking the A1 for its state by commands without gains or torque")
         while time.monotonic() < end:
-            self._interface.send_command(nothing)
+            if self._release:
+                self._interface.send_command(nothing)
             time.sleep(_ASK_S)
             reading = self._newest()
             if reading is not None:
