@@ -37,8 +37,8 @@ class A1Driver:
     """A `RobotDriver`.
 
     The A1 answers those who write to it: until the first state, `open` writes commands without gains or torque, which
-    move nothing but end the damping that it may be in. Checksums are the SDK's business; of lost states it says nothing,
-    so `packets.lost` stays 0.
+    move nothing but end the damping that it may be in. Checksums are the SDK's business; of lost states it says
+    nothing, so `packets.lost` stays 0.
 
     Args:
         robot: which it is expected to be.
