@@ -1,9 +1,10 @@
-/* The other end of the wire, on the CycloneDDS of robots: usage: peer DOMAIN SECONDS robot|client
+/* The other end of the wire, on the CycloneDDS of robots: usage: peer DOMAIN robot|client, until SIGTERM
 
    A robot publishes states at 500 Hz and reads commands; a client does the reverse. Both fill every byte of their
    messages with a pattern, check the sums of what they read over their own memory layout, and say how it went. */
 #include "dds/dds.h"
 #include "unitree.h"
+#include <signal.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -11,6 +12,14 @@
 
 typedef unitree_go_msg_dds__LowCmd_ command_t;
 typedef unitree_go_msg_dds__LowState_ state_t;
+
+static volatile sig_atomic_t stopped = 0;
+
+static void stop (int number)
+{
+  (void) number;
+  stopped = 1;
+}
 
 static uint32_t checksum (const void *message, size_t size)
 {
@@ -77,8 +86,9 @@ static void fill_command (command_t *c, uint32_t number)
 
 int main (int argc, char **argv)
 {
-  if (argc != 4) return 2;
-  const int robot = strcmp (argv[3], "robot") == 0;
+  if (argc != 3) return 2;
+  const int robot = strcmp (argv[2], "robot") == 0;
+  signal (SIGTERM, stop);
   dds_entity_t participant = dds_create_participant ((dds_domainid_t) atoi (argv[1]), NULL, NULL);
   if (participant < 0) { fprintf (stderr, "%s\n", dds_strretcode (participant)); return 1; }
   dds_entity_t commands = dds_create_topic (participant, &unitree_go_msg_dds__LowCmd__desc, "rt/lowcmd", NULL, NULL);
@@ -88,8 +98,7 @@ int main (int argc, char **argv)
   dds_entity_t reader = dds_create_reader (participant, robot ? commands : states, deep, NULL);
   dds_entity_t writer = dds_create_writer (participant, robot ? states : commands, NULL, NULL);
   long sent = 0, received = 0, wrong = 0, gaps = 0, last = -1, odd_offsets = 0;
-  const dds_time_t begin = dds_time (), end = begin + (dds_time_t) (1e9 * atof (argv[2]));
-  for (dds_time_t due = begin; dds_time () < end; due += 2000000) {
+  for (dds_time_t due = dds_time (); !stopped; due += 2000000) {
     void *samples[256] = { NULL };
     dds_sample_info_t infos[256];
     int taken = dds_take (reader, samples, infos, 256, 256);

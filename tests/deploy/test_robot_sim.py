@@ -211,9 +211,8 @@ def simulated(go2: Robot) -> Iterator[Callable[..., RobotSim]]:
 
 
 def test_the_driver_finds_its_service_has_it_lie_down_and_let_go(
-    go2: Robot, simulated: Callable[..., RobotSim], monkeypatch: pytest.MonkeyPatch
+    go2: Robot, simulated: Callable[..., RobotSim]
 ) -> None:
-    monkeypatch.setattr(services, "LIE_DOWN_S", 2.0)
     sim, said = simulated(start=Start.STANDING), []
     with Go2Driver(go2, domain=sim.settings.domain, say=said.append) as driver:
         assert driver.released == "normal"
