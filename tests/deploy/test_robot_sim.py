@@ -26,7 +26,7 @@ from fastmimic.deploy.robot_sim.body import PHYSICS_RATE_HZ, Body, Start
 from fastmimic.deploy.robot_sim.faults import Faults, FaultyLine
 from fastmimic.deploy.robot_sim.server import RobotSim, SimSettings
 from fastmimic.deploy.robot_sim.truth import TruthLog, load_truth
-from fastmimic.errors import ConfigError, DataError
+from fastmimic.errors import ConfigError, DataError, DriverError
 from fastmimic.robot import Robot, load_robot
 from fastmimic.simulation.sensors import ideal_sensors
 
@@ -222,6 +222,17 @@ def test_the_driver_finds_its_service_has_it_lie_down_and_let_go(
     assert state is not None
     assert len(said) == 2
     assert not sim.body.fell
+
+
+def test_a_robot_that_does_not_lie_down_is_not_let_go_of(
+    go2: Robot, simulated: Callable[..., RobotSim], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sim = simulated(start=Start.STANDING)
+    monkeypatch.setattr(services, "LIE_DOWN_S", 0.2)
+    monkeypatch.setattr(services, "STAND_DOWN", 4711)
+    with pytest.raises(DriverError, match=r"answered with code 3203 and it still stands"):
+        Go2Driver(go2, domain=sim.settings.domain).open()
+    assert sim.body.service.active
 
 
 def test_commands_are_ignored_while_its_service_is_active(go2: Robot, simulated: Callable[..., RobotSim]) -> None:

@@ -16,6 +16,7 @@ from fastmimic.deploy.go2.services import release_motion_service
 from fastmimic.deploy.identity import impossible_joint
 from fastmimic.errors import DriverError
 from fastmimic.estimation.reading import READING
+from fastmimic.robot.kinematics import foot_positions
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot
@@ -24,6 +25,7 @@ FIRST_STATE_S: Final = 3.0
 """Within which the first state has to come."""
 _JUDGED: Final = 50  # states that are looked at before the driver is open
 _DEPTH: Final = 64  # states that wait at most until they are read: 0.13 s
+_LYING: Final = 0.6  # share of the height in the home pose
 
 
 class Go2Driver:
@@ -82,7 +84,7 @@ class Go2Driver:
             self._sequence, self._writer_of_states = -1, 0
             self._await_states()
             if self._release:
-                self.released = release_motion_service(participant, self._say)
+                self.released = release_motion_service(participant, self._lies, self._say)
             self._reader.take()  # what arrived meanwhile is old
             self._sequence = -1
             self.packets = Packets()
@@ -190,6 +192,16 @@ class Go2Driver:
                 f" {expected:#010x}): another kind of robot or another version of its messages"
             )
         self._counted = any(entry[2] != 0 for entry in seen)
+
+    def _lies(self) -> bool:
+        """Whether the legs are folded."""
+        self._sequence = -1  # for this it does not matter how old a state is that comes next
+        state = self.read(FIRST_STATE_S)
+        if state is None:
+            raise DriverError("the robot's states stopped")
+        feet = foot_positions(self._robot, state.reading["joint_pos"])[0]
+        height = self._robot.foot_radius - float(feet[:, 2].mean())
+        return height < _LYING * self._robot.home_height
 
     def _silence(self) -> str:
         """Why no state came."""

@@ -25,7 +25,8 @@ NOT_IMPLEMENTED: Final = 3203
 
 FIND_S: Final = 1.0  # for a service to be found
 ANSWER_S: Final = 5.0
-LIE_DOWN_S: Final = 3.0  # that a robot needs to lie down
+LIE_DOWN_S: Final = 10.0  # for the robot to lie down
+SETTLE_S: Final = 0.5  # from when it looks as if it lay
 RELEASE_S: Final = 10.0
 
 _I32, _I64 = ctypes.c_int32, ctypes.c_int64
@@ -142,18 +143,21 @@ class Server:
             self._responses.write()
 
 
-def release_motion_service(participant: Participant, say: Callable[[str], None] = lambda text: None) -> str | None:
-    """Makes a robot's own motion service let go of the motors: it lies down first, as it would fall otherwise.
+def release_motion_service(
+    participant: Participant, lies: Callable[[], bool], say: Callable[[str], None] = lambda text: None
+) -> str | None:
+    """Makes a robot's own motion service let go of the motors, once the robot lies: standing, it would fall.
 
     Args:
         participant: in the robot's domain.
+        lies: whether the robot lies now.
         say: is told what happens.
 
     Returns:
         The name of the mode that was released; None if none was active, or there is no such service.
 
     Raises:
-        DriverError: the service is there but does not answer, or does not let go.
+        DriverError: the service is there but does not answer, does not lie the robot down, or does not let go.
     """
     switcher = Client(participant, MOTION_SWITCHER)
     if not switcher.find():
@@ -161,11 +165,9 @@ def release_motion_service(participant: Participant, say: Callable[[str], None] 
     released = mode = _active_mode(switcher)
     if mode is None:
         return None
-    sport = Client(participant, SPORT)
-    if sport.find():
+    if not lies():
         say(f"the robot's motion service '{mode}' is active: it lies down first")
-        sport.ask(STAND_DOWN)
-        time.sleep(LIE_DOWN_S)
+        _lie_down(participant, lies)
     end = time.monotonic() + RELEASE_S
     while mode is not None:
         if time.monotonic() > end:
@@ -174,6 +176,24 @@ def release_motion_service(participant: Participant, say: Callable[[str], None] 
         mode = _active_mode(switcher)
     say(f"the robot's motion service '{released}' was released")
     return released
+
+
+def _lie_down(participant: Participant, lies: Callable[[], bool]) -> None:
+    sport = Client(participant, SPORT)
+    code = sport.ask(STAND_DOWN).code if sport.find() else None
+    end = time.monotonic() + LIE_DOWN_S
+    while not lies():
+        if code is None or time.monotonic() > end:
+            why = (
+                "it has no service to ask"
+                if code is None
+                else f"its service answered with code {code} and it still stands"
+            )
+            raise DriverError(
+                f"the robot has to lie before its motors can be let go of, but {why}: lie it down by its remote control"
+            )
+        time.sleep(0.05)
+    time.sleep(SETTLE_S)
 
 
 def _active_mode(switcher: Client) -> str | None:
