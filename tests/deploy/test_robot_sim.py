@@ -26,7 +26,7 @@ from fastmimic.deploy.robot_sim.body import PHYSICS_RATE_HZ, Body, Start
 from fastmimic.deploy.robot_sim.faults import Faults, FaultyLine
 from fastmimic.deploy.robot_sim.server import RobotSim, SimSettings
 from fastmimic.deploy.robot_sim.truth import TruthLog, load_truth
-from fastmimic.errors import ConfigError, DataError, DriverError
+from fastmimic.errors import ConfigError, DriverError, OutputError
 from fastmimic.robot import Robot, load_robot
 from fastmimic.simulation.sensors import ideal_sensors
 
@@ -177,7 +177,7 @@ def test_a_log_is_read_back_as_it_was_written(tmp_path: Path) -> None:
 
 def test_another_file_is_no_log(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", a=1)
-    with pytest.raises(DataError, match="not a log"):
+    with pytest.raises(OutputError, match="not a log"):
         load_truth(tmp_path / "other.npz")
 
 

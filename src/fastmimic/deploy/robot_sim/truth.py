@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.control.state import COMMAND, OBSERVATION
-from fastmimic.errors import DataError
+from fastmimic.errors import OutputError
 from fastmimic.files import replace_file
 
 FORMAT_VERSION: Final = 1
@@ -38,12 +38,12 @@ def load_truth(path: str | Path) -> Truth:
     """Reads what `TruthLog.save` wrote.
 
     Raises:
-        DataError: not such a file.
+        OutputError: not such a file.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
             if int(file["format_version"]) != FORMAT_VERSION:
-                raise DataError(f"{path}: version {int(file['format_version'])}, expected {FORMAT_VERSION}")
+                raise OutputError(f"{path}: version {int(file['format_version'])}, expected {FORMAT_VERSION}")
             observation = np.zeros(len(file["time"]), OBSERVATION)
             command = np.zeros(len(file["time"]), COMMAND)
             for name in OBSERVATION.names or ():
@@ -52,7 +52,7 @@ def load_truth(path: str | Path) -> Truth:
                 command[name] = file[f"command_{name}"]
             return Truth(file["time"], file["tick"], observation, command, file["damped"], file["service"])
     except (OSError, ValueError, KeyError) as error:
-        raise DataError(f"{path}: not a log of 'fastmimic robot-sim' ({type(error).__name__})") from None
+        raise OutputError(f"{path}: not a log of 'fastmimic robot-sim' ({type(error).__name__})") from None
 
 
 class TruthLog:
