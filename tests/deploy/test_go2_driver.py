@@ -238,6 +238,27 @@ def test_two_robots_in_one_domain_are_not_told_apart(go2: Robot, publisher: Publ
         Go2Driver(go2, domain=publisher.domain).open()
 
 
+def test_a_robot_that_somebody_else_commands_is_left_to_him(
+    go2: Robot, driver: Go2Driver, publisher: Publisher
+) -> None:
+    stop = threading.Event()
+
+    def command() -> None:
+        while not stop.wait(0.002):
+            driver.write(damping_command())
+
+    thread = threading.Thread(target=command)
+    thread.start()
+    try:
+        with publisher.talking(), pytest.raises(DriverError, match="somebody else sends commands"):
+            Go2Driver(go2, domain=publisher.domain).open()
+        with publisher.talking(), Go2Driver(go2, domain=publisher.domain, release=False) as onlooker:
+            assert onlooker.read(5.0) is not None
+    finally:
+        stop.set()
+        thread.join()
+
+
 def test_a_second_robot_that_comes_later_is_not_listened_to(
     go2: Robot, driver: Go2Driver, publisher: Publisher
 ) -> None:

@@ -205,12 +205,15 @@ _PROTOTYPES: Final[dict[str, tuple[Any, ...]]] = {
 def _library() -> ctypes.CDLL:
     """The library that the package `cyclonedds` brings or was built against."""
     try:
-        from cyclonedds.internal import load_cyclonedds
+        from cyclonedds.internal import CycloneDDSLoaderException, load_cyclonedds
     except ImportError:
         raise DriverError(
             "the Go2's wire needs CycloneDDS, which is not installed: pip install 'fastmimic[go2]'"
         ) from None
-    library = load_cyclonedds()
+    try:
+        library = load_cyclonedds()
+    except CycloneDDSLoaderException as error:
+        raise DriverError(f"the package cyclonedds does not find its library: {error}") from None
     for name, (result, *arguments) in _PROTOTYPES.items():
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
@@ -280,13 +283,28 @@ def _why_not(code: int, domain: int, interface: str) -> str:
     """Why a domain cannot be opened."""
     if code == _NOT_NOW:
         return f"DDS domain {domain} has been opened by something else in this process"
-    if interface == LOOPBACK:
+    if interface == LOOPBACK and not any(_free(port) for port in _ports(domain)):
         return (
             f"no place left in DDS domain {domain} on '{interface}': {MAX_PARTICIPANTS} programs of this computer are"
             " in it; end some, or take another domain"
         )
     reason = _library().dds_strretcode(code).decode()
     return f"DDS cannot use '{interface}' ({reason}): is it up, and has it an IPv4 address?"
+
+
+def _ports(domain: int) -> range:
+    """The UDP ports for what is sent to one program alone, of all that can be in a domain; RTPS 2.5, section 9.6.2."""
+    first = 7400 + 250 * domain + 10
+    return range(first, first + 2 * MAX_PARTICIPANTS, 2)
+
+
+def _free(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True
 
 
 def _leave_domain(domain: int) -> None:
@@ -471,6 +489,11 @@ class Reader:
         status = _Matched()
         _library().dds_get_subscription_matched_status(self._handle, ctypes.byref(status))
         return int(status.current)
+
+    def close(self) -> None:
+        """Stops listening, before its participant does."""
+        _library().dds_delete(self._waitset)
+        _library().dds_delete(self._handle)
 
 
 class TextReader:

@@ -25,6 +25,7 @@ FIRST_STATE_S: Final = 3.0
 """Within which the first state has to come."""
 _JUDGED: Final = 50  # states that are looked at before the driver is open
 _DEPTH: Final = 64  # states that wait at most until they are read: 0.13 s
+_LISTEN_S: Final = 0.3  # for somebody else's commands
 _LYING: Final = 0.6  # share of the height in the home pose
 
 
@@ -69,7 +70,7 @@ class Go2Driver:
         """Connects, has the motion service let go, and waits for the first states. Sends no command to the motors.
 
         Raises:
-            DriverError: see `RobotDriver`; or two robots in one domain.
+            DriverError: see `RobotDriver`; two robots in one domain; or somebody else who commands this one.
         """
         participant = Participant(self._domain, self._interface)
         self._participant = participant
@@ -85,6 +86,7 @@ class Go2Driver:
             self._await_states()
             if self._release:
                 self.released = release_motion_service(participant, self._lies, self._say)
+                self._check_alone(participant)
             self._reader.take()  # what arrived meanwhile is old
             self._sequence = -1
             self.packets = Packets()
@@ -192,6 +194,20 @@ class Go2Driver:
                 f" {expected:#010x}): another kind of robot or another version of its messages"
             )
         self._counted = any(entry[2] != 0 for entry in seen)
+
+    def _check_alone(self, participant: Participant) -> None:
+        """Raises `DriverError` if somebody else commands the motors."""
+        reader = Reader(participant, messages.LOW_COMMAND_TOPIC, LowCommand)
+        end, heard = time.monotonic() + _LISTEN_S, False
+        while not heard and (left := end - time.monotonic()) > 0:
+            reader.wait(left)
+            heard = bool(reader.valid[: reader.take()].any())
+        reader.close()
+        if heard:
+            raise DriverError(
+                f"somebody else sends commands to the motors of the robot in DDS domain {self._domain} on"
+                f" '{self._interface}': end that first"
+            )
 
     def _lies(self) -> bool:
         """Whether the legs are folded."""
