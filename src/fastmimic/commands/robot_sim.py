@@ -25,7 +25,7 @@ WIRED: Final = ("go2",)
 @dataclass(frozen=True, kw_only=True)
 class RobotSim:
     """Is a robot: a Go2 in MuJoCo, in real time, that publishes its state and obeys low-level commands over DDS as the
-    real one does. What commands it cannot tell the difference.
+    real one does. 'fastmimic deploy' and Unitree's own SDK talk to it.
 
     It talks on this computer only, unless another interface is named. Ctrl-C ends it.
     """
