@@ -18,6 +18,7 @@ from fastmimic.control.state import COMMAND
 from fastmimic.deploy.dds import MAX_PARTICIPANTS, Message, Participant, Reader, Writer, program
 from fastmimic.deploy.driver import damping_command
 from fastmimic.deploy.go2 import driver as driver_module
+from fastmimic.deploy.go2 import services
 from fastmimic.deploy.go2.driver import Go2Driver
 from fastmimic.deploy.go2.messages import (
     LOW_COMMAND_TOPIC,
@@ -200,6 +201,15 @@ def test_opening_and_closing_send_nothing(go2: Robot, publisher: Publisher) -> N
     taken = publisher.commands.take()
     assert not publisher.commands.valid[:taken].any()
     assert driver.packets.sent == 0
+
+
+def test_a_robot_elsewhere_whose_software_cannot_be_asked_gets_no_command(
+    go2: Robot, publisher: Publisher, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(services, "LOOPBACK", "another")
+    monkeypatch.setattr(services, "FIND_FAR_S", 0.1)
+    with publisher.talking(), pytest.raises(DriverError, match="no service 'motion_switcher' on 'lo'"):
+        Go2Driver(go2, domain=publisher.domain).open()
 
 
 def test_a_publisher_without_checksums_and_ticks_is_taken_as_it_is(go2: Robot, publisher: Publisher) -> None:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
-from fastmimic.deploy.dds import Message, Octets, Participant, TextReader, Writer
+from fastmimic.deploy.dds import LOOPBACK, Message, Octets, Participant, TextReader, Writer
 from fastmimic.errors import DriverError
 
 MOTION_SWITCHER: Final = "motion_switcher"
@@ -23,7 +23,8 @@ STAND_DOWN: Final = 1005
 NOT_IMPLEMENTED: Final = 3203
 """The code of an answer to a request that a service does not know."""
 
-FIND_S: Final = 1.0  # for a service to be found
+FIND_S: Final = 1.0  # for a service on this computer to be found
+FIND_FAR_S: Final = 5.0  # for one on another
 ANSWER_S: Final = 5.0
 LIE_DOWN_S: Final = 10.0  # for the robot to lie down
 SETTLE_S: Final = 0.5  # from when it looks as if it lay
@@ -154,14 +155,22 @@ def release_motion_service(
         say: is told what happens.
 
     Returns:
-        The name of the mode that was released; None if none was active, or there is no such service.
+        The name of the mode that was released; None if none was active, or if there is no such service on this
+        computer: a simulator need not have one.
 
     Raises:
-        DriverError: the service is there but does not answer, does not lie the robot down, or does not let go.
+        DriverError: there is no such service on another computer, which a robot is; or it does not answer, does not lie
+            the robot down, or does not let go.
     """
     switcher = Client(participant, MOTION_SWITCHER)
-    if not switcher.find():
-        return None
+    here = participant.interface == LOOPBACK
+    if not switcher.find(FIND_S if here else FIND_FAR_S):
+        if here:
+            return None
+        raise DriverError(
+            f"no service '{MOTION_SWITCHER}' on '{participant.interface}' to ask whether the robot's own software has its"
+            " motors: nothing is sent to it"
+        )
     released = mode = _active_mode(switcher)
     if mode is None:
         return None
