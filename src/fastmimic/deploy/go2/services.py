@@ -168,8 +168,8 @@ def release_motion_service(
         if here:
             return None
         raise DriverError(
-            f"no service '{MOTION_SWITCHER}' on '{participant.interface}' to ask whether the robot's own software has its"
-            " motors: nothing is sent to it"
+            f"no service '{MOTION_SWITCHER}' on '{participant.interface}' to ask whether the robot's own software has"
+            " its motors: nothing is sent to them"
         )
     released = mode = _active_mode(switcher)
     if mode is None:
