@@ -1,5 +1,6 @@
 # make demo   from nothing to an optimised trot with its video in runs/demo
 # make test   the tests; PYTEST_ARGS="-n 2 --dist loadfile" runs them on two cores
+# make docs   the documentation site in build/site
 # The virtual environment is made in .venv when it is first needed.
 
 VENV ?= .venv
@@ -9,7 +10,7 @@ DEMO_ARGS ?=
 PYTHON ?= $(firstword $(foreach p,python3 python3.13 python3.12 python3.11,$(shell \
 	$(p) -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && echo $(p))))
 
-.PHONY: demo test lint format types bench clean
+.PHONY: demo test lint format types docs bench clean
 
 demo: $(VENV)/.installed
 	$(BIN)/fastmimic imitate trot --out runs/demo $(DEMO_ARGS)
@@ -28,6 +29,10 @@ format: $(VENV)/.installed-dev
 types: $(VENV)/.installed-dev
 	$(BIN)/mypy
 
+docs: $(VENV)/.installed-dev
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --site-dir build/site
+
 bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/rollout.py
 	$(BIN)/python benchmarks/mpc.py
@@ -40,6 +45,7 @@ clean:
 $(VENV)/.made:
 	@test -n "$(PYTHON)" || { echo "no Python 3.11 or newer found; name one: make PYTHON=..." >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip  # a recent one finds versions in half of the time
 	touch $@
 
 $(VENV)/.installed: pyproject.toml | $(VENV)/.made

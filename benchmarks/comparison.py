@@ -23,7 +23,7 @@ import fastmimic as fm
 from fastmimic.cli import main as fastmimic
 from fastmimic.experiments.compare import Plan, compare
 from fastmimic.experiments.runs import Settings
-from fastmimic.optimize.problem import available_cores
+from fastmimic.machine import available_cores
 from fastmimic.report.comparison_folder import ENVIRONMENT
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

@@ -20,7 +20,7 @@ import numpy as np
 import fastmimic as fm
 from fastmimic.learning.config import FRAME_SIZE, HISTORY, IMU_SIZE
 from fastmimic.learning.episodes import Episodes, _Shard
-from fastmimic.optimize.problem import available_cores
+from fastmimic.machine import available_cores
 
 WARM_UP = 3
 

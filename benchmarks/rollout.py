@@ -20,7 +20,7 @@ import numpy as np
 
 import fastmimic as fm
 from fastmimic.imitation.rollout import ClosedLoop, nominal_start
-from fastmimic.optimize.problem import available_cores
+from fastmimic.machine import available_cores
 
 REPEATS = 7
 

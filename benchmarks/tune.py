@@ -26,8 +26,8 @@ import fastmimic as fm
 from fastmimic.control.config import ControllerConfig, default_config, pack_config
 from fastmimic.conventions import GRAVITY
 from fastmimic.imitation.rollout import ClosedLoop, perturbed_start, swing_clearance
+from fastmimic.machine import available_cores
 from fastmimic.motion.data import data_folder
-from fastmimic.optimize.problem import available_cores
 
 EPISODES = 2
 EPISODE_S = 4.0

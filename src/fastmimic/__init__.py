@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from fastmimic.motion.clip import Clip
     from fastmimic.motion.motion import Motion
     from fastmimic.motion.retarget import retarget
+    from fastmimic.optimize.randomization import Randomization
     from fastmimic.pipeline import Evaluation, Imitation, evaluate, imitate, load_motion
     from fastmimic.primitive import MotionDmp
     from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
@@ -38,6 +39,7 @@ _WHERE = {
     "Motion": "fastmimic.motion.motion",
     "MotionDmp": "fastmimic.primitive",
     "ROBOT_NAMES": "fastmimic.robot",
+    "Randomization": "fastmimic.optimize.randomization",
     "Robot": "fastmimic.robot",
     "evaluate": "fastmimic.pipeline",
     "imitate": "fastmimic.pipeline",
@@ -60,6 +62,7 @@ __all__ = [
     "Imitation",
     "Motion",
     "MotionDmp",
+    "Randomization",
     "Robot",
     "Stitching",
     "evaluate",

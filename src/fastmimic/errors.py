@@ -36,6 +36,10 @@ class OutputError(FastMimicError):
     """A place that cannot be written to, or that holds something else."""
 
 
+class LogError(FastMimicError):
+    """The log of a run that cannot be read, or that nothing can be learnt from."""
+
+
 class PolicyError(FastMimicError):
     """A policy that is damaged, or made for another robot or motion."""
 

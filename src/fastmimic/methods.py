@@ -8,12 +8,13 @@ see `fastmimic.control.config.CONFIGS`.
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from fastmimic.control.config import CONFIGS, ControllerConfig, controller_config
 from fastmimic.errors import ConfigError, MotionError, did_you_mean
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.problem import FEET_AND_TRUNK, FOOT_HEIGHT, FOOT_PATH, PARAMETER_GROUPS
+from fastmimic.optimize.randomization import Randomization
 
 NOTHING: Final = "none"
 """What a method without a search optimises."""
@@ -126,21 +127,27 @@ def check_controller(method: Method, given: bool) -> None:
 
 
 MADE_WITH: Final = "made_with"
-"""In an optimised motion's `meta`: the `method` and the name of the `config` that it was optimised with."""
+"""In an optimised motion's `meta`: the `method` and the name of the `config` that it was optimised with, and the
+`randomization`, if any."""
 DEFAULT_METHOD: Final = "mbc"
 DEFAULT_CONFIG: Final = "default"
 
 
-def made_with(motion: Motion, method: str, config: ControllerConfig) -> Motion:
+def made_with(
+    motion: Motion, method: str, config: ControllerConfig, randomization: Randomization | None = None
+) -> Motion:
     """The motion with what it was made with in its `meta`.
 
     Args:
         motion: an optimised motion; a demonstration is nobody's, and carries nothing.
         method: one of `METHODS`.
         config: as the method has it. Only the name of a set is kept, and None if it is not as the set of that name.
+        randomization: over which robots it was optimised; None for the robot as it is.
     """
     same = config.name in CONFIGS and method_named(method).configure(CONFIGS[config.name]()) == config
-    record = {"method": method, "config": config.name if same else None}
+    record: dict[str, Any] = {"method": method, "config": config.name if same else None}
+    if randomization is not None:
+        record["randomization"] = randomization.as_dict()
     return dataclasses.replace(motion, meta={**motion.meta, MADE_WITH: record})
 
 

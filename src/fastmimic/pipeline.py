@@ -4,7 +4,7 @@ import math
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
@@ -14,9 +14,18 @@ from numpy.typing import NDArray
 
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.errors import ConfigError, MotionError
+from fastmimic.identification.log import RunLog
 from fastmimic.imitation.observer import EstimationErrors
 from fastmimic.imitation.reward import TERMS
-from fastmimic.imitation.rollout import MakeController, Rollout, perturbed_start, run_episodes, swing_clearance
+from fastmimic.imitation.rollout import (
+    MakeController,
+    Rollout,
+    nominal_start,
+    perturbed_start,
+    run_episodes,
+    run_log,
+    swing_clearance,
+)
 from fastmimic.methods import RL, Method, check_controller, controller_for, made_with, method_named
 from fastmimic.motion.catalogue import open_clip
 from fastmimic.motion.clip import Clip
@@ -25,6 +34,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.motion.retarget import retarget
 from fastmimic.optimize.cma_es import CmaSettings, History, Progress, optimize
 from fastmimic.optimize.problem import Objective, Parameter
+from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization, randomization
 from fastmimic.optimize.stitching import make_problem
 from fastmimic.primitive.rhythmic import N_BASIS
 from fastmimic.robot import Robot, load_robot
@@ -34,6 +44,41 @@ Array = NDArray[np.float64]
 
 EVALUATION_S: Final = 10.0
 """Length of an episode of a motion that repeats, if nothing is said."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """What a search over several robots is worth on robots that it has not met.
+
+    Attributes:
+        randomization: of the search.
+        before, after: an episode with each of the held-out robots, from the motion's start, with the demonstration and
+            with the optimised motion.
+    """
+
+    randomization: Randomization
+    before: Rollout
+    after: Rollout
+
+    def as_dict(self) -> dict[str, Any]:
+        """What was asked for, and what came of it, JSON-serialisable."""
+        return {
+            **self.randomization.as_dict(),
+            "held_out": {
+                "robots": len(self.before.reward),
+                "before": _over_robots(self.before),
+                "after": _over_robots(self.after),
+            },
+        }
+
+
+def _over_robots(rollout: Rollout) -> dict[str, float]:
+    return {
+        "mean": float(rollout.reward.mean()),
+        "std": float(rollout.reward.std()),
+        "worst": float(rollout.reward.min()),
+        "fell": float(rollout.fell.mean()),
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +100,7 @@ class Imitation:
         iterations: generations.
         wall_s: time for all this, s; after a resume, with the time before it.
         interrupted: whether the optimisation was stopped early.
+        held_out: how it fares on other robots; None if candidates met only the robot as it is.
     """
 
     motion: Motion
@@ -73,6 +119,7 @@ class Imitation:
     iterations: int
     wall_s: float
     interrupted: bool
+    held_out: HeldOut | None = field(default=None, kw_only=True)
 
     @property
     def demonstration(self) -> Motion:
@@ -95,6 +142,7 @@ class Imitation:
                 "components_before": before.components(0),
                 "components_after": after.components(0),
             },
+            **({"randomization": self.held_out.as_dict()} if self.held_out is not None else {}),
             "fell": {"before": bool(before.fell[0]), "after": bool(after.fell[0])},
             "drift_m_per_s": {"before": float(before.drift[0]), "after": float(after.drift[0])},
             "swing_clearance_m": {
@@ -156,7 +204,8 @@ def load_motion(source: str | Path | Clip | Motion, robot: Robot | str = "a1", *
     Args:
         source: a `Motion` is returned as it is; a clip is retargeted to the robot.
         robot: the robot.
-        overrides: for clips, as `open_clip` takes them (`fps`, `up`, `scale`, `frames`, `speed`, `yaw_rate`, `duty`).
+        overrides: for clips, as `open_clip` takes them (`fps`, `up`, `point_map`, `scale`, `frames`,
+            `speed`, `yaw_rate`, `duty`).
 
     Raises:
         FastMimicError: nothing of that name, a file that cannot be read, or an override that does not apply.
@@ -196,6 +245,7 @@ def imitate(
     progress: Callable[[Progress], None] | None = None,
     n_basis: int = N_BASIS,
     controller: MakeController | None = None,
+    randomize: int | Randomization | None = None,
     **overrides: Any,
 ) -> Imitation:
     """Turns a motion into one that the robot can execute: retarget, fit DMPs, optimise with the robot in the loop.
@@ -213,6 +263,7 @@ def imitate(
         progress: called after each iteration.
         n_basis: basis functions of each DMP.
         controller: of a trained policy, as in `evaluate`; for the method rl, which optimises nothing.
+        randomize: over which robots each candidate is scored, or just over how many; None for the robot as it is.
         overrides: as in `load_motion`.
 
     Raises:
@@ -223,12 +274,15 @@ def imitate(
     robot = load_robot(robot)
     config = _configured(chosen, config)
     settings = CmaSettings(iterations, population, seed)
+    over = randomization(randomize)
+    if over is not None and not chosen.optimises:
+        raise ConfigError(f"randomisation is of a search, and method '{method}' has none; leave it out")
     began = time.perf_counter()
     given = load_motion(source, robot, **overrides)
     demonstration = given.target
     if demonstration.parts:
         duration_s = (demonstration.n_samples - 1) / demonstration.rate_hz
-    objective = Objective(duration_s=duration_s)
+    objective = Objective(duration_s=duration_s, randomization=over)
     before = run_episodes(robot, demonstration, duration_s=duration_s, config=config, log=True, controller=controller)
     if not chosen.optimises:
         return Imitation(
@@ -260,8 +314,11 @@ def imitate(
     )
     prepared = time.perf_counter() - began
     optimum = optimize(problem, settings, checkpoint=checkpoint, resume=resume, progress=progress)
-    motion = made_with(problem.motion(optimum.x), method, config)
+    motion = made_with(problem.motion(optimum.x), method, config, over)
     after = run_episodes(robot, motion, duration_s=duration_s, config=config, log=True)
+    measured = time.perf_counter()
+    held_out = None if over is None else _held_out(over, motion, robot, duration_s, config)
+    measured_s = 0.0 if held_out is None else time.perf_counter() - measured
     return Imitation(
         motion=motion,
         robot=robot,
@@ -275,11 +332,25 @@ def imitate(
         seed=seed,
         duration_s=duration_s,
         evaluations=optimum.evaluations,
-        simulated_s=optimum.simulated_s + 2 * duration_s,
+        simulated_s=optimum.simulated_s + 2 * duration_s * (1 if over is None else 1 + HELD_OUT_ROBOTS),
         iterations=len(optimum.history.best),
-        wall_s=prepared + optimum.elapsed_s,
+        wall_s=prepared + optimum.elapsed_s + measured_s,
         interrupted=optimum.interrupted,
+        held_out=held_out,
     )
+
+
+def _held_out(
+    over: Randomization, motion: Motion, robot: Robot, duration_s: float, config: ControllerConfig
+) -> HeldOut:
+    """A motion and its demonstration on the robots that nothing was optimised or chosen on."""
+    conditions = Conditions(disturbances=over.held_out(HELD_OUT_ROBOTS))
+    start = nominal_start(HELD_OUT_ROBOTS)
+    before, after = (
+        run_episodes(robot, m, start=start, duration_s=duration_s, config=config, conditions=conditions)
+        for m in (motion.target, motion)
+    )
+    return HeldOut(over, before, after)
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,12 +362,27 @@ class Evaluation:
         rollout: its episodes.
         method: one of `fastmimic.methods.METHODS`: whose controller ran it.
         config: the controller's parameters, as the method has them.
+        robot: the robot's name.
+        conditions: under which it ran.
     """
 
     motion: Motion
     rollout: Rollout
     method: str
     config: ControllerConfig
+    robot: str
+    conditions: Conditions
+
+    def run_log(self, episode: int = 0) -> RunLog:
+        """What the robot's own computer knew of an episode, for `fastmimic.identification.identify.identify`.
+
+        Raises:
+            ConfigError: the evaluation kept no log, or its controller was told the truth.
+        """
+        if self.rollout.log is None:
+            raise ConfigError("the evaluation kept no log; call evaluate(…, log=True)")
+        latency = self.conditions.estimator.latency_s
+        return run_log(self.rollout.log, episode, robot=self.robot, motion=self.motion.name, latency_s=latency)
 
     def as_dict(self) -> dict[str, Any]:
         """Figures over all episodes; means over legs and episodes where there are several."""
@@ -394,7 +480,7 @@ def evaluate(
         conditions=conditions,
         controller=controller,
     )
-    return Evaluation(motion, rollout, chosen.name, config)
+    return Evaluation(motion, rollout, chosen.name, config, robot.name, conditions or Conditions())
 
 
 def default_duration(motion: Motion, seconds: float) -> float:

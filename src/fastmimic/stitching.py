@@ -23,6 +23,7 @@ from fastmimic.motion.stitch import stitch_motions
 from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.optimize.cma_es import CmaSettings, Progress
 from fastmimic.optimize.problem import FOOT_HEIGHT
+from fastmimic.optimize.randomization import Randomization, randomization
 from fastmimic.optimize.stitching import StitchedProblem, needed_group, parameters_of
 from fastmimic.pipeline import Imitation, imitate, load_motion
 from fastmimic.robot import Robot, load_robot
@@ -76,6 +77,7 @@ def stitch(
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
     stage: Callable[[str], None] | None = None,
+    randomize: int | Randomization | None = None,
 ) -> Stitching:
     """Stitches motions and optimises all their DMPs together, from each one's own optimum.
 
@@ -103,6 +105,7 @@ def stitch(
             the motions' own are only read.
         progress: called after each iteration.
         stage: called with what begins.
+        randomize: as in `imitate`, of the motions by themselves and of the whole.
 
     Raises:
         FastMimicError: something is wrong with what was given; the message says what.
@@ -116,6 +119,9 @@ def stitch(
     for generations in (iterations, part_iterations):  # refuses what cannot be, before anything takes long
         if generations is not None:
             CmaSettings(generations, population if population is not None else PART_POPULATION, seed)
+    over = randomization(randomize)
+    if over is not None and not chosen.optimises:
+        raise ConfigError(f"randomisation is of a search, and method '{method}' has none; leave it out")
     if workers is not None and workers < 1:
         raise ConfigError(f"workers must be at least 1, found {workers}")
     if isinstance(cycles, int) and cycles < 1:
@@ -140,6 +146,7 @@ def stitch(
                 "seed": seed,
                 "workers": workers,
                 "progress": progress,
+                "randomize": over,
             }
             parts = _optimised_parts(motions, robot, part_iterations, checkpoints, resume, settings, say)
         found = [parts.values.get(id(m)) for m in motions]
@@ -172,6 +179,7 @@ def stitch(
         checkpoint=checkpoint,
         resume=resume and checkpoint is not None and checkpoint.is_file(),
         progress=progress,
+        randomize=over,
     )
     elsewhere += time.perf_counter() - imitated
     own = {field.name: getattr(result, field.name) for field in fields(Imitation)}

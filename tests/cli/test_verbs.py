@@ -24,7 +24,7 @@ from fastmimic.primitive import MotionDmp
 from fastmimic.report import Track
 from fastmimic.report.offscreen import NoRendererError, Offscreen
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
-from motion.sample_files import csv_text, keypoint_text
+from motion.sample_files import csv_text, keypoint_text, take_text
 
 EVALUATION_KEYS = {
     *("reward_mean", "reward_std", "components", "fell", "drift_m_per_s"),
@@ -40,6 +40,31 @@ def test_evaluate_json_is_one_object_and_nothing_else(run: Run) -> None:
     assert 0 < found["reward_mean"] <= 1
     assert found["reward_std"] == 0  # of one episode
     assert len(found["swing_clearance_m"]) == 4
+
+
+def test_segment_lists_prints_and_draws_what_repeats(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "take.txt").write_text(take_text(open_clip("trot"), cycles=4))
+    done = run("segment", tmp_path / "take.txt", "--figure", tmp_path / "take.png")
+    assert done.status == 0
+    assert re.search(r"0:\d+ +trot +trot", done.out)
+    assert re.search(r"fastmimic imitate .*take.txt --frames \d+:\d+", done.err)
+    assert (tmp_path / "take.png").read_bytes()[:4] == b"\x89PNG"
+    (found,) = json.loads(run("segment", tmp_path / "take.txt", "--json").out)["segments"]
+    assert set(found) >= {"start", "end", "period_frames", "gait", "confidence", "speed_m_s", "yaw_rate_rad_s"}
+    first, end = found["cycle"]
+    again = run("inspect", tmp_path / "take.txt", "--frames", f"{first}:{end}")
+    assert again.status == 0
+
+
+def test_segment_refuses_what_is_no_take(run: Run, tmp_path: Path) -> None:
+    for arguments, words in (
+        (("trott",), "did you mean 'trot'"),
+        (("dog:nothing",), "dog:"),
+        (("trot", "--figure", tmp_path / "x.gif"), ".png"),
+    ):
+        done = run("segment", *arguments)
+        assert (done.status, len(done.err.strip().splitlines())) == (2, 1)
+        assert words in done.err
 
 
 def test_evaluate_of_several_episodes_depends_on_the_seed_alone(run: Run) -> None:

@@ -27,7 +27,8 @@ def test_sets_are_found_by_name_and_know_it(name: str) -> None:
 
 def test_an_unknown_set_is_refused_with_the_names_there_are() -> None:
     with pytest.raises(
-        ConfigError, match="unknown configuration 'defualt'; there are default, paper; did you mean 'default'"
+        ConfigError,
+        match=r"unknown configuration 'defualt'; there are default, paper, or a file .* did you mean 'default'",
     ):
         controller_config("defualt")
 

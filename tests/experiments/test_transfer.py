@@ -12,10 +12,12 @@ from control.motions import gait
 from fastmimic.experiments.entrants import Entrant, Search, make_entrant
 from fastmimic.experiments.transfer import (
     COLUMNS,
+    IDENTIFIED,
     LAST,
     SIMULATION,
     STAGES,
     TransferSettings,
+    identified_config,
     run_trials,
     to_csv,
     transfer_table,
@@ -66,6 +68,32 @@ class TestTrials:
         assert not start.sample.any()
         assert np.all(np.abs(start.joint_offset).max(axis=1) > 0.01)
         np.testing.assert_array_equal(trial_starts(2, 0).joint_offset, start.joint_offset[:2])
+
+
+class TestIdentified:
+    def test_the_controller_is_told_what_another_run_says(
+        self, rows: list[dict[str, Any]], entrant: Entrant, robot: Robot, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        from fastmimic.experiments import transfer
+
+        monkeypatch.setattr(transfer, "IDENTIFICATION_S", 1.2)
+        told = identified_config(entrant, robot, SETTINGS)
+        assert told.robot == robot.name
+        assert told.stance.friction <= entrant.config.stance.friction
+        found = run_trials(entrant, robot, TransferSettings(trials=2, duration_s=0.6, identify=True))
+        assert found[: len(rows)] == rows
+        assert [(row["stage"], row["trial"]) for row in found[len(rows) :]] == [("identified", 0), ("identified", 1)]
+
+    def test_has_a_column_of_its_own(self) -> None:
+        rows = TestResults().made_up()
+        rows += [
+            {**row, "stage": IDENTIFIED.name, "reward": 0.76, "fell": False} for row in rows if row["stage"] == LAST
+        ]
+        table = transfer_table(rows, 0)
+        assert "| (c) all | (c) identified | change to (c) identified |" in table
+        assert "0.400 ± 0.200, 1 of 2 fell | 0.760 ± 0.000 | -5 % |" in table
+        labels = [text.get_text() for text in transfer_figure(rows).legends[0].get_texts()]
+        assert "(c) identified" in labels
 
 
 class TestResults:

@@ -5,10 +5,16 @@ from pathlib import Path
 
 import numpy as np
 
+from fastmimic.motion.clip import POINT_NAMES, Clip
 from fastmimic.motion.formats.csv_motion import COLUMN_NAMES
 from fastmimic.motion.motion import Motion
 
 UP, FORWARD, LEFT = 1, 2, 0  # axes of a y-up keypoint file: x left, y up, z forward
+KEYPOINT_COLUMNS = {
+    **{0: "pelvis", 3: "neck"},
+    **{6: "FL_hip", 11: "FR_hip", 16: "RL_hip", 20: "RR_hip"},
+    **{10: "FL_toe", 15: "FR_toe", 19: "RL_toe", 23: "RR_toe"},
+}
 TOE_HEIGHT, HIP_HEIGHT = 0.02, 0.37
 
 
@@ -39,6 +45,17 @@ def table_text(values: np.ndarray, separator: str = ",\t") -> str:
 
 def keypoint_text(n_frames: int = 12) -> str:
     return table_text(keypoint_values(n_frames))
+
+
+def take_text(clip: Clip, cycles: int) -> str:
+    """Several cycles of a straight gait as a keypoint file of 60 frames a second."""
+    points = clip.points_w
+    step = (points[-1] - points[0])[:2].mean(axis=0) * clip.n_frames / (clip.n_frames - 1)
+    take = np.concatenate([points + k * step for k in range(cycles)])[:: round(clip.rate_hz / 60)]
+    values = np.zeros((len(take), 27, 3))
+    for index, name in KEYPOINT_COLUMNS.items():
+        values[:, index, [FORWARD, LEFT, UP]] = take[:, POINT_NAMES.index(name)]
+    return table_text(values)
 
 
 STANDING = [0.0, 0.8, -1.6] * 4  # rad; the A1's crouch

@@ -134,7 +134,7 @@ class Bowl:
     class Config:
         rate_hz = 500.0
 
-    config, identity, steps = Config(), "bowl", 500
+    config, identity, steps, randomization = Config(), "bowl", 500, None
 
     def __init__(self) -> None:
         self.bounds = np.full(8, -0.03), np.array([0.03] * 4 + [1.8] * 4)

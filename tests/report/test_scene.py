@@ -47,13 +47,13 @@ def test_a_floor_and_lights_of_the_users_own_model_are_left_out(a1: Robot, tmp_p
     path.write_text(a1.xml.replace("<worldbody>", own))
     stage = build_stage(load_robot(path), ghost=False, width=64, height=48, floor=FLOOR)
     planes = np.flatnonzero(stage.model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
-    assert [stage.model.geom(i).name for i in planes] == ["ground"]
+    assert [stage.model.geom(i).name for i in planes] == []  # the ground is tiles
     assert (stage.model.nlight, stage.model.ncam) == (1, 0)
 
 
 def test_the_ground_reaches_beyond_the_whole_path(a1: Robot) -> None:
     path = np.array([[-40.0, 0.0], [60.0, 10.0]])
-    ground = build_stage(a1, ghost=False, width=64, height=48, floor=path).model.geom("ground")
+    ground = build_stage(a1, ghost=False, width=64, height=48, floor=path, quality=HIGH).model.geom("ground")
     assert np.all(ground.pos[:2] - ground.size[:2] < path[0] - 10)
     assert np.all(ground.pos[:2] + ground.size[:2] > path[1] + 10)
 
@@ -75,18 +75,33 @@ def test_decoration_casts_no_shadow_but_hidden_collision_geometry_does_not_repla
     assert not shown[stage.model.geom("robot/trunk").id]
 
 
-def test_tiles_are_as_large_as_asked_for_and_lie_on_the_ground(a1: Robot) -> None:
-    stage = build_stage(a1, ghost=False, width=64, height=48, floor=FLOOR, tile=0.4)
-    assert stage.tiles is not None
-    geom, mesh = stage.model.geom(stage.tiles), stage.model.mesh("tiles")
-    first = stage.model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]].astype(float)
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, geom.quat)
-    corners = first @ rotation.reshape(3, 3).T + geom.pos
-    np.testing.assert_allclose(corners[:, 2], 0.001, atol=1e-6)
-    np.testing.assert_allclose(corners[:, :2] / 0.4, np.round(corners[:, :2] / 0.4), atol=1e-4)
+def test_tiles_are_as_large_as_asked_for_and_cover_the_ground_once(a1: Robot) -> None:
+    model = (stage := build_stage(a1, ghost=False, width=64, height=48, floor=FLOOR, tile=0.4)).model
+    areas, columns = [], []
+    for tiles in stage.tiles:
+        geom, mesh = model.geom(tiles), model.mesh(model.geom_dataid[tiles])
+        first, faces = mesh.vertadr[0], mesh.faceadr[0]
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, geom.quat)
+        vertices = model.mesh_vert[first : first + mesh.vertnum[0]].astype(float)
+        corners = vertices @ rotation.reshape(3, 3).T + geom.pos
+        np.testing.assert_allclose(corners[:, 2], 0.0, atol=1e-6)
+        triangles = corners[model.mesh_face[faces : faces + mesh.facenum[0]]]
+        tiled = np.abs(triangles[..., :2]).max(axis=(1, 2)) < 8.5  # the rest is ground without a pattern
+        middle = (triangles[tiled].min(axis=1) + triangles[tiled].max(axis=1))[:, :2] / 2
+        np.testing.assert_allclose(middle / 0.4 - 0.5, np.round(middle / 0.4 - 0.5), atol=1e-4)
+        columns.append(set(map(tuple, np.round(middle / 0.4 - 0.5).astype(int).tolist())))
+        area = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])[:, 2] / 2
+        assert area.min() > 0  # all face up
+        areas.append(area.sum())
+    assert not columns[0] & columns[1]
+    assert {(x + y) % 2 for x, y in columns[0]} == {0}
+    assert sum(areas) == pytest.approx(44.0**2)
+
+
+def test_high_quality_has_its_pattern_as_a_texture(a1: Robot) -> None:
     textured = build_stage(a1, ghost=False, width=64, height=48, floor=FLOOR, quality=HIGH)
-    assert textured.tiles is None
+    assert textured.tiles == ()
     assert textured.model.ntex == 1
 
 

@@ -16,8 +16,9 @@ from fastmimic.errors import ConfigError, OutputError
 from fastmimic.motion.catalogue import open_clip
 from fastmimic.motion.skeleton import KEYPOINTS
 from fastmimic.pipeline import load_motion
-from fastmimic.report import AnimalTrack, Track, render_video
+from fastmimic.report import AnimalTrack, Track, render_video, video
 from fastmimic.report.animal import animal_track
+from fastmimic.report.offscreen import Offscreen, in_any_thread
 from fastmimic.report.playback import resample
 from fastmimic.robot import Robot
 
@@ -39,6 +40,38 @@ def test_video_has_the_length_size_and_format_asked_for(a1: Robot, walk: Walk, t
     assert "h264" in stream_facts(path)
     assert "yuv420p" in stream_facts(path)  # what browsers and slides can play
     assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.usefixtures("opengl")
+@pytest.mark.skipif(not in_any_thread(), reason="contexts of this OpenGL belong to one thread")
+def test_frames_are_the_same_however_many_draw_them(
+    a1: Robot, walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = replace(walk(0.3), ghost=walk(0.3, offset_m=0.1))
+    made = []
+    for painters in (1, 3):
+        monkeypatch.setattr(video, "_painters", lambda frames, painters=painters: painters)
+        path = tmp_path / f"{painters}.mp4"
+        render_video(a1, [track, track], path, rate_hz=RATE_HZ, fps=25, size=SIZE)
+        made.append(read_video(path))
+    assert len(made[0]) == 8
+    assert np.abs(np.diff(made[0].astype(int), axis=0)).max() > 50  # they differ from each other
+    np.testing.assert_array_equal(*made)
+
+
+@pytest.mark.usefixtures("opengl")
+def test_a_failure_while_drawing_is_told_and_leaves_no_file(
+    a1: Robot, walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(panel: object, frame: int) -> None:
+        if frame == 3:
+            raise RuntimeError("no such scene")
+
+    monkeypatch.setattr(video._Panel, "scene", fail)
+    monkeypatch.setattr(Offscreen, "draw", lambda self, scenes, columns: np.zeros((180, 320, 3), np.uint8))
+    with pytest.raises(RuntimeError, match="no such scene"):
+        render_video(a1, [walk(0.3)], tmp_path / "v.mp4", rate_hz=RATE_HZ, fps=25, size=SIZE)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.usefixtures("opengl")

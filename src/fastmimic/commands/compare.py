@@ -47,7 +47,7 @@ class Compare:
     """Also variants of mbc-dmp, each with one part taken away or changed."""
     robot: Annotated[str, arg(metavar="NAME|FILE.xml")] = DEFAULT_ROBOT
     """a1, go1, go2, or the MJCF of your own."""
-    config: Annotated[str, arg(metavar="default|paper")] = "default"
+    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
     """The controller's parameters: ours, or the paper's form."""
     iterations: int = 200
     """Generations of CMA-ES."""
@@ -69,7 +69,7 @@ class Compare:
         check_duration(self.duration)
         plan = self._plan()
         from fastmimic.experiments.compare import prepare
-        from fastmimic.optimize.problem import available_cores
+        from fastmimic.machine import available_cores
         from fastmimic.report.comparison_folder import open_comparison
 
         workers = self.workers if self.workers is not None else available_cores()

@@ -33,9 +33,16 @@ def _column(metrics: dict[str, Any], column: str) -> dict[str, str]:
     reward, clearance = metrics["reward"], metrics["swing_clearance_m"]
     share = least_share(clearance[column], clearance["demonstration"])
     cells = {"reward": f"{reward[column]:.3f}"}
+    if "randomization" in metrics:
+        others = metrics["randomization"]["held_out"]
+        over = others[column]
+        cells[f"  over {others['robots']} other robots"] = f"{over['mean']:.3f}"
+        cells["  with the worst of them"] = f"{over['worst']:.3f}"
     for term, value in reward[f"components_{column}"].items():
         cells[f"  {term.replace('_', ' ')}"] = f"{value:.3f}"
     cells["fell"] = "yes" if metrics["fell"][column] else "no"
+    if "randomization" in metrics:
+        cells["  of the other robots"] = f"{metrics['randomization']['held_out'][column]['fell']:.0%}"
     cells["swing clearance, least share"] = NONE if share is None else f"{share:.0%}"
     cells["drift, m/s"] = f"{metrics['drift_m_per_s'][column]:.3f}"
     cells["early contacts, 1/s"] = f"{metrics['early_contacts_per_s'][column]:.1f}"

@@ -8,8 +8,9 @@ from typing import Annotated, Any
 from tyro.conf import Positional, UseAppendAction, arg
 
 from fastmimic.commands.console import put, slow_start, table
-from fastmimic.commands.options import MotionOptions, check_duration, policy_controller
+from fastmimic.commands.options import MotionOptions, check_duration, check_writable, policy_controller
 from fastmimic.conventions import LEGS
+from fastmimic.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +32,7 @@ class Evaluate(MotionOptions):
     method: Annotated[str | None, arg(metavar="NAME")] = None
     """Whose controller: raibert, mbc, lh; by default that with which the motion was optimised, or mbc. The motion is
     run as it is."""
-    config: Annotated[str | None, arg(metavar="default|paper")] = None
+    config: Annotated[str | None, arg(metavar="default|paper|FILE")] = None
     """The controller's parameters; by default those with which the motion was optimised, or "default"."""
     policy: Annotated[Path | None, arg(metavar="FILE")] = None
     """A trained policy (policy.npz of 'fastmimic train') in place of a method's controller."""
@@ -42,6 +43,9 @@ class Evaluate(MotionOptions):
     disturb: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=VALUE")] = ()
     """What is not as the controller expects, such as payload=2 (kg) or friction=0.4; may be given several times. An
     unknown NAME lists them all."""
+    log: Annotated[Path | None, arg(metavar="FILE.npz")] = None
+    """Write what the robot's own computer knew of episode 0, for 'fastmimic identify': readings, commands, estimates,
+    no truth. Needs --observe sensors."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
@@ -59,6 +63,10 @@ class Evaluate(MotionOptions):
             seed=self.seed,
             disturbances=tuple(parse_disturbance(text) for text in self.disturb),
         )
+        if self.log is not None:
+            check_writable(self.log, ".npz")
+            if self.observe != "sensors":
+                raise ConfigError("--log writes what a robot's sensors say; add --observe sensors")
         robot, motion = self.load(self.motion)
         controller = None if self.policy is None else policy_controller(self.policy, robot, motion)
         with slow_start():
@@ -72,7 +80,10 @@ class Evaluate(MotionOptions):
                 config=self.config,
                 controller=controller,
                 conditions=conditions,
+                log=self.log is not None,
             )
+        if self.log is not None:
+            evaluation.run_log().save(self.log)
         figures = evaluation.as_dict()
         figures |= {
             "simulator": conditions.simulator,
@@ -85,6 +96,8 @@ class Evaluate(MotionOptions):
                 put(line)
             if conditions.simulator != "mujoco" or conditions.disturbances:
                 put(f"in {conditions.simulator}; disturbances: {names_of(conditions.disturbances) or 'none'}")
+            if self.log is not None:
+                put(f"log in {self.log}")
         return 0
 
 

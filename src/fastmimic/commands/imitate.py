@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from tyro.conf import Positional, arg
 
 from fastmimic.commands.console import note, optimisation_progress
-from fastmimic.commands.options import MotionOptions, check_duration
+from fastmimic.commands.options import MotionOptions, RandomizeOptions, check_duration
 from fastmimic.commands.outcome import about, report
 from fastmimic.errors import ConfigError
 
@@ -26,7 +26,7 @@ _NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Imitate(MotionOptions):
+class Imitate(MotionOptions, RandomizeOptions):
     """Turns a motion into one that the robot can execute: retargets it, fits DMPs, and optimises them with
     the robot and its controller in the loop.
 
@@ -38,7 +38,7 @@ class Imitate(MotionOptions):
     """A name of 'fastmimic motions', or a file."""
     method: Annotated[str, arg(metavar="NAME")] = "mbc-dmp"
     """mbc-dmp, lh-dmp: the motion's DMPs are optimised; mbc, lh: not; raibert: feet step by a rule. lh looks ahead."""
-    config: Annotated[str, arg(metavar="default|paper")] = "default"
+    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
     """The controller's parameters: ours, or the paper's form."""
     duration: Annotated[float, arg(metavar="S")] = 5.0
     """Length of an episode."""
@@ -77,6 +77,8 @@ class Imitate(MotionOptions):
         check_controller(method_named(method), False)
         if not method_named(method).optimises and self.resume:
             raise ConfigError("--resume goes on with an optimisation; without one there is nothing to resume")
+        if self.randomization() is not None and not method_named(method).optimises:
+            raise ConfigError(f"--randomize is of a search, and method '{method}' has none; leave it out")
         began = time.perf_counter()
         robot, motion = self.load(self.motion)
         loading_s = time.perf_counter() - began
@@ -112,6 +114,7 @@ class Imitate(MotionOptions):
                     checkpoint=folder.checkpoint,
                     resume=self.resume,
                     progress=progress,
+                    randomize=self.randomization(),
                 )
         except KeyboardInterrupt:
             if folder.checkpoint.exists():
@@ -125,6 +128,7 @@ class Imitate(MotionOptions):
         from fastmimic.pipeline import versions
 
         arguments = {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(self).items()}
+        arguments = self.recorded(arguments)
         arguments.pop("no_optimize")
         return {
             "arguments": arguments | {"method": method},

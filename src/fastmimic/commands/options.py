@@ -13,6 +13,7 @@ from fastmimic.errors import ConfigError, OutputError, PolicyError
 if TYPE_CHECKING:
     from fastmimic.imitation.rollout import MakeController
     from fastmimic.motion.motion import Motion
+    from fastmimic.optimize.randomization import Randomization
     from fastmimic.robot import Robot
 
 DEFAULT_ROBOT: Final = "a1"
@@ -31,6 +32,8 @@ class MotionOptions:
     """Frames a second of a clip file, in place of what it says."""
     up: Annotated[str | None, arg(metavar="y|z")] = None
     """Vertical axis of a clip file, in place of what its points show."""
+    point_map: Annotated[Path | None, arg(metavar="FILE.json")] = None
+    """Which of a BVH's joints, or of a table's points by name, neck, pelvis, hips and toes are."""
     scale: Annotated[float | None, arg(metavar="FACTOR")] = None
     """From the animal's size to the robot's, in place of the ratio of leg lengths."""
     speed: Annotated[float | None, arg(metavar="M/S")] = None
@@ -46,6 +49,7 @@ class MotionOptions:
             "frames": None if self.frames is None else parse_frames(self.frames),
             "fps": self.fps,
             "up": self.up,
+            "point_map": self.point_map,
             "scale": self.scale,
             "speed": self.speed,
             "yaw_rate": self.yaw_rate,
@@ -66,6 +70,45 @@ class MotionOptions:
         from fastmimic.robot import load_robot
 
         return load_robot(self.robot or robot_of(source) or DEFAULT_ROBOT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomizeOptions:
+    """Over which robots a search scores its candidates."""
+
+    randomize: Annotated[tuple[str, ...] | None, arg(metavar="[N]")] = None
+    """Score each candidate over N robots (by default 4): the robot as it is, and others that all candidates of an
+    iteration meet. The search takes N times as long."""
+    randomize_over: Annotated[tuple[str, ...], arg(metavar="NAME[=LOWER:UPPER] ...")] = ()
+    """In what they differ, such as friction payload=0:3; by default ground, load and motors."""
+    criterion: Annotated[str | None, arg(metavar="mean|worst")] = None
+    """What their scores are worth together; by default the mean."""
+
+    def randomization(self) -> "Randomization | None":
+        """What was asked for; raises `ConfigError`."""
+        if self.randomize is None:
+            for name, given in (("randomize-over", self.randomize_over), ("criterion", self.criterion)):
+                if given:
+                    raise ConfigError(f"--{name} is of the robots of a randomised search; add --randomize")
+            return None
+        from fastmimic.optimize.randomization import Randomization
+
+        number = " ".join(self.randomize)
+        if not re.fullmatch(r"\d*", number):
+            raise ConfigError(f"--randomize takes one number of robots, or none for 4; found '{number}'")
+        options: dict[str, Any] = {"robots": int(number)} if number else {}
+        if self.randomize_over:
+            options["over"] = self.randomize_over
+        if self.criterion is not None:
+            options["criterion"] = self.criterion
+        return Randomization(**options)
+
+    def recorded(self, arguments: dict[str, Any]) -> dict[str, Any]:
+        """A verb's arguments for `config.json`: these three as one, with what they stand for; None without them."""
+        for name in ("randomize", "randomize_over", "criterion"):
+            arguments.pop(name)
+        chosen = self.randomization()
+        return arguments | {"randomize": None if chosen is None else chosen.as_dict()}
 
 
 def robot_of(source: str) -> str | None:

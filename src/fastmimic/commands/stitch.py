@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from tyro.conf import Positional, arg
 
 from fastmimic.commands.console import note, optimisation_progress, put, table
-from fastmimic.commands.options import DEFAULT_ROBOT, robot_of
+from fastmimic.commands.options import DEFAULT_ROBOT, RandomizeOptions, robot_of
 from fastmimic.commands.outcome import report
 from fastmimic.errors import ConfigError
 
@@ -27,7 +27,7 @@ _NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stitch:
+class Stitch(RandomizeOptions):
     """Joins motions to one, each repeated several times, and optimises the DMPs of all of them together, starting
     from each one's own optimum. Motions that are not optimised yet are optimised by themselves first.
 
@@ -44,7 +44,7 @@ class Stitch:
     """a1, go1, go2, or the MJCF of your own; by default that of the first optimised motion, or a1."""
     method: Annotated[str, arg(metavar="NAME")] = "mbc-dmp"
     """mbc-dmp and lh-dmp optimise; mbc, lh and raibert follow the stitched motion as its motions are."""
-    config: Annotated[str, arg(metavar="default|paper")] = "default"
+    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
     """The controller's parameters: ours, or the paper's form."""
     iterations: int = 200
     """Generations of CMA-ES on the whole."""
@@ -84,6 +84,8 @@ class Stitch:
         quality_named(self.quality)
         if not method_named(self.method).optimises and self.resume:
             raise ConfigError("--resume goes on with an optimisation; without one there is nothing to resume")
+        if self.randomization() is not None and not method_named(self.method).optimises:
+            raise ConfigError(f"--randomize is of a search, and method '{self.method}' has none; leave it out")
         robot = load_robot(self.robot or self._robot_of_motions() or DEFAULT_ROBOT)
         names = "+".join(self._name_of(m) for m in self.motions)
         name = re.sub(r"[^\w.+-]+", "-", f"{names}-{robot.name}-{self.method}-{self.seed}")
@@ -128,6 +130,7 @@ class Stitch:
                     resume=self.resume,
                     progress=lambda step: bar(step),
                     stage=stage,
+                    randomize=self.randomization(),
                 )
             except KeyboardInterrupt:
                 if folder.checkpoints:
@@ -157,6 +160,7 @@ class Stitch:
         from fastmimic.pipeline import versions
 
         arguments = {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(self).items()}
+        arguments = self.recorded(arguments)
         arguments |= {"motions": list(self.motions), "cycles": list(self.cycles)}
         return {
             "arguments": arguments,

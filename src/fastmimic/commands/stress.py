@@ -43,7 +43,7 @@ class Stress(MotionOptions):
     """What the controller sees."""
     seed: int = 0
     """Of the phases that episodes begin at, the sensors' errors, uneven ground, and CMA-ES."""
-    config: Annotated[str, arg(metavar="default|paper")] = "default"
+    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
     """The controller's parameters."""
     policy: Annotated[Path | None, arg(metavar="FILE")] = None
     """A trained policy, for the method rl."""

@@ -71,7 +71,7 @@ class Train(MotionOptions):
         from fastmimic.learning.learner import check_installed, choose_device
         from fastmimic.learning.training import train
         from fastmimic.learning.training_folder import CHECKPOINT, open_training
-        from fastmimic.optimize.problem import available_cores
+        from fastmimic.machine import available_cores
 
         settings = self._settings()
         check_installed()

@@ -39,7 +39,7 @@ class Transfer(MotionOptions):
     """Length of each."""
     seed: int = 0
     """Of the starts, the sensors' errors and CMA-ES."""
-    config: Annotated[str, arg(metavar="default|paper")] = "default"
+    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
     """The controller's parameters."""
     policy: Annotated[Path | None, arg(metavar="FILE")] = None
     """A trained policy of the motion, for the method rl."""
@@ -47,6 +47,8 @@ class Transfer(MotionOptions):
     """Generations of CMA-ES where a method optimises."""
     population: int = 10
     """Candidates in each."""
+    identify: bool = False
+    """Run (c) once more with friction and payload identified from one run there, as one would on a robot."""
     out: Annotated[Path, arg(metavar="FOLDER")] = OUT
     """Where everything goes. A folder with trials is refused unless --resume or --overwrite."""
     resume: bool = False
@@ -69,7 +71,7 @@ class Transfer(MotionOptions):
             raise ConfigError("a policy is for one motion; run the motions one after another")
         check_methods(self.methods, self.policy is not None)
         settings = TransferSettings(
-            self.trials, self.duration, self.seed, self.config, self.iterations, self.population
+            self.trials, self.duration, self.seed, self.config, self.iterations, self.population, self.identify
         )
         loaded = [self.load(source) for source in self.motions]
         names = [motion.name for _, motion in loaded]

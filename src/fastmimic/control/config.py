@@ -149,6 +149,19 @@ class SwingConfig:
     swing_height: float = 0.05
 
 
+@dataclass(frozen=True)
+class LoadConfig:
+    """A payload that the controller knows of.
+
+    Attributes:
+        mass: on the trunk, kg.
+        position: of its centre, body frame, m.
+    """
+
+    mass: float = 0.0
+    position: Vector3 = (0.0, 0.0, 0.0)
+
+
 def _horizon_checks(horizon: HorizonConfig, rate_hz: float, used: bool) -> tuple[tuple[bool, str], ...]:
     """What a horizon must satisfy, and what to say where it does not; its rates matter only where it is used."""
     weights = (*horizon.position_weight, *horizon.velocity_weight)
@@ -184,13 +197,13 @@ def _number_checks(config: "ControllerConfig") -> list[tuple[bool, str]]:
     """That every number is finite, and that none is negative that is a gain, a time, a share or a limit: all of them
     but the feedback of the swing feet, which may point either way."""
     found = []
-    for part in ("", "gait", "stance", "swing"):
+    for part in ("", "gait", "stance", "swing", "load"):
         settings = getattr(config, part) if part else config
         for field in dataclasses.fields(settings):
             value, name = getattr(settings, field.name), f"{part}.{field.name}" if part else field.name
             numbers = [v for v in (value if isinstance(value, tuple) else (value,)) if isinstance(v, int | float)]
             found.append((all(math.isfinite(v) for v in numbers), f"{name} must be finite"))
-            if not field.name.endswith("feedback"):
+            if not field.name.endswith(("feedback", "position")):
                 found.append((all(v >= 0 for v in numbers), f"{name} must not be negative"))
     return found
 
@@ -202,6 +215,8 @@ class ControllerConfig:
     Attributes:
         rate_hz: control steps a second.
         joint_margin: distance from the joint limits that commanded positions keep, rad.
+        robot: the only one that they are for; empty for parameters of all robots.
+        load: a payload.
     """
 
     name: str = "default"
@@ -211,6 +226,8 @@ class ControllerConfig:
     stance: StanceConfig = dataclasses.field(default_factory=StanceConfig)
     horizon: HorizonConfig = dataclasses.field(default_factory=HorizonConfig)
     swing: SwingConfig = dataclasses.field(default_factory=SwingConfig)
+    robot: str = ""
+    load: LoadConfig = dataclasses.field(default_factory=LoadConfig)
 
     def __post_init__(self) -> None:
         checks = (
@@ -229,14 +246,20 @@ class ControllerConfig:
             *_horizon_checks(self.horizon, self.rate_hz, self.stance.forces == "horizon"),
             (self.swing.foothold in FOOTHOLDS, f"swing.foothold must be one of {', '.join(FOOTHOLDS)}"),
             (self.swing.swing_time > 0, "swing.swing_time must be positive"),
+            (len(self.load.position) == 3, "load.position must have three numbers"),
         )
         for ok, message in checks:
             if not ok:
                 raise ConfigError(f"controller configuration '{self.name}': {message}")
 
     def as_dict(self) -> dict[str, Any]:
-        """Nested plain values, JSON-serialisable."""
-        return dataclasses.asdict(self)
+        """Nested plain values, JSON-serialisable. What is there for one robot only is left out where it is not used, so
+        that parameters of all robots have the same values, and the same digest, as ever."""
+        found = dataclasses.asdict(self)
+        for name, unused in (("robot", ""), ("load", LoadConfig())):
+            if getattr(self, name) == unused:
+                del found[name]
+        return found
 
 
 def default_config() -> ControllerConfig:
@@ -271,10 +294,19 @@ CONFIGS: Final = {"default": default_config, "paper": paper_config}
 
 
 def controller_config(name: str) -> ControllerConfig:
-    """Returns the configuration of that name; raises `ConfigError` if there is none."""
+    """Returns the configuration of that name, or that in a file (`.json`, see `fastmimic.control.config_file`).
+
+    Raises:
+        ConfigError: there is none, or the file cannot be read.
+    """
+    if name.endswith(".json"):
+        from fastmimic.control.config_file import read_config
+
+        return read_config(name)
     if name not in CONFIGS:
         raise ConfigError(
-            f"unknown configuration '{name}'; there are {', '.join(CONFIGS)}{did_you_mean(name, CONFIGS)}"
+            f"unknown configuration '{name}'; there are {', '.join(CONFIGS)}, or a file"
+            f" (.json){did_you_mean(name, CONFIGS)}"
         )
     return CONFIGS[name]()
 

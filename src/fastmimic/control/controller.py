@@ -16,6 +16,7 @@ from fastmimic.control.gait import plan_leg
 from fastmimic.control.horizon import FORESIGHT, PLAN, plan_forces, track_plan
 from fastmimic.control.horizon import MAX_CONSTRAINTS as HORIZON_CONSTRAINTS
 from fastmimic.control.horizon import MAX_VARIABLES as HORIZON_VARIABLES
+from fastmimic.control.load import loaded_robot
 from fastmimic.control.reference import stack_tables
 from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, invert_symmetric_3x3, stance_forces
 from fastmimic.control.state import COMMAND, MEMORY, pack_model
@@ -388,10 +389,16 @@ class Controller:
             config: parameters; the default configuration if None.
 
         Raises:
-            ConfigError: the references' rate is not the controller's, or there are neither 1 nor n of them.
+            ConfigError: the references' rate is not the controller's, there are neither 1 nor n of them, or the
+                parameters are for another robot.
             MotionError: the references differ in length.
         """
         self.config = config if config is not None else default_config()
+        if self.config.robot not in ("", robot.name):
+            raise ConfigError(
+                f"controller configuration '{self.config.name}' is for robot '{self.config.robot}', not '{robot.name}'"
+            )
+        robot = loaded_robot(robot, self.config.load)
         if len(motions) not in (1, n):
             raise ConfigError(f"{n} robots need 1 or {n} references, found {len(motions)}")
         for motion in motions:

@@ -86,7 +86,7 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
     table["joint_acc"] = _difference(motion.joint_vel, dt, 0.0 if periodic else None)
     table["foot_pos"] = motion.foot_pos_b
     table["contact"] = motion.contact
-    table["remaining"] = _remaining_stance(motion.contact, dt, periodic)
+    table["remaining"] = remaining_stance(motion.contact, dt, periodic)
     if motion.demonstration is not None:
         # that of the motion, not of its modulation, which moves the feet by little: what is optimised is what is saved
         demonstration = reference_table(motion.demonstration, robot)
@@ -149,7 +149,7 @@ def _planar_turned_each(v: Array, angle: Array) -> Array:
     return out
 
 
-def _remaining_stance(contact: NDArray[np.bool_], dt: float, periodic: bool) -> Array:
+def remaining_stance(contact: NDArray[np.bool_], dt: float, periodic: bool) -> Array:
     """Time (t, 4) until each foot lifts off by the schedule, s: 0 in swing, infinite if it never does."""
     n = len(contact)
     wide = np.concatenate([contact, contact if periodic else np.ones_like(contact)])

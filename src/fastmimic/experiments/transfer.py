@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from fastmimic.control.config import ControllerConfig
 from fastmimic.errors import ConfigError
 from fastmimic.experiments.entrants import Entrant
 from fastmimic.experiments.parts import all_parts
 from fastmimic.experiments.runs import Row, slug
-from fastmimic.imitation.rollout import Start, perturbed_start, run_episodes
+from fastmimic.identification.identify import identify
+from fastmimic.imitation.rollout import Start, perturbed_start, run_episodes, run_log
 from fastmimic.methods import ALL_METHODS, method_named
 from fastmimic.pipeline import default_duration
 from fastmimic.simulation.conditions import Conditions
@@ -77,6 +79,11 @@ STAGES: Final = (
 """From the simulator of the optimisation to a robot that differs in everything."""
 LAST: Final = STAGES[-1].name
 
+IDENTIFIED: Final = Stage("identified", "(c) identified", "pybullet", "sensors", (*ACTUATORS, FLOOR))
+"""The last one once more, with friction and payload identified from a run there."""
+IDENTIFICATION_S: Final = 5.0
+"""Length of that run."""
+
 PAPER: Final = (
     ("MBC-DMP", 0.803, 0.012, 0.627, 0.096),
     ("RL", 0.483, 0.195, 0.17, 0.095),
@@ -94,6 +101,7 @@ class TransferSettings:
         seed: of the starts and the sensors.
         config: name of the controller's parameters.
         iterations, population: of CMA-ES where a method optimises.
+        identify: whether `IDENTIFIED` is run as well.
     """
 
     trials: int = 3
@@ -102,6 +110,7 @@ class TransferSettings:
     config: str = "default"
     iterations: int = 200
     population: int = 10
+    identify: bool = False
 
     def __post_init__(self) -> None:
         if self.trials < 1:
@@ -114,8 +123,10 @@ def trial_starts(trials: int, seed: int) -> Start:
     return Start(start.sample, start.joint_offset, start.velocity_offset)
 
 
-def run_trials(entrant: Entrant, robot: "Robot", settings: TransferSettings) -> list[Row]:
-    """The trials of one method on one motion in all stages, from the same starts.
+def run_trials(
+    entrant: Entrant, robot: "Robot", settings: TransferSettings, stages: Sequence[Stage] = STAGES
+) -> list[Row]:
+    """The trials of one method on one motion in all stages, or some, from the same starts.
 
     Returns:
         A row for each trial, see `COLUMNS`.
@@ -127,13 +138,14 @@ def run_trials(entrant: Entrant, robot: "Robot", settings: TransferSettings) -> 
     rows: list[Row] = []
     seconds = min(settings.duration_s, default_duration(motion, settings.duration_s))
     start = trial_starts(settings.trials, settings.seed)
-    for stage in STAGES:
+    for stage in (*stages, IDENTIFIED) if settings.identify else stages:
+        config = identified_config(entrant, robot, settings) if stage is IDENTIFIED else entrant.config
         rollout = run_episodes(
             robot,
             motion,
             start=start,
             duration_s=seconds,
-            config=entrant.config,
+            config=config,
             conditions=stage.conditions(settings.seed),
             controller=entrant.controller,
         )
@@ -152,6 +164,32 @@ def run_trials(entrant: Entrant, robot: "Robot", settings: TransferSettings) -> 
             for trial in range(settings.trials)
         ]
     return rows
+
+
+def identified_config(entrant: Entrant, robot: "Robot", settings: TransferSettings) -> ControllerConfig:
+    """The controller with what one run in the conditions of `IDENTIFIED` says of friction and payload.
+
+    The run is none of the trials: its start and its sensors' errors are its own.
+
+    Raises:
+        LogError: nothing can be learnt from it, because the robot falls at once.
+    """
+    motion, conditions = entrant.motion, IDENTIFIED.conditions(settings.seed)
+    start = trial_starts(settings.trials + 1, settings.seed).part(slice(settings.trials, None))
+    rollout = run_episodes(
+        robot,
+        motion,
+        start=start,
+        duration_s=min(IDENTIFICATION_S, default_duration(motion, IDENTIFICATION_S)),
+        config=entrant.config,
+        log=True,
+        conditions=conditions,
+        controller=entrant.controller,
+    )
+    assert rollout.log is not None, "asked for"
+    latency_s = conditions.estimator.latency_s
+    log = run_log(rollout.log, 0, robot=robot.name, motion=motion.name, latency_s=latency_s)
+    return identify(log, robot).configure(entrant.config)
 
 
 def part_file(out: Path, motion: str, method: str) -> Path:
@@ -175,7 +213,7 @@ class Transferred:
 
     Attributes:
         motion, method: which.
-        rewards: (stages, trials) in the order of `STAGES`.
+        rewards: (stages, trials) in the order of `stages_of`.
         falls: (stages,) how many trials ended in a fall.
     """
 
@@ -191,8 +229,14 @@ class Transferred:
         return float(1.0 - means[-1] / means[0]) if means[0] > 0 else float("nan")
 
 
-def transferred(rows: Iterable[Row]) -> list[Transferred]:
+def stages_of(rows: Iterable[Row]) -> tuple[Stage, ...]:
+    """The stages of some rows: `IDENTIFIED` is not always among them."""
+    return (*STAGES, IDENTIFIED) if any(row["stage"] == IDENTIFIED.name for row in rows) else STAGES
+
+
+def transferred(rows: Sequence[Row]) -> list[Transferred]:
     """The rows by motion and method, in their order."""
+    stages = stages_of(rows)
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault((row["motion"], row["method"]), []).append(row)
@@ -200,7 +244,7 @@ def transferred(rows: Iterable[Row]) -> list[Transferred]:
     found = []
     for motion, method in sorted(groups, key=lambda key: motions.index(key[0])):
         own = groups[motion, method]
-        by = [[row for row in own if row["stage"] == stage.name] for stage in STAGES]
+        by = [[row for row in own if row["stage"] == stage.name] for stage in stages]
         found.append(
             Transferred(
                 motion,
@@ -228,10 +272,10 @@ def transfer_table(rows: Sequence[Row], missing: int) -> str:
         rows: of the trials.
         missing: how many pairs of motion and method are not finished.
     """
-    found = transferred(rows)
+    found, stages = transferred(rows), stages_of(rows)
     lines = [
-        f"| motion | method | {' | '.join(stage.label for stage in STAGES)} | change to (c) |",
-        f"| {' | '.join(['---'] * (3 + len(STAGES)))} |",
+        f"| motion | method | {' | '.join(stage.label for stage in stages)} | change to {_short(stages[-1])} |",
+        f"| {' | '.join(['---'] * (3 + len(stages)))} |",
     ]
     for t in found:
         cells = [_cell(rewards, int(falls)) for rewards, falls in zip(t.rewards, t.falls, strict=True)]
@@ -239,17 +283,33 @@ def transfer_table(rows: Sequence[Row], missing: int) -> str:
             f"| `{t.motion}` | {method_named(t.method).label} | {' | '.join(cells)} | {-100 * t.drop:+.0f} % |"
         )
     for label, simulated, deviation, real, spread in PAPER:
-        cells = [f"{simulated:.3f} ± {deviation:.3f}", "", "", f"on the robot {real:.3f} ± {spread:.3f}"]
+        cells = [
+            f"{simulated:.3f} ± {deviation:.3f}",
+            *[""] * (len(stages) - 2),
+            f"on the robot {real:.3f} ± {spread:.3f}",
+        ]
         lines.append(f"| turn (paper) | {label} | {' | '.join(cells)} | {100 * (real / simulated - 1):+.0f} % |")
     first = rows[0]
     notes = [
         f"Mean ± standard deviation over {found[0].rewards.shape[1]} trials of {first['duration_s']:g} s on"
-        f" {first['robot']}, from the same starts in every column; nothing is changed between the columns."
+        f" {first['robot']}, from the same starts in every column; nothing is changed between the columns"
+        + (" but what was identified." if IDENTIFIED in stages else ".")
         + (f" **Unfinished: {missing} of motion and method are missing.**" if missing else ""),
         *(f"{stage.label}: {stage}." for stage in STAGES),
+        *([_ABOUT_IDENTIFIED] if IDENTIFIED in stages else []),
         "The paper's row is another clip on another robot: for context only.",
     ]
     return "\n".join([*lines, "", *(f"- {note}" for note in notes), ""])
+
+
+_ABOUT_IDENTIFIED: Final = (
+    f"{IDENTIFIED.label}: the same with friction and payload that were identified from one other run of"
+    f" {IDENTIFICATION_S:g} s there."
+)
+
+
+def _short(stage: Stage) -> str:
+    return "(c)" if stage is STAGES[-1] else stage.label
 
 
 def _cell(rewards: np.ndarray, falls: int) -> str:

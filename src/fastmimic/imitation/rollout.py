@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 
 from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.control.controller import Controller
+from fastmimic.control.load import loaded_robot
 from fastmimic.control.reference import advance_clocks, make_clocks, place_clocks, stack_tables, world_root
 from fastmimic.control.state import COMMAND, OBSERVATION
 from fastmimic.conventions import GRAVITY
 from fastmimic.errors import ConfigError, MotionError
 from fastmimic.estimation.estimator import START
+from fastmimic.estimation.reading import READING
+from fastmimic.identification.log import RunLog
 from fastmimic.imitation.observer import EstimationErrors, Observer
 from fastmimic.imitation.reward import TALLY, TERMS, WEIGHTS, score_step
 from fastmimic.motion.motion import Motion
@@ -94,6 +97,7 @@ class Log:
         terms: (n, t, 5) the reward's terms in the order of `TERMS`; 0 after a fall.
         demonstration: (n, t) of `SAMPLE`, the demonstration in force, its root and feet in the world and body frame.
         estimate: (n, t) of `OBSERVATION`, what the controller was told after each step where it has sensors only.
+        reading: (n, t) of `READING`, what the sensors had said by then, likewise.
     """
 
     rate_hz: float
@@ -106,6 +110,7 @@ class Log:
     terms: Array
     demonstration: NDArray[Any]
     estimate: NDArray[Any] | None = None
+    reading: NDArray[Any] | None = None
 
     @property
     def reward(self) -> Array:
@@ -350,7 +355,7 @@ class ClosedLoop:
                     raise ConfigError(
                         f"reference '{motion.name}' has {motion.rate_hz:g} samples a second; expected {rate:g}"
                     )
-            tables = stack_tables(references, self.robot)
+            tables = stack_tables(references, loaded_robot(self.robot, self.controller.config.load))
         if len(tables) not in (1, self.n):
             raise ConfigError(f"{self.n} robots need 1 or {self.n} references, found {len(tables)}")
         if tables.shape[1] != len(self._table):
@@ -415,6 +420,7 @@ class _Recorder:
         self._sample = np.zeros((n, steps), np.int64)
         self._origin = np.zeros((n, steps, 3))
         self._estimate = np.zeros((n, steps), OBSERVATION) if loop.observer is not None else None
+        self._reading = np.zeros((n, steps), READING) if loop.observer is not None else None
 
     def add(self, step: int) -> None:
         loop = self._loop
@@ -429,6 +435,8 @@ class _Recorder:
         self._origin[:, step] = loop._clocks["origin"]
         if self._estimate is not None and loop.observer is not None:
             self._estimate[:, step] = loop.observer.estimator.observation
+        if self._reading is not None and loop.observer is not None:
+            self._reading[:, step] = loop.observer.sensors.reading
 
     def log(self) -> Log:
         table = self._loop._table
@@ -449,7 +457,26 @@ class _Recorder:
             terms=self._terms,
             demonstration=demonstration,
             estimate=self._estimate,
+            reading=self._reading,
         )
+
+
+def run_log(log: Log, episode: int, *, robot: str, motion: str, latency_s: float) -> RunLog:
+    """What the robot's own computer knew of an episode.
+
+    Args:
+        log: with sensors.
+        episode: which.
+        robot, motion: names.
+        latency_s: age of the readings when they arrive, as the estimator assumes it.
+
+    Raises:
+        ConfigError: the controller was told the truth, and no robot's computer knows that.
+    """
+    if log.reading is None or log.estimate is None:
+        raise ConfigError("a robot's log is of what its sensors say; run the episode with --observe sensors")
+    of = log.reading[episode], log.command[episode], log.estimate[episode], log.stance[episode]
+    return RunLog(robot, motion, log.rate_hz, latency_s, *of)
 
 
 def _lift_to_ground(robot: "Robot", position: Array, quat: Array, joints: Array) -> Array:

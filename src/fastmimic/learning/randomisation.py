@@ -1,6 +1,5 @@
 """In what the robots of a training differ: disturbances drawn for each robot from a range."""
 
-import dataclasses
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,30 +8,18 @@ import numpy as np
 
 from fastmimic.errors import ConfigError
 from fastmimic.simulation.disturbances import DISTURBANCES, Disturbance, disturbance_named
+from fastmimic.simulation.ranges import USUAL, Range, check_once, part
 
 
 @dataclass(frozen=True)
-class Randomisation:
-    """A disturbance drawn uniformly from a range, for each robot once.
-
-    Attributes:
-        name: one of `fastmimic.simulation.disturbances.DISTURBANCES` that is there all the time.
-        lower, upper: of the range, in its unit.
-    """
-
-    name: str
-    lower: float
-    upper: float
+class Randomisation(Range):
+    """A range of a disturbance that is there all the time."""
 
     def __post_init__(self) -> None:
-        kind = disturbance_named(self.name)
+        disturbance_named(self.name)
         if self.name not in _possible():
             raise ConfigError(f"'{self.name}' cannot differ between robots; what can: {', '.join(_possible())}")
-        if not kind.lower <= self.lower <= self.upper <= kind.upper:
-            raise ConfigError(
-                f"'{self.name}' takes a range within {kind.show(kind.lower)} to {kind.show(kind.upper)}, found"
-                f" {self.lower:g} to {self.upper:g}: {kind.about}"
-            )
+        super().__post_init__()
 
 
 @dataclass(frozen=True)
@@ -43,7 +30,7 @@ class RandomWorld:
 
     def part(self, rows: slice) -> "RandomWorld":
         """Some of the robots'."""
-        return RandomWorld(tuple(dataclasses.replace(d, values=d.values[rows]) for d in self.disturbances))
+        return RandomWorld(part(self.disturbances, rows))
 
 
 def random_world(randomise: Sequence[Randomisation], n: int, rng: np.random.Generator) -> RandomWorld:
@@ -52,10 +39,7 @@ def random_world(randomise: Sequence[Randomisation], n: int, rng: np.random.Gene
     Raises:
         ConfigError: one is given twice.
     """
-    names = [r.name for r in randomise]
-    for name in names:
-        if names.count(name) > 1:
-            raise ConfigError(f"the range of '{name}' is given twice")
+    check_once(randomise)
     return RandomWorld(tuple(Disturbance(r.name, tuple(rng.uniform(r.lower, r.upper, n).tolist())) for r in randomise))
 
 
@@ -79,8 +63,4 @@ def parse_randomisation(text: str) -> Randomisation:
 
 def _possible() -> list[str]:
     """A delay is left out, because the commands under way are no part of the state that a training resumes from."""
-    return [
-        name
-        for name, kind in DISTURBANCES.items()
-        if kind.per_robot and not kind.timed and "mujoco" in kind.simulators and name != "delay"
-    ]
+    return [name for name in USUAL if not DISTURBANCES[name].timed and name != "delay"]

@@ -12,11 +12,12 @@ from fastmimic.motion.data import DATASETS, data_folder, dataset_of, find_file
 from fastmimic.motion.formats import read_clip, with_scale
 
 if TYPE_CHECKING:
+    from fastmimic.motion.formats.points import PointMap
     from fastmimic.motion.synthesis import GaitSpec
     from fastmimic.robot.robot import Robot
 
 BUILT_IN_LICENCE: Final = "that of fastmimic"
-_FILE_SUFFIXES: Final = (".txt", ".csv", ".json", ".npz")
+_FILE_SUFFIXES: Final = (".txt", ".csv", ".json", ".npz", ".bvh")
 
 
 @dataclass(frozen=True)
@@ -125,12 +126,13 @@ def open_clip(
     yaw_rate: float | None = None,
     duty: float | None = None,
     folder: str | Path | None = None,
+    point_map: "str | Path | PointMap | None" = None,
 ) -> Clip:
     """Opens a motion by its name, or reads a file. A name goes before a file of the same name (use ./NAME).
 
     Args:
         name_or_path: one of `motion_names()`, or the path of a clip.
-        robot, fps, up, scale: see `read_clip`.
+        robot, fps, up, scale, point_map: see `read_clip`.
         frames: (first, end) 0-based, end exclusive; of the named clip, if it is a name.
         speed, yaw_rate, duty: of a built-in gait, m/s, rad/s and share of stance; its own if None.
         folder: the data folder (see `data_folder`).
@@ -145,6 +147,8 @@ def open_clip(
     from fastmimic.motion.synthesis import GAITS
 
     name = str(name_or_path)
+    if point_map is not None and (name in GAITS or name in RECORDED):
+        raise ClipError(f"a point map cannot be given for '{name}': its points are known")
     gait_options = {"speed": speed, "yaw rate": yaw_rate, "duty factor": duty}
     if name in GAITS:
         _refuse(name, "it is generated, not read from a file", {"frame rate": fps, "vertical axis": up})
@@ -157,7 +161,7 @@ def open_clip(
         names = motion_names()
         hint = did_you_mean(name, names) or f"; the names are {', '.join(names)}"
         raise ClipError(f"'{name}' is neither the name of a motion nor a file{hint}")
-    clip = read_clip(path, robot=robot, fps=fps, up=up, scale=scale, frames=frames)
+    clip = read_clip(path, robot=robot, fps=fps, up=up, scale=scale, frames=frames, point_map=point_map)
     dataset = dataset_of(path)
     if dataset is None:
         return clip

@@ -87,8 +87,9 @@ class Checkpoint:
             raise CheckpointError(f"{path}: checkpoint version {version}; this release reads version {_VERSION}")
         if found.identity != identity:
             raise CheckpointError(
-                f"{path}: this checkpoint is of another problem (motion, robot, configuration, duration, seed or"
-                " population differ); resume with the same arguments or choose another output folder"
+                f"{path}: this checkpoint is of another problem (motion, robot, configuration, duration,"
+                " randomisation, seed or population differ); resume with the same arguments or choose another output"
+                " folder"
             )
         if found.candidates.ndim != 3 or found.scores.shape != found.candidates.shape[:2]:
             raise CheckpointError(f"{path}: damaged checkpoint (shapes {found.candidates.shape}, {found.scores.shape})")

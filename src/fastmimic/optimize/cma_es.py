@@ -12,15 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.errors import CheckpointError, ConfigError
-from fastmimic.imitation.rollout import Start
+from fastmimic.imitation.rollout import Rollout, Start, nominal_start
 from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.optimize.problem import Problem
+from fastmimic.simulation.disturbances import Disturbance
 
 Array = NDArray[np.float64]
 
 CHECKPOINT_EVERY: Final = 5  # iterations
 VALIDATED: Final = 8  # candidates that compete for being the result
 VALIDATION_EPISODES: Final = 4  # each: one from the start, the others perturbed
+VALIDATION_ROBOTS: Final = 8  # where candidates are scored over several robots: an episode with each instead
 VALIDATION_S: Final = 10.0
 
 
@@ -60,6 +62,8 @@ class History:
         sigma: (i,) the overall step size, share of the parameters' ranges.
         baseline: score of the unmodulated motion.
         start: best score among what the search was given: the unmodulated motion, and where it begins.
+        randomized: whether each iteration's scores are over robots of its own; they can be compared with each other,
+            those of two iterations only roughly. `baseline` and `start` are with those of the first.
     """
 
     best: Array
@@ -68,6 +72,7 @@ class History:
     sigma: Array
     baseline: float
     start: float
+    randomized: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +81,9 @@ class Optimum:
 
     Attributes:
         x: (k,) the parameters, physical units.
-        score: its objective in the optimisation's episode.
-        validation: its mean objective over the validation episodes; NaN if Ctrl-C came before them.
+        score: its objective in the optimisation's episode; with the robots of the first iteration, if several.
+        validation: its mean objective over the validation episodes, or with several robots the criterion's over them;
+            NaN if Ctrl-C came before them.
         history: how it came about.
         evaluations: number of episodes run for it, those before a resume included.
         simulated_s: their length in all, s.
@@ -120,6 +126,11 @@ def optimize(
     from perturbed starts, so that it does not owe its score to one lucky episode. Ctrl-C ends the search early and
     leaves what was found until then.
 
+    Where candidates are scored over several robots, others in each iteration, the best scores are those of the
+    iterations with the easiest robots. So those that compete are the best of each of the last iterations, and the means
+    of the search's distribution then, which have averaged over the robots of many; by longer episodes with robots that
+    the search has not met.
+
     Args:
         problem: what to score.
         settings: of the optimiser.
@@ -129,6 +140,7 @@ def optimize(
 
     Raises:
         CheckpointError: nothing to resume from, damaged, or of another problem.
+        ConfigError: an episode is too short for what is to happen in it.
         OutputError: the checkpoint cannot be written.
     """
     return _Search(problem, settings, Path(checkpoint) if checkpoint is not None else None).run(resume, progress)
@@ -145,6 +157,13 @@ class _Search:
         self.candidates: list[Array] = []
         self.scores: list[Array] = []
         self.sigma: list[float] = []
+        self.means: list[Array] = []  # of the distribution after each iteration, where robots differ
+        self.randomization = problem.randomization
+        self.robots = 1 if self.randomization is None else self.randomization.robots
+        if self.randomization is not None:
+            self.randomization.check(problem.steps / problem.config.rate_hz)
+        self.validation_episodes = VALIDATION_EPISODES if self.randomization is None else VALIDATION_ROBOTS
+        self.rescored = 0
         self.validated = self.validation_steps = self.recorded = 0
         own = {k: v for k, v in asdict(settings).items() if k != "iterations"}
         self.identity = hashlib.sha256(f"{problem.identity}{own}".encode()).hexdigest()
@@ -152,33 +171,37 @@ class _Search:
     def run(self, resume: bool, progress: Callable[[Progress], None] | None) -> Optimum:
         before = self._replay() if resume else 0.0
         began, done_before = time.perf_counter(), len(self.scores)
-        given = self.problem.evaluate(self.given)
+        given = self._evaluate(self.given, 0)
         baseline = float(given[0])
         interrupted = False
         try:
             while len(self.scores) < self.settings.iterations:
                 u = np.array(self.strategy.ask())
-                self._tell(u, self.problem.evaluate(self._physical(u)))
+                self._tell(u, self._evaluate(self._physical(u), len(self.scores)))
                 elapsed = time.perf_counter() - began
                 done = len(self.scores)
                 if self.checkpoint is not None and done % CHECKPOINT_EVERY == 0:
                     self._save(before + elapsed)
                 if progress is not None:
                     each = elapsed / (done - done_before)
-                    best = max(float(given.max()), *(float(s.max()) for s in self.scores))
+                    best = float(self.scores[-1].max())
+                    if self.randomization is None:
+                        best = max(float(given.max()), *(float(s.max()) for s in self.scores))
                     remaining = each * (self.settings.iterations - done)
-                    progress(Progress(done, self.settings.iterations, best, self.settings.population / each, remaining))
+                    rate = self.settings.population * self.robots / each
+                    progress(Progress(done, self.settings.iterations, best, rate, remaining))
         except KeyboardInterrupt:
             interrupted = True
             whole = len(self.sigma)  # it may have come while an iteration was being noted down
-            del self.candidates[whole:], self.scores[whole:]
+            del self.candidates[whole:], self.scores[whole:], self.means[whole:]
         if self.checkpoint is not None and self.scores:
             self._save(before + time.perf_counter() - began)
         x, score, validation, hurried = self._choose(given)
         elapsed = before + time.perf_counter() - began
         if self.checkpoint is not None and self.scores:
             self._save(elapsed)
-        searched, validated = len(given) + sum(len(s) for s in self.scores), self.validated * VALIDATION_EPISODES
+        searched = (len(given) + sum(len(s) for s in self.scores) + self.rescored) * self.robots
+        validated = self.validated * self.validation_episodes
         return Optimum(
             x=x,
             score=score,
@@ -191,6 +214,11 @@ class _Search:
             interrupted=interrupted or hurried,
         )
 
+    def _evaluate(self, x: Array, iteration: int) -> Array:
+        if self.randomization is None:
+            return self.problem.evaluate(x)
+        return self.problem.evaluate_over(x, self.randomization.of_iteration(self.settings.seed, iteration))
+
     def _physical(self, u: Array) -> Array:
         return self.lower + self.span * u
 
@@ -198,6 +226,8 @@ class _Search:
         self.strategy.tell(list(u), list(-scores))
         self.candidates.append(u)
         self.scores.append(scores)
+        if self.randomization is not None:
+            self.means.append(np.array(self.strategy.result.xfavorite))
         self.sigma.append(float(self.strategy.sigma))
 
     def _replay(self) -> float:
@@ -224,44 +254,68 @@ class _Search:
         Checkpoint(self.identity, np.array(self.candidates), np.array(self.scores), elapsed).save(self.checkpoint)
 
     def _choose(self, given: Array) -> tuple[Array, float, float, bool]:
-        """The candidate with the best mean objective over the validation episodes, of those no worse than the
-        unmodulated one, that one, and the search's start; with its score, its validation, and whether Ctrl-C left it at
-        those that were validated by then, if any."""
-        rows = list(self.given)
-        scores = list(given)
-        if self.scores:
-            flat, u = np.concatenate(self.scores), np.concatenate(self.candidates)
-            best = np.argsort(-flat, kind="stable")[:VALIDATED]
-            best = best[flat[best] >= given[0]]
-            rows += list(self._physical(u[best]))
-            scores += list(flat[best])
-        x = np.array(rows)
+        """Of those that compete the candidate with the best objective over the validation episodes; with its score, its
+        validation, and whether Ctrl-C left it at those that were validated by then, if any."""
+        best, own = self._best(float(given[0])) if self.randomization is None else self._last()
+        x, scores = np.concatenate([self.given, best]), np.concatenate([given, own])
         rng = np.random.default_rng([self.settings.seed, 1])
-        start, steps = self.problem.validation(VALIDATION_EPISODES, VALIDATION_S, rng)
+        start, steps = self.problem.validation(self.validation_episodes, VALIDATION_S, rng)
+        robots: tuple[Disturbance, ...] = ()
+        if self.randomization is not None:  # it is they that differ from episode to episode
+            start = nominal_start(self.validation_episodes)
+            robots = self.randomization.of_choice(self.settings.seed, self.validation_episodes)
         self.validation_steps = steps
         tables = self.problem.tables(x)
         validation, hurried = np.full(len(x), np.nan), False
         try:
+            if self.randomization is not None and len(best):
+                scores[len(given) :] = self._evaluate(best, 0)
+                self.rescored = len(best)
             for i, table in enumerate(tables):
-                validation[i] = self._validate(table, start, steps)
+                validation[i] = self._validate(table, start, steps, robots)
         except KeyboardInterrupt:
             hurried = True
         self.validated = int(np.isfinite(validation).sum())
         chosen = int(np.nanargmax(validation)) if self.validated else int(np.argmax(scores))
         return x[chosen], float(scores[chosen]), float(validation[chosen]), hurried
 
-    def _validate(self, table: NDArray[Any], start: Start, steps: int) -> float:
-        rollouts = self.problem.rollout(np.repeat(table[None], start.n, axis=0), start, steps)
-        return float(np.mean(np.concatenate([self.problem.score(r) for r in rollouts])))
+    def _best(self, baseline: float) -> tuple[Array, Array]:
+        """The best candidates of all iterations, of those no worse than the unmodulated one, and their scores."""
+        if not self.scores:
+            return np.zeros((0, len(self.lower))), np.zeros(0)
+        flat, u = np.concatenate(self.scores), np.concatenate(self.candidates)
+        best = np.argsort(-flat, kind="stable")[:VALIDATED]
+        best = best[flat[best] >= baseline]
+        return self._physical(u[best]), flat[best]
+
+    def _last(self) -> tuple[Array, Array]:
+        """Of the last iterations, from the last backwards, the distribution's mean and the best candidate. Their
+        scores, until they are scored on the same robots, are the latter's for both."""
+        rows: list[Array] = []
+        scores: list[float] = []
+        done = len(self.scores)
+        for i in reversed(range(max(0, done - VALIDATED // 2), done)):
+            best = int(np.argmax(self.scores[i]))
+            rows += [self.means[i], self.candidates[i][best]]
+            scores += [float(self.scores[i][best])] * 2
+        return self._physical(np.array(rows).reshape(-1, len(self.lower))), np.array(scores)
+
+    def _validate(self, table: NDArray[Any], start: Start, steps: int, robots: tuple[Disturbance, ...]) -> float:
+        tables = np.repeat(table[None], start.n, axis=0)
+        if self.randomization is None:
+            return float(np.mean(self._scored(self.problem.rollout(tables, start, steps))))
+        return float(self.randomization.scored(self._scored(self.problem.rollout(tables, start, steps, robots))))
+
+    def _scored(self, rollouts: list[Rollout]) -> Array:
+        return np.concatenate([self.problem.score(r) for r in rollouts])
 
     def _history(self, baseline: float, start: float) -> History:
         if not self.scores:
             empty = np.zeros(0)
-            return History(empty, empty, empty, empty, baseline, start)
+            return History(empty, empty, empty, empty, baseline, start, self.randomization is not None)
         scores = np.array(self.scores)
-        return History(
-            scores.max(axis=1), scores.mean(axis=1), scores.std(axis=1), np.array(self.sigma), baseline, start
-        )
+        best, mean, std = scores.max(axis=1), scores.mean(axis=1), scores.std(axis=1)
+        return History(best, mean, std, np.array(self.sigma), baseline, start, self.randomization is not None)
 
 
 def _make_strategy(start: Array, settings: CmaSettings) -> Any:

@@ -9,7 +9,6 @@ falls below a share of the demonstration's is penalised.
 import hashlib
 import json
 import math
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -26,9 +25,15 @@ from fastmimic.control.reference import put_root, reference_table
 from fastmimic.conventions import LEGS
 from fastmimic.errors import ConfigError, MotionError, did_you_mean
 from fastmimic.imitation.rollout import ClosedLoop, Rollout, Start, nominal_start, perturbed_start, swing_clearance
+from fastmimic.machine import available_cores
 from fastmimic.motion.motion import Motion
+from fastmimic.optimize.randomization import Randomization
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.coordinates import FEET
+from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.disturbances import Disturbance
+from fastmimic.simulation.ranges import part as part_of
+from fastmimic.simulation.ranges import repeated
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot
@@ -78,11 +83,13 @@ class Objective:
         clearance_floor: share of the demonstration's clearance below which a foot is penalised. Above the share
             that a result must reach, because the clearance realised varies from step to step.
         clearance_weight: penalty for each foot and each unit of the share missing.
+        randomization: over which robots a candidate's score is taken; None for the robot as it is.
     """
 
     duration_s: float = 5.0
     clearance_floor: float = 0.87
     clearance_weight: float = 1.0
+    randomization: Randomization | None = None
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.duration_s) and self.duration_s > 0):
@@ -166,6 +173,7 @@ class Problem(ABC):
         self.workers = workers if workers is not None else available_cores()
         self.divisions: tuple[int, ...] = ()  # control steps at which episodes are divided into parts
         self._loops: dict[tuple[int, int], ClosedLoop] = {}
+        self._disturbed: dict[tuple[int, int], ClosedLoop] = {}
 
     @property
     @abstractmethod
@@ -188,6 +196,11 @@ class Problem(ABC):
     def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
         """How the episodes begin that the best candidates are compared by, the first unperturbed, and their control
         steps."""
+
+    @property
+    def randomization(self) -> Randomization | None:
+        """Over which robots candidates are scored; None for the robot as it is."""
+        return self.objective.randomization
 
     @property
     def initial(self) -> Array:
@@ -213,27 +226,36 @@ class Problem(ABC):
         digest.update(self.robot.xml.encode())
         settings = {
             "config": self.config.as_dict(),
-            "objective": asdict(self.objective),
+            "objective": _settings(self.objective),
             "parameters": [asdict(p) for p in self.parameters],
             "start": self.start.tolist(),
         }
         digest.update(json.dumps(settings, sort_keys=True).encode())
         return digest.hexdigest()
 
-    def rollout(self, tables: NDArray[Any], start: Start, steps: int) -> list[Rollout]:
-        """Runs one episode for each table, spread over the workers; a result for each part, in order."""
+    def rollout(
+        self, tables: NDArray[Any], start: Start, steps: int, robots: Sequence[Disturbance] = ()
+    ) -> list[Rollout]:
+        """Runs one episode for each table, spread over the workers; a result for each part, in order.
+
+        Args:
+            tables: (n, t) of `SAMPLE`.
+            start: of n episodes.
+            steps: control steps.
+            robots: what makes the n robots others than the robot, each with n values.
+        """
         bounds = np.linspace(0, len(tables), min(self.workers, len(tables)) + 1).astype(int)
         parts = [slice(a, b) for a, b in pairwise(bounds)]
 
         def run(worker: int) -> Rollout:
             part = parts[worker]
-            loop = self._loop(worker, part.stop - part.start)
+            loop = self._loop(worker, part.stop - part.start, part_of(robots, part))
             return loop.run(tables[part], start.part(part), steps, divisions=self.divisions)
 
         if len(parts) == 1:
             return [run(0)]
-        for worker, part in enumerate(parts):
-            self._loop(worker, part.stop - part.start)  # compiled and built before the threads start
+        for worker, part in enumerate(parts):  # compiled and built before the threads start
+            self._loop(worker, part.stop - part.start, part_of(robots, part))
         with ThreadPoolExecutor(len(parts)) as pool:
             return list(pool.map(run, range(len(parts))))
 
@@ -242,8 +264,29 @@ class Problem(ABC):
         rollouts = self.rollout(self.tables(x), nominal_start(len(x)), self.steps)
         return np.concatenate([self.score(r) for r in rollouts])
 
-    def _loop(self, worker: int, n: int) -> ClosedLoop:
+    def evaluate_over(self, x: Array, robots: Sequence[Disturbance]) -> Array:
+        """Scores of n candidates (n, k) by the criterion over m robots, the same for all of them, (n,).
+
+        Args:
+            x: the candidates.
+            robots: in what they differ from the robot, each with m values.
+        """
+        assert self.randomization is not None
+        m = len(robots[0].values)
+        tables = np.repeat(self.tables(x), m, axis=0)
+        rollouts = self.rollout(tables, nominal_start(len(tables)), self.steps, repeated(robots, len(x)))
+        scores = np.concatenate([self.score(r) for r in rollouts])
+        return self.randomization.scored(scores.reshape(len(x), m))
+
+    def _loop(self, worker: int, n: int, robots: tuple[Disturbance, ...] = ()) -> ClosedLoop:
         key = (worker, n)
+        if robots:  # others in each iteration, so only the last ones are kept
+            loop = self._disturbed.get(key)
+            if loop is None or loop.conditions.disturbances != robots:
+                conditions = Conditions(disturbances=robots)
+                loop = ClosedLoop(self.robot, self.demonstration, n, self.config, conditions=conditions)
+                self._disturbed[key] = loop
+            return loop
         if key not in self._loops:
             self._loops[key] = ClosedLoop(self.robot, self.demonstration, n, self.config)
         return self._loops[key]
@@ -337,6 +380,14 @@ class ImitationProblem(Problem):
         return goal, amplitude
 
 
+def _settings(objective: Objective) -> dict[str, Any]:
+    """What of an objective determines scores; without randomisation as before there was any."""
+    found = asdict(objective)
+    if objective.randomization is None:
+        del found["randomization"]
+    return found
+
+
 def widest(*groups: str) -> str:
     """That of the groups which holds all others."""
     return max(groups, key=list(PARAMETER_GROUPS).index)
@@ -382,8 +433,3 @@ def clearance_penalty(objective: Objective, rollout: Rollout, wanted: Array) -> 
     share = np.where(np.isnan(share) & rollout.fell[:, None] & np.isfinite(wanted), 0.0, share)
     missing = np.maximum(0.0, objective.clearance_floor - share)
     return np.asarray(objective.clearance_weight * np.nansum(missing, axis=1))
-
-
-def available_cores() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

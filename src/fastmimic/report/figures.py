@@ -23,6 +23,8 @@ def convergence_figure(
     sigma: ArrayLike,
     baseline: float,
     title: str = "Optimisation",
+    *,
+    randomized: bool = False,
 ) -> Figure:
     """Reward and step size of the optimiser against the iteration.
 
@@ -35,6 +37,8 @@ def convergence_figure(
         sigma: (k,) CMA-ES's step size, relative to the parameters' scaled ranges.
         baseline: mean per-step reward of the motion that was not optimised, in [0, 1].
         title: heading of the figure, such as the motion's and the robot's name.
+        randomized: whether each iteration scores on other robots: each one's best is drawn then, since the best of all
+            would be that of the easiest robots.
 
     Returns:
         The figure; `save` writes it.
@@ -44,7 +48,8 @@ def convergence_figure(
     )
     figure = new_figure(8.0, 5.6, title)
     reward, step = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    _draw_reward(reward, k, np.fmax.accumulate(best), mean, std, baseline)
+    shown = best if randomized else np.fmax.accumulate(best)
+    _draw_reward(reward, k, shown, mean, std, baseline, randomized)
     step.semilogy(k, sigma, color=INK, linewidth=1.4, marker=_marker(k), markersize=4)
     tidy(step, "Step size of the search: it shrinks as the optimiser settles", "iteration", "σ (–)")
     _label_step_sizes(step, sigma)
@@ -52,16 +57,23 @@ def convergence_figure(
     return figure
 
 
-def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, baseline: float) -> None:
+def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, baseline: float, randomized: bool) -> None:
     marker = _marker(k)
     axes.fill_between(
         k, mean - std, mean + std, color=BEFORE.color, alpha=0.18, linewidth=0, label="candidates, ± 1 std"
     )
     axes.plot(k, mean, **BEFORE.kwargs(), marker=marker, markersize=4, label="candidates, mean")
-    axes.plot(k, best, **AFTER.kwargs(), marker=marker, markersize=4, label="best so far")
+    axes.plot(
+        k,
+        best,
+        **AFTER.kwargs(),
+        marker=marker,
+        markersize=4,
+        label="best of the iteration" if randomized else "best so far",
+    )
     axes.axhline(baseline, color=DEMONSTRATION.color, linestyle=DEMONSTRATION.linestyle, linewidth=1.4)
     axes.annotate(
-        f"not optimised {baseline:.3f}",
+        f"not optimised, first robots {baseline:.3f}" if randomized else f"not optimised {baseline:.3f}",
         (1, baseline),
         xycoords=("axes fraction", "data"),
         xytext=(-2, 3),
@@ -70,7 +82,8 @@ def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, bas
         fontsize=8.5,
         color=DEMONSTRATION.color,
     )
-    tidy(axes, _reward_title(best, baseline), ylabel="reward − penalty for lost clearance")
+    title = f"Objective of the search, other robots in each of {len(best)} iterations"
+    tidy(axes, title if randomized else _reward_title(best, baseline), ylabel="reward − penalty for lost clearance")
     axes.legend(loc="lower right", bbox_to_anchor=(1, 0.04), fontsize=8.5, frameon=True, framealpha=0.9)
     drawn = np.concatenate([best, mean, mean - std, mean + std, [baseline]])
     drawn = drawn[np.isfinite(drawn)]

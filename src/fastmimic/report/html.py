@@ -142,6 +142,7 @@ def run_page(run: RunData, replay: str = "") -> Page:
                     m["reward"]["before"],
                     m["reward"]["after"],
                     unchanged=html_search.as_fitted(m["parameters"]),
+                    randomized="randomization" in m,
                 )
             )
         page.figure(html_search.parameters(m["parameters"]))

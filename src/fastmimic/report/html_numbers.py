@@ -48,6 +48,10 @@ def before_and_after(run: RunData) -> str:
     row("reward", [f"reward.{c}" for c in columns], 4)
     for term in _value(m, "reward.components_before") or {}:
         row(term.replace("_", " "), [f"reward.components_{c}.{term}" for c in columns], 4, sub=True)
+    if "randomization" in m:
+        others = f"{_value(m, 'randomization.held_out.robots')} other robots"
+        for label, key in (("mean over", "mean"), ("worst of", "worst"), ("share of falls,", "fell")):
+            row(f"{label} {others}", [f"randomization.held_out.{c}.{key}" for c in columns], 4)
     split = len(rows)
     row("fell", [f"fell.{c}" for c in columns], 0)
     row("drift, m/s", [f"drift_m_per_s.{c}" for c in columns], 3)

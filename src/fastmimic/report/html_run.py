@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.config import ControllerConfig, GaitConfig, HorizonConfig, StanceConfig, SwingConfig
+from fastmimic.control.config import ControllerConfig, GaitConfig, HorizonConfig, LoadConfig, StanceConfig, SwingConfig
 from fastmimic.errors import ConfigError, FastMimicError
 from fastmimic.imitation.rollout import Rollout, run_episodes
 from fastmimic.motion.motion import Motion
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _PARTS: Final = {"gait": GaitConfig, "stance": StanceConfig, "horizon": HorizonConfig, "swing": SwingConfig}
+_OPTIONAL: Final = {"load": LoadConfig}
 OTHER_RELEASE: Final = "the controller's parameters are those of another release, so the run cannot be run again"
 
 
@@ -127,8 +128,11 @@ def controller_from(record: Any) -> ControllerConfig:
         ConfigError: they are not those of this release.
     """
     try:
-        given = {k: _plain(v) for k, v in record.items() if k not in _PARTS}
+        given = {k: _plain(v) for k, v in record.items() if k not in _PARTS | _OPTIONAL}
         parts = {k: kind(**{n: _plain(v) for n, v in record[k].items()}) for k, kind in _PARTS.items()}
+        parts |= {
+            k: kind(**{n: _plain(v) for n, v in record[k].items()}) for k, kind in _OPTIONAL.items() if k in record
+        }
         config = ControllerConfig(**given, **parts)
     except (AttributeError, KeyError, TypeError):
         raise ConfigError(OTHER_RELEASE) from None

@@ -1,7 +1,7 @@
 """The plots of the optimisation."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -9,24 +9,37 @@ from fastmimic.report.html_parts import Figure, Key, Panel, numbers
 from fastmimic.report.html_run import Course
 from fastmimic.report.html_traces import layout_of, line, points
 
+_CHOICE: Final = (
+    "the reward of an episode less the penalty for feet lifted too little. The result is chosen by longer, perturbed"
+    " episodes among the best of them and the motion as fitted."
+)
+_CHOICE_OVER_ROBOTS: Final = (
+    "the reward of an episode less the penalty for feet lifted too little, over several robots, others in each"
+    " iteration. The result is chosen on yet others, by longer episodes, among the last iterations' best candidates,"
+    " the means of the search then, and the motion as fitted."
+)
 
-def convergence(course: Course, before: float, after: float, *, unchanged: bool = False) -> Figure:
+
+def convergence(
+    course: Course, before: float, after: float, *, unchanged: bool = False, randomized: bool = False
+) -> Figure:
     """Scores of the candidates by generation, and how far apart they still are.
 
     Args:
         course: of the optimiser.
         before, after: rewards of the run.
         unchanged: whether the motion as fitted is the result.
+        randomized: whether each iteration scored on robots of its own.
     """
     scores = course.scores
     k = np.arange(1, len(scores) + 1)
     mean, std = scores.mean(axis=1), scores.std(axis=1)
-    best = np.maximum.accumulate(scores.max(axis=1))
+    best = scores.max(axis=1) if randomized else np.maximum.accumulate(scores.max(axis=1))
     spread = course.candidates.std(axis=1).mean(axis=1)
     x, mode = k.tolist(), "lines" if len(k) > 2 else "lines+markers"
     band = Key("candidates, ± 1 std", "var(--band)", "fill")
     average = Key("candidates, mean", "var(--before)", "dot")
-    leader = Key("best so far", "var(--after)", "solid")
+    leader = Key("best of the iteration" if randomized else "best so far", "var(--after)", "solid")
     start = Key("reward before", "var(--demo)", "dash")
     data = [
         line(x, mean - std, Key("", "rgba(0,0,0,0)"), hoverinfo="skip"),
@@ -52,8 +65,7 @@ def convergence(course: Course, before: float, after: float, *, unchanged: bool 
     return Figure(
         "convergence",
         title,
-        "Left, the candidates' scores: the reward of an episode less the penalty for feet lifted too little. The result"
-        " is chosen by longer, perturbed episodes among the best of them and the motion as fitted. Right, how far the"
+        f"Left, the candidates' scores: {_CHOICE_OVER_ROBOTS if randomized else _CHOICE} Right, how far the"
         " candidates of CMA-ES are apart, mean standard deviation over the parameters: it falls as the search settles.",
         [Panel("Score", data, reward), Panel("Spread of the candidates", [line(x, spread, leader, mode=mode)], step)],
         2,

@@ -51,6 +51,11 @@ def backends() -> tuple[str, ...]:
     return ("egl", "osmesa")
 
 
+def in_any_thread() -> bool:
+    """Whether a context may be made and used in any thread: not those that belong to a window system."""
+    return all(backend in ("egl", "osmesa") for backend in backends())
+
+
 class Offscreen:
     """An OpenGL context with a framebuffer, for one model; use it as a context manager.
 

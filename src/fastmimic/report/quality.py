@@ -17,7 +17,7 @@ class Quality:
             ground, which without a graphics card is ten times as quick.
         samples: of each pixel, for smooth edges; 0 for one.
         reflectance: share of what the ground mirrors.
-        textured: whether the ground's pattern is a texture, which blurs with distance, or a mesh, which is quicker.
+        textured: whether the ground's pattern is a texture, which blurs with distance, or tiles, which is quicker.
         facets: of a round shape, around it.
         preset, crf: libx264's effort and loss.
     """
@@ -33,7 +33,7 @@ class Quality:
     crf: int
 
 
-PREVIEW: Final = Quality("preview", (960, 540), 0, 0, 0.0, False, 14, "ultrafast", 25)
+PREVIEW: Final = Quality("preview", (854, 480), 0, 0, 0.0, False, 10, "ultrafast", 25)
 HIGH: Final = Quality("high", (1280, 720), 2048, 4, 0.06, True, 36, "medium", 19)
 QUALITIES: Final = {quality.name: quality for quality in (PREVIEW, HIGH)}
 

@@ -110,8 +110,9 @@ class RunFolder:
         h = result.history
         if h is not None and len(h.best):
             iteration = range(1, len(h.best) + 1)
+            best = h.best if h.randomized else np.maximum(h.best, h.start)
             figure = convergence_figure(
-                list(iteration), np.maximum(h.best, h.start), h.mean, h.std, h.sigma, h.baseline, title
+                list(iteration), best, h.mean, h.std, h.sigma, h.baseline, title, randomized=h.randomized
             )
             save(figure, self.path / CONVERGENCE)
         save(_tracking_figure(result, title), self.path / TRACKING)

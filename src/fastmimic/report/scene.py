@@ -1,6 +1,7 @@
 """The stage of a video: the robot, its ghost, the ground and the light."""
 
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -21,15 +22,17 @@ _GHOST: Final = "ghost/"
 GHOST_GROUP: Final = 4
 _HIDDEN_GROUP: Final = 5
 _CHECKER: Final = "checker"
-_TILES: Final = "tiles"
+_TILES: Final = ("light tiles", "dark tiles")
 _GHOST_SHRINK: Final = 0.97
 """Of the sizes, so that surfaces do not flicker where the robot is exactly on its demonstration."""
 LIGHT_DIR: Final = (0.30, 0.40, -1.0)
 _FOVY_DEG: Final = 30.0
 TILE_M: Final = 0.5
 """Edge of a tile of the ground."""
-_TILED_M: Final = 12.0
+_TILED_M: Final = 8.0
 """How far from the camera's point the tiles reach: the fog hides what is beyond."""
+_GROUND_M: Final = 22.0
+"""How far the ground goes on; the fog hides its edge."""
 _LIGHT_TILE: Final = (0.80, 0.82, 0.84)
 _DARK_TILE: Final = (0.70, 0.73, 0.76)
 _HAZE: Final = (0.93, 0.95, 0.97)
@@ -45,6 +48,7 @@ def leg_rgba(leg: int, alpha: float) -> tuple[float, float, float, float]:
     return (*_rgb(LEG_LINES[leg].color), alpha)
 
 
+@cache
 def _rgb(color: str) -> tuple[float, float, float]:
     r, g, b = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
     return r, g, b
@@ -60,7 +64,7 @@ class Stage:
         ghost_qpos: the same of the ghost; None without one.
         casts_shadow: (ngeom,) which geoms have a shadow: the robot's main ones.
         quality: how it is drawn.
-        tiles: the geom that is the ground's pattern, to be kept under the camera; None where that is a texture.
+        tiles: the geoms that are the ground's pattern, to be kept under the camera; none where that is a texture.
         tile: edge of a tile, m.
     """
 
@@ -69,7 +73,7 @@ class Stage:
     ghost_qpos: NDArray[np.int64] | None
     casts_shadow: NDArray[np.bool_]
     quality: Quality = PREVIEW
-    tiles: int | None = None
+    tiles: tuple[int, ...] = ()
     tile: float = TILE_M
 
 
@@ -108,7 +112,7 @@ def build_stage(
     if ghost:
         ghost_qpos, ghost_geoms = _find(model, robot, _GHOST)
         _make_ghost(model, ghost_geoms)
-    tiles = None if quality.textured else int(model.geom(_TILES).id)
+    tiles = () if quality.textured else tuple(int(model.geom(name).id) for name in _TILES)
     return Stage(model, robot_qpos, ghost_qpos, _main_geoms(model, robot_geoms), quality, tiles, tile)
 
 
@@ -132,36 +136,39 @@ def _set_visual(spec: "mujoco.MjSpec", width: int, height: int, quality: Quality
 
 
 def _add_ground(spec: "mujoco.MjSpec", floor: Array, quality: Quality, tile: float) -> None:
+    """A plane with a texture, or tiles of two colours beside each other: nothing is drawn twice, and without a graphics
+    card most of a picture's time goes into the ground."""
     import mujoco
 
-    half = float(np.max(floor[1] - floor[0])) / 2 + 22.0  # the fog hides the edge
-    ground = spec.worldbody.add_geom(
-        name="ground",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        pos=[*np.round(floor.mean(axis=0) / (2 * tile)) * (2 * tile), 0],
-        size=[half, half, half],  # the third is the grid's spacing: one quad is enough without spotlights
-        rgba=[*_LIGHT_TILE, 1],
-    )
     if quality.textured:
+        half = float(np.max(floor[1] - floor[0])) / 2 + _GROUND_M
+        spec.worldbody.add_geom(
+            name="ground",
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            pos=[*np.round(floor.mean(axis=0) / (2 * tile)) * (2 * tile), 0],
+            size=[half, half, half],  # the third is the grid's spacing: one quad is enough without spotlights
+            material=_CHECKER,
+        )
         _add_checker(spec, tile, quality.reflectance)
-        ground.material, ground.rgba = _CHECKER, [1, 1, 1, 1]
         return
-    vertices, faces = _checkered(tile, _TILED_M)
-    spec.add_mesh(
-        name=_TILES,
-        uservert=vertices.ravel(),
-        userface=faces.ravel(),
-        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-    )
-    spec.worldbody.add_geom(
-        name=_TILES,
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname=_TILES,
-        pos=[0, 0, 0.001],
-        rgba=[*_DARK_TILE, 1],
-        contype=0,
-        conaffinity=0,
-    )
+    for parity, (name, rgb) in enumerate(zip(_TILES, (_LIGHT_TILE, _DARK_TILE), strict=True)):
+        vertices, faces = _checkered(tile, _TILED_M, parity)
+        if parity == 0:
+            vertices, faces = _framed(vertices, faces)
+        spec.add_mesh(
+            name=name,
+            uservert=vertices.ravel(),
+            userface=faces.ravel(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        spec.worldbody.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=name,
+            rgba=[*rgb, 1],
+            contype=0,
+            conaffinity=0,
+        )
 
 
 def _add_checker(spec: "mujoco.MjSpec", tile: float, reflectance: float) -> None:
@@ -190,17 +197,30 @@ def _add_checker(spec: "mujoco.MjSpec", tile: float, reflectance: float) -> None
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _CHECKER
 
 
-def _checkered(tile: float, reach: float) -> tuple[Array, NDArray[np.int32]]:
-    """Every other tile of a square of `reach` m each way: vertices (4 k, 3) and triangles (2 k, 3), facing up."""
+def _checkered(tile: float, reach: float, parity: int) -> tuple[Array, NDArray[np.int32]]:
+    """Every other tile of a square of `reach` m each way: vertices (k, 4, 3) and triangles (k, 2, 3), facing up."""
     n = 2 * int(np.ceil(reach / (2 * tile)))
     column, row = np.meshgrid(np.arange(-n, n), np.arange(-n, n))
-    low = np.stack([column, row], axis=-1)[(column + row) % 2 == 0] * tile
-    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * tile
+    low = np.stack([column, row], axis=-1)[(column + row) % 2 == parity] * tile
+    return _quads(low, low + tile)
+
+
+def _framed(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
+    """A square of tiles with the ground that goes on around it."""
+    inner, outer = float(vertices[..., 0].max()), _GROUND_M
+    low = np.array([[-outer, inner], [-outer, -outer], [-outer, -inner], [inner, -inner]])
+    high = np.array([[outer, outer], [outer, -inner], [-inner, inner], [outer, inner]])
+    more, their_faces = _quads(low, high)
+    return np.concatenate([vertices, more]), np.concatenate([faces, their_faces + 4 * len(vertices)])
+
+
+def _quads(low: Array, high: Array) -> tuple[Array, NDArray[np.int32]]:
+    """Rectangles on the ground between corners (k, 2) as vertices (k, 4, 3) and triangles (k, 2, 3), facing up."""
     vertices = np.zeros((len(low), 4, 3))
-    vertices[..., :2] = low[:, None] + corners
+    vertices[:, :, 0] = np.stack([low[:, 0], high[:, 0], high[:, 0], low[:, 0]], axis=1)
+    vertices[:, :, 1] = np.stack([low[:, 1], low[:, 1], high[:, 1], high[:, 1]], axis=1)
     first = 4 * np.arange(len(low))[:, None, None]
-    faces = first + np.array([[0, 1, 2], [0, 2, 3]])
-    return vertices.reshape(-1, 3), faces.reshape(-1, 3).astype(np.int32)
+    return vertices, (first + np.array([[0, 1, 2], [0, 2, 3]])).astype(np.int32)
 
 
 def _add_light(spec: "mujoco.MjSpec", quality: Quality) -> None:

@@ -10,10 +10,10 @@ from matplotlib.patches import Patch
 
 from fastmimic.experiments.transfer import (
     PAPER,
-    STAGES,
     Transferred,
     all_trials,
     part_file,
+    stages_of,
     to_csv,
     transfer_table,
     transferred,
@@ -24,7 +24,7 @@ from fastmimic.report.style import INK, new_figure, save, tidy
 
 FIGURE: Final = "transfer.png"
 WRITTEN: Final = (RESULTS_CSV, TABLE, FIGURE)
-_COLORS: Final = (("#0072b2", ""), ("#56b4e9", "//"), ("#e69f00", "\\\\"), ("#d55e00", "xx"))
+_COLORS: Final = (("#0072b2", ""), ("#56b4e9", "//"), ("#e69f00", "\\\\"), ("#d55e00", "xx"), ("#009e73", ".."))
 
 
 def write_transfer(folder: ResultFolder, planned: Sequence[tuple[str, str]]) -> None:
@@ -75,17 +75,20 @@ def transfer_figure(rows: Sequence[dict[str, Any]]) -> Figure:
     panels[0].set_ylabel("reward (0 to 1)", fontsize=9)
     handles = [
         Patch(facecolor=color, hatch=hatch, edgecolor="white", label=stage.label)
-        for (color, hatch), stage in zip(_COLORS, STAGES, strict=True)
+        for (color, hatch), stage in zip(_COLORS, stages_of(rows), strict=False)
     ]
     note = Line2D([], [], marker="$×n$", markersize=11, color=INK, linestyle="", label="n trials ended in a fall")
-    figure.legend(handles=[*handles, note], loc="outside lower center", ncols=5, fontsize=9, frameon=False)
+    figure.legend(
+        handles=[*handles, note], loc="outside lower center", ncols=len(handles) + 1, fontsize=9, frameon=False
+    )
     return figure
 
 
 def _bars(axes: Axes, at: float, t: Transferred) -> None:
-    for k, ((color, hatch), rewards, falls) in enumerate(zip(_COLORS, t.rewards, t.falls, strict=True)):
-        x = at + 0.2 * (k - 1.5)
-        _bar(axes, x, 0.18, float(rewards.mean()), float(rewards.std()), color, hatch)
+    for k, ((color, hatch), rewards, falls) in enumerate(zip(_COLORS, t.rewards, t.falls, strict=False)):
+        step = 0.8 / len(t.rewards)
+        x = at + step * (k - 0.5 * (len(t.rewards) - 1))
+        _bar(axes, x, 0.9 * step, float(rewards.mean()), float(rewards.std()), color, hatch)
         if falls:
             axes.annotate(f"×{falls}", (x, 0.02), ha="center", fontsize=8, color="white", fontweight="bold")
 
@@ -93,7 +96,7 @@ def _bars(axes: Axes, at: float, t: Transferred) -> None:
 def _paper(axes: Axes) -> None:
     for i, (_, simulated, deviation, real, spread) in enumerate(PAPER):
         _bar(axes, i - 0.2, 0.36, simulated, deviation, *_COLORS[0])
-        _bar(axes, i + 0.2, 0.36, real, spread, *_COLORS[-1])
+        _bar(axes, i + 0.2, 0.36, real, spread, *_COLORS[3])
     axes.set_xticks(range(len(PAPER)), [label for label, *_ in PAPER])
     tidy(axes, "the paper's turn, real robot")
 

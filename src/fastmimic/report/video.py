@@ -1,19 +1,22 @@
 """Videos of robots in motion, up to four in a grid, each with its demonstration as a ghost."""
 
 import logging
+from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.errors import ConfigError
+from fastmimic.machine import available_cores
 from fastmimic.report.encoding import FPS, GIF_FPS, GIF_SIZE, VideoFile
-from fastmimic.report.offscreen import NoRendererError, Offscreen
+from fastmimic.report.offscreen import NoRendererError, Offscreen, in_any_thread
 from fastmimic.report.overlay import Overlay
 from fastmimic.report.playback import AnimalTrack, Track, resample, resample_contact, resample_points
 from fastmimic.report.quality import PREVIEW, Quality, quality_named
@@ -36,8 +39,11 @@ _CAMERA_SMOOTHING_S: Final = 0.35
 _LOOK_AT_HEIGHT: Final = 0.62
 """Of the base's height: leaves room above for the words and below for the shadow."""
 MAX_PANELS: Final = 4
+_MAX_PAINTERS: Final = 4
 _TRAIL_S: Final = 0.45
-_TRAIL_PIECES: Final = 24
+_TRAIL_PIECES: Final = 18
+_TRAIL_STEP: Final = 0.002
+"""Pieces of a trail that are shorter, m, are not drawn: the foot stands."""
 _TRAIL_WIDTH: Final = 3.0
 """Pixels in a picture of 720 lines; at least half of it."""
 _BONE_RGBA: Final = (0.66, 0.47, 0.30, 1.0)
@@ -104,11 +110,10 @@ class _Panel:
         return self.view.scene
 
     def _trail(self, path: Array, leg: int) -> None:
-        """The last moments of a foot's path (p, 3), the present first, fading."""
-        for i, (start, end) in enumerate(pairwise(path)):
-            if np.array_equal(start, end):
-                continue
-            self.view.line(start, end, leg_rgba(leg, 0.9 * (1 - i / _TRAIL_PIECES)), self.trail_width)
+        """The last moments of a foot's path (p, 3), the present first, fading; not where it stood."""
+        moved = np.linalg.norm(np.diff(path, axis=0), axis=1) > _TRAIL_STEP
+        for i in np.flatnonzero(moved):
+            self.view.line(path[i], path[i + 1], leg_rgba(leg, 0.9 * (1 - i / _TRAIL_PIECES)), self.trail_width)
 
 
 def render_video(
@@ -176,44 +181,96 @@ def render_video(
     shown = [_shown(robot, track, rate_hz, times, marks) for track in tracks]
     stage = _stage(robot, shown, drawn_size, quality, loop_m)
     overlay = _overlay(tracks, drawn_size, slow_motion, columns, clock)
+
+    def panels() -> list[_Panel]:
+        return _panels(stage, robot, shown, times, drawn_size, columns)
+
     try:
-        screen = Offscreen(stage.model)
+        with ExitStack() as painters:
+            film = [painters.enter_context(_Painter(stage, panels, columns)) for _ in range(_painters(len(frames)))]
+            with video:
+                _film(film, frames, times, overlay, video, progress)
     except NoRendererError as error:
         _LOG.warning("%s was not written: %s; set MUJOCO_GL to a backend that works", path, error)
         return None
-    with screen, video:
-        panels = _panels(stage, robot, shown, times, drawn_size, columns)
-        _film(panels, columns, frames, times, screen, overlay, video, progress)
     return VideoInfo(len(frames), len(frames) / fps)
 
 
+def _painters(frames: int) -> int:
+    """How many draw at once: without a graphics card one thread draws with one core, and waits now and then."""
+    return max(1, min(_MAX_PAINTERS, available_cores() + 1, frames)) if in_any_thread() else 1
+
+
+class _Here(Executor):
+    """Does at once what is submitted, in the thread that submits it."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:  # noqa: BLE001 - it is raised by whoever asks for the result
+            future.set_exception(error)
+        return future
+
+
+class _Painter:
+    """Draws frames in a thread of its own, the only one in which its OpenGL context is ever current; in the caller's
+    where contexts belong to windows, which only a program's first thread may open.
+
+    Args:
+        stage: the model.
+        panels: makes the panels; a painter has its own, since drawing poses them.
+        columns: of panels.
+
+    Raises:
+        NoRendererError: OpenGL cannot draw here.
+    """
+
+    def __init__(self, stage: Stage, panels: Callable[[], list[_Panel]], columns: int) -> None:
+        self._columns = columns
+        self._panels = panels()
+        self._thread: Executor = ThreadPoolExecutor(max_workers=1) if in_any_thread() else _Here()
+        try:
+            self._screen = self._thread.submit(Offscreen, stage.model).result()
+        except BaseException:
+            self._thread.shutdown()
+            raise
+
+    def paint(self, frame: int) -> "Future[NDArray[np.uint8]]":
+        """Begins to draw that frame (height, width, 3)."""
+        return self._thread.submit(self._draw, frame)
+
+    def _draw(self, frame: int) -> NDArray[np.uint8]:
+        return self._screen.draw([panel.scene(frame) for panel in self._panels], self._columns)
+
+    def __enter__(self) -> "_Painter":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._thread.submit(self._screen.close).result()
+        self._thread.shutdown()
+
+
 def _film(
-    panels: list[_Panel],
-    columns: int,
+    painters: list[_Painter],
     frames: range,
     times: Array,
-    screen: Offscreen,
     overlay: Overlay,
     video: VideoFile,
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """Draws the panels frame by frame, while a second thread labels and writes the frame before."""
-
-    def finish(frame: NDArray[np.uint8], time_s: float) -> None:
-        overlay.draw(frame, time_s)
+    """Labels and writes one frame after another, while the painters draw the next ones by turns."""
+    ahead = deque(painter.paint(i) for painter, i in zip(painters, frames, strict=False))
+    for done, i in enumerate(frames, start=1):
+        frame = ahead.popleft().result()
+        if (following := done - 1 + len(painters)) < len(frames):
+            ahead.append(painters[(done - 1) % len(painters)].paint(frames[following]))
+        overlay.draw(frame, float(times[i]))
         video.write(frame)
-
-    with ThreadPoolExecutor(max_workers=1) as writer:
-        written: Future[None] | None = None
-        for done, i in enumerate(frames, start=1):
-            frame = screen.draw([panel.scene(i) for panel in panels], columns)
-            if written is not None:
-                written.result()
-            written = writer.submit(finish, frame, float(times[i]))
-            if progress is not None:
-                progress(done, len(frames))
-        if written is not None:
-            written.result()
+        if progress is not None:
+            progress(done, len(frames))
 
 
 def _frame_times(samples: int, rate_hz: float, frames_per_s: float) -> Array:

@@ -30,6 +30,8 @@ _MARK_HEIGHT: Final = 0.004
 _MARK_RADIUS: Final = 0.034
 _LIGHT_DISTANCE: Final = 3.0
 """From the point that the camera looks at, m: the shadow map has its depth about it."""
+_ZERO: Final = np.zeros(3)
+_UPRIGHT: Final = np.eye(3).ravel()
 _MAX_MARKS: Final = 400
 """Bones, trails and contacts drawn at once, their shadows included."""
 
@@ -77,7 +79,7 @@ class View:
 
     def line(self, start: Array, end: Array, rgba: Rgba, width: float) -> None:
         """Adds a line between two points (3,), world; `width` in pixels."""
-        geom = self._add(mujoco.mjtGeom.mjGEOM_LINE, np.zeros(3), np.zeros(3), np.eye(3), rgba)
+        geom = self._add(mujoco.mjtGeom.mjGEOM_LINE, _ZERO, _ZERO, rgba)
         mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_LINE, width, start, end)
         geom.emission, geom.specular = 0.6, 0.0
 
@@ -85,12 +87,12 @@ class View:
         """Adds the mark of a loaded foot on the ground under `centre` (3,), world."""
         at = np.array([centre[0], centre[1], _MARK_HEIGHT])
         size = np.array([_MARK_RADIUS, 0.001, 0.0])
-        geom = self._add(mujoco.mjtGeom.mjGEOM_CYLINDER, size, at, np.eye(3), rgba)
+        geom = self._add(mujoco.mjtGeom.mjGEOM_CYLINDER, size, at, rgba)
         geom.emission, geom.specular = 0.2, 0.0
 
     def capsule(self, start: Array, end: Array, radius: float, rgba: Rgba) -> None:
         """Adds a capsule between two points (3,), world, with its shadow."""
-        geom = self._add(mujoco.mjtGeom.mjGEOM_CAPSULE, np.zeros(3), np.zeros(3), np.eye(3), rgba)
+        geom = self._add(mujoco.mjtGeom.mjGEOM_CAPSULE, _ZERO, _ZERO, rgba)
         mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, start, end)
         geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC  # decoration has no shadow in the depth map
         if not self._stage.quality.shadow_map:
@@ -99,20 +101,20 @@ class View:
             _flatten(geom, shadow)
             self.scene.ngeom += 1
 
-    def _add(self, kind: mujoco.mjtGeom, size: Array, at: Array, mat: Array, rgba: Rgba) -> mujoco.MjvGeom:
+    def _add(self, kind: mujoco.mjtGeom, size: Array, at: Array, rgba: Rgba) -> mujoco.MjvGeom:
         assert self.scene.ngeom + 1 < self.scene.maxgeom, "more to draw than there is room for"
         geom = self.scene.geoms[self.scene.ngeom]
-        mujoco.mjv_initGeom(geom, kind, size, at, mat.ravel(), np.array(rgba, dtype=np.float32))
+        mujoco.mjv_initGeom(geom, kind, size, at, _UPRIGHT, np.array(rgba, dtype=np.float32))
         self.scene.ngeom += 1
         return geom
 
     def _follow(self, look_at: Array) -> None:
         """Keeps the tiles under the camera, by whole periods of their pattern, and the light's depth map around it."""
         stage = self._stage
-        if stage.tiles is not None:
-            period = 2 * stage.tile
-            geom = self._geom_of(stage.tiles)
-            geom.pos[:2] = self._data.geom_xpos[stage.tiles, :2] + period * np.round(look_at[:2] / period)
+        period = 2 * stage.tile
+        for tiles in stage.tiles:
+            geom = self._geom_of(tiles)
+            geom.pos[:2] = self._data.geom_xpos[tiles, :2] + period * np.round(look_at[:2] / period)
         if stage.quality.shadow_map:
             light = self.scene.lights[self.scene.nlight - 1]
             direction = np.array(LIGHT_DIR) / np.linalg.norm(LIGHT_DIR)

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from fastmimic.errors import ClipError
 from fastmimic.motion.clip import Clip
-from fastmimic.motion.formats import csv_motion, deepmimic, keypoints
+from fastmimic.motion.formats import bvh, csv_motion, deepmimic, keypoints, named_points
 from fastmimic.motion.formats.content import detect_content, read_content
+from fastmimic.motion.formats.points import PointMap, read_point_map
 from fastmimic.motion.formats.table import check_positive, check_rate
 
 if TYPE_CHECKING:
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 FORMATS: Final = {
     "keypoints": "dog keypoints, 81 columns of text",
+    "bvh": "BVH, a hierarchy of joints",
+    "points": "keypoints by name, three columns each",
     "deepmimic": "DeepMimic-style JSON of the Laikago, or of the robot that it names, 19 numbers a frame",
     "csv": "retargeted robot motion, 19 columns of text: root xyz, quaternion xyzw, 12 joints",
     "npz": "FastMimic robot motion",
@@ -48,6 +51,7 @@ def read_clip(
     up: Literal["y", "z"] | str | None = None,
     scale: float | None = None,
     frames: tuple[int, int] | None = None,
+    point_map: "str | Path | PointMap | None" = None,
 ) -> Clip:
     """Reads a clip in any of the text formats. `clip.meta` tells the `format` and what was `assumed`.
 
@@ -58,18 +62,29 @@ def read_clip(
         up: the vertical axis of the file's coordinates, in place of what the keypoints show.
         scale: factor from the size in the file to the robot's.
         frames: (first, end) 0-based, end exclusive; the whole file if None.
+        point_map: which of a BVH's joints or of the points of a table by name the ten of
+            `fastmimic.motion.clip.POINT_NAMES` are, or a JSON file that says so; those of AI4Animation's dog, or of the
+            same names, if None.
 
     Raises:
         ClipError: the file cannot be read or used, or an option does not apply to its format.
     """
     try:
-        clip = _read(path, robot, fps, up, scale)
+        points = read_point_map(point_map) if isinstance(point_map, str | Path) else point_map
+        clip = _read(path, robot, fps, up, scale, points)
         return clip if frames is None else clip.cut(*frames)
     except ClipError as error:
         raise ClipError(f"{path}: {error}") from None
 
 
-def _read(path: str | Path, robot: "Robot | None", fps: float | None, up: str | None, scale: float | None) -> Clip:
+def _read(
+    path: str | Path,
+    robot: "Robot | None",
+    fps: float | None,
+    up: str | None,
+    scale: float | None,
+    points: PointMap | None,
+) -> Clip:
     if up not in (None, "y", "z"):
         raise ClipError(f"the vertical axis must be 'y' or 'z', found '{up}'")
     if fps is not None:
@@ -79,7 +94,7 @@ def _read(path: str | Path, robot: "Robot | None", fps: float | None, up: str | 
     if name == "npz":
         raise ClipError("this is a robot motion (.npz), not a clip: nothing to retarget")
     assert isinstance(content, str)
-    clip = _parse(name, content, robot, fps, up)
+    clip = _parse(name, content, robot, fps, up, points)
     meta: dict[str, Any] = {
         "name": Path(path).stem,
         "source": Path(path).name,
@@ -90,7 +105,15 @@ def _read(path: str | Path, robot: "Robot | None", fps: float | None, up: str | 
     return clip if scale is None else with_scale(clip, scale)
 
 
-def _parse(name: str, text: str, robot: "Robot | None", fps: float | None, up: str | None) -> Clip:
+def _parse(
+    name: str, text: str, robot: "Robot | None", fps: float | None, up: str | None, points: PointMap | None
+) -> Clip:
+    if name == "bvh":
+        return bvh.parse(text, fps=fps, up=up, point_map=points)
+    if name == "points":
+        return named_points.parse(text, fps=fps, up=up, point_map=points)
+    if points is not None:
+        raise ClipError(f"a point map does not apply to {FORMATS[name]}; leave it out")
     if name == "keypoints":
         return keypoints.parse(text, fps=fps, up=up)
     if up == "y":

@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Final
 
 from fastmimic.errors import ClipError
-from fastmimic.motion.formats import csv_motion, keypoints
+from fastmimic.motion.formats import bvh, csv_motion, keypoints, named_points
 from fastmimic.motion.formats.table import read_table
 
 EXPECTED: Final = (
     f"expected {keypoints.COLUMNS} columns (dog keypoints), {csv_motion.COLUMNS} columns or a header with"
-    " joint names (retargeted motion), DeepMimic-style JSON or a FastMimic .npz"
+    " joint names (retargeted motion), a header with NAME_x, NAME_y, NAME_z of ten points, BVH, DeepMimic-style JSON"
+    " or a FastMimic .npz"
 )
 _ZIP_MAGIC: Final = (b"PK\x03\x04", b"PK\x05\x06")
 _LINES_READ: Final = 2000
@@ -56,14 +57,18 @@ def detect_content(content: str | bytes) -> str:
         return _detect_archive(content)
     if content.lstrip()[:1] in ("{", "["):
         return "deepmimic"
+    if content.lstrip().startswith(bvh.KEYWORD):
+        return "bvh"
     table = read_table("\n".join(content.split("\n", _LINES_READ)[:_LINES_READ]))
+    if table.header is not None and named_points.names_points(table.header):
+        return "points"
     if table.header is not None and csv_motion.names_joints(table.header):
         return "csv"
     if not table.rows:
         raise ClipError(f"the file holds no numbers; {EXPECTED}")
     if table.header is not None and not table.header_is_comment:
         shown = ", ".join(table.header[:4]) + (", …" if len(table.header) > 4 else "")
-        raise ClipError(f"the first line ({shown[:80]}) is neither numbers nor names of joints; {EXPECTED}")
+        raise ClipError(f"the first line ({shown[:80]}) is neither numbers nor names of joints or points; {EXPECTED}")
     counts = Counter(len(row.fields) for row in table.rows[:_LINES_LOOKED_AT])
     for columns, name in ((keypoints.COLUMNS, "keypoints"), (csv_motion.COLUMNS, "csv")):
         if counts[columns]:

@@ -1,0 +1,78 @@
+"""`fastmimic identify`: friction and payload out of the log of a run."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
+
+from fastmimic.commands.console import put, table
+from fastmimic.commands.options import check_writable
+
+if TYPE_CHECKING:
+    from fastmimic.identification.identify import Identification
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identify:
+    """Identifies the ground's friction and the trunk's payload from a logged run, for all motions of the robot.
+
+    'fastmimic evaluate MOTION --observe sensors --log FILE.npz' writes such a log: sensor readings, commands and
+    estimates. The result is a configuration of the controller: give it to other commands with --config FILE.json.
+    """
+
+    log: Annotated[Positional[Path], arg(metavar="LOG.npz")]
+    """Of a run of a few seconds."""
+    robot: Annotated[str | None, arg(metavar="NAME|FILE.xml")] = None
+    """a1, go1, go2, or the MJCF of your own, without payload; by default the one that the log names."""
+    unloaded: Annotated[Path | None, arg(metavar="LOG.npz")] = None
+    """The log of the same robot without payload: it takes the gains of its sensors out of the payload."""
+    config: Annotated[str, arg(metavar="default|paper")] = "default"
+    """The controller's parameters that the result changes."""
+    out: Annotated[Path | None, arg(metavar="FILE.json")] = None
+    """Where the configuration goes; nothing is written without."""
+
+    def run(self) -> int:
+        """Prints what was identified; returns the exit status."""
+        from fastmimic.control.config import controller_config
+        from fastmimic.errors import LogError
+        from fastmimic.identification.identify import identify
+        from fastmimic.identification.log import RunLog
+        from fastmimic.robot import load_robot
+
+        if self.out is not None:
+            check_writable(self.out, ".json")
+        config = controller_config(self.config)
+        log = RunLog.load(self.log)
+        unloaded = None if self.unloaded is None else RunLog.load(self.unloaded)
+        robot = load_robot(self.robot or log.robot)
+        try:
+            found = identify(log, robot, unloaded)
+        except LogError as error:
+            raise LogError(f"{self.log}: {error}") from None
+        put(f"{log.motion} on {log.robot}, {log.duration_s:g} s")
+        for line in table(_rows(found, found.stance_friction(config), config.stance.friction)):
+            put(line)
+        if self.out is not None:
+            found.save(self.out, self.config)
+            put(f"the controller's parameters in {self.out}: give it to other commands as --config {self.out}")
+        return 0
+
+
+def _rows(found: "Identification", assumed: float, before: float) -> list[tuple[str, str]]:
+    friction, payload = found.friction, found.payload
+    if friction.value is None or friction.upper is None:
+        said = f"at least {friction.lower:.2f}: no foot slid, so there is no more to say"
+    else:
+        said = (
+            f"{friction.value:.2f} (95 %: {friction.lower:.2f} to {friction.upper:.2f}), from {friction.slides} slides"
+        )
+    changed = f"{before:g} as before" if assumed == before else f"{assumed:.2f} instead of {before:g}"
+    rows = [("friction", said), ("  the controller assumes", changed)]
+    if payload is None:
+        return [*rows, ("payload", "not weighed: the feet never stood long enough")]
+    weighed = f"{payload.mass:.2f} kg (95 %: {payload.lower:.2f} to {payload.upper:.2f})"
+    if not payload.tared:
+        weighed += "; --unloaded LOG of a run without payload narrows that"
+    taken = f"{payload.certain:.2f} kg" if payload.certain > 0 else "none: the interval does not begin above 0"
+    return [*rows, ("payload", weighed), ("  the controller is told", taken)]

@@ -1,0 +1,200 @@
+"""The ground's forces on the feet and the feet's sliding, out of a log: leg statics and dynamics, no force sensor.
+
+A leg's motors carry and accelerate it, and the ground does the rest: τ = τ_free(q, q̇, q̈) − Jᵀ f, so
+f = J⁻ᵀ (τ_free − τ), in the body frame, with J of the point under the foot's sphere.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from fastmimic.conventions import GRAVITY
+from fastmimic.errors import LogError
+from fastmimic.identification.log import RunLog
+from fastmimic.robot.dynamics import leg_torques
+from fastmimic.robot.kinematics import foot_jacobians, foot_positions
+from fastmimic.rotations import matrix_from_quat
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+SMOOTHING_S: Final = 0.03
+"""Window of the quadratic that smooths and differentiates; short against a stance, long against the sensors' noise."""
+LEAST_S: Final = 1.0
+"""Shortest log that anything can be learnt from."""
+LOADED: Final = 0.1
+"""Foot sensor above which a foot touches the ground, multiples of the robot's weight (as the estimator's)."""
+UPRIGHT: Final = 0.7
+"""Least cosine of the trunk's tilt: what comes after a fall says nothing about feet."""
+START_S: Final = 0.3
+"""Left out at the beginning, while the robot finds its gait."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroundForces:
+    """Forces and speeds of the feet over t control steps, in the frame of the ground (z normal to it).
+
+    Attributes:
+        dt: control step, s.
+        arm: (t, 4, 3, 3) J⁻ᵀ in the frame of the ground: force by joint torque, 1/m.
+        torque: (t, 4, 3) by the motors, N·m.
+        free: (t, 4, 3) what the legs alone would take, N·m.
+        velocity: (t, 4, 2) of the points under the feet along the ground, m/s.
+        sensed: (t, 4) the foot sensors without their offsets, N.
+        loaded: (t, 4) bool, touches the ground by its sensor.
+        settled_s: (t, 4) time to the nearer end of that contact, or of its absence, s.
+        usable: (t,) bool, upright and past the start.
+        need: (t,) vertical force that the robot without payload needs, N.
+        lift: (t,) vertical acceleration minus gravity's, which a payload on the trunk would share, m/s².
+    """
+
+    dt: float
+    arm: Array
+    torque: Array
+    free: Array
+    velocity: Array
+    sensed: Array
+    loaded: NDArray[np.bool_]
+    settled_s: Array
+    usable: NDArray[np.bool_]
+    need: Array
+    lift: Array
+
+    def force(self, gain: Array | None = None) -> Array:
+        """(t, 4, 3) the ground's force on each foot, N.
+
+        Args:
+            gain: (4, 3) true torque over measured torque of each motor; 1 if None.
+        """
+        torque = self.torque if gain is None else self.torque * gain
+        return np.asarray(np.einsum("tlij,tlj->tli", self.arm, self.free - torque))
+
+
+def ground_forces(log: RunLog, robot: "Robot") -> GroundForces:
+    """Forces and speeds of the feet in a log.
+
+    Raises:
+        LogError: it is of another robot, or too short.
+    """
+    if log.robot != robot.name:
+        raise LogError(f"the log is of robot '{log.robot}', not of '{robot.name}'; give --robot {log.robot}")
+    if log.duration_s < LEAST_S:
+        raise LogError(f"the log is {log.duration_s:.2f} s long; at least {LEAST_S:g} s are needed")
+    dt, late, reading = 1.0 / log.rate_hz, round(log.latency_s * log.rate_hz), log.reading
+
+    window = 2 * round(0.5 * SMOOTHING_S / dt) + 1
+
+    def smooth(x: Array, derivative: int = 0) -> Array:
+        return np.asarray(savgol_filter(x, window, 2, deriv=derivative, delta=dt, axis=0))
+
+    q, dq, ddq = (smooth(reading[f], d) for f, d in (("joint_pos", 0), ("joint_vel", 0), ("joint_vel", 1)))
+    gyro, turning, accel = smooth(reading["gyro"]), smooth(reading["gyro"], 1), smooth(reading["accel"])
+    rotation = matrix_from_quat(_delayed(log.estimate["root_quat"], late))
+    velocity = _delayed(log.estimate["lin_vel"], late)
+
+    t = len(reading)
+    jacobian, point = _contact_points(robot, q, rotation[:, 2])
+    arm_b = np.linalg.inv(np.swapaxes(jacobian, -1, -2))
+    foot_b = np.einsum("tlij,tlj->tli", jacobian, dq.reshape(t, 4, 3)) + np.cross(gyro[:, None], point)
+    foot = velocity[:, None] + np.einsum("tij,tlj->tli", rotation, foot_b)
+    sensed = _sensed(log)
+    loaded = sensed > LOADED * robot.mass * GRAVITY
+    usable = (rotation[:, 2, 2] > UPRIGHT) & (np.arange(t) * dt >= START_S)
+    usable &= np.cumsum(rotation[:, 2, 2] <= UPRIGHT) == 0
+    return GroundForces(
+        dt=dt,
+        arm=np.einsum("tij,tljk->tlik", rotation, arm_b),
+        torque=smooth(_mean_torque(log, robot, late)).reshape(t, 4, 3),
+        free=leg_torques(robot, q, dq, ddq, gyro, accel).reshape(t, 4, 3),
+        velocity=foot[..., :2],
+        sensed=sensed,
+        loaded=loaded,
+        settled_s=_settled(loaded) * dt,
+        usable=usable,
+        need=_vertical_need(robot, rotation, q, dq, ddq, gyro, turning, accel),
+        lift=np.einsum("ti,ti->t", rotation[:, 2], accel),
+    )
+
+
+def _delayed(x: Array, steps: int) -> Array:
+    """Rows as they were `steps` before: estimates are for now, readings of a while ago."""
+    return np.concatenate([np.repeat(x[:1], steps, axis=0), x[: len(x) - steps]]) if steps else x
+
+
+def _mean_torque(log: RunLog, robot: "Robot", late: int) -> Array:
+    """(t, 12) mean motor torque over each control step.
+
+    The motor's law goes on while a command holds, so that torque falls off within the step; a reading is that at its
+    end. Half of what the law changes between the readings at both ends is added.
+    """
+    command, q, dq = log.command, log.reading["joint_pos"], log.reading["joint_vel"]
+    sent = {name: _delayed(command[name], late) for name in command.dtype.names or ()}
+
+    def law(q: Array, dq: Array) -> Array:
+        torque = sent["torque"] + sent["stiffness"] * (sent["joint_pos"] - q)
+        torque += sent["damping"] * (sent["joint_vel"] - dq)
+        return np.clip(torque, -robot.torque_limit, robot.torque_limit)
+
+    return np.asarray(log.reading["torque"] + 0.5 * (law(_delayed(q, 1), _delayed(dq, 1)) - law(q, dq)))
+
+
+def _contact_points(robot: "Robot", q: Array, up_b: Array) -> tuple[Array, Array]:
+    """Jacobians (t, 4, 3, 3) and places (t, 4, 3) in the body frame of the points under the feet's spheres, which turn
+    with the calves; `up_b` (t, 3) is the ground's normal there."""
+    jacobian, below = foot_jacobians(robot, q), -robot.foot_radius * up_b
+    roll = q.reshape(-1, 4, 3)[..., 0]
+    zero = np.zeros_like(roll)
+    axes = (
+        np.stack([zero + 1.0, zero, zero], axis=-1),
+        *(2 * (np.stack([zero, np.cos(roll), np.sin(roll)], axis=-1),)),
+    )
+    for j, axis in enumerate(axes):
+        jacobian[..., j] += np.cross(axis, below[:, None])
+    return jacobian, foot_positions(robot, q) + below[:, None]
+
+
+def _sensed(log: RunLog) -> Array:
+    """(t, 4) foot sensors less their offsets, taken where the leg swings; N."""
+    sensed = np.array(log.reading["foot_force"])
+    for leg in range(4):
+        swings = ~log.stance[:, leg]
+        if swings.any():
+            sensed[:, leg] -= np.median(sensed[swings, leg])
+    return sensed
+
+
+def _settled(on: NDArray[np.bool_]) -> Array:
+    """(t, 4) samples to the nearer change of each column."""
+    t = np.arange(len(on))[:, None]
+    change = np.diff(on, axis=0, prepend=~on[:1])
+    before = t - np.maximum.accumulate(np.where(change, t, 0), axis=0)
+    last = np.diff(on, axis=0, append=~on[-1:])
+    after = np.minimum.accumulate(np.where(last, t, len(on))[::-1], axis=0)[::-1] - t
+    return np.asarray(np.minimum(before, after), dtype=np.float64)
+
+
+def _vertical_need(
+    robot: "Robot", rotation: Array, q: Array, dq: Array, ddq: Array, gyro: Array, turning: Array, accel: Array
+) -> Array:
+    """(t,) vertical force of the ground that moves the unloaded robot as the log says, by inverse dynamics, N."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(robot.xml)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    data = mujoco.MjData(model)
+    joints = [model.joint(name).id for name in robot.joint_names]
+    q_index, v_index = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+    out = np.zeros(len(q))
+    for i in range(len(q)):
+        mujoco.mju_mat2Quat(data.qpos[3:7], rotation[i].ravel())
+        data.qpos[q_index], data.qvel[3:6], data.qvel[v_index] = q[i], gyro[i], dq[i]
+        data.qacc[:3], data.qacc[3:6], data.qacc[v_index] = rotation[i] @ accel[i], turning[i], ddq[i]
+        data.qacc[2] -= GRAVITY
+        mujoco.mj_inverse(model, data)
+        out[i] = data.qfrc_inverse[2]
+    return out

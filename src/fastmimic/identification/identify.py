@@ -1,0 +1,106 @@
+"""From a log to the controller's parameters: friction and payload, and a file that every command takes."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from fastmimic.control.config import ControllerConfig, controller_config
+from fastmimic.control.config_file import FORMAT, VERSION
+from fastmimic.errors import LogError
+from fastmimic.files import replace_file
+from fastmimic.identification.forces import ground_forces
+from fastmimic.identification.friction import Friction, identify_friction
+from fastmimic.identification.log import RunLog
+from fastmimic.identification.payload import Payload, identify_payload
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+FRICTION_MARGIN: Final = 0.85
+"""Share of the identified coefficient that the controller assumes, because its friction pyramid has edges √2 as far out
+as its sides: about the best for side-steps on floors of 0.4 to 0.6."""
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What a run says of the robot's world.
+
+    Attributes:
+        robot, motion: names.
+        duration_s: of the log.
+        friction: of the ground.
+        payload: on the trunk; None if the feet never stood long enough to weigh the robot, as in a fall.
+    """
+
+    robot: str
+    motion: str
+    duration_s: float
+    friction: Friction
+    payload: Payload | None
+
+    def stance_friction(self, config: ControllerConfig) -> float:
+        """The coefficient that the controller is to assume: a share of the identified one, and never more than it
+        assumed before; that is left as it was where no foot slid."""
+        value = self.friction.value
+        return config.stance.friction if value is None else min(config.stance.friction, FRICTION_MARGIN * value)
+
+    def changes(self, config: ControllerConfig) -> dict[str, Any]:
+        """What is to be other than in a configuration, as in its file."""
+        found: dict[str, Any] = {"robot": self.robot}
+        friction = round(self.stance_friction(config), 3)
+        if friction < config.stance.friction:
+            found["stance"] = {"friction": friction}
+        if self.payload is not None and self.payload.certain > 0:
+            found["load"] = {"mass": round(self.payload.certain, 2)}
+        return found
+
+    def configure(self, config: ControllerConfig) -> ControllerConfig:
+        """A configuration with what was identified."""
+        from fastmimic.control.config_file import changed
+
+        return changed(config, self.changes(config), "what was identified")
+
+    def save(self, path: str | Path, base: str = "default") -> None:
+        """Writes a controller's configuration (`fastmimic.control.config_file`), with what it was taken from.
+
+        Args:
+            path: a `.json` file.
+            base: name of the configuration that it changes.
+
+        Raises:
+            ConfigError: no such configuration.
+            OutputError: the file cannot be written.
+        """
+        content = {
+            "format": FORMAT,
+            "version": VERSION,
+            "base": base,
+            **self.changes(controller_config(base)),
+            "identified": asdict(self),
+        }
+        text = json.dumps(content, indent=1, allow_nan=False) + "\n"
+        replace_file(path, lambda file: file.write(text.encode()))
+
+
+def identify(log: RunLog, robot: "Robot", unloaded: RunLog | None = None) -> Identification:
+    """Friction and payload out of the log of a run.
+
+    Args:
+        log: of the run.
+        robot: its model, without payload.
+        unloaded: of a run of the same robot without payload; it takes the sensors' gains out of the payload.
+
+    Raises:
+        LogError: another robot's log, too short a log, or one in which the robot never stands.
+    """
+    forces = ground_forces(log, robot)
+    before = ground_forces(unloaded, robot) if unloaded is not None else None
+    friction = identify_friction(forces, robot)
+    payload = None
+    try:
+        payload = identify_payload(forces, robot, before)
+    except LogError:
+        if friction.value is None:
+            raise
+    return Identification(log.robot, log.motion, log.duration_s, friction, payload)

@@ -1,0 +1,183 @@
+"""Identification: friction from feet that slide, a bound from feet that hold, and what the robot carries."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fastmimic.control.config import default_config
+from fastmimic.control.config_file import read_config
+from fastmimic.control.state import OBSERVATION
+from fastmimic.errors import LogError
+from fastmimic.identification.forces import ground_forces
+from fastmimic.identification.identify import FRICTION_MARGIN, identify
+from fastmimic.identification.log import RunLog
+from fastmimic.pipeline import evaluate
+from fastmimic.robot import Robot, load_robot
+from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.disturbances import Disturbance
+from identification.conftest import STEPS, MakeLog
+
+
+class TestForces:
+    def test_are_those_that_the_torques_were_made_of(self, robot: Robot, make_log: MakeLog) -> None:
+        forces = ground_forces(make_log(0.4, 2.0), robot).force()
+        assert forces[..., 2] == pytest.approx(0.25 * (robot.mass + 2.0) * 9.81, rel=0.02)
+        assert forces[75, :, 0] == pytest.approx(-0.4 * forces[75, :, 2], rel=0.02)
+
+    def test_match_the_simulators(self) -> None:
+        found = evaluate("trot", duration_s=1.5, conditions=Conditions(observe="sensors"), log=True)
+        assert found.rollout.log is not None
+        forces = ground_forces(found.run_log(), load_robot("a1"))
+        truth = np.roll(found.rollout.log.observation["foot_force"][0], 2, axis=0)  # readings are two steps late
+        stands = forces.loaded & (forces.settled_s > 0.02) & forces.usable[:, None]
+        error = (forces.force() - truth)[stands]
+        assert np.median(np.abs(error), axis=0).max() < 6.0  # N, of 60, with gains off by 5 %
+
+
+class TestFriction:
+    @pytest.mark.parametrize("friction", [0.2, 0.4, 0.7])
+    def test_is_that_of_the_slides(self, robot: Robot, make_log: MakeLog, friction: float) -> None:
+        found = identify(make_log(friction, noise=0.2), robot).friction
+        assert found.value == pytest.approx(friction, abs=0.02)
+        assert found.upper is not None
+        assert found.lower < friction < found.upper
+        assert found.slides >= 8
+
+    def test_without_a_slide_is_a_bound_and_leaves_the_controller_alone(self, robot: Robot, make_log: MakeLog) -> None:
+        found = identify(make_log(0.4, slides=False), robot)
+        assert found.friction.value is None
+        assert found.friction.upper is None
+        assert 0.1 < found.friction.lower <= 0.2  # they held at half of 0.4
+        assert found.changes(default_config()) == {"robot": "a1"}
+
+    def test_tells_the_controller_less_and_never_more(self, robot: Robot, make_log: MakeLog) -> None:
+        config = default_config()
+        found = identify(make_log(0.4), robot)
+        assert found.friction.value is not None
+        assert found.stance_friction(config) == pytest.approx(FRICTION_MARGIN * found.friction.value)
+        assert identify(make_log(1.5), robot).stance_friction(config) == config.stance.friction
+
+    @pytest.mark.parametrize(("floor", "slips"), [(0.5, True), (1.0, False)])
+    def test_of_a_simulated_floor(self, data_folder: Path, robot: Robot, floor: float, slips: bool) -> None:
+        conditions = Conditions(observe="sensors", disturbances=(Disturbance("friction", (floor,)),))
+        log = evaluate("anim:side-steps", duration_s=5.0, conditions=conditions, log=True).run_log()
+        found = identify(log, robot).friction
+        if slips:
+            assert found.value == pytest.approx(floor, abs=0.08)
+        else:
+            assert found.value is None
+            assert 0.4 < found.lower < floor
+
+
+class TestPayload:
+    def test_of_an_ideal_log(self, robot: Robot, make_log: MakeLog) -> None:
+        found = identify(make_log(payload=2.0), robot).payload
+        assert found is not None
+        assert found.mass == pytest.approx(2.0, abs=0.05)
+        assert found.lower < 2.0 < found.upper
+        assert not found.tared
+
+    def test_an_unloaded_run_takes_the_gains_out(self, robot: Robot, make_log: MakeLog) -> None:
+        def measured(log: RunLog) -> RunLog:
+            reading = log.reading.copy()
+            reading["torque"] *= 1.08
+            reading["foot_force"] *= 0.9
+            return dataclasses.replace(log, reading=reading)
+
+        loaded, empty = measured(make_log(payload=3.0)), measured(make_log(payload=0.0))
+        alone, found = identify(loaded, robot).payload, identify(loaded, robot, empty).payload
+        assert alone is not None
+        assert abs(alone.mass - 3.0) > 0.2
+        assert found is not None
+        assert found.tared
+        assert found.mass == pytest.approx(3.0, abs=0.05)
+        assert found.upper - found.mass < 0.5
+
+    def test_nothing_is_told_of_what_is_not_certain(self, robot: Robot, make_log: MakeLog) -> None:
+        found = identify(make_log(payload=0.1), robot)
+        assert found.payload is not None
+        assert found.payload.certain == 0.0
+        assert "load" not in found.changes(default_config())
+
+
+class TestResult:
+    def test_is_a_configuration(self, robot: Robot, make_log: MakeLog, tmp_path: Path) -> None:
+        found = identify(make_log(0.4, 2.0), robot)
+        found.save(tmp_path / "a1.json")
+        config = read_config(tmp_path / "a1.json")
+        assert config.robot == "a1"
+        assert config.stance.friction == pytest.approx(found.stance_friction(default_config()), abs=1e-3)
+        assert config.load.mass == pytest.approx(2.0, abs=0.05)
+        assert found.configure(default_config()).stance == config.stance
+        said = json.loads((tmp_path / "a1.json").read_text())["identified"]
+        assert said["friction"]["slides"] == found.friction.slides
+
+    def test_never_uses_the_truth(self, robot: Robot) -> None:
+        """What only a simulator knows may be anything."""
+        found = evaluate("trot", duration_s=1.2, conditions=Conditions(observe="sensors"), log=True)
+        log = found.rollout.log
+        assert log is not None
+        expected = identify(found.run_log(), robot)
+        for name in OBSERVATION.names or ():
+            log.observation[name] = np.nan
+        log.demonstration["root_pos"] = np.nan
+        log.force[:] = log.terms[:] = np.nan
+        assert identify(found.run_log(), robot) == expected
+
+
+class TestWhatCannotBeIdentified:
+    def test_another_robot(self, make_log: MakeLog) -> None:
+        with pytest.raises(LogError, match="the log is of robot 'a1', not of 'go1'; give --robot a1"):
+            identify(make_log(), load_robot("go1"))
+
+    def test_too_short(self, robot: Robot, make_log: MakeLog) -> None:
+        log = make_log()
+        cut = {name: getattr(log, name)[:200] for name in ("reading", "command", "estimate", "stance")}
+        with pytest.raises(LogError, match=r"0\.40 s long; at least 1 s"):
+            identify(dataclasses.replace(log, **cut), robot)
+
+    def test_a_robot_that_lies(self, robot: Robot, make_log: MakeLog) -> None:
+        log = make_log()
+        lying = log.estimate.copy()
+        lying["root_quat"] = [np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0]
+        with pytest.raises(LogError, match="feet stand in only 0 control steps"):
+            identify(dataclasses.replace(log, estimate=lying), robot)
+
+
+class TestLogFile:
+    def test_keeps_everything_but_what_no_sensor_tells(self, make_log: MakeLog, tmp_path: Path) -> None:
+        log = make_log(noise=0.1)
+        log.save(tmp_path / "run.npz")
+        found = RunLog.load(tmp_path / "run.npz")
+        assert (found.robot, found.motion, found.rate_hz, found.latency_s) == ("a1", "by hand", 500.0, 0.0)
+        for name in ("reading", "command", "estimate"):
+            for field in getattr(log, name).dtype.names:
+                assert getattr(found, name)[field] == pytest.approx(getattr(log, name)[field], rel=1e-6, abs=1e-6)
+        assert (found.stance == log.stance).all()
+
+    def test_refuses_what_is_damaged(self, make_log: MakeLog, tmp_path: Path) -> None:
+        path = tmp_path / "run.npz"
+        with pytest.raises(LogError, match="no such file"):
+            RunLog.load(path)
+        make_log().save(path)
+        whole = path.read_bytes()
+        path.write_bytes(whole[: len(whole) // 2])
+        with pytest.raises(LogError, match="cannot be read, perhaps cut off"):
+            RunLog.load(path)
+        path.write_bytes(whole)
+        with np.load(path) as file:
+            arrays = dict(file)
+        for changes, said in (
+            ({"reading_torque": arrays["reading_torque"][:-1]}, r"'reading_torque' has the shape \(999, 12\)"),
+            ({"command_torque": np.full((STEPS, 12), np.nan)}, "'command_torque' is not finite in row 0"),
+            ({"about": np.array("{}")}, "not the log of a run"),
+        ):
+            np.savez(path, **{**arrays, **changes})
+            with pytest.raises(LogError, match=said):
+                RunLog.load(path)
+        np.savez(path, **{name: value for name, value in arrays.items() if name != "estimate_root_quat"})
+        with pytest.raises(LogError, match="'estimate_root_quat' is missing"):
+            RunLog.load(path)

@@ -1,0 +1,104 @@
+"""Robots that are drawn: within their ranges, over all of each range, and the same for the same generator."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fastmimic.errors import ConfigError
+from fastmimic.optimize.randomization import OVER
+from fastmimic.simulation.disturbances import DISTURBANCES, PUSH_TIME_S, make_world
+from fastmimic.simulation.ranges import (
+    PUSH_WINDOW_S,
+    USUAL,
+    Range,
+    check_once,
+    draw,
+    parse_range,
+    part,
+    repeated,
+    usual_range,
+)
+
+RANGES = (Range("friction", 0.4, 1.2), Range("payload", 0.0, 3.0), Range("push", -5.0, 5.0))
+
+
+def test_every_disturbance_that_robots_of_a_batch_can_differ_in_has_a_usual_range() -> None:
+    assert set(USUAL) == {n for n, kind in DISTURBANCES.items() if kind.per_robot and "mujoco" in kind.simulators}
+    for name, (lower, upper) in USUAL.items():
+        kind = DISTURBANCES[name]
+        assert usual_range(name) == Range(name, lower, upper)
+        assert np.isinf(kind.nominal) or lower <= kind.nominal <= upper, "the robot as it is must not be an outsider"
+
+
+def test_the_documentation_lists_them() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "robustness.md").read_text(encoding="utf-8")
+    for name, (lower, upper) in USUAL.items():
+        ends = f"{lower:g} … {upper:g} {DISTURBANCES[name].unit}".strip().replace("-", "−")
+        assert f"| `{name}` | {ends} | {'yes' if name in OVER else 'no'} |" in page, name
+
+
+@pytest.mark.parametrize("n", [2, 3, 8])
+def test_of_as_many_parts_of_a_range_as_robots_each_has_one(n: int) -> None:
+    for d, r in zip(draw(RANGES, n, np.random.default_rng(0)), RANGES, strict=True):
+        assert d.name == r.name
+        share = (np.array(d.values) - r.lower) / (r.upper - r.lower)
+        assert sorted(np.floor(share * n).astype(int)) == list(range(n))
+
+
+def test_the_first_robot_may_be_the_robot_as_it_is() -> None:
+    robots = draw(RANGES, 4, np.random.default_rng(0), nominal_first=True)
+    assert [d.values[0] for d in robots] == [0.8, 0.0, 0.0]
+    friction = (np.array(robots[0].values[1:]) - 0.4) / 0.8
+    assert sorted(np.floor(3 * friction).astype(int)) == [0, 1, 2]
+
+
+def test_pushes_come_at_one_time_of_their_window() -> None:
+    times = [draw(RANGES, 2, np.random.default_rng(seed))[2].at_s for seed in range(20)]
+    assert len(set(times)) == 20
+    assert all(t is not None and PUSH_TIME_S <= t <= PUSH_TIME_S + PUSH_WINDOW_S for t in times)
+
+
+def test_the_same_generator_draws_the_same_robots() -> None:
+    one, same, other = (draw(RANGES, 3, np.random.default_rng(seed)) for seed in (5, 5, 6))
+    assert one == same
+    assert one != other
+
+
+def test_repeated_and_divided_robots_are_the_same_ones() -> None:
+    robots = draw(RANGES, 3, np.random.default_rng(1))
+    twice = repeated(robots, 2)
+    assert part(twice, slice(0, 3)) == part(twice, slice(3, 6)) == robots
+    world = make_world(twice, 6, "mujoco")
+    np.testing.assert_array_equal(world["payload"][:3], robots[1].values)
+    assert world.times["push"] == robots[2].at_s
+
+
+def test_a_range_is_written_by_name_or_with_its_ends() -> None:
+    assert parse_range("friction") == usual_range("friction")
+    assert parse_range(" com-y = -0.02:0.01 ") == Range("com-y", -0.02, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("friction=0.4", "written name=lower:upper"),
+        ("friction=a:b", "written name=lower:upper"),
+        ("=1:2", "written name=lower:upper"),
+        ("friction=1.2:0.4", "takes a range within 0.05 to 2, found 1.2 to 0.4"),
+        ("friction=0.4:nan", "takes a range within"),
+        ("top-speed=20:inf", "takes a range within"),
+        ("fricton", "did you mean 'friction'"),
+        ("fricton=0.4:1.2", "did you mean 'friction'"),
+        ("roughness", "'roughness' cannot differ between robots"),
+        ("roughness=0:0.01", "'roughness' cannot differ between robots"),
+    ],
+)
+def test_ranges_that_cannot_be_are_refused(text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        parse_range(text)
+
+
+def test_two_ranges_of_one_disturbance_are_refused() -> None:
+    with pytest.raises(ConfigError, match="the range of 'friction' is given twice"):
+        check_once([usual_range("friction"), Range("friction", 0.4, 1.0)])
