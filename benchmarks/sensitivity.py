@@ -25,7 +25,8 @@ from fastmimic.control.reference import remaining_stance
 from fastmimic.imitation.rollout import perturbed_start
 from fastmimic.imitation.style import style_distance
 from fastmimic.motion.contacts import stances_of
-from fastmimic.optimize.problem import FEET_AND_TRUNK, ImitationProblem
+from fastmimic.optimize.parameters import FEET_AND_TRUNK
+from fastmimic.optimize.problem import ImitationProblem
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.reach import foot_table
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 from fastmimic.control.config import CONFIGS, ControllerConfig, controller_config
 from fastmimic.errors import ConfigError, MotionError, did_you_mean
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.problem import FEET_AND_TRUNK, FOOT_HEIGHT, FOOT_PATH, PARAMETER_GROUPS
+from fastmimic.optimize.parameters import FEET_AND_TRUNK, FOOT_HEIGHT, FOOT_PATH, PARAMETER_GROUPS
 from fastmimic.optimize.randomization import Randomization
 
 NOTHING: Final = "none"
@@ -28,7 +28,7 @@ class Method:
         name: as on the command line.
         label: as in figures.
         summary: one line.
-        parameters: what is optimised: `NOTHING`, or one of `fastmimic.optimize.problem.PARAMETER_GROUPS`.
+        parameters: what is optimised: `NOTHING`, or one of `fastmimic.optimize.parameters.PARAMETER_GROUPS`.
         change: what it changes in the controller's configuration.
         own_feet: whether the swing feet follow the method's own path instead of the motion's.
         learned: whether a trained policy takes the place of the model-based controller.

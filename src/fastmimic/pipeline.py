@@ -33,7 +33,8 @@ from fastmimic.motion.formats import detect_format
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.retarget import retarget
 from fastmimic.optimize.cma_es import CmaSettings, History, Progress, optimize
-from fastmimic.optimize.problem import Objective, Parameter
+from fastmimic.optimize.parameters import Parameter
+from fastmimic.optimize.problem import Objective
 from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization, randomization
 from fastmimic.optimize.stitching import make_problem
 from fastmimic.primitive.rhythmic import N_BASIS

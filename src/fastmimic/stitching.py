@@ -22,9 +22,9 @@ from fastmimic.motion.motion import Motion
 from fastmimic.motion.stitch import stitch_motions
 from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.optimize.cma_es import CmaSettings, Progress
-from fastmimic.optimize.problem import FOOT_HEIGHT
+from fastmimic.optimize.parameters import FOOT_HEIGHT, needed_group
 from fastmimic.optimize.randomization import Randomization, randomization
-from fastmimic.optimize.stitching import StitchedProblem, needed_group, parameters_of
+from fastmimic.optimize.stitching import StitchedProblem, parameters_of
 from fastmimic.pipeline import Imitation, imitate, load_motion
 from fastmimic.robot import Robot, load_robot
 
@@ -156,9 +156,7 @@ def stitch(
             demonstration,
             start=starts,
             config=config,
-            group=needed_group(
-                chosen.parameters if chosen.optimises else FOOT_HEIGHT, starts, motions[0].target, robot
-            ),
+            group=needed_group(chosen.parameters if chosen.optimises else FOOT_HEIGHT, *starts),
         )
         given = whole.motion(whole.start)
     if chosen.optimises and whole is not None:

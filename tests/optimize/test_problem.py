@@ -13,7 +13,8 @@ from fastmimic.conventions import LEGS
 from fastmimic.errors import ConfigError
 from fastmimic.imitation.rollout import Rollout, nominal_start, perturbed_start, run_episodes, swing_clearance
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.problem import PARAMETER_GROUPS, ImitationProblem, Objective, Parameter
+from fastmimic.optimize.parameters import PARAMETER_GROUPS, Parameter
+from fastmimic.optimize.problem import ImitationProblem, Objective
 from fastmimic.primitive import MotionDmp
 from fastmimic.robot import Robot, load_robot
 
@@ -64,8 +65,8 @@ class TestGroups:
     def wide(self, request: pytest.FixtureRequest, robot: Robot, demonstration: Motion, dmp: MotionDmp) -> object:
         return ImitationProblem(robot, demonstration, dmp, group=request.param, workers=1)
 
-    def test_each_holds_the_one_before(self, dmp: MotionDmp) -> None:
-        names = [{p.name for p in parameters(dmp)} for parameters in PARAMETER_GROUPS.values()]
+    def test_each_holds_the_one_before(self) -> None:
+        names = [{opened.name for opened in group} for group in PARAMETER_GROUPS.values()]
         assert [len(group) for group in names] == [8, 24, 26]
         assert names[0] < names[1] < names[2]
 

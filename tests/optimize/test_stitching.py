@@ -16,11 +16,11 @@ from fastmimic.motion.stitch import stitch_motions
 from fastmimic.motion.stitch_layout import Layout
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.cma_es import CmaSettings, optimize
+from fastmimic.optimize.parameters import needed_group
 from fastmimic.optimize.problem import ImitationProblem, Problem, clearance_penalty
 from fastmimic.optimize.stitching import (
     StitchedProblem,
     make_problem,
-    needed_group,
     parameters_of,
     segment_clearance,
 )
@@ -249,14 +249,14 @@ class TestParametersOf:
         dmp = MotionDmp.fit(part, robot)
         problem = ImitationProblem(robot, part, dmp, group="foot-path", workers=1)
         own = parameters_of(problem.motion(candidates(problem, 1)[0]))
-        assert needed_group("foot-height", [own, {}], part, robot) == "foot-path"
-        assert needed_group("feet-and-trunk", [own, {}], part, robot) == "feet-and-trunk"
-        assert needed_group("foot-height", [{}], part, robot) == "foot-height"
+        assert needed_group("foot-height", own, {}) == "foot-path"
+        assert needed_group("feet-and-trunk", own, {}) == "feet-and-trunk"
+        assert needed_group("foot-height", {}) == "foot-height"
         whole = StitchedProblem(robot, stitched, start=[own, {}], group="foot-path", workers=1)
         again = make_problem(robot, whole.motion(whole.start), workers=1)
         np.testing.assert_array_equal(again.start, whole.start)
         with pytest.raises(MotionError, match=r"moves root_vx.goal, which no method optimises"):
-            needed_group("foot-height", [{"root_vx.goal": 0.1}], part, robot)
+            needed_group("foot-height", {"root_vx.goal": 0.1})
 
     def test_damaged(self, robot: Robot, stitched: Motion) -> None:
         part = stitched.parts[0]

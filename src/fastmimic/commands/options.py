@@ -11,6 +11,7 @@ from tyro.conf import arg
 from fastmimic.errors import ConfigError, OutputError, PolicyError
 
 if TYPE_CHECKING:
+    from fastmimic.experiments.entrants import Search
     from fastmimic.imitation.rollout import MakeController
     from fastmimic.motion.motion import Motion
     from fastmimic.optimize.randomization import Randomization
@@ -109,6 +110,32 @@ class RandomizeOptions:
             arguments.pop(name)
         chosen = self.randomization()
         return arguments | {"randomize": None if chosen is None else chosen.as_dict()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExperimentOptions(MotionOptions):
+    """What experiments over methods share: the search of those that optimise, and going on with a folder."""
+
+    seed: int = 0
+    """Of the episodes' starts, the sensors' errors, uneven ground, and CMA-ES."""
+    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
+    """The controller's parameters."""
+    policy: Annotated[Path | None, arg(metavar="FILE")] = None
+    """A trained policy of the motion, for the method rl."""
+    iterations: int = 200
+    """Generations of CMA-ES where a method optimises."""
+    population: int = 10
+    """Candidates in each."""
+    resume: bool = False
+    """Keep what is finished in the folder, do what is not."""
+    overwrite: bool = False
+    """Replace what is finished in the folder."""
+
+    def search(self) -> "Search":
+        """What methods that optimise do first."""
+        from fastmimic.experiments.entrants import Search
+
+        return Search(self.config, self.iterations, self.population, self.seed)
 
 
 def robot_of(source: str) -> str | None:

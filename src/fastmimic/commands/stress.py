@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from tyro.conf import Positional, arg
 
 from fastmimic.commands.console import FIRST_USE, note, optimisation_progress, put, share_progress, slow_start
-from fastmimic.commands.options import MotionOptions, check_duration, policy_with_digest
+from fastmimic.commands.options import ExperimentOptions, check_duration, policy_with_digest
 
 if TYPE_CHECKING:
     from fastmimic.experiments.entrants import Entrant
@@ -19,7 +19,7 @@ OUT: Final = Path("runs/stress")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stress(MotionOptions):
+class Stress(ExperimentOptions):
     """Runs a motion over the range of each disturbance, and says what it withstands.
 
     A method that optimises does so first, undisturbed; a motion that is optimised already is run as it is. Writes
@@ -41,27 +41,13 @@ class Stress(MotionOptions):
     """Where the robot is; PyBullet is some ten times slower."""
     observe: Annotated[str, arg(metavar="truth|sensors")] = "truth"
     """What the controller sees."""
-    seed: int = 0
-    """Of the phases that episodes begin at, the sensors' errors, uneven ground, and CMA-ES."""
-    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
-    """The controller's parameters."""
-    policy: Annotated[Path | None, arg(metavar="FILE")] = None
-    """A trained policy, for the method rl."""
-    iterations: int = 200
-    """Generations of CMA-ES where a method optimises."""
-    population: int = 10
-    """Candidates in each."""
     out: Annotated[Path, arg(metavar="FOLDER")] = OUT
     """Where everything goes. A folder with sweeps is refused unless --resume or --overwrite."""
-    resume: bool = False
-    """Keep what is finished in the folder, do what is not."""
-    overwrite: bool = False
-    """Replace the sweeps in the folder."""
 
     def run(self) -> int:
         """Runs it, and writes the folder; returns the exit status."""
         check_duration(self.duration)
-        from fastmimic.experiments.entrants import MOTIONS, Search, check_methods, check_motion, make_entrant
+        from fastmimic.experiments.entrants import MOTIONS, check_methods, check_motion, make_entrant
         from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of
         from fastmimic.report.result_folder import ResultFolder
         from fastmimic.report.stress import WRITTEN, write_stress
@@ -82,7 +68,6 @@ class Stress(MotionOptions):
             population=self.population,
         )
         policy = None if self.policy is None else policy_with_digest(self.policy, robot, motion)
-        search = Search(self.config, self.iterations, self.population, self.seed)
         check_motion(motion, self.methods)
         check_length(motion, names, settings)
         check_simulator(robot, self.simulator)
@@ -94,7 +79,7 @@ class Stress(MotionOptions):
             for k, method in enumerate(self.methods):
                 with optimisation_progress() as progress:
                     entrant = make_entrant(
-                        method, motion, robot, search, self.out / MOTIONS, policy=policy, progress=progress
+                        method, motion, robot, self.search(), self.out / MOTIONS, policy=policy, progress=progress
                     )
                 self._sweeps(entrant, names, robot, settings, k * len(names), len(planned))
         except KeyboardInterrupt:

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Final
 from tyro.conf import Positional, arg
 
 from fastmimic.commands.console import FIRST_USE, note, optimisation_progress, put, slow_start
-from fastmimic.commands.options import MotionOptions, check_duration, policy_with_digest
+from fastmimic.commands.options import ExperimentOptions, check_duration, policy_with_digest
 from fastmimic.errors import ConfigError
 
 if TYPE_CHECKING:
-    from fastmimic.experiments.entrants import Search
     from fastmimic.experiments.transfer import TransferSettings
     from fastmimic.imitation.rollout import MakeController
     from fastmimic.motion.motion import Motion
@@ -21,7 +20,7 @@ OUT: Final = Path("runs/transfer")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Transfer(MotionOptions):
+class Transfer(ExperimentOptions):
     """Optimises motions in MuJoCo with the truth, then runs them unchanged on robots that differ more and more.
 
     (a) MuJoCo with sensors and an estimator; (b) PyBullet with the truth; (c) PyBullet with sensors, an estimator,
@@ -37,29 +36,15 @@ class Transfer(MotionOptions):
     """Of each motion and method in each of the conditions."""
     duration: Annotated[float, arg(metavar="S")] = 10.0
     """Length of each."""
-    seed: int = 0
-    """Of the starts, the sensors' errors and CMA-ES."""
-    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
-    """The controller's parameters."""
-    policy: Annotated[Path | None, arg(metavar="FILE")] = None
-    """A trained policy of the motion, for the method rl."""
-    iterations: int = 200
-    """Generations of CMA-ES where a method optimises."""
-    population: int = 10
-    """Candidates in each."""
     identify: bool = False
     """Run (c) once more with friction and payload identified from one run there, as one would on a robot."""
     out: Annotated[Path, arg(metavar="FOLDER")] = OUT
     """Where everything goes. A folder with trials is refused unless --resume or --overwrite."""
-    resume: bool = False
-    """Keep what is finished in the folder, do what is not."""
-    overwrite: bool = False
-    """Replace the trials in the folder."""
 
     def run(self) -> int:
         """Runs it, and writes the folder; returns the exit status."""
         check_duration(self.duration)
-        from fastmimic.experiments.entrants import Search, check_methods, check_motion
+        from fastmimic.experiments.entrants import check_methods, check_motion
         from fastmimic.experiments.transfer import PARTS, TransferSettings
         from fastmimic.report.result_folder import ResultFolder
         from fastmimic.report.transfer import WRITTEN, write_transfer
@@ -81,7 +66,6 @@ class Transfer(MotionOptions):
         if len(robots) > 1:
             raise ConfigError(f"the motions are for different robots: {', '.join(robots)}")
         check_simulator(loaded[0][0], "pybullet")
-        search = Search(self.config, self.iterations, self.population, self.seed)
         for _, motion in loaded:
             check_motion(motion, self.methods)
         policy = None if self.policy is None else policy_with_digest(self.policy, *loaded[0])
@@ -92,7 +76,7 @@ class Transfer(MotionOptions):
         try:
             for robot, motion in loaded:
                 for method in self.methods:
-                    self._one(method, motion, robot, settings, search, policy)
+                    self._one(method, motion, robot, settings, policy)
         except KeyboardInterrupt:
             write_transfer(folder, planned)
             note("what is finished is kept; the same command with --resume goes on")
@@ -108,7 +92,6 @@ class Transfer(MotionOptions):
         motion: "Motion",
         robot: "Robot",
         settings: "TransferSettings",
-        search: "Search",
         policy: "tuple[MakeController, str] | None",
     ) -> None:
         """The trials of a method on a motion, unless they are there."""
@@ -117,7 +100,9 @@ class Transfer(MotionOptions):
         from fastmimic.experiments.transfer import part_file, run_trials
 
         with optimisation_progress() as progress:
-            entrant = make_entrant(method, motion, robot, search, self.out / MOTIONS, policy=policy, progress=progress)
+            entrant = make_entrant(
+                method, motion, robot, self.search(), self.out / MOTIONS, policy=policy, progress=progress
+            )
         path = part_file(self.out, motion.name, method)
         if load_part(path, entrant.digest) is None:
             with slow_start(f"{motion.name}, {method}: running; {FIRST_USE}"):

@@ -1,16 +1,16 @@
 """What is optimised: DMP parameters of a motion, scored by running the robot with its controller.
 
 Paper, §III-C: the baselines g and amplitudes a of the four feet's z move, the weights w (the style) stay. More of the
-24 dimensions can be opened (`PARAMETER_GROUPS`). Left to
-itself an optimiser lowers the feet, because short lifts disturb the body less; so a candidate whose swing clearance
-falls below a share of the demonstration's is penalised.
+24 dimensions can be opened (`fastmimic.optimize.parameters`). Left to itself an optimiser lowers the feet, because
+short lifts disturb the body less; so a candidate whose swing clearance falls below a share of the demonstration's is
+penalised.
 """
 
 import hashlib
 import json
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.control.reference import put_root, reference_table
-from fastmimic.conventions import LEGS
-from fastmimic.errors import ConfigError, MotionError, did_you_mean
+from fastmimic.errors import ConfigError
 from fastmimic.imitation.rollout import ClosedLoop, Rollout, Start, nominal_start, perturbed_start, swing_clearance
 from fastmimic.machine import available_cores
 from fastmimic.motion.motion import Motion
+from fastmimic.optimize.parameters import FOOT_HEIGHT, Parameter, parameters_of_group
 from fastmimic.optimize.randomization import Randomization
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.coordinates import FEET
@@ -40,38 +40,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-GOAL_RANGE: Final = 0.03  # m, each way from the fitted baseline
 _CYCLES: Final = 1.5  # cycles in an episode, for a motion whose cycle is longer than the episode asked for
-AMPLITUDE_RANGE: Final = (0.7, 1.8)
-PLANAR_AMPLITUDE_RANGE: Final = (0.8, 1.2)
-HEIGHT_RANGE: Final = 0.03  # m, of the trunk, likewise
-PITCH_RANGE: Final = 0.1  # rad, likewise
-
-FOOT_HEIGHT: Final = "foot-height"
-FOOT_PATH: Final = "foot-path"
-FEET_AND_TRUNK: Final = "feet-and-trunk"
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number that the optimiser moves, in physical units.
-
-    Attributes:
-        name: such as `FR_foot_z.goal` or `FR_foot_z.amplitude`.
-        unit: "m", "rad" or "1".
-        lower, upper: bounds.
-        initial: value of the unmodulated motion.
-    """
-
-    name: str
-    unit: str
-    lower: float
-    upper: float
-    initial: float
-
-    def __post_init__(self) -> None:
-        if not self.lower < self.upper or not self.lower <= self.initial <= self.upper:
-            raise ConfigError(f"parameter {self.name}: {self.initial:g} is not within [{self.lower:g}, {self.upper:g}]")
 
 
 @dataclass(frozen=True)
@@ -94,45 +63,6 @@ class Objective:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.duration_s) and self.duration_s > 0):
             raise ConfigError(f"the duration must be positive, found {self.duration_s}")
-
-
-def foot_height_parameters(dmp: MotionDmp) -> tuple[Parameter, ...]:
-    """The paper's eight: g and a of the z dimension of each foot's DMP."""
-    goals, amplitudes = [], []
-    lower, upper = AMPLITUDE_RANGE
-    for leg in LEGS:
-        g = float(dmp.goal[dmp.index(f"{leg}_foot_z")])
-        goals.append(Parameter(f"{leg}_foot_z.goal", "m", g - GOAL_RANGE, g + GOAL_RANGE, g))
-        amplitudes.append(Parameter(f"{leg}_foot_z.amplitude", "1", lower, upper, 1.0))
-    return (*goals, *amplitudes)
-
-
-def foot_path_parameters(dmp: MotionDmp) -> tuple[Parameter, ...]:
-    """The paper's eight, and g and a of the feet's x and y: 24."""
-    goals, amplitudes = [], []
-    lower, upper = PLANAR_AMPLITUDE_RANGE
-    for name in (f"{leg}_foot_{axis}" for leg in LEGS for axis in "xy"):
-        g = float(dmp.goal[dmp.index(name)])
-        goals.append(Parameter(f"{name}.goal", "m", g - GOAL_RANGE, g + GOAL_RANGE, g))
-        amplitudes.append(Parameter(f"{name}.amplitude", "1", lower, upper, 1.0))
-    return (*foot_height_parameters(dmp), *goals, *amplitudes)
-
-
-def feet_and_trunk_parameters(dmp: MotionDmp) -> tuple[Parameter, ...]:
-    """The feet's 24, and g of the trunk's height and pitch: 26."""
-    trunk = []
-    for name, unit, each_way in (("root_z", "m", HEIGHT_RANGE), ("root_pitch", "rad", PITCH_RANGE)):
-        g = float(dmp.goal[dmp.index(name)])
-        trunk.append(Parameter(f"{name}.goal", unit, g - each_way, g + each_way, g))
-    return (*foot_path_parameters(dmp), *trunk)
-
-
-PARAMETER_GROUPS: Final = {
-    FOOT_HEIGHT: foot_height_parameters,
-    FOOT_PATH: foot_path_parameters,
-    FEET_AND_TRUNK: feet_and_trunk_parameters,
-}
-"""What of a motion's DMPs can be optimised, by name; each holds all of those before it."""
 
 
 class Problem(ABC):
@@ -386,38 +316,6 @@ def _settings(objective: Objective) -> dict[str, Any]:
     if objective.randomization is None:
         del found["randomization"]
     return found
-
-
-def widest(*groups: str) -> str:
-    """That of the groups which holds all others."""
-    return max(groups, key=list(PARAMETER_GROUPS).index)
-
-
-def group_of(names: Iterable[str], dmp: MotionDmp) -> str:
-    """The smallest group that holds parameters of these names.
-
-    Raises:
-        MotionError: no group does.
-    """
-    wanted = set(names)
-    for group, parameters in PARAMETER_GROUPS.items():
-        if wanted <= {p.name for p in parameters(dmp)}:
-            return group
-    raise MotionError(f"the motion '{dmp.fitted.name}' moves {', '.join(sorted(wanted))}, which no method optimises")
-
-
-def parameters_of_group(group: str, dmp: MotionDmp) -> tuple[Parameter, ...]:
-    """What is optimised in a group.
-
-    Raises:
-        ConfigError: no such group.
-    """
-    if group not in PARAMETER_GROUPS:
-        raise ConfigError(
-            f"unknown parameters '{group}'; there are {', '.join(PARAMETER_GROUPS)}"
-            f"{did_you_mean(group, PARAMETER_GROUPS)}"
-        )
-    return PARAMETER_GROUPS[group](dmp)
 
 
 def clearance_penalty(objective: Objective, rollout: Rollout, wanted: Array) -> Array:

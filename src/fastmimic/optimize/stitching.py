@@ -21,15 +21,8 @@ from fastmimic.imitation.rollout import Rollout, Start, perturbed_start
 from fastmimic.motion.contacts import stances_of
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.stitch_layout import Layout
-from fastmimic.optimize.problem import (
-    FOOT_HEIGHT,
-    ImitationProblem,
-    Objective,
-    Problem,
-    clearance_penalty,
-    group_of,
-    widest,
-)
+from fastmimic.optimize.parameters import FOOT_HEIGHT, needed_group
+from fastmimic.optimize.problem import ImitationProblem, Objective, Problem, clearance_penalty
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.reach import foot_table
 from fastmimic.primitive.rhythmic import N_BASIS
@@ -222,18 +215,12 @@ def make_problem(
             start=own or None,
             objective=objective,
             config=config,
-            group=needed_group(group, [names], demonstration.parts[0], robot),
+            group=needed_group(group, names),
             workers=workers,
             n_basis=n_basis,
         )
     dmp = MotionDmp.fit(demonstration, robot, n_basis)
     return ImitationProblem(robot, demonstration, dmp, group=group, objective=objective, config=config, workers=workers)
-
-
-def needed_group(group: str, starts: Sequence[Mapping[str, float]], motion: Motion, robot: "Robot") -> str:
-    """The group itself, or a wider one that holds all parameters of the starts, for motions like `motion`."""
-    dmp = MotionDmp.fit(motion, robot)
-    return widest(group, *(group_of(start, dmp) for start in starts))
 
 
 def parameters_of(motion: Motion) -> dict[str, float]:

@@ -1,0 +1,125 @@
+"""Which numbers of a motion's DMPs can be optimised, in groups: the paper's eight (§III-C), and more.
+
+To open others, add them to `PARAMETER_GROUPS`; each group holds all of those before it.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from fastmimic.conventions import LEGS
+from fastmimic.errors import ConfigError, MotionError, did_you_mean
+from fastmimic.primitive import MotionDmp
+
+FOOT_HEIGHT: Final = "foot-height"
+FOOT_PATH: Final = "foot-path"
+FEET_AND_TRUNK: Final = "feet-and-trunk"
+
+_GOAL, _AMPLITUDE = "goal", "amplitude"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that the optimiser moves, in physical units.
+
+    Attributes:
+        name: such as `FR_foot_z.goal` or `FR_foot_z.amplitude`.
+        unit: "m", "rad" or "1".
+        lower, upper: bounds.
+        initial: value of the unmodulated motion.
+    """
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    initial: float
+
+    def __post_init__(self) -> None:
+        if not self.lower < self.upper or not self.lower <= self.initial <= self.upper:
+            raise ConfigError(f"parameter {self.name}: {self.initial:g} is not within [{self.lower:g}, {self.upper:g}]")
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A number that a group opens, of whatever motion.
+
+    Attributes:
+        dimension: of the DMP.
+        kind: "goal", whose bounds are relative to the fitted baseline, or "amplitude".
+        unit, lower, upper: see `Parameter`.
+    """
+
+    dimension: str
+    kind: str
+    unit: str
+    lower: float
+    upper: float
+
+    @property
+    def name(self) -> str:
+        return f"{self.dimension}.{self.kind}"
+
+    def of(self, dmp: MotionDmp) -> Parameter:
+        """That number of a motion."""
+        if self.kind == _AMPLITUDE:
+            return Parameter(self.name, self.unit, self.lower, self.upper, 1.0)
+        g = float(dmp.goal[dmp.index(self.dimension)])
+        return Parameter(self.name, self.unit, g + self.lower, g + self.upper, g)
+
+
+def _goals(dimensions: Iterable[str], unit: str, each_way: float) -> tuple[Opened, ...]:
+    return tuple(Opened(name, _GOAL, unit, -each_way, each_way) for name in dimensions)
+
+
+def _amplitudes(dimensions: Iterable[str], lower: float, upper: float) -> tuple[Opened, ...]:
+    return tuple(Opened(name, _AMPLITUDE, "1", lower, upper) for name in dimensions)
+
+
+_UP: Final = [f"{leg}_foot_z" for leg in LEGS]
+_ALONG: Final = [f"{leg}_foot_{axis}" for leg in LEGS for axis in "xy"]
+_HEIGHTS: Final = (*_goals(_UP, "m", 0.03), *_amplitudes(_UP, 0.7, 1.8))
+_PATHS: Final = (*_HEIGHTS, *_goals(_ALONG, "m", 0.03), *_amplitudes(_ALONG, 0.8, 1.2))
+_TRUNK: Final = (*_goals(["root_z"], "m", 0.03), *_goals(["root_pitch"], "rad", 0.1))
+
+PARAMETER_GROUPS: Final = {
+    FOOT_HEIGHT: _HEIGHTS,  # the paper's eight: g and a of the z dimension of each foot's DMP
+    FOOT_PATH: _PATHS,  # 24: g and a of all dimensions of the feet
+    FEET_AND_TRUNK: (*_PATHS, *_TRUNK),  # 26: and g of the trunk's height and pitch
+}
+"""What of a motion's DMPs can be optimised, by name; each holds all of those before it."""
+
+
+def parameters_of_group(group: str, dmp: MotionDmp) -> tuple[Parameter, ...]:
+    """What is optimised in a group.
+
+    Raises:
+        ConfigError: no such group.
+    """
+    _check_group(group)
+    return tuple(opened.of(dmp) for opened in PARAMETER_GROUPS[group])
+
+
+def needed_group(group: str, *started: Iterable[str]) -> str:
+    """The group itself, or the first one after it that holds all parameters of these names.
+
+    Raises:
+        ConfigError: no such group.
+        MotionError: no group does.
+    """
+    _check_group(group)
+    wanted = set().union(*started)
+    names = list(PARAMETER_GROUPS)
+    for candidate in names[names.index(group) :]:
+        if wanted <= {opened.name for opened in PARAMETER_GROUPS[candidate]}:
+            return candidate
+    known = {opened.name for opened in PARAMETER_GROUPS[names[-1]]}
+    raise MotionError(f"a motion moves {', '.join(sorted(wanted - known))}, which no method optimises")
+
+
+def _check_group(group: str) -> None:
+    if group not in PARAMETER_GROUPS:
+        raise ConfigError(
+            f"unknown parameters '{group}'; there are {', '.join(PARAMETER_GROUPS)}"
+            f"{did_you_mean(group, PARAMETER_GROUPS)}"
+        )
