@@ -328,10 +328,11 @@ def test_a_full_domain_is_said_to_be_that(go2: Robot) -> None:
 def test_a_missing_library_is_one_line_with_the_command_that_mends_it(
     go2: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fastmimic.deploy import dds
+    from fastmimic.deploy.dds import domain
+    from fastmimic.deploy.dds.library import library
 
     monkeypatch.setitem(__import__("sys").modules, "cyclonedds.internal", None)
-    monkeypatch.setattr(dds, "_library", dds._library.__wrapped__)
+    monkeypatch.setattr(domain, "library", library.__wrapped__)
     with pytest.raises(DriverError, match=r"pip install 'fastmimic\[go2\]'"):
         Go2Driver(go2).open()
 
