@@ -13,18 +13,19 @@ _MASK: Final = 0xFFFFFFFF
 
 
 def _table() -> NDArray[np.int64]:
-    """What a byte does to the register, for each byte."""
     register = np.arange(256, dtype=np.int64) << 24
     for _ in range(8):
         register = np.where(register & 0x80000000, register << 1 ^ POLYNOMIAL, register << 1) & _MASK
     return register
 
 
-_TABLE: Final = _table()
+TABLE: Final = _table()
+"""What a byte does to the register, for each byte."""
 
 
 @kernel
-def _crc32(words: NDArray[np.uint32], count: int, table: NDArray[np.int64]) -> int:
+def checksum(words: NDArray[np.uint32], count: int, table: NDArray[np.int64]) -> int:
+    """The checksum of the first `count` words, for kernels; `table` is `TABLE`."""
     crc = 0xFFFFFFFF
     for i in range(count):
         word = np.int64(words[i])
@@ -39,4 +40,4 @@ def crc32(words: NDArray[np.uint32]) -> int:
     Args:
         words: (n,) the message in C's layout, padding zero, as little-endian words.
     """
-    return int(_crc32(words, len(words) - 1, _TABLE))
+    return int(checksum(words, len(words) - 1, TABLE))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fastmimic.deploy.dds import LOOPBACK, Participant, Reader, Writer
 from fastmimic.deploy.driver import LowState, Packets
 from fastmimic.deploy.go2 import messages
-from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowCommand, StateWire
+from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowCommand, Received, StateWire
 from fastmimic.deploy.go2.services import release_motion_service
 from fastmimic.deploy.identity import impossible_joint
 from fastmimic.errors import DriverError
@@ -102,11 +102,7 @@ class Go2Driver:
             while newest is None and (left := end - time.perf_counter()) > 0:
                 self._reader.wait(left)
                 newest = self._newest(self._reader.take())
-        if newest is None:
-            return None
-        reading = np.zeros(1, READING)
-        self._state.read(newest, reading)
-        return LowState(reading, self._sequence, time.perf_counter())
+        return None if newest is None else LowState(newest, self._sequence, time.perf_counter())
 
     def write(self, command: NDArray[Any]) -> None:
         """See `RobotDriver`.
@@ -135,14 +131,15 @@ class Go2Driver:
     ) -> None:
         self.close()
 
-    def _newest(self, taken: int) -> int | None:
-        """Counts what was taken; the index of the newest state in it that is good."""
-        newest, packets, state = None, self.packets, self._state
+    def _newest(self, taken: int) -> NDArray[Any] | None:
+        """Counts what was taken; (1,) of `READING` of the newest state in it that is good."""
+        newest, packets = None, self.packets
         for i in range(taken):
             if not self._reader.valid[i]:
                 continue
-            found, expected = state.checksum(i) if self._checked else (0, 0)
-            if found != expected or not state.sound(i):
+            reading = np.zeros(1, READING)
+            state = self._state.read(i, reading)
+            if not state.sound or (self._checked and state.checksum != state.expected):
                 packets.rejected += 1
                 continue
             writer = int(self._reader.publication[i])
@@ -151,7 +148,7 @@ class Go2Driver:
             elif writer != self._writer_of_states:
                 packets.rejected += 1
                 continue
-            tick = int(state.record["tick"][i]) if self._counted else self._sequence + 1
+            tick = state.tick if self._counted else self._sequence + 1
             if tick <= self._sequence:
                 packets.rejected += 1
                 continue
@@ -159,24 +156,24 @@ class Go2Driver:
                 packets.lost += max(0, (tick - self._sequence) // TICKS_PER_STATE - 1)
             self._sequence = tick
             packets.received += 1
-            newest = i
+            newest = reading
         return newest
 
     def _await_states(self) -> None:
         """Waits for the first states, and judges by them who is there."""
         end = time.monotonic() + FIRST_STATE_S
-        seen: list[tuple[int, int, int]] = []  # checksum found, expected, tick
+        seen: list[Received] = []
         reading, outside, writers = np.zeros(1, READING), "", set()
         while time.monotonic() < end:
             self._reader.wait(min(0.1, max(0.0, end - time.monotonic())))
             for i in range(self._reader.take()):
-                if not self._reader.valid[i] or not self._state.sound(i):
+                state = self._state.read(i, reading)
+                if not self._reader.valid[i] or not state.sound:
                     continue
                 writers.add(int(self._reader.publication[i]))
-                self._state.read(i, reading)
                 outside = impossible_joint(self._robot, reading["joint_pos"][0])
                 if not outside:
-                    seen.append((*self._state.checksum(i), int(self._state.record["tick"][i])))
+                    seen.append(state)
             if len(seen) >= _JUDGED:
                 break
         if len(writers) > 1:
@@ -186,14 +183,14 @@ class Go2Driver:
             )
         if not seen:
             raise DriverError(outside or self._silence())
-        found, expected, _ = seen[-1]
-        self._checked = any(entry[0] != 0 for entry in seen)
-        if self._checked and found != expected:
+        last = seen[-1]
+        self._checked = any(state.checksum != 0 for state in seen)
+        if self._checked and last.checksum != last.expected:
             raise DriverError(
-                f"the states in DDS domain {self._domain} have wrong checksums ({found:#010x}, expected"
-                f" {expected:#010x}): another kind of robot or another version of its messages"
+                f"the states in DDS domain {self._domain} have wrong checksums ({last.checksum:#010x}, expected"
+                f" {last.expected:#010x}): another kind of robot or another version of its messages"
             )
-        self._counted = any(entry[2] != 0 for entry in seen)
+        self._counted = any(state.tick != 0 for state in seen)
 
     def _check_alone(self, participant: Participant) -> None:
         """Raises `DriverError` if somebody else commands the motors."""

@@ -8,13 +8,14 @@ quaternion is w, x, y, z, body → world; the IMU's axes are the body's.
 
 import ctypes
 import math
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.deploy.dds import Message
-from fastmimic.deploy.go2.crc import crc32
+from fastmimic.deploy.go2.crc import TABLE, checksum, crc32
+from fastmimic.jit import kernel
 
 LOW_COMMAND_TOPIC: Final = "rt/lowcmd"
 LOW_STATE_TOPIC: Final = "rt/lowstate"
@@ -229,7 +230,9 @@ class StateWire:
         ]
         self._rpy = imu["rpy"]
         self._feet = record["foot_force"]
-        self._words = record.view(np.uint32).reshape(len(record), -1)
+        self._words, self._floats, self._shorts = (
+            record.view(kind).reshape(len(record), -1) for kind in (np.uint32, np.float32, np.int16)
+        )
 
     def clear(self) -> None:
         """What a healthy robot says that nobody here looks at."""
@@ -255,23 +258,66 @@ class StateWire:
         self.record["tick"] = tick & 0xFFFFFFFF
         self._words[0, -1] = crc32(self._words[0])
 
-    def checksum(self, i: int) -> tuple[int, int]:
-        """The checksum that message i carries, and the one that it should."""
-        return int(self._words[i, -1]), crc32(self._words[i])
+    def read(self, i: int, reading: NDArray[Any]) -> "Received":
+        """Puts message i into (1,) of `READING`, and says what to think of it."""
+        return Received(*_read_state(self._words[i], self._floats[i], self._shorts[i], _STATE_WORDS, TABLE, reading))
 
-    def sound(self, i: int) -> bool:
-        """Whether message i is finite, and its quaternion one."""
-        quat = self._fields[0][1][i]
-        norm = float(quat @ quat)
-        return 0.8 < norm < 1.2 and all(bool(np.isfinite(wire[i]).all()) for _, wire in self._fields[1:])
 
-    def read(self, i: int, reading: NDArray[Any]) -> None:
-        """Puts message i into (1,) of `READING`."""
-        for name, wire in self._fields:
-            reading[name][0] = wire[i]
-        reading["foot_force"][0] = self._feet[i]
-        reading["foot_force"] /= FOOT_COUNTS_PER_N
-        reading["quat"] /= math.sqrt(float(reading["quat"][0] @ reading["quat"][0]))
+class Received(NamedTuple):
+    """What is to be known of a state message.
+
+    Attributes:
+        checksum, expected: the checksum that it carries, and the one that it should.
+        sound: whether it is finite, and its quaternion one.
+        tick: ms.
+    """
+
+    checksum: int
+    expected: int
+    sound: bool
+    tick: int
+
+
+def _state_words() -> NDArray[np.int64]:
+    """Where in a state message are: quaternion, gyroscope, accelerometer, the first motor's q, dq and tau_est, from
+    there to the next motor's, foot forces, tick; in words, which are two 16-bit numbers each."""
+    imu, motor = LowState.imu_state.offset, LowState.motor_state.offset
+    octets = [
+        *(imu + getattr(ImuState, name).offset for name in ("quaternion", "gyroscope", "accelerometer")),
+        *(motor + getattr(MotorState, name).offset for name in ("q", "dq", "tau_est")),
+        ctypes.sizeof(MotorState),
+        LowState.foot_force.offset,
+        LowState.tick.offset,
+    ]
+    return np.array(octets, np.int64) // 4
+
+
+_STATE_WORDS: Final = _state_words()
+
+
+@kernel
+def _read_state(words: Any, floats: Any, shorts: Any, at: Any, table: Any, out: Any) -> tuple[Any, Any, bool, Any]:
+    reading = out[0]
+    norm = 0.0
+    for k in range(4):
+        reading.quat[k] = floats[at[0] + k]
+        norm += reading.quat[k] * reading.quat[k]
+        reading.foot_force[k] = shorts[2 * at[7] + k] / FOOT_COUNTS_PER_N
+    sound = norm > 0.8 and norm < 1.2
+    if sound:
+        for k in range(4):
+            reading.quat[k] /= np.sqrt(norm)
+    for k in range(3):
+        reading.gyro[k], reading.accel[k] = floats[at[1] + k], floats[at[2] + k]
+        sound = sound and np.isfinite(reading.gyro[k]) and np.isfinite(reading.accel[k])
+    for j in range(12):
+        motor = j * at[6]
+        reading.joint_pos[j], reading.joint_vel[j] = floats[at[3] + motor], floats[at[4] + motor]
+        reading.torque[j] = floats[at[5] + motor]
+        sound = sound and np.isfinite(reading.joint_pos[j]) and np.isfinite(reading.joint_vel[j])
+        sound = sound and np.isfinite(reading.torque[j])
+    last = len(words) - 1
+    return np.int64(words[last]), checksum(words, last, table), sound, np.int64(words[at[8]])
 
 
 def roll_pitch_yaw(quat: NDArray[np.float64]) -> tuple[float, float, float]:
