@@ -1,7 +1,7 @@
 """What it costs and buys to optimise over several robots: the table of docs/robustness.md.
 
     python benchmarks/randomize.py [--motions dog:trot …] [--searches mbc nominal mean worst] [--iterations 30]
-                                   [--robots 4] [--seed 0] [--out runs/randomize] [--write]
+                                   [--robots 4] [--seed 0] [--out runs/randomize] [--finished] [--write]
 
 Each motion as it is, optimised as usual, and optimised over several robots by their mean and by the worst of them. Each
 of these runs on the robot as it is, on robots that no search has met, and through the last stage of
@@ -85,11 +85,13 @@ def measured(motion: fm.Motion, settings: Settings) -> dict[str, Any]:
     }
 
 
-def row(name: str, search: str, out: Path, settings: Settings) -> dict[str, Any]:
-    """One row, from `out` if it is there."""
+def row(name: str, search: str, out: Path, settings: Settings) -> dict[str, Any] | None:
+    """One row, from `out` if it is there; None if it is not, and only finished ones are wanted."""
     file = out / f"{name.replace(':', '_')}-{search}.json"
     if file.is_file():
         return json.loads(file.read_text())
+    if settings.finished:
+        return None
     print(f"{name}, {search} …", file=sys.stderr, flush=True)
     motion, simulated_s = searched(name, search, out, settings)
     found = {"motion": name, "search": search, "simulated_s": simulated_s, **measured(motion, settings)}
@@ -131,10 +133,16 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int)
     parser.add_argument("--out", type=Path, default=Path("runs/randomize"))
+    parser.add_argument("--finished", action="store_true", help="run nothing: the table of what is there")
     parser.add_argument("--write", action="store_true", help="put the table into docs/robustness.md")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    shown = table([row(name, search, args.out, args) for name in args.motions for search in args.searches], args)
+    asked = [(name, search) for name in args.motions for search in args.searches]
+    rows = [row(name, search, args.out, args) for name, search in asked]
+    missing = [f"{name} {search}" for (name, search), found in zip(asked, rows, strict=True) if found is None]
+    shown = table([found for found in rows if found is not None], args)
+    if missing:
+        shown += f"\n\n**Unfinished: {', '.join(missing)}.**"
     print(shown)
     if args.write:
         given = f"--motions {' '.join(args.motions)} --searches {' '.join(args.searches)}"

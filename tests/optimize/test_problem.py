@@ -15,6 +15,7 @@ from fastmimic.imitation.rollout import Rollout, nominal_start, perturbed_start,
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import PARAMETER_GROUPS, Parameter
 from fastmimic.optimize.problem import ImitationProblem, Objective
+from fastmimic.optimize.randomization import Randomization
 from fastmimic.primitive import MotionDmp
 from fastmimic.robot import Robot, load_robot
 
@@ -56,6 +57,15 @@ class TestParameters:
             Parameter("FR_foot_z.goal", "m", 0.0, 1.0, 2.0)
         with pytest.raises(ConfigError, match="is not within"):
             Parameter("FR_foot_z.goal", "m", 1.0, 0.0, 0.5)
+
+
+def test_what_scores_are_said_to_depend_on_changes_only_with_what_is_used() -> None:
+    """Digests of finished runs and of checkpoints hold it."""
+    plain = Objective().as_dict()
+    assert plain == {"duration_s": 5.0, "clearance_floor": 0.87, "clearance_weight": 1.0}
+    over = Objective(randomization=Randomization()).as_dict()
+    assert {k: v for k, v in over.items() if k in plain} == plain
+    assert over["randomization"]["robots"] == 4
 
 
 class TestGroups:

@@ -123,7 +123,7 @@ def digest(run: Run, settings: Settings, robot: Robot, demonstration: Motion, po
         "parameters": method.parameters,
         "controller": method.configure(controller_of(run, settings)).as_dict(),
         "n_basis": ablation_named(run.variant).n_basis,
-        "objective": asdict(Objective(settings.duration_s)),
+        "objective": Objective(settings.duration_s).as_dict(),
         "settings": {k: v for k, v in asdict(settings).items() if k != "robot"},
     }
     if policy is not None:

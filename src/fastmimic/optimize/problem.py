@@ -64,6 +64,13 @@ class Objective:
         if not (math.isfinite(self.duration_s) and self.duration_s > 0):
             raise ConfigError(f"the duration must be positive, found {self.duration_s}")
 
+    def as_dict(self) -> dict[str, Any]:
+        """What determines scores; without randomisation the same as before there was any, and so are digests of it."""
+        found = asdict(self)
+        if self.randomization is None:
+            del found["randomization"]
+        return found
+
 
 class Problem(ABC):
     """Scores vectors of parameters in closed loop, in parallel, the same bits at any number of workers.
@@ -156,7 +163,7 @@ class Problem(ABC):
         digest.update(self.robot.xml.encode())
         settings = {
             "config": self.config.as_dict(),
-            "objective": _settings(self.objective),
+            "objective": self.objective.as_dict(),
             "parameters": [asdict(p) for p in self.parameters],
             "start": self.start.tolist(),
         }
@@ -308,14 +315,6 @@ class ImitationProblem(Problem):
         goal[:, list(self._goals.values())] = x[:, list(self._goals)]
         amplitude[:, list(self._amplitudes.values())] = x[:, list(self._amplitudes)]
         return goal, amplitude
-
-
-def _settings(objective: Objective) -> dict[str, Any]:
-    """What of an objective determines scores; without randomisation as before there was any."""
-    found = asdict(objective)
-    if objective.randomization is None:
-        del found["randomization"]
-    return found
 
 
 def clearance_penalty(objective: Objective, rollout: Rollout, wanted: Array) -> Array:
