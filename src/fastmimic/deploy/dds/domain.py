@@ -1,0 +1,187 @@
+"""Domains: who is in which, on which interface."""
+
+import ctypes
+import socket
+import threading
+from types import TracebackType
+from typing import Any, Final, Self
+
+from fastmimic.deploy.dds.library import checked, library, loaned
+from fastmimic.deploy.dds.types import Message, described
+from fastmimic.errors import DriverError
+
+LOOPBACK: Final = "lo"
+MAX_DOMAIN: Final = 230
+"""Above, the UDP ports that a domain's number stands for run out."""
+MAX_PARTICIPANTS: Final = 10
+"""Programs of one computer in a domain; those of 0.10.2 look for no more."""
+
+_NOT_NOW: Final = -4  # DDS_RETCODE_PRECONDITION_NOT_MET
+_PUBLICATIONS: Final = 0x7FFF0000 + 3  # the built-in topic of everybody's writers
+
+
+class _Endpoint(ctypes.Structure):
+    """dds_builtintopic_endpoint_t."""
+
+    _fields_ = [
+        ("key", ctypes.c_uint8 * 16),
+        ("participant_key", ctypes.c_uint8 * 16),
+        ("participant", ctypes.c_uint64),
+        ("topic_name", ctypes.c_char_p),
+        ("type_name", ctypes.c_char_p),
+        ("qos", ctypes.c_void_p),
+    ]
+
+
+def configuration(interface: str) -> str:
+    """CycloneDDS's configuration for one network interface: on loopback, which has no multicast, peers on this computer
+    are looked for at their ports; elsewhere by multicast, as Unitree's SDK does."""
+    if interface != LOOPBACK:
+        general = f'<Interfaces><NetworkInterface name="{interface}"/></Interfaces>'
+        discovery = ""
+    else:
+        general = (
+            f'<Interfaces><NetworkInterface name="{LOOPBACK}"/></Interfaces><AllowMulticast>false</AllowMulticast>'
+        )
+        discovery = (
+            "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
+            f"<MaxAutoParticipantIndex>{MAX_PARTICIPANTS - 1}</MaxAutoParticipantIndex>"
+            '<Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
+        )
+    return f'<CycloneDDS><Domain Id="any"><General>{general}</General>{discovery}</Domain></CycloneDDS>'
+
+
+def check_interface(interface: str) -> None:
+    """Raises `DriverError` if this computer has no network interface of that name."""
+    names = [name for _, name in socket.if_nameindex()]
+    if interface not in names:
+        raise DriverError(f"no network interface '{interface}' on this computer: there are {', '.join(names)}")
+
+
+class _OpenDomain:
+    """A domain of this process: CycloneDDS allows one configuration for each."""
+
+    def __init__(self, handle: int, interface: str) -> None:
+        self.handle, self.interface, self.users = handle, interface, 0
+
+
+_domains: Final[dict[int, _OpenDomain]] = {}
+_domains_lock: Final = threading.Lock()
+
+
+def enter_domain(domain: int, interface: str) -> None:
+    dds = library()
+    with _domains_lock:
+        found = _domains.get(domain)
+        if found is None:
+            handle = dds.dds_create_domain(domain, configuration(interface).encode())
+            if handle < 0:
+                raise DriverError(_why_not(handle, domain, interface))
+            found = _domains[domain] = _OpenDomain(handle, interface)
+        elif found.interface != interface:
+            raise DriverError(
+                f"DDS domain {domain} is already open on '{found.interface}' in this process, not on '{interface}'"
+            )
+        found.users += 1
+
+
+def _why_not(code: int, domain: int, interface: str) -> str:
+    """Why a domain cannot be opened."""
+    if code == _NOT_NOW:
+        return f"DDS domain {domain} has been opened by something else in this process"
+    if interface == LOOPBACK and not any(_free(port) for port in _ports(domain)):
+        return (
+            f"no place left in DDS domain {domain} on '{interface}': {MAX_PARTICIPANTS} programs of this computer are"
+            " in it; end some, or take another domain"
+        )
+    reason = library().dds_strretcode(code).decode()
+    return f"DDS cannot use '{interface}' ({reason}): is it up, and has it an IPv4 address?"
+
+
+def _ports(domain: int) -> range:
+    """The UDP ports for what is sent to one program alone, of all that can be in a domain; RTPS 2.5, section 9.6.2."""
+    first = 7400 + 250 * domain + 10
+    return range(first, first + 2 * MAX_PARTICIPANTS, 2)
+
+
+def _free(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True
+
+
+def leave_domain(domain: int) -> None:
+    with _domains_lock:
+        found = _domains[domain]
+        found.users -= 1
+        if found.users == 0:
+            del _domains[domain]
+            library().dds_delete(found.handle)
+
+
+class Participant:
+    """One partaker in a DDS domain, and what it reads and writes. A context manager; not for several threads at once.
+
+    Args:
+        domain: 0 … `MAX_DOMAIN`; robots are in 0.
+        interface: name of the network interface, such as `lo` or `eth0`.
+
+    Raises:
+        DriverError: no CycloneDDS, no such interface or domain, or no place left in it.
+    """
+
+    def __init__(self, domain: int, interface: str = LOOPBACK) -> None:
+        if not 0 <= domain <= MAX_DOMAIN:
+            raise DriverError(f"a DDS domain is a number from 0 to {MAX_DOMAIN}, found {domain}")
+        check_interface(interface)
+        dds = library()
+        enter_domain(domain, interface)
+        self.domain, self.interface = domain, interface
+        self._topics: dict[str, tuple[type[Message], int]] = {}
+        self._kept: list[Any] = []
+        self._handle = dds.dds_create_participant(domain, None, None)
+        if self._handle < 0:
+            leave_domain(domain)
+            raise DriverError(_why_not(self._handle, domain, interface))
+
+    def topic(self, name: str, message: type[Message]) -> int:
+        """The handle of a topic, created when first asked for."""
+        known = self._topics.get(name)
+        if known is None:
+            descriptor, memory = described(message)
+            self._kept += [descriptor, memory]
+            handle = library().dds_create_topic(self._handle, ctypes.byref(descriptor), name.encode(), None, None)
+            known = self._topics[name] = (message, checked(handle, f"topic {name}"))
+        assert known[0] is message
+        return known[1]
+
+    def publishers(self, topic: str) -> list[str]:
+        """The types of all writers that are known of a topic, ours included."""
+        dds = library()
+        reader = checked(dds.dds_create_reader(self._handle, _PUBLICATIONS, None, None), "the built-in topic")
+        found = loaned(reader, 256, _Endpoint, lambda e: (e.topic_name.decode(), e.type_name.decode()))
+        dds.dds_delete(reader)
+        return [kind for name, kind in found if name == topic]
+
+    @property
+    def handle(self) -> int:
+        """CycloneDDS's, for readers and writers."""
+        return self._handle
+
+    def close(self) -> None:
+        """Leaves the domain with all readers and writers; closing twice is allowed."""
+        if self._handle > 0:
+            library().dds_delete(self._handle)
+            self._handle = 0
+            leave_domain(self.domain)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

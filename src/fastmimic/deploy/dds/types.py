@@ -1,0 +1,109 @@
+"""Types: their layout in memory, and what the library needs to know to put them on the wire."""
+
+import ctypes
+from typing import Any, ClassVar, Final
+
+_CODES: Final = {
+    ctypes.c_uint8: (1, 0),
+    ctypes.c_bool: (14, 0),
+    ctypes.c_uint16: (2, 0),
+    ctypes.c_int16: (2, 8),
+    ctypes.c_uint32: (3, 0),
+    ctypes.c_int32: (3, 8),
+    ctypes.c_float: (3, 4),
+    ctypes.c_int64: (4, 8),
+    ctypes.c_char_p: (5, 0),
+}
+"""Type codes and flags (signed 8, floating point 4) in a type's program; dds/ddsc/dds_opcodes.h."""
+_ADR, _SEQUENCE, _ARRAY, _END = 1 << 24, 7 << 16, 8 << 16, 0
+_FIXED_SIZE: Final = 1 << 4
+
+
+class Message(ctypes.Structure):
+    """A DDS type. Subclasses that are sent have its name on the wire."""
+
+    typename: ClassVar[str] = ""
+
+
+class Octets(ctypes.Structure):
+    """An unbounded sequence of bytes."""
+
+    _fields_ = [
+        ("maximum", ctypes.c_uint32),
+        ("length", ctypes.c_uint32),
+        ("buffer", ctypes.c_void_p),
+        ("release", ctypes.c_bool),
+    ]
+
+
+def program(message: Any, offset: int = 0) -> list[int]:
+    """What to serialise of a structure and in which order, in CycloneDDS's instructions; nested ones are unrolled.
+
+    Args:
+        message: a subclass of `ctypes.Structure`.
+        offset: of its first byte, in bytes.
+    """
+    instructions: list[int] = []
+    for name, kind in message._fields_:
+        at = offset + getattr(message, name).offset
+        if kind in _CODES:
+            code, flags = _CODES[kind]
+            instructions += [_ADR | code << 16 | flags, at]
+        elif kind is Octets:
+            instructions += [_ADR | _SEQUENCE | 1 << 8, at]
+        elif issubclass(kind, ctypes.Structure):
+            instructions += program(kind, at)
+        elif kind._type_ in _CODES:
+            code, flags = _CODES[kind._type_]
+            instructions += [_ADR | _ARRAY | code << 8 | flags, at, kind._length_]
+        else:
+            size = ctypes.sizeof(kind._type_)
+            for i in range(kind._length_):
+                instructions += program(kind._type_, at + i * size)
+    return instructions
+
+
+def fixed_size(message: Any) -> bool:
+    """Whether there is neither a text nor a sequence in it."""
+    kinds = [getattr(kind, "_type_", kind) if hasattr(kind, "_length_") else kind for _, kind in message._fields_]
+    nested = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, ctypes.Structure)]
+    return ctypes.c_char_p not in kinds and Octets not in nested and all(fixed_size(kind) for kind in nested)
+
+
+class _Blob(ctypes.Structure):
+    _fields_ = [("data", ctypes.c_void_p), ("size", ctypes.c_uint32)]
+
+
+class _Descriptor(ctypes.Structure):
+    """dds_topic_descriptor_t, the same in 0.10 and 11. Without a description of the type for peers."""
+
+    _fields_ = [
+        ("size", ctypes.c_uint32),
+        ("alignment", ctypes.c_uint32),
+        ("flags", ctypes.c_uint32),
+        ("keys", ctypes.c_uint32),
+        ("typename", ctypes.c_char_p),
+        ("key_descriptors", ctypes.c_void_p),
+        ("program_length", ctypes.c_uint32),
+        ("program", ctypes.POINTER(ctypes.c_uint32)),
+        ("meta", ctypes.c_char_p),
+        ("type_information", _Blob),
+        ("type_mapping", _Blob),
+        ("representations", ctypes.c_uint32),
+    ]
+
+
+def described(message: type[Message]) -> tuple[_Descriptor, Any]:
+    """What a topic of a type is created from, and the memory that it refers to."""
+    instructions = [*program(message), _END]
+    array = (ctypes.c_uint32 * len(instructions))(*instructions)
+    descriptor = _Descriptor(
+        size=ctypes.sizeof(message),
+        alignment=ctypes.alignment(message),
+        flags=_FIXED_SIZE if fixed_size(message) else 0,
+        typename=message.typename.encode(),
+        program_length=len(instructions),
+        program=array,
+        meta=b"",
+    )
+    return descriptor, array

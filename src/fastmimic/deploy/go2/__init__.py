@@ -1,0 +1,1 @@
+"""Unitree's Go2 and its family: their messages, checksum, and services over DDS."""

@@ -1,0 +1,330 @@
+"""The Go2's low-level messages in C's layout, and what they mean in the project's units.
+
+Field names, order and sizes are Unitree's IDL (unitree_go/msg). CDR's alignment differs from C's between nested
+structures; the checksum is over C's layout with its padding. Joints come FR, FL, RR, RL and abduction (Unitree: hip),
+hip (thigh), knee (calf), with the axes of Unitree's description (x, y, y): the project's order and signs. The
+quaternion is w, x, y, z, body → world; the IMU's axes are the body's.
+"""
+
+import ctypes
+import math
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.deploy.dds import Message
+from fastmimic.deploy.go2.crc import TABLE, checksum, crc32
+from fastmimic.jit import kernel
+
+LOW_COMMAND_TOPIC: Final = "rt/lowcmd"
+LOW_STATE_TOPIC: Final = "rt/lowstate"
+HEAD: Final = (0xFE, 0xEF)
+LOW_LEVEL: Final = 0xFF
+"""The level flag of whoever commands the motors themselves."""
+SERVO: Final = 0x01
+"""The motor's mode in which it obeys; 0 switches it off."""
+STOP_POSITION: Final = 2.146e9
+"""A position that means none: its stiffness does not act."""
+STOP_VELOCITY: Final = 16000.0
+"""The same for the velocity."""
+MOTORS: Final = 20
+"""Slots in a message; a quadruped uses the first twelve."""
+RATE_HZ: Final = 500.0
+"""Of states and commands."""
+TICKS_PER_STATE: Final = 2
+"""The state's tick counts milliseconds."""
+FOOT_COUNTS_PER_N: Final = 1.0
+"""Of the pressure sensors in the feet. Assumed: the vendor gives no unit. Both sides of the wire here use it."""
+
+_U8, _U16, _U32, _F32 = ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32, ctypes.c_float
+_I16, _I32 = ctypes.c_int16, ctypes.c_int32
+
+
+class BmsCommand(Message):
+    """To the battery's management."""
+
+    _fields_ = [("off", _U8), ("reserve", _U8 * 3)]  # noqa: RUF012
+
+
+class MotorCommand(Message):
+    """To one motor: it applies tau + kp (q − its angle) + kd (dq − its speed)."""
+
+    _fields_ = [  # noqa: RUF012
+        ("mode", _U8),
+        ("q", _F32),
+        ("dq", _F32),
+        ("tau", _F32),
+        ("kp", _F32),
+        ("kd", _F32),
+        ("reserve", _U32 * 3),
+    ]
+
+
+class LowCommand(Message):
+    """LowCmd_: 812 bytes."""
+
+    typename = "unitree_go::msg::dds_::LowCmd_"
+    _fields_ = [  # noqa: RUF012
+        ("head", _U8 * 2),
+        ("level_flag", _U8),
+        ("frame_reserve", _U8),
+        ("sn", _U32 * 2),
+        ("version", _U32 * 2),
+        ("bandwidth", _U16),
+        ("motor_cmd", MotorCommand * MOTORS),
+        ("bms_cmd", BmsCommand),
+        ("wireless_remote", _U8 * 40),
+        ("led", _U8 * 12),
+        ("fan", _U8 * 2),
+        ("gpio", _U8),
+        ("reserve", _U32),
+        ("crc", _U32),
+    ]
+
+
+class ImuState(Message):
+    """Of the IMU: orientation, rad/s, m/s², roll, pitch and yaw in rad, °C."""
+
+    _fields_ = [  # noqa: RUF012
+        ("quaternion", _F32 * 4),
+        ("gyroscope", _F32 * 3),
+        ("accelerometer", _F32 * 3),
+        ("rpy", _F32 * 3),
+        ("temperature", _U8),
+    ]
+
+
+class MotorState(Message):
+    """Of one motor, at the joint: rad, rad/s, rad/s², N·m, °C, messages lost on the way to it."""
+
+    _fields_ = [  # noqa: RUF012
+        ("mode", _U8),
+        ("q", _F32),
+        ("dq", _F32),
+        ("ddq", _F32),
+        ("tau_est", _F32),
+        ("q_raw", _F32),
+        ("dq_raw", _F32),
+        ("ddq_raw", _F32),
+        ("temperature", _U8),
+        ("lost", _U32),
+        ("reserve", _U32 * 2),
+    ]
+
+
+class BmsState(Message):
+    """Of the battery: charge in percent, current in mA, cell voltages in mV."""
+
+    _fields_ = [  # noqa: RUF012
+        ("version_high", _U8),
+        ("version_low", _U8),
+        ("status", _U8),
+        ("soc", _U8),
+        ("current", _I32),
+        ("cycle", _U16),
+        ("bq_ntc", _U8 * 2),
+        ("mcu_ntc", _U8 * 2),
+        ("cell_vol", _U16 * 15),
+    ]
+
+
+class LowState(Message):
+    """LowState_: 1180 bytes."""
+
+    typename = "unitree_go::msg::dds_::LowState_"
+    _fields_ = [  # noqa: RUF012
+        ("head", _U8 * 2),
+        ("level_flag", _U8),
+        ("frame_reserve", _U8),
+        ("sn", _U32 * 2),
+        ("version", _U32 * 2),
+        ("bandwidth", _U16),
+        ("imu_state", ImuState),
+        ("motor_state", MotorState * MOTORS),
+        ("bms_state", BmsState),
+        ("foot_force", _I16 * 4),
+        ("foot_force_est", _I16 * 4),
+        ("tick", _U32),
+        ("wireless_remote", _U8 * 40),
+        ("bit_flag", _U8),
+        ("adc_reel", _F32),
+        ("temperature_ntc1", _U8),
+        ("temperature_ntc2", _U8),
+        ("power_v", _F32),
+        ("power_a", _F32),
+        ("fan_frequency", _U16 * 4),
+        ("reserve", _U32),
+        ("crc", _U32),
+    ]
+
+
+class CommandWire:
+    """A command message in memory, between the project's units and the wire's.
+
+    Args:
+        record: (n,) NumPy structures of `LowCommand`; of the first if it is to be written.
+    """
+
+    def __init__(self, record: NDArray[Any]) -> None:
+        self.record = record
+        motors = record["motor_cmd"]
+        names = {"joint_pos": "q", "joint_vel": "dq", "stiffness": "kp", "damping": "kd", "torque": "tau"}
+        self._fields = [(name, motors[wire][:, :12]) for name, wire in names.items()]
+        self._modes = motors["mode"][:, :12]
+        self._words = record.view(np.uint32).reshape(len(record), -1)
+
+    def clear(self) -> None:
+        """What is the same in every command: head, level, and unused motors without a target."""
+        self.record[...] = np.zeros((), self.record.dtype)
+        self.record["head"] = HEAD
+        self.record["level_flag"] = LOW_LEVEL
+        motors = self.record["motor_cmd"]
+        motors["mode"], motors["q"], motors["dq"] = SERVO, STOP_POSITION, STOP_VELOCITY
+
+    def write(self, command: NDArray[Any]) -> None:
+        """Puts (1,) of `COMMAND` into the first message, with its checksum."""
+        for name, wire in self._fields:
+            wire[0] = command[name][0]
+        self._words[0, -1] = crc32(self._words[0])
+
+    def intact(self, i: int) -> bool:
+        """Whether message i has its head, its level and its checksum, and is finite."""
+        record = self.record[i]
+        return (
+            tuple(record["head"]) == HEAD
+            and record["level_flag"] == LOW_LEVEL
+            and int(self._words[i, -1]) == crc32(self._words[i])
+            and all(bool(np.isfinite(wire[i]).all()) for _, wire in self._fields)
+        )
+
+    def read(self, i: int, command: NDArray[Any]) -> None:
+        """Puts message i into (1,) of `COMMAND`; what a motor is told not to follow has no gain."""
+        for name, wire in self._fields:
+            command[name][0] = wire[i]
+        command["stiffness"][command["joint_pos"] >= STOP_POSITION / 2] = 0.0
+        command["damping"][command["joint_vel"] >= STOP_VELOCITY] = 0.0
+        for name in ("stiffness", "damping", "torque"):
+            command[name][0][self._modes[i] != SERVO] = 0.0
+        command["joint_pos"][command["stiffness"] == 0.0] = 0.0
+        command["joint_vel"][command["damping"] == 0.0] = 0.0
+
+
+class StateWire:
+    """State messages in memory, between the project's units and the wire's.
+
+    Args:
+        record: (n,) NumPy structures of `LowState`; of the first if it is to be written.
+    """
+
+    def __init__(self, record: NDArray[Any]) -> None:
+        self.record = record
+        imu, motors = record["imu_state"], record["motor_state"]
+        self._fields = [
+            ("quat", imu["quaternion"]),
+            ("gyro", imu["gyroscope"]),
+            ("accel", imu["accelerometer"]),
+            ("joint_pos", motors["q"][:, :12]),
+            ("joint_vel", motors["dq"][:, :12]),
+            ("torque", motors["tau_est"][:, :12]),
+        ]
+        self._rpy = imu["rpy"]
+        self._feet = record["foot_force"]
+        self._words, self._floats, self._shorts = (
+            record.view(kind).reshape(len(record), -1) for kind in (np.uint32, np.float32, np.int16)
+        )
+
+    def clear(self) -> None:
+        """What a healthy robot says that nobody here looks at."""
+        self.record[...] = np.zeros((), self.record.dtype)
+        self.record["head"] = HEAD
+        self.record["level_flag"] = LOW_LEVEL
+        self.record["imu_state"]["temperature"] = 60
+        motors = self.record["motor_state"]
+        motors["mode"][:, :12], motors["temperature"][:, :12] = SERVO, 35
+        battery = self.record["bms_state"]
+        battery["soc"], battery["current"], battery["cycle"] = 90, -2500, 10
+        battery["bq_ntc"], battery["mcu_ntc"], battery["cell_vol"][:, :8] = 30, 32, 3900
+        self.record["temperature_ntc1"], self.record["temperature_ntc2"] = 40, 40
+        self.record["power_v"], self.record["power_a"] = 31.2, 2.5
+
+    def write(self, reading: NDArray[Any], tick: int) -> None:
+        """Puts (1,) of `READING` into the first message, with its tick (ms) and checksum."""
+        for name, wire in self._fields:
+            wire[0] = reading[name][0]
+        self._rpy[0] = roll_pitch_yaw(reading["quat"][0])
+        counts = np.clip(np.rint(FOOT_COUNTS_PER_N * reading["foot_force"][0]), -32768, 32767)
+        self._feet[0] = counts
+        self.record["tick"] = tick & 0xFFFFFFFF
+        self._words[0, -1] = crc32(self._words[0])
+
+    def read(self, i: int, reading: NDArray[Any]) -> "Received":
+        """Puts message i into (1,) of `READING`, and says what to think of it."""
+        return Received(*_read_state(self._words[i], self._floats[i], self._shorts[i], _STATE_WORDS, TABLE, reading))
+
+
+class Received(NamedTuple):
+    """What is to be known of a state message.
+
+    Attributes:
+        checksum, expected: the checksum that it carries, and the one that it should.
+        sound: whether it is finite, and its quaternion one.
+        tick: ms.
+    """
+
+    checksum: int
+    expected: int
+    sound: bool
+    tick: int
+
+
+def _state_words() -> NDArray[np.int64]:
+    """Where in a state message are: quaternion, gyroscope, accelerometer, the first motor's q, dq and tau_est, from
+    there to the next motor's, foot forces, tick; in words, which are two 16-bit numbers each."""
+    imu, motor = LowState.imu_state.offset, LowState.motor_state.offset
+    octets = [
+        *(imu + getattr(ImuState, name).offset for name in ("quaternion", "gyroscope", "accelerometer")),
+        *(motor + getattr(MotorState, name).offset for name in ("q", "dq", "tau_est")),
+        ctypes.sizeof(MotorState),
+        LowState.foot_force.offset,
+        LowState.tick.offset,
+    ]
+    return np.array(octets, np.int64) // 4
+
+
+_STATE_WORDS: Final = _state_words()
+
+
+@kernel
+def _read_state(words: Any, floats: Any, shorts: Any, at: Any, table: Any, out: Any) -> tuple[Any, Any, bool, Any]:
+    reading = out[0]
+    norm = 0.0
+    for k in range(4):
+        reading.quat[k] = floats[at[0] + k]
+        norm += reading.quat[k] * reading.quat[k]
+        reading.foot_force[k] = shorts[2 * at[7] + k] / FOOT_COUNTS_PER_N
+    sound = norm > 0.8 and norm < 1.2
+    if sound:
+        for k in range(4):
+            reading.quat[k] /= np.sqrt(norm)
+    for k in range(3):
+        reading.gyro[k], reading.accel[k] = floats[at[1] + k], floats[at[2] + k]
+        sound = sound and np.isfinite(reading.gyro[k]) and np.isfinite(reading.accel[k])
+    for j in range(12):
+        motor = j * at[6]
+        reading.joint_pos[j], reading.joint_vel[j] = floats[at[3] + motor], floats[at[4] + motor]
+        reading.torque[j] = floats[at[5] + motor]
+        sound = sound and np.isfinite(reading.joint_pos[j]) and np.isfinite(reading.joint_vel[j])
+        sound = sound and np.isfinite(reading.torque[j])
+    last = len(words) - 1
+    return np.int64(words[last]), checksum(words, last, table), sound, np.int64(words[at[8]])
+
+
+def roll_pitch_yaw(quat: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Angles about x, y and z, rad, of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = (float(v) for v in quat)
+    return (
+        math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+        math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0)),
+        math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+    )

@@ -1,0 +1,228 @@
+"""The services of a Go2's own software that matter before its motors can be commanded: requests and answers over DDS.
+
+A service called S listens on rt/api/S/request and answers on rt/api/S/response; parameters and results are JSON.
+"""
+
+import ctypes
+import json
+import time
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+from fastmimic.deploy.dds import LOOPBACK, Message, Octets, Participant, TextReader, Writer
+from fastmimic.errors import DriverError
+
+MOTION_SWITCHER: Final = "motion_switcher"
+CHECK_MODE: Final = 1001
+SELECT_MODE: Final = 1002
+RELEASE_MODE: Final = 1003
+SPORT: Final = "sport"
+STAND_UP: Final = 1004
+STAND_DOWN: Final = 1005
+
+NOT_IMPLEMENTED: Final = 3203
+"""The code of an answer to a request that a service does not know."""
+
+FIND_S: Final = 1.0  # for a service on this computer to be found
+FIND_FAR_S: Final = 5.0  # for one on another
+ANSWER_S: Final = 5.0
+LIE_DOWN_S: Final = 10.0  # for the robot to lie down
+SETTLE_S: Final = 0.5  # from when it looks as if it lay
+RELEASE_S: Final = 10.0
+
+_I32, _I64 = ctypes.c_int32, ctypes.c_int64
+
+
+class _Identity(Message):
+    _fields_ = [("id", _I64), ("api_id", _I64)]  # noqa: RUF012
+
+
+class _Lease(Message):
+    _fields_ = [("id", _I64)]  # noqa: RUF012
+
+
+class _Policy(Message):
+    _fields_ = [("priority", _I32), ("noreply", ctypes.c_bool)]  # noqa: RUF012
+
+
+class _RequestHeader(Message):
+    _fields_ = [("identity", _Identity), ("lease", _Lease), ("policy", _Policy)]  # noqa: RUF012
+
+
+class Request(Message):
+    """Request_."""
+
+    typename = "unitree_api::msg::dds_::Request_"
+    _fields_ = [("header", _RequestHeader), ("parameter", ctypes.c_char_p), ("binary", Octets)]  # noqa: RUF012
+
+
+class _Status(Message):
+    _fields_ = [("code", _I32)]  # noqa: RUF012
+
+
+class _ResponseHeader(Message):
+    _fields_ = [("identity", _Identity), ("status", _Status)]  # noqa: RUF012
+
+
+class Response(Message):
+    """Response_."""
+
+    typename = "unitree_api::msg::dds_::Response_"
+    _fields_ = [("header", _ResponseHeader), ("data", ctypes.c_char_p), ("binary", Octets)]  # noqa: RUF012
+
+
+class Answer(NamedTuple):
+    """Of a service: 0 or an error's code, and what it says."""
+
+    code: int
+    data: dict[str, Any]
+
+
+class Client:
+    """Asks one service of a robot."""
+
+    def __init__(self, participant: Participant, service: str) -> None:
+        self._service = service
+        self._requests = Writer(participant, f"rt/api/{service}/request", Request)
+        self._responses = TextReader(participant, f"rt/api/{service}/response", Response)
+
+    def find(self, timeout_s: float = FIND_S) -> bool:
+        """Waits until somebody listens to requests; whether there is one."""
+        end = time.monotonic() + timeout_s
+        while self._requests.matched() == 0:
+            if time.monotonic() > end:
+                return False
+            time.sleep(0.02)
+        time.sleep(0.2)  # until it has found the reader of its answers
+        return True
+
+    def ask(self, api_id: int, parameter: dict[str, Any] | None = None) -> Answer:
+        """Sends a request and waits for its answer.
+
+        Raises:
+            DriverError: none came.
+        """
+        request = self._requests.message
+        number = time.monotonic_ns()
+        request.header.identity.id, request.header.identity.api_id = number, api_id
+        request.parameter = json.dumps(parameter or {}).encode()
+        self._responses.take(_heard)  # answers to nobody's question
+        self._requests.write()
+        end = time.monotonic() + ANSWER_S
+        while time.monotonic() < end:
+            for identity, code, data in self._responses.take(_heard):
+                if identity == number:
+                    return Answer(code, data)
+            time.sleep(0.005)
+        raise DriverError(f"the robot's service '{self._service}' does not answer request {api_id}")
+
+
+class Server:
+    """Answers requests to one service: for the simulated robot.
+
+    Args:
+        participant: whose.
+        service: its name.
+        handlers: by api id, from the request's parameters to the result.
+    """
+
+    def __init__(
+        self, participant: Participant, service: str, handlers: dict[int, Callable[[dict[str, Any]], dict[str, Any]]]
+    ) -> None:
+        self._handlers = handlers
+        self._requests = TextReader(participant, f"rt/api/{service}/request", Request)
+        self._responses = Writer(participant, f"rt/api/{service}/response", Response)
+
+    def poll(self) -> None:
+        """Answers what has arrived."""
+        for number, api_id, parameter in self._requests.take(_asked):
+            handler = self._handlers.get(api_id)
+            response = self._responses.message
+            response.header.identity.id, response.header.identity.api_id = number, api_id
+            response.header.status.code = 0 if handler else NOT_IMPLEMENTED
+            response.data = json.dumps(handler(parameter) if handler else {}).encode()
+            self._responses.write()
+
+
+def release_motion_service(
+    participant: Participant, lies: Callable[[], bool], say: Callable[[str], None] = lambda text: None
+) -> str | None:
+    """Makes a robot's own motion service let go of the motors, once the robot lies: standing, it would fall.
+
+    Args:
+        participant: in the robot's domain.
+        lies: whether the robot lies now.
+        say: is told what happens.
+
+    Returns:
+        The name of the mode that was released; None if none was active, or if there is no such service on this
+        computer: a simulator need not have one.
+
+    Raises:
+        DriverError: there is no such service on another computer, which a robot is; or it does not answer, does not lie
+            the robot down, or does not let go.
+    """
+    switcher = Client(participant, MOTION_SWITCHER)
+    here = participant.interface == LOOPBACK
+    if not switcher.find(FIND_S if here else FIND_FAR_S):
+        if here:
+            return None
+        raise DriverError(
+            f"no service '{MOTION_SWITCHER}' on '{participant.interface}' to ask whether the robot's own software has"
+            " its motors: nothing is sent to them"
+        )
+    released = mode = _active_mode(switcher)
+    if mode is None:
+        return None
+    if not lies():
+        say(f"the robot's motion service '{mode}' is active: it lies down first")
+        _lie_down(participant, lies)
+    end = time.monotonic() + RELEASE_S
+    while mode is not None:
+        if time.monotonic() > end:
+            raise DriverError(f"the robot's motion service '{mode}' does not let go of the motors")
+        switcher.ask(RELEASE_MODE)
+        mode = _active_mode(switcher)
+    say(f"the robot's motion service '{released}' was released")
+    return released
+
+
+def _lie_down(participant: Participant, lies: Callable[[], bool]) -> None:
+    sport = Client(participant, SPORT)
+    code = sport.ask(STAND_DOWN).code if sport.find() else None
+    end = time.monotonic() + LIE_DOWN_S
+    while not lies():
+        if code is None or time.monotonic() > end:
+            why = (
+                "it has no service to ask"
+                if code is None
+                else f"its service answered with code {code} and it still stands"
+            )
+            raise DriverError(
+                f"the robot has to lie before its motors can be let go of, but {why}: lie it down by its remote control"
+            )
+        time.sleep(0.05)
+    time.sleep(SETTLE_S)
+
+
+def _active_mode(switcher: Client) -> str | None:
+    answer = switcher.ask(CHECK_MODE)
+    if answer.code != 0:
+        raise DriverError(f"the robot does not say whether its motion service is active (code {answer.code})")
+    return str(answer.data.get("name") or "") or None
+
+
+def _heard(response: Any) -> tuple[int, int, dict[str, Any]]:
+    return response.header.identity.id, response.header.status.code, _json(response.data)
+
+
+def _asked(request: Any) -> tuple[int, int, dict[str, Any]]:
+    return request.header.identity.id, request.header.identity.api_id, _json(request.parameter)
+
+
+def _json(text: bytes | None) -> dict[str, Any]:
+    try:
+        found = json.loads((text or b"").decode(errors="replace") or "{}")
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
