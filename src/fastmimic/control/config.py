@@ -162,6 +162,31 @@ class LoadConfig:
     position: Vector3 = (0.0, 0.0, 0.0)
 
 
+@dataclass(frozen=True)
+class RecoveryConfig:
+    """After a push: the controller's reference yields to the robot. Off, nothing of it is computed.
+
+    The robot is in recovery from when its horizontal velocity is off by `start_error` until it is off by less than
+    `end_error`, as the controller sees it. The reward goes on with the demonstration's own clock.
+
+    Attributes:
+        enabled: whether there is any.
+        start_error, end_error: m/s.
+        resync_time: time constant with which the reference's x and y go to the robot's meanwhile, s; 0 for at once.
+        phase_rate: of the reference's clock meanwhile: 1 goes on, 0 waits.
+        catch_up: share by which the clock then goes faster or slower until it is in step again.
+        foothold_feedback: added to the swing feet's velocity feedback in x and y meanwhile, s.
+    """
+
+    enabled: bool = False
+    start_error: float = 0.35
+    end_error: float = 0.15
+    resync_time: float = 0.02
+    phase_rate: float = 1.0
+    catch_up: float = 0.1
+    foothold_feedback: tuple[float, float] = (0.0, 0.0)
+
+
 def _horizon_checks(horizon: HorizonConfig, rate_hz: float, used: bool) -> tuple[tuple[bool, str], ...]:
     """What a horizon must satisfy, and what to say where it does not; its rates matter only where it is used."""
     weights = (*horizon.position_weight, *horizon.velocity_weight)
@@ -197,7 +222,7 @@ def _number_checks(config: "ControllerConfig") -> list[tuple[bool, str]]:
     """That every number is finite, and that none is negative that is a gain, a time, a share or a limit: all of them
     but the feedback of the swing feet, which may point either way."""
     found = []
-    for part in ("", "gait", "stance", "swing", "load"):
+    for part in ("", "gait", "stance", "swing", "load", "recovery"):
         settings = getattr(config, part) if part else config
         for field in dataclasses.fields(settings):
             value, name = getattr(settings, field.name), f"{part}.{field.name}" if part else field.name
@@ -217,6 +242,7 @@ class ControllerConfig:
         joint_margin: distance from the joint limits that commanded positions keep, rad.
         robot: the only one that they are for; empty for parameters of all robots.
         load: a payload.
+        recovery: what happens after a push.
     """
 
     name: str = "default"
@@ -228,6 +254,7 @@ class ControllerConfig:
     swing: SwingConfig = dataclasses.field(default_factory=SwingConfig)
     robot: str = ""
     load: LoadConfig = dataclasses.field(default_factory=LoadConfig)
+    recovery: RecoveryConfig = dataclasses.field(default_factory=RecoveryConfig)
 
     def __post_init__(self) -> None:
         checks = (
@@ -246,6 +273,12 @@ class ControllerConfig:
             *_horizon_checks(self.horizon, self.rate_hz, self.stance.forces == "horizon"),
             (self.swing.foothold in FOOTHOLDS, f"swing.foothold must be one of {', '.join(FOOTHOLDS)}"),
             (self.swing.swing_time > 0, "swing.swing_time must be positive"),
+            (
+                self.recovery.end_error <= self.recovery.start_error,
+                "recovery.end_error must not be above recovery.start_error",
+            ),
+            (self.recovery.phase_rate <= 2, "recovery.phase_rate must be at most 2"),
+            (self.recovery.catch_up < 1, "recovery.catch_up must be below 1"),
             (len(self.load.position) == 3, "load.position must have three numbers"),
         )
         for ok, message in checks:
@@ -253,10 +286,10 @@ class ControllerConfig:
                 raise ConfigError(f"controller configuration '{self.name}': {message}")
 
     def as_dict(self) -> dict[str, Any]:
-        """Nested plain values, JSON-serialisable. What is there for one robot only is left out where it is not used, so
-        that parameters of all robots have the same values, and the same digest, as ever."""
+        """Nested plain values, JSON-serialisable. Parts that are not used are left out, so that parameters
+        without them have the same values, and the same digest, as before there were such parts."""
         found = dataclasses.asdict(self)
-        for name, unused in (("robot", ""), ("load", LoadConfig())):
+        for name, unused in (("robot", ""), ("load", LoadConfig()), ("recovery", RecoveryConfig())):
             if getattr(self, name) == unused:
                 del found[name]
         return found
@@ -353,6 +386,12 @@ _DTYPE = record_dtype(
         ("raibert", "i8"),
         ("swing_time", "f8"),
         ("swing_height", "f8"),
+        ("recovery_start", "f8"),
+        ("recovery_end", "f8"),
+        ("recovery_resync", "f8"),
+        ("recovery_rate", "f8"),
+        ("recovery_catch_up", "f8"),
+        ("recovery_feedback", "f8", (2,)),
     ]
 )
 
@@ -406,4 +445,11 @@ def pack_config(config: ControllerConfig, weight: float) -> NDArray[Any]:
     record["raibert"] = swing.foothold == "raibert"
     record["swing_time"] = swing.swing_time
     record["swing_height"] = swing.swing_height
+    recovery = config.recovery
+    record["recovery_start"] = recovery.start_error
+    record["recovery_end"] = recovery.end_error
+    record["recovery_resync"] = record["dt"] / max(recovery.resync_time, 1.0 / config.rate_hz)
+    record["recovery_rate"] = recovery.phase_rate
+    record["recovery_catch_up"] = recovery.catch_up
+    record["recovery_feedback"] = recovery.foothold_feedback
     return record

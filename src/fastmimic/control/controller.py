@@ -67,6 +67,7 @@ SCRATCH: Final = record_dtype(
         ("torque", "f8", (3,)),
         ("work", "f8", (3,)),
         ("joint_acc", "f8", (12,)),  # of what the legs follow
+        ("recovering", "f8"),  # 1 after a push, else 0
     ]
 )
 """Work memory of the kernel, so that it allocates nothing. One record for each thread."""
@@ -132,6 +133,7 @@ def _control_robot(
     foresight: Any,
 ) -> None:
     ref = table[clock.sample]
+    scratch.recovering = float(clock.recovering)
     _compare(model, ref, clock, obs, scratch)
     _want(config, ref, memory, scratch)
     height_error = scratch.error[2]

@@ -62,10 +62,15 @@ CLOCK: Final = record_dtype(
         ("origin", "f8", (3,)),
         ("cycle_step", "f8", (3,)),
         ("jump", "f8"),
+        ("recovering", "i8"),
+        ("lag", "f8"),
+        ("fraction", "f8"),
     ]
 )
 """Where a robot is in its reference: sample, period, whether the motion repeats, (x, y, yaw) of the period's origin,
-one period's displacement, and the sum of the distances by which synchronisation has moved the origin, m."""
+one period's displacement, and the sum of the distances by which synchronisation has moved the origin, m. After a push
+(`fastmimic.control.recovery`): whether the robot is in recovery, by how many samples the clock is ahead of the
+demonstration's since, and what it has of the next one."""
 
 
 def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
@@ -197,6 +202,8 @@ def place_clocks(clocks: NDArray[Any], sample: NDArray[np.int64], table: NDArray
     clocks["sample"] = sample
     clocks["cycle"] = 0
     clocks["jump"] = 0.0
+    clocks["recovering"] = 0
+    clocks["lag"] = clocks["fraction"] = 0.0
     root = table["root_pos"][sample]
     yaw = pose[:, 2] - yaw_from_quat(table["root_quat"][sample])
     clocks["origin"][:, :2] = pose[:, :2] - rotate_planar(yaw, root[:, :2])

@@ -125,7 +125,8 @@ def swing_leg(
     target = scratch.work
     swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
     for k in range(2):
-        target[k] -= config.velocity_feedback[k] * scratch.velocity_error[k]
+        gain = config.velocity_feedback[k] + scratch.recovering * config.recovery_feedback[k]
+        target[k] -= gain * scratch.velocity_error[k]
         target[k] -= config.position_feedback * scratch.position_error[k]
     if memory.since_switch[leg] < config.blend_time:
         left = 1.0 - memory.since_switch[leg] / config.blend_time

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.control.recovery import advance_recovering
 from fastmimic.control.reference import advance_clocks
 from fastmimic.control.vectors import quat_to_matrix
 from fastmimic.estimation.estimator import Estimator
@@ -125,11 +126,23 @@ class Observer:
         self._motors = self.sensors.to_motors(commands)
         return self._motors
 
-    def look(self, truth: NDArray[Any], planned: NDArray[np.int64], tables: NDArray[Any]) -> NDArray[Any]:
-        """What the controller is told after a control step, with its clocks advanced; arguments as above."""
+    def look(
+        self,
+        truth: NDArray[Any],
+        planned: NDArray[np.int64],
+        tables: NDArray[Any],
+        recovery: NDArray[Any] | None = None,
+    ) -> NDArray[Any]:
+        """What the controller is told after a control step, with its clocks advanced; arguments as above.
+
+        `recovery` is the packed configuration of a controller that recovers.
+        """
         assert self._motors is not None
         told = self.estimator.step(self.sensors.measure(truth, self._motors), planned)
-        advance_clocks(self.clocks, tables, told["root_pos"])
+        if recovery is None:
+            advance_clocks(self.clocks, tables, told["root_pos"])
+        else:
+            advance_recovering(recovery, self.clocks, tables, told)
         return told
 
     def compare(self, truth: NDArray[Any], tallies: NDArray[Any]) -> None:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.control.config import ControllerConfig, default_config, pack_config
 from fastmimic.control.controller import Controller
 from fastmimic.control.load import loaded_robot
+from fastmimic.control.recovery import advance_recovering
 from fastmimic.control.reference import advance_clocks, make_clocks, place_clocks, stack_tables, world_root
 from fastmimic.control.state import COMMAND, OBSERVATION
 from fastmimic.conventions import GRAVITY
@@ -228,6 +229,8 @@ class ClosedLoop:
         self._tallies = np.zeros(n, TALLY)
         self._work = np.zeros((2, 3, 3))
         self._dt = 1.0 / config.rate_hz
+        weight = robot.mass * GRAVITY
+        self._recovery = pack_config(config, weight) if config.recovery.enabled else None
         self._threshold = config.gait.contact_threshold * robot.mass * GRAVITY
 
     def run(
@@ -258,6 +261,8 @@ class ClosedLoop:
         observer = self.observer
         recorder = _Recorder(self, steps) if log else None
         seen, clocks = (simulation.observation, self._clocks) if observer is None else self._first_look(observer, start)
+        if self._recovery is not None and observer is None:
+            clocks = self._clocks.copy()  # the reward keeps its own
         cuts = [0, *(d for d in divisions if 0 < d < steps), steps] if len(divisions) else []
         counted = [tallies.copy()]
         for step in range(steps):
@@ -266,7 +271,9 @@ class ClosedLoop:
                 seen = truth = simulation.step(commands)
             else:
                 truth = simulation.step(observer.to_motors(commands))
-                seen = observer.look(truth, controller.memory["stance"], controller.tables)
+                seen = observer.look(truth, controller.memory["stance"], controller.tables, self._recovery)
+            if self._recovery is not None and observer is None:
+                advance_recovering(self._recovery, clocks, controller.tables, truth)
             self._score(truth)
             if recorder is not None:
                 recorder.add(step)

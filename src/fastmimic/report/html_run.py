@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.config import ControllerConfig, GaitConfig, HorizonConfig, LoadConfig, StanceConfig, SwingConfig
+from fastmimic.control.config import (
+    ControllerConfig,
+    GaitConfig,
+    HorizonConfig,
+    LoadConfig,
+    RecoveryConfig,
+    StanceConfig,
+    SwingConfig,
+)
 from fastmimic.errors import ConfigError, FastMimicError
 from fastmimic.imitation.rollout import Rollout, run_episodes
 from fastmimic.motion.motion import Motion
@@ -25,7 +33,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _PARTS: Final = {"gait": GaitConfig, "stance": StanceConfig, "horizon": HorizonConfig, "swing": SwingConfig}
-_OPTIONAL: Final = {"load": LoadConfig}
+_OPTIONAL: Final = {"load": LoadConfig, "recovery": RecoveryConfig}
 OTHER_RELEASE: Final = "the controller's parameters are those of another release, so the run cannot be run again"
 
 
