@@ -103,7 +103,7 @@ def main() -> None:
             *lines,
             "",
             f"Withstood without a fall in {args.episodes} episodes of {EPISODE_S:g} s from random phases; share"
-            f" survived and mean reward over all pushes up to ±{forwards} N·s along and ±{sideways} N·s across the heading.",
+            f" survived and mean reward over all pushes up to ±{forwards} N·s along and ±{sideways} N·s across.",
         ]
     )
     print(text)
