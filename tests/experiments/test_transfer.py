@@ -84,6 +84,15 @@ class TestIdentified:
         assert found[: len(rows)] == rows
         assert [(row["stage"], row["trial"]) for row in found[len(rows) :]] == [("identified", 0), ("identified", 1)]
 
+    def test_a_run_that_says_nothing_leaves_the_controller_alone(
+        self, entrant: Entrant, robot: Robot, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        from fastmimic.experiments import transfer
+
+        monkeypatch.setattr(transfer, "IDENTIFICATION_S", 0.3)
+        assert identified_config(entrant, robot, SETTINGS) is entrant.config
+        assert "nothing was identified: the log is 0.30 s long" in caplog.text
+
     def test_has_a_column_of_its_own(self) -> None:
         rows = TestResults().made_up()
         rows += [

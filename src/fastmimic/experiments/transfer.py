@@ -7,6 +7,7 @@ friction and a torque–speed curve, a more slippery floor, and sensors in place
 
 import csv
 import io
+import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fastmimic.control.config import ControllerConfig
-from fastmimic.errors import ConfigError
+from fastmimic.errors import ConfigError, LogError
 from fastmimic.experiments.entrants import Entrant
 from fastmimic.experiments.parts import all_parts
 from fastmimic.experiments.runs import Row, slug
@@ -29,6 +30,7 @@ from fastmimic.simulation.disturbances import Disturbance, names_of
 if TYPE_CHECKING:
     from fastmimic.robot import Robot
 
+_LOG: Final = logging.getLogger(__name__)
 PARTS: Final = "trials"
 COLUMNS: Final = ("motion", "method", "stage", "trial", "reward", "fell", "robot", "duration_s", "seed")
 
@@ -169,10 +171,8 @@ def run_trials(
 def identified_config(entrant: Entrant, robot: "Robot", settings: TransferSettings) -> ControllerConfig:
     """The controller with what one run in the conditions of `IDENTIFIED` says of friction and payload.
 
-    The run is none of the trials: its start and its sensors' errors are its own.
-
-    Raises:
-        LogError: nothing can be learnt from it, because the robot falls at once.
+    The run is none of the trials: its start and its sensors' errors are its own. If nothing can be learnt from it,
+    because the robot falls at once, the controller is left as it is, with a warning.
     """
     motion, conditions = entrant.motion, IDENTIFIED.conditions(settings.seed)
     start = trial_starts(settings.trials + 1, settings.seed).part(slice(settings.trials, None))
@@ -189,7 +189,11 @@ def identified_config(entrant: Entrant, robot: "Robot", settings: TransferSettin
     assert rollout.log is not None, "asked for"
     latency_s = conditions.estimator.latency_s
     log = run_log(rollout.log, 0, robot=robot.name, motion=motion.name, latency_s=latency_s)
-    return identify(log, robot).configure(entrant.config)
+    try:
+        return identify(log, robot).configure(entrant.config)
+    except LogError as error:
+        _LOG.warning("%s, %s: nothing was identified: %s", motion.name, entrant.method.name, error)
+        return entrant.config
 
 
 def part_file(out: Path, motion: str, method: str) -> Path:
