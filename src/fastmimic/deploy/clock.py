@@ -10,6 +10,8 @@ from typing import Final, Protocol
 
 SPIN_S: Final = 0.0005
 """Before a deadline the loop looks at the clock without sleeping, since a sleep ends late by as much."""
+SHORT_SPIN_S: Final = 0.0001
+"""With real-time scheduling: sleeps end in time, and Linux takes the core away for a while from what never sleeps."""
 PRIORITY: Final = 60
 """Of `SCHED_FIFO`: above all that is not real time, below the kernel's own threads."""
 _MCL_CURRENT_AND_FUTURE: Final = 3

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.control.config import ControllerConfig
-from fastmimic.deploy.clock import Clock, RealClock, undisturbed
+from fastmimic.deploy.clock import SHORT_SPIN_S, SPIN_S, Clock, RealClock, undisturbed
 from fastmimic.deploy.driver import RobotDriver
 from fastmimic.deploy.itinerary import make_itinerary
 from fastmimic.deploy.limits import SafetyLimits
@@ -146,7 +146,7 @@ def deploy(
     around = itinerary.way_in.last + itinerary.way_out.last + round(_MARGIN_S * rate_hz)
     steps = around + round(seconds * rate_hz) + motion.n_samples if math.isfinite(seconds) else None
     recorder = Recorder(min(steps or round(LOGGED_S * rate_hz), around + round(LOGGED_S * rate_hz)))
-    clock = clock if clock is not None else RealClock()
+    clock = clock if clock is not None else RealClock(SHORT_SPIN_S if real_time else SPIN_S)
     with driver, undisturbed(real_time=real_time) as refused:
         for line in refused:
             _say(note, line)

@@ -27,7 +27,7 @@ from fastmimic.errors import MotionError
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.stitch_layout import Layout
 from fastmimic.play.course import course_of
-from fastmimic.play.library import STAND, Library
+from fastmimic.play.library import STAND, Library, standing
 from fastmimic.play.stream import MODULATION, Stream, make_place
 from fastmimic.play.transition import Transition
 from fastmimic.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
@@ -39,6 +39,7 @@ Array = NDArray[np.float64]
 
 STAND_S: Final = 1.0
 """How long the robot stands under the controller before it begins to step, and again at the end."""
+_SAME_POSTURE: Final = 0.05
 _VECTORS: Final = ("lin_vel", "ang_vel", "lin_acc", "ang_acc", "leg_lin_acc", "leg_ang_acc")
 
 
@@ -96,6 +97,7 @@ class Follower:
 
     Attributes:
         leg: the present one.
+        table: (t,) of `SAMPLE`, its samples.
         clock: (1,) of `CLOCK`, of the present leg.
         steps: control steps in the motion itself so far.
         leaving: whether the motion is to be left where it can be.
@@ -104,7 +106,6 @@ class Follower:
 
     def __init__(self, itinerary: Itinerary) -> None:
         self.itinerary = itinerary
-        self.leg, self.clock = itinerary.way_in, itinerary.way_in.clock.copy()
         self.begin(np.zeros(3))
 
     def begin(self, pose: Array) -> None:
@@ -116,11 +117,6 @@ class Follower:
     def in_motion(self) -> bool:
         """Whether the present sample is one of the motion itself."""
         return self.leg is self.itinerary.main
-
-    @property
-    def reference(self) -> Any:
-        """The present sample."""
-        return self.leg.table[0, self.clock["sample"][0]]
 
     def advance(self, root: Array) -> bool:
         """One control step on; returns whether another leg has begun.
@@ -147,8 +143,8 @@ class Follower:
 
     def enter(self, leg: Leg, pose: Array) -> None:
         """Begins a leg with its first sample's root at (3,) x, y, yaw in the world, m and rad."""
-        self.leg, self.clock = leg, leg.clock.copy()
-        place_clocks(self.clock, np.array([leg.first]), leg.table[0], pose[None])
+        self.leg, self.table, self.clock = leg, leg.table[0], leg.clock.copy()
+        place_clocks(self.clock, np.array([leg.first]), self.table, pose[None])
 
 
 def make_itinerary(robot: "Robot", motion: Motion, config: ControllerConfig) -> Itinerary:
@@ -164,6 +160,8 @@ def make_itinerary(robot: "Robot", motion: Motion, config: ControllerConfig) -> 
             no way leads into or out of.
     """
     first, last = _ends(robot, motion, config.rate_hz)
+    if motion.contact.all():
+        return _standing(robot, motion, config)
     start, end = f"{motion.name} (start)", f"{motion.name} (end)"
     library = Library(robot, {start: first.motion, end: last.motion}, config.rate_hz)
     ahead = _looked_ahead(config)
@@ -191,6 +189,27 @@ def make_itinerary(robot: "Robot", motion: Motion, config: ControllerConfig) -> 
     main = Leg(reference_table(motion, robot)[None], arrive, ends, make_clocks(motion, 1))
     height = float(stand.motion.root_pos_w[0, 2])
     return Itinerary(motion, into, main, out, height, np.array(stand.motion.joint_pos[0]))
+
+
+def _standing(robot: "Robot", motion: Motion, config: ControllerConfig) -> Itinerary:
+    """A motion that only stands: nothing has to be passed through.
+
+    Raises:
+        MotionError: it does not begin and end as a robot stands.
+    """
+    hold = max(1, round(STAND_S * config.rate_hz))
+    stand = standing(robot)
+    off = float(np.abs(motion.joint_pos[[0, -1]] - stand.joint_pos[0]).max())
+    if off > _SAME_POSTURE:
+        raise MotionError(
+            f"motion '{motion.name}' never lifts a foot and begins or ends {off:.2f} rad off the posture in which the"
+            " robot stands: no way leads there without a step"
+        )
+    course = course_of(stand, robot)
+    table, _ = _table(robot, [_Stretch(course, 0, hold + _looked_ahead(config))], config.rate_hz)
+    way = _leg(table, 0, hold)
+    main = Leg(reference_table(motion, robot)[None], 0, 0, make_clocks(motion, 1))
+    return Itinerary(motion, way, main, _leg(table, 0, hold), float(stand.root_pos_w[0, 2]), stand.joint_pos[0].copy())
 
 
 class _End(NamedTuple):

@@ -133,6 +133,9 @@ class Loop:
                 " network?"
             )
         self._pilot.warm_up(state.reading)
+        self._began = self._start = self._deadline = self._clock.now()
+        self._record(state, True, Phase.HOLD, False, self._damping, False, (0.0, 0.0, 0.0))
+        self._recorder.periods = 0
 
     def _begin(self) -> None:
         """With the newest state: a person may have taken a while."""

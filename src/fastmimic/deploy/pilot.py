@@ -10,7 +10,7 @@ from fastmimic.control.config import ControllerConfig
 from fastmimic.control.controller import Controller
 from fastmimic.control.state import COMMAND, OBSERVATION
 from fastmimic.deploy.itinerary import Follower, Itinerary
-from fastmimic.deploy.safety import Guard, Violation
+from fastmimic.deploy.safety import Guard, NotingGuard, Violation
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.estimation.estimator import START, Estimator
 from fastmimic.imitation.rollout import LoopController, MakeController
@@ -113,12 +113,14 @@ class Pilot:
         self._model_based = Controller(robot, [motion], 1, config)
         self._own: LoopController = self._model_based if policy is None else policy(robot, motion.target, 1, config)
         self.controller: LoopController = self._model_based
+        self._failed = self.controller.memory["failed_in_a_row"]
         self.estimator = Estimator(robot, 1, config.rate_hz, estimator)
         self.follower = Follower(itinerary)
         self._path, _ = rising_path(robot, itinerary.stand)
         self._stiffness, self._damping = standing_gains(robot)
         self._reach = _height(robot, itinerary.stand)
         self._command = np.zeros(1, COMMAND)
+        self._words = f"passing into {motion.name}", motion.name, f"passing out of {motion.name}"
         self._nothing = np.zeros(1, OBSERVATION)
         self._from = itinerary.stand
         self._estimating, self._folded, self._leave_early = False, True, False
@@ -128,7 +130,7 @@ class Pilot:
     def begin(self, reading: NDArray[Any]) -> Violation | None:
         """Takes the robot as it is, by its first state (1,) of `READING`; returns what keeps it from standing up."""
         self.guard.reset()
-        found = self.guard.check_state(reading, None)
+        found = self.guard.check_state(reading)
         if found is None:
             self._estimating = False
             self._go(Phase.HOLD, reading)
@@ -136,25 +138,35 @@ class Pilot:
 
     def warm_up(self, reading: NDArray[Any]) -> None:
         """Has everything compiled and in the caches; nothing of it is remembered."""
-        follower = self.follower
-        for _ in range(_WARM_UP):
+        way, guard = self.itinerary, self.guard
+        self.guard = NotingGuard(self.robot, guard.limits, 1.0 / self._dt)
+        for phase in Phase:
+            if phase in _LASTS_S:
+                self._estimating = False
+                self._go(phase, reading)
+                self.step(reading)
+        for leg in (way.way_in, way.main, way.way_out):
             self._start_estimating(reading)
             self._start_following()
-            self.guard.check_state(reading, follower.reference["root_quat"])
-            self._look(reading)
-            self._drive()
-            command = self._command_of_posture(along(self._path, 0.5))
-            self.guard.cut_command(command)
-            for leg in (self.itinerary.main, self.itinerary.way_out):
-                follower.enter(leg, np.zeros(3))
-                self._switch_controller()
-                self._drive()
-        self._estimating = False
-        self.guard.reset()
+            self.follower.enter(leg, np.zeros(3))
+            self._switch_controller()
+            self.phase = Phase.FOLLOW
+            for _ in range(_WARM_UP):
+                self.step(reading)
+        self.guard, self._estimating, self.violation = guard, False, None
+        self._go(Phase.HOLD, reading)
 
     @property
     def observation(self) -> NDArray[Any]:
         return self.estimator.observation if self._estimating else self._nothing
+
+    @property
+    def doing(self) -> str:
+        """What it does, in words."""
+        if self.phase is not Phase.FOLLOW:
+            return _WORDS[self.phase]
+        way, leg = self.itinerary, self.follower.leg
+        return self._words[0 if leg is way.way_in else 1 if leg is way.main else 2]
 
     @property
     def in_motion(self) -> bool:
@@ -180,8 +192,11 @@ class Pilot:
             (1,) of `COMMAND`, overwritten by the next call. Where `violation` is set it is not to be sent.
         """
         following = self.phase is Phase.FOLLOW
-        quat = self.follower.reference["root_quat"] if following else None
-        self.violation = self.guard.check_state(reading, quat)
+        follower = self.follower
+        if following:
+            self.violation = self.guard.check_state(reading, follower.table, follower.clock)
+        else:
+            self.violation = self.guard.check_state(reading)
         if self.violation is not None:
             return self._command
         self._look(reading)
@@ -202,7 +217,7 @@ class Pilot:
         observation, follower = self.estimator.observation, self.follower
         if follower.advance(observation["root_pos"]):
             self._switch_controller()
-        self.violation = self.guard.check_estimate(observation, float(follower.reference["root_pos"][2]))
+        self.violation = self.guard.check_estimate(observation, follower.table, follower.clock)
         if self.violation is not None:
             return self._command
         if follower.done:
@@ -212,7 +227,7 @@ class Pilot:
             self.phase, self._steps = Phase.SIT, 0
             return self._command
         command = self._drive()
-        self.violation = self.guard.check_solver(int(self.controller.memory["failed_in_a_row"][0]))
+        self.violation = self.guard.check_solver(int(self._failed[0]))
         return self._cut(command)
 
     def _drive(self) -> NDArray[Any]:
@@ -292,7 +307,7 @@ class Pilot:
         chosen = self._own if follower.in_motion else self._model_based
         begins = follower.leg is self.itinerary.way_in
         if chosen is not self.controller or begins:
-            self.controller = chosen
+            self.controller, self._failed = chosen, chosen.memory["failed_in_a_row"]
             chosen.tables = follower.leg.table
             chosen.reset(follower.clock["sample"])
         chosen.tables = follower.leg.table

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.control.reference import CLOCK, SAMPLE
 from fastmimic.conventions import JOINT_NAMES
 from fastmimic.deploy.limits import SafetyLimits
 from fastmimic.jit import inlined, kernel, record_dtype
@@ -65,6 +66,9 @@ _LIMITS: Final = record_dtype(
         ("most_torque", "f8", (12,)),
         ("peak_torque", "f8", (12,)),
         ("torque_time", "f8"),
+        ("tilt", "f8"),
+        ("height_least", "f8"),
+        ("height_most", "f8"),
         ("stiffness", "f8"),
         ("damping", "f8"),
         ("dt", "f8"),
@@ -73,7 +77,7 @@ _LIMITS: Final = record_dtype(
 """Limits and robot as the kernels read them; `range_` and `most_` are where a state is a violation, the others where a
 command is cut."""
 
-_FINE, _NOT_FINITE, _POSITION, _SPEED, _PEAK, _TORQUE = range(6)
+_FINE, _NOT_FINITE, _POSITION, _SPEED, _PEAK, _TORQUE, _TILT, _HEIGHT = range(8)
 _JOINT_CHECKS: Final = {
     _POSITION: (StopReason.JOINT_POSITION, "angle", "rad"),
     _SPEED: (StopReason.JOINT_VELOCITY, "speed", "rad/s"),
@@ -94,26 +98,64 @@ def _finite(reading: Any) -> bool:
     return bool(np.isfinite(total))
 
 
+@inlined
+def _tilt(quat: Any, reference: Any) -> float:
+    """Angle between the verticals of two orientations (4,), rad, whatever their headings."""
+    w, x, y, z = quat[0], quat[1], quat[2], quat[3]
+    a, b, e, f = reference[0], reference[1], reference[2], reference[3]
+    # the world's vertical in either body frame
+    ux, uy, uz = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    vx, vy, vz = 2 * (b * f - a * e), 2 * (e * f + a * b), 1 - 2 * (b * b + e * e)
+    c = ux * vx + uy * vy + uz * vz
+    return np.arccos(min(max(c, -1.0), 1.0))
+
+
 @kernel
-def _check_joints(limits: Any, reading: Any, strained: Any) -> tuple[int, int, float, float]:
-    """What is wrong with a state, as (check, joint, value, limit); `strained` (12,) is how long each motor has been
-    near its limit, s."""
+def _check_state(limits: Any, readings: Any, table: Any, clock: Any, strained: Any) -> tuple[int, int, float, float]:
+    """What is wrong with a state, as (check, joint, value, limit).
+
+    Args:
+        limits: (1,) of `_LIMITS`.
+        readings: (1,) of `READING`.
+        table, clock: (t,) of `SAMPLE` and (1,) of `CLOCK`, where the reference is.
+        strained: (12,) how long each motor has been near its limit, s; changed.
+    """
+    limit, reading = limits[0], readings[0]
     if not _finite(reading):
         return _NOT_FINITE, 0, 0.0, 0.0
     for j in range(12):
         q, dq, torque = reading.joint_pos[j], abs(reading.joint_vel[j]), abs(reading.torque[j])
-        if q < limits.range_lower[j]:
-            return _POSITION, j, q, limits.lower[j]
-        if q > limits.range_upper[j]:
-            return _POSITION, j, q, limits.upper[j]
-        if dq > limits.most_speed[j]:
-            return _SPEED, j, dq, limits.most_speed[j]
-        if torque > limits.peak_torque[j]:
-            return _PEAK, j, torque, limits.peak_torque[j]
-        strained[j] = strained[j] + limits.dt if torque > limits.most_torque[j] else 0.0
-        if strained[j] > limits.torque_time:
-            return _TORQUE, j, torque, limits.most_torque[j]
+        if q < limit.range_lower[j]:
+            return _POSITION, j, q, limit.range_lower[j]
+        if q > limit.range_upper[j]:
+            return _POSITION, j, q, limit.range_upper[j]
+        if dq > limit.most_speed[j]:
+            return _SPEED, j, dq, limit.most_speed[j]
+        if torque > limit.peak_torque[j]:
+            return _PEAK, j, torque, limit.peak_torque[j]
+        strained[j] = strained[j] + limit.dt if torque > limit.most_torque[j] else 0.0
+        if strained[j] > limit.torque_time:
+            return _TORQUE, j, torque, limit.most_torque[j]
+    tilt = _tilt(reading.quat, table[clock[0].sample].root_quat)
+    if not tilt <= limit.tilt:
+        return _TILT, 0, tilt, limit.tilt
     return _FINE, 0, 0.0, 0.0
+
+
+@kernel
+def _check_estimate(limits: Any, observations: Any, table: Any, clock: Any) -> tuple[int, float, float, float]:
+    """What is wrong with an estimate, as (check, height, least, greatest); arguments as above."""
+    observation, height = observations[0], table[clock[0].sample].root_pos[2]
+    total = 0.0
+    for k in range(3):
+        total += observation.root_pos[k] + observation.lin_vel[k] + observation.ang_vel[k]
+    for k in range(4):
+        total += observation.root_quat[k]
+    if not np.isfinite(total):
+        return _NOT_FINITE, 0.0, 0.0, 0.0
+    least, most = limits[0].height_least * height, limits[0].height_most * height
+    found = observation.root_pos[2]
+    return _FINE if least <= found <= most else _HEIGHT, found, least, most
 
 
 @inlined
@@ -122,10 +164,10 @@ def _cut(value: float, low: float, high: float) -> float:
 
 
 @kernel
-def _cut_command(limits: Any, command: Any) -> int:
-    """Cuts a command to what the robot can, in place; returns how many numbers were changed, −1 if one is not
+def _cut_command(records: Any, commands: Any) -> int:
+    """Cuts a command (1,) to what the robot can, in place; returns how many numbers were changed, −1 if one is not
     finite."""
-    cut = 0
+    limits, command, cut = records[0], commands[0], 0
     for j in range(12):
         q, dq, torque = command.joint_pos[j], command.joint_vel[j], command.torque[j]
         kp, kd = command.stiffness[j], command.damping[j]
@@ -139,19 +181,6 @@ def _cut_command(limits: Any, command: Any) -> int:
         cut += int(command.joint_pos[j] != q) + int(command.joint_vel[j] != dq) + int(command.torque[j] != torque)
         cut += int(command.stiffness[j] != kp) + int(command.damping[j] != kd)
     return cut
-
-
-@kernel
-def _tilt(quat: Any, reference: Any) -> float:
-    """Angle between the verticals of two orientations (4,), rad, whatever their headings."""
-    c = 1.0
-    w, x, y, z = quat[0], quat[1], quat[2], quat[3]
-    a, b, e, f = reference[0], reference[1], reference[2], reference[3]
-    # the world's vertical in either body frame
-    ux, uy, uz = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-    vx, vy, vz = 2 * (b * f - a * e), 2 * (e * f + a * b), 1 - 2 * (b * b + e * e)
-    c = ux * vx + uy * vy + uz * vz
-    return float(np.arccos(min(max(c, -1.0), 1.0)))
 
 
 class Guard:
@@ -172,11 +201,14 @@ class Guard:
         record["torque"] = robot.torque_limit
         record["most_torque"] = limits.torque * robot.torque_limit
         record["peak_torque"] = limits.torque_peak * robot.torque_limit
+        record["tilt"] = limits.tilt
+        record["height_least"], record["height_most"] = limits.height_least, limits.height_most
         record["torque_time"], record["dt"] = limits.torque_time_s, 1.0 / rate_hz
         record["stiffness"], record["damping"] = limits.stiffness_most, limits.damping_most
-        self._record = record[0]
+        self._record = record
         self._strained = np.zeros(12)
-        self._upright = np.array([1.0, 0.0, 0.0, 0.0])
+        self._upright, self._still = np.zeros(1, SAMPLE), np.zeros(1, CLOCK)
+        self._upright["root_quat"] = 1.0, 0.0, 0.0, 0.0
         self.cut = 0
 
     def reset(self) -> None:
@@ -201,41 +233,37 @@ class Guard:
             f"a command was {1e3 * late_s:.1f} ms late; {1e3 * self.limits.overrun_s:.0f} are allowed",
         )
 
-    def check_state(self, reading: NDArray[Any], reference_quat: NDArray[np.float64] | None) -> Violation | None:
+    def check_state(
+        self, reading: NDArray[Any], table: NDArray[Any] | None = None, clock: NDArray[Any] | None = None
+    ) -> Violation | None:
         """A state.
 
         Args:
             reading: (1,) of `READING`.
-            reference_quat: (4,) the trunk's orientation in the reference, up to its heading; None for upright.
+            table: (t,) of `SAMPLE`, whose trunk's tilt the robot's should be near; None for upright.
+            clock: (1,) of `CLOCK`, where in it.
         """
-        row = reading[0]
-        what, joint, value, limit = _check_joints(self._record, row, self._strained)
+        followed = table if table is not None else self._upright
+        at = clock if clock is not None else self._still
+        what, joint, value, limit = _check_state(self._record, reading, followed, at, self._strained)
+        if what == _FINE:
+            return None
         if what == _NOT_FINITE:
             return Violation(StopReason.NOT_FINITE, "a state of the robot is not finite")
-        if what != _FINE:
-            reason, name, unit = _JOINT_CHECKS[what]
-            took = f" for {self.limits.torque_time_s:g} s" if what == _TORQUE else ""
-            return Violation(
-                reason, f"{JOINT_NAMES[joint]}: {name} {value:.2f} {unit}, beyond {limit:.2f} {unit}{took}"
-            )
-        tilt = _tilt(row["quat"], self._upright if reference_quat is None else reference_quat)
-        if not tilt <= self.limits.tilt:
-            whose = "from the vertical" if reference_quat is None else "from the reference's"
-            return Violation(
-                StopReason.TILT, f"the trunk's tilt is {tilt:.2f} rad {whose}; {self.limits.tilt:g} are allowed"
-            )
-        return None
+        if what == _TILT:
+            whose = "from the vertical" if table is None else "from the reference's"
+            return Violation(StopReason.TILT, f"the trunk's tilt is {value:.2f} rad {whose}; {limit:g} are allowed")
+        reason, name, unit = _JOINT_CHECKS[what]
+        took = f" for more than {self.limits.torque_time_s:g} s" if what == _TORQUE else ""
+        return Violation(reason, f"{JOINT_NAMES[joint]}: {name} {value:.2f} {unit}, beyond {limit:.2f} {unit}{took}")
 
-    def check_estimate(self, observation: NDArray[Any], reference_height: float) -> Violation | None:
-        """What the controller is told, (1,) of `OBSERVATION`, with the base's height in the reference, m."""
-        row = observation[0]
-        if not np.isfinite(row["root_pos"].sum() + row["lin_vel"].sum() + row["root_quat"].sum()):
-            return Violation(StopReason.NOT_FINITE, "the estimate of the robot's state is not finite")
-        height = float(row["root_pos"][2])
-        least = self.limits.height_least * reference_height
-        most = self.limits.height_most * reference_height
-        if least <= height <= most:
+    def check_estimate(self, observation: NDArray[Any], table: NDArray[Any], clock: NDArray[Any]) -> Violation | None:
+        """What the controller is told, (1,) of `OBSERVATION`, beside the reference as above."""
+        what, height, least, most = _check_estimate(self._record, observation, table, clock)
+        if what == _FINE:
             return None
+        if what == _NOT_FINITE:
+            return Violation(StopReason.NOT_FINITE, "the estimate of the robot's state is not finite")
         return Violation(
             StopReason.HEIGHT, f"the base is {height:.3f} m above the ground; {least:.3f} to {most:.3f} m are allowed"
         )
@@ -264,7 +292,7 @@ class Guard:
 
     def cut_command(self, command: NDArray[Any]) -> Violation | None:
         """Cuts a command (1,) of `COMMAND` to what the robot can, in place."""
-        self.cut = _cut_command(self._record, command[0])
+        self.cut = _cut_command(self._record, command)
         if self.cut >= 0:
             return None
         return Violation(StopReason.NOT_FINITE, "a command of the controller is not finite")
@@ -286,12 +314,14 @@ class NotingGuard(Guard):
         self._note(super().check_lateness(late_s))
         return None
 
-    def check_state(self, reading: NDArray[Any], reference_quat: NDArray[np.float64] | None) -> Violation | None:
-        self._note(super().check_state(reading, reference_quat))
+    def check_state(
+        self, reading: NDArray[Any], table: NDArray[Any] | None = None, clock: NDArray[Any] | None = None
+    ) -> Violation | None:
+        self._note(super().check_state(reading, table, clock))
         return None
 
-    def check_estimate(self, observation: NDArray[Any], reference_height: float) -> Violation | None:
-        self._note(super().check_estimate(observation, reference_height))
+    def check_estimate(self, observation: NDArray[Any], table: NDArray[Any], clock: NDArray[Any]) -> Violation | None:
+        self._note(super().check_estimate(observation, table, clock))
         return None
 
     def check_solver(self, failed_in_a_row: int) -> Violation | None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 STARTS: Final = ("lying", "standing")
-WATCHDOG_S: Final = 0.1
+WATCHDOG_S: Final = 0.02
 """Without a command for that long the motors only damp."""
 _SENSORS: Final = 1  # number of the random stream, as in imitation/observer.py
 _SETTLE_S: Final = 0.5

@@ -59,6 +59,17 @@ class StopSwitch:
                 self.key = self.key or character in EMERGENCY_KEYS
                 self.leave = self.leave or character in LEAVE_KEYS
 
+    def wait_for_consent(self) -> bool:
+        """Waits for a key or a signal; whether it was Enter."""
+        while not self.signals and self._file is not None:
+            if not select.select([self._file], [], [], 0.1)[0]:
+                continue
+            pressed = os.read(self._file, 64)
+            if not pressed:
+                break
+            return pressed[:1] in (b"\r", b"\n")
+        return False
+
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
             self._handlers = {number: signal.signal(number, self._count) for number in _SIGNALS}
