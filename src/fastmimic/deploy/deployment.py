@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.clock import SHORT_SPIN_S, SPIN_S, Clock, RealClock, undisturbed
-from fastmimic.deploy.driver import RobotDriver
-from fastmimic.deploy.itinerary import make_itinerary
+from fastmimic.deploy.driver import Packets, RobotDriver
+from fastmimic.deploy.itinerary import Itinerary, make_itinerary
 from fastmimic.deploy.limits import SafetyLimits
 from fastmimic.deploy.log import LOST_ROWS, DeploymentLog, Recorder
 from fastmimic.deploy.loop import Ending, Loop, Outcome
 from fastmimic.deploy.pilot import Phase, Pilot
 from fastmimic.deploy.safety import Guard, NotingGuard, StopReason
 from fastmimic.deploy.scoring import figures, score_log, true_states
-from fastmimic.deploy.sim import SimDriver
 from fastmimic.deploy.stopping import StopSwitch
 from fastmimic.errors import ConfigError
 from fastmimic.estimation.config import EstimatorConfig
@@ -98,6 +97,7 @@ def deploy(
     policy: MakeController | None = None,
     solve_rate_hz: float | None = None,
     estimator: EstimatorConfig | None = None,
+    itinerary: Itinerary | None = None,
     cycles: int | None = None,
     duration_s: float | None = None,
     endless: bool = False,
@@ -119,6 +119,7 @@ def deploy(
         method, config, policy: as in `fastmimic.pipeline.evaluate`.
         solve_rate_hz: of planning ahead; at the loop's rate if None.
         estimator: its parameters.
+        itinerary: of this motion and controller, if it was made before.
         cycles, duration_s, endless: how many cycles, or how long, or until a person ends it; 10 s if none is given.
         limits: of safety.
         clock: the computer's if None. A simulated robot has to have the same.
@@ -141,7 +142,7 @@ def deploy(
     limits = limits if limits is not None else SafetyLimits()
     rate_hz = config.rate_hz
     guard = (NotingGuard if dry_run else Guard)(robot, limits, rate_hz)
-    itinerary = make_itinerary(robot, motion, config)
+    itinerary = itinerary if itinerary is not None else make_itinerary(robot, motion, config)
     pilot = Pilot(robot, itinerary, guard, config, estimator=estimator, policy=policy)
     around = itinerary.way_in.last + itinerary.way_out.last + round(_MARGIN_S * rate_hz)
     steps = around + round(seconds * rate_hz) + motion.n_samples if math.isfinite(seconds) else None
@@ -176,12 +177,13 @@ def deploy(
         "joint_speed_limit": robot.joint_speed_limit.tolist(),
         "dry_run": dry_run,
     }
-    log = DeploymentLog(recorder.rows(), meta)
-    if isinstance(driver, SimDriver):
-        log = dataclasses.replace(log, truth=true_states(log, driver.truth))
+    log = DeploymentLog(recorder.rows(), motion, meta)
+    truth = getattr(driver, "truth", None)  # a simulated robot's
+    if truth is not None:
+        log = dataclasses.replace(log, truth=true_states(log, truth, np.arange(len(truth))))
     if recorder.periods > len(log.rows):
         _say(note, LOST_ROWS.format((recorder.periods - len(log.rows)) / rate_hz, len(log.rows) / rate_hz))
-    meta["result"] = _result(robot, motion, log, outcome, driver, recorder.periods)
+    meta["result"] = _result(robot, log, outcome, driver.packets, recorder.periods)
     noted = tuple(found.text for found in guard.noted.values()) if isinstance(guard, NotingGuard) else ()
     return Deployment(outcome, log, noted)
 
@@ -212,16 +214,13 @@ def _ending(motion: "Motion", cycles: int | None, duration_s: float | None, endl
     return Ending(steps=max(1, round(duration_s * motion.rate_hz))), duration_s
 
 
-def _result(
-    robot: "Robot", motion: "Motion", log: DeploymentLog, outcome: Outcome, driver: RobotDriver, periods: int
-) -> dict[str, Any]:
+def _result(robot: "Robot", log: DeploymentLog, outcome: Outcome, packets: Packets, periods: int) -> dict[str, Any]:
     rows, dt = log.rows, 1.0 / log.rate_hz
-    estimated = score_log(robot, motion, log)
-    true = None if log.truth is None else score_log(robot, motion, log, log.truth)
+    estimated = score_log(robot, log)
+    true = None if log.truth is None else score_log(robot, log, log.truth)
     computed = rows[rows["phase"] == Phase.FOLLOW]
     solved = rows["solve_s"][(rows["solve_s"] > 0) & (rows["phase"] == Phase.FOLLOW)]
     sent = rows[rows["sent"]]
-    packets = driver.packets
     found = {
         "fell": outcome.stopped_by in FELL or bool(true is not None and true.fell[0]),
         "stopped_by": outcome.stopped_by.value,
@@ -239,7 +238,7 @@ def _result(
         "round_trip_us": percentiles(sent["round_trip_s"][sent["fresh"]], 1e6),
         "packets": dataclasses.asdict(packets),
         "commands_cut": int((rows["cut"] > 0).sum()),
-        "cycles": float(rows["in_motion"].sum() / motion.n_samples),
+        "cycles": float(rows["in_motion"].sum() / log.motion.n_samples),
     }
     found |= figures(estimated)
     found["reward_truth_mean"] = None if true is None else float(true.reward[0])

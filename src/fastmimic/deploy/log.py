@@ -1,6 +1,8 @@
 """All that went through the loop, a row for each period, in memory that was there before it began; and its file."""
 
+import io
 import json
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -9,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.control.state import COMMAND, OBSERVATION
-from fastmimic.errors import DeploymentError
+from fastmimic.errors import DeploymentError, MotionError
 from fastmimic.estimation.reading import READING
 from fastmimic.files import replace_file
+from fastmimic.motion.motion import Motion
 
 FORMAT_VERSION: Final = 1
 _MARK: Final = "deployment_version"
+_MOTION: Final = "motion_npz"
 
 ROW: Final = np.dtype(
     [
@@ -84,11 +88,13 @@ class DeploymentLog:
 
     Attributes:
         rows: (t,) of `ROW`.
+        motion: what was deployed.
         meta: `rate_hz`, `robot`, `motion`, `driver`, `method`, `result` and more, JSON-serialisable.
         truth: (t,) of `OBSERVATION`, of a simulated robot at the moments of the states used; None of a real one.
     """
 
     rows: NDArray[Any]
+    motion: Motion
     meta: dict[str, Any]
     truth: NDArray[Any] | None = None
 
@@ -103,6 +109,7 @@ class DeploymentLog:
             _MARK: np.int64(FORMAT_VERSION),
             "meta_json": np.str_(json.dumps(self.meta, sort_keys=True)),
         }
+        arrays[_MOTION] = np.frombuffer(_as_bytes(self.motion), np.uint8)
         arrays |= _flat("", self.rows)
         if self.truth is not None:
             arrays |= _flat("truth_", self.truth)
@@ -131,8 +138,9 @@ class DeploymentLog:
         try:
             n = len(arrays["time_s"])
             truth = _unflat("truth_", OBSERVATION, arrays, n) if "truth_root_pos" in arrays else None
-            return cls(_unflat("", ROW, arrays, n), json.loads(str(arrays["meta_json"])), truth)
-        except (KeyError, ValueError) as error:
+            motion = Motion.load(io.BytesIO(arrays[_MOTION].tobytes()))
+            return cls(_unflat("", ROW, arrays, n), motion, json.loads(str(arrays["meta_json"])), truth)
+        except (KeyError, ValueError, MotionError) as error:
             raise DeploymentError(f"{path}: the log is damaged ({error})") from None
 
 
@@ -145,6 +153,14 @@ def is_deployment_log(path: str | Path) -> bool:
             return _MARK in file.files
     except Exception:  # noqa: BLE001 - a damaged archive is somebody else's to report
         return False
+
+
+def _as_bytes(motion: Motion) -> bytes:
+    """The motion's file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "motion.npz"
+        motion.save(path)
+        return path.read_bytes()
 
 
 def _flat(prefix: str, rows: NDArray[Any]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.config import default_config
+from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.control.reference import advance_clocks, make_clocks, reference_table
 from fastmimic.control.state import MEMORY
 from fastmimic.conventions import GRAVITY
@@ -13,6 +13,7 @@ from fastmimic.deploy.log import DeploymentLog
 from fastmimic.errors import DeploymentError
 from fastmimic.imitation.reward import TALLY, TERMS, score_step
 from fastmimic.imitation.rollout import Rollout, summarised
+from fastmimic.pipeline import Evaluation
 from fastmimic.rotations import rotate_planar, yaw_from_quat
 
 if TYPE_CHECKING:
@@ -20,23 +21,20 @@ if TYPE_CHECKING:
     from fastmimic.robot import Robot
 
 
-def score_log(
-    robot: "Robot", motion: "Motion", log: DeploymentLog, observation: NDArray[Any] | None = None
-) -> Rollout | None:
+def score_log(robot: "Robot", log: DeploymentLog, observation: NDArray[Any] | None = None) -> Rollout | None:
     """Scores the periods in the motion itself, as every other closed loop, against the motion's demonstration.
 
     The reference starts as the controller's did and is then synchronised to what is scored.
 
     Args:
         robot: the robot.
-        motion: that was deployed.
         log: of the deployment.
         observation: (t,) of `OBSERVATION`, the state in each of the log's rows; the estimate if None.
 
     Returns:
         One episode; None if the robot did not come so far.
     """
-    rows = np.flatnonzero(log.rows["in_motion"])
+    motion, rows = log.motion, np.flatnonzero(log.rows["in_motion"])
     if not len(rows):
         return None
     seen = log.rows["estimate"] if observation is None else observation
@@ -70,6 +68,23 @@ def score_log(
     return summarised(tally, len(rows), log.rate_hz)
 
 
+def evaluation_of(robot: "Robot", log: DeploymentLog, config: ControllerConfig) -> Evaluation:
+    """A deployment as `fastmimic.pipeline.evaluate` would have it: by the truth if there is one, else by the estimate.
+
+    Args:
+        robot: the robot.
+        log: of the deployment.
+        config: with which it was.
+
+    Raises:
+        DeploymentError: the robot did not come so far as to the motion.
+    """
+    rollout = score_log(robot, log, log.truth)
+    if rollout is None:
+        raise DeploymentError(f"the robot never came to the motion: {log.meta['result']['stopped_because']}")
+    return Evaluation(log.motion, rollout, str(log.meta["method"]), config)
+
+
 def figures(rollout: Rollout | None) -> dict[str, Any]:
     """Of an episode, JSON-serialisable; None for each if there is none."""
     if rollout is None:
@@ -86,22 +101,27 @@ def figures(rollout: Rollout | None) -> dict[str, Any]:
     }
 
 
-def true_states(log: DeploymentLog, truth: NDArray[Any]) -> NDArray[Any]:
+def true_states(log: DeploymentLog, truth: NDArray[Any], sequence: NDArray[np.int64]) -> NDArray[Any]:
     """A simulated robot's true states in the log's rows, (t,) of `OBSERVATION`.
 
     Args:
         log: whose rows say which state message each period had.
-        truth: (k,) of `OBSERVATION`, by the sequence number of the state messages.
+        truth: (k,) of `OBSERVATION`.
+        sequence: (k,) ascending, the sequence numbers of the messages that told of them.
 
     Raises:
-        DeploymentError: there is none of some number.
+        DeploymentError: there is none of some message.
     """
-    sequence = log.rows["sequence"]
-    if len(sequence) and not (sequence.min() >= 0 and sequence.max() < len(truth)):
+    wanted = log.rows["sequence"]
+    at = np.searchsorted(sequence, wanted)
+    found = at < len(sequence)
+    found[found] = sequence[at[found]] == wanted[found]
+    if not found.all():
         raise DeploymentError(
-            f"the log has states {sequence.min()} to {sequence.max()} and there are true ones of 0 to {len(truth) - 1}"
+            f"the log has state {wanted[~found][0]}, and there are true ones of {sequence[0]} to {sequence[-1]}:"
+            " another run's?"
         )
-    return truth[sequence]
+    return truth[at]
 
 
 def _first_clock(motion: "Motion", row: Any, seen: Any) -> NDArray[Any]:
