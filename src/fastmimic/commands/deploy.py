@@ -92,6 +92,7 @@ class Deploy(MotionOptions):
     def run(self) -> int:
         """Does it, writes the folder, prints the figures; returns the exit status."""
         from fastmimic.deploy.drivers import SIM, check_driver
+        from fastmimic.deploy.files import MOTION, open_deployment
         from fastmimic.deploy.limits import read_limits
 
         check_driver(self.driver)
@@ -100,10 +101,11 @@ class Deploy(MotionOptions):
         robot, motion = self._load()
         policy = None if self.policy is None else policy_controller(self.policy, robot, motion)
         folder, log = self._places(robot, motion)
-        found = self._deploy(robot, motion, limits, policy)
-        found.log.meta["driver"] = self.driver
-        found.log.save(log)
-        motion.save(folder / "motion.npz")
+        with open_deployment(folder):
+            found = self._deploy(robot, motion, limits, policy)
+            found.log.meta["driver"] = self.driver
+            found.log.save(log)
+        motion.save(folder / MOTION)
         self._write_result(found, folder)
         self._report(found, log)
         return self._status(found)
@@ -150,14 +152,13 @@ class Deploy(MotionOptions):
         return robot, load_motion(source, robot, **self.overrides())
 
     def _places(self, robot: "Robot", motion: "Motion") -> tuple[Path, Path]:
-        """The folder and the log's file, once it is certain that both can be written."""
+        """The folder and the log's file."""
         from fastmimic.commands.imitate import RUNS
-        from fastmimic.deploy.files import LOG, check_deployment_folder
+        from fastmimic.deploy.files import LOG
         from fastmimic.report.run_folder import default_folder
 
         name = re.sub(r"[^\w.-]+", "-", f"deploy-{motion.name}-{robot.name}-{self.driver}")
         folder = self.out if self.out is not None else default_folder(RUNS, name, resume=False)
-        check_deployment_folder(folder)
         return folder, folder / LOG if self.log is None else check_writable(self.log, ".npz")
 
     def _deploy(self, robot: "Robot", motion: "Motion", limits: "SafetyLimits", policy: Any) -> "Deployment":

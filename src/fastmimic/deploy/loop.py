@@ -204,7 +204,7 @@ class Loop:
         if done > self._deadline + self._dt:
             self._misses += 1
         self._deadline += self._dt
-        if self._watch is not None:
+        if self._watch is not None and pilot.phase is not Phase.DONE:
             self._watch(pilot, command)
         return violation
 
