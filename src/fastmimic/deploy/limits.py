@@ -25,7 +25,8 @@ class SafetyLimits:
             down, rad.
         height_least, height_most: of the base over the ground, shares of the reference's.
         stale_s: age of the newest state, s.
-        overrun_s: by which a command may be late, s.
+        overrun_s: by which a command may be late, s. In simulation a trot goes on after a pause of 50 ms, in which the
+            robot's own watchdog has the motors damp; damped for good it falls.
         qp_failures: of the stance QP in a row; where only planning ahead fails, the stance QP stands in for it.
         posture: by which a joint may be off its target when the robot should stand, before it begins to step, rad.
         stiffness_most, damping_most: of a command, N·m/rad and N·m·s/rad; what is beyond is cut, as joint angles,
@@ -43,7 +44,7 @@ class SafetyLimits:
     height_least: float = 0.6
     height_most: float = 1.4
     stale_s: float = 0.02
-    overrun_s: float = 0.02
+    overrun_s: float = 0.05
     qp_failures: int = 5
     posture: float = 0.35
     stiffness_most: float = 300.0
