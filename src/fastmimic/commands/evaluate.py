@@ -48,6 +48,8 @@ class Evaluate(MotionOptions):
     log: Annotated[Path | None, arg(metavar="FILE.npz")] = None
     """Write what the robot's own computer knew of episode 0, for 'fastmimic identify': readings, commands, estimates,
     no truth. Needs --observe sensors."""
+    truth: Annotated[Path | None, arg(metavar="FILE")] = None
+    """For the log of a deployment on 'fastmimic robot-sim --log FILE': what that robot really did."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
@@ -59,6 +61,8 @@ class Evaluate(MotionOptions):
 
         if is_deployment_log(self.motion):
             return self._deployed()
+        if self.truth is not None:
+            raise ConfigError(f"--truth is for the log of a deployment, and {self.motion} is none")
         from fastmimic.pipeline import evaluate
         from fastmimic.simulation.conditions import Conditions
         from fastmimic.simulation.disturbances import names_of, parse_disturbance
@@ -110,16 +114,23 @@ class Evaluate(MotionOptions):
         """The figures of a deployment, out of its log."""
         from fastmimic.commands.options import DEFAULT_ROBOT
         from fastmimic.deploy.log import DeploymentLog
-        from fastmimic.deploy.scoring import evaluation_of
-        from fastmimic.errors import ConfigError
+        from fastmimic.deploy.robot_sim.truth import load_truth
+        from fastmimic.deploy.scoring import evaluation_of, true_states
         from fastmimic.report.html_run import controller_from
         from fastmimic.robot import ROBOT_NAMES, load_robot
 
         fields = {f.name: f for f in dataclasses.fields(self)}
-        given = [n for n, f in fields.items() if n not in ("motion", "robot", "json") and getattr(self, n) != f.default]
+        given = [
+            n
+            for n, f in fields.items()
+            if n not in ("motion", "robot", "truth", "json") and getattr(self, n) != f.default
+        ]
         if given:
             raise ConfigError(f"{self.motion} is the log of a deployment, which is over: leave out --{given[0]}")
         log = DeploymentLog.load(self.motion)
+        if self.truth is not None:
+            found = load_truth(self.truth)
+            log = dataclasses.replace(log, truth=true_states(log, found.observation, found.tick))
         name = str(log.meta.get("robot", DEFAULT_ROBOT))
         if self.robot is None and name not in ROBOT_NAMES:
             raise ConfigError(f"{self.motion}: of robot '{name}', which is not built in; give its MJCF by --robot")

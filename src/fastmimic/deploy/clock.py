@@ -1,5 +1,6 @@
 """Time as the loop knows it: the computer's, or one that passes only when it is told to."""
 
+import contextlib
 import ctypes
 import gc
 import os
@@ -71,27 +72,31 @@ def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
     was_enabled = gc.isenabled()
     gc.freeze()
     gc.disable()
-    restore = _ask_for_real_time(refused) if real_time else None
+    before = _ask_for_real_time(refused) if real_time else {}
     try:
         yield refused
     finally:
-        if restore is not None:
-            policy, priority = restore
-            os.sched_setscheduler(0, policy, os.sched_param(priority))
-            ctypes.CDLL(None).munlockall()
+        _restore(before)
         gc.unfreeze()
         if was_enabled:
             gc.enable()
 
 
-def _ask_for_real_time(refused: list[str]) -> tuple[int, int] | None:
-    """Asks the kernel; returns scheduler and priority as they were, None where there are no such things."""
+def _ask_for_real_time(refused: list[str]) -> dict[int, tuple[int, int]]:
+    """Asks the kernel for all threads of the process, since a driver's receive what the loop waits for.
+
+    Returns:
+        Scheduler and priority of each thread as they were.
+    """
     if not hasattr(os, "sched_setscheduler"):
         refused.append("this system has no real-time scheduler")
-        return None
-    before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+        return {}
+    before = {}
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        for thread in _threads():
+            kept = os.sched_getscheduler(thread), os.sched_getparam(thread).sched_priority
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(PRIORITY))
+            before[thread] = kept
     except OSError as error:
         refused.append(
             f"no real-time scheduling ({error.strerror}): give this user an 'rtprio' of {PRIORITY} in"
@@ -104,3 +109,20 @@ def _ask_for_real_time(refused: list[str]) -> tuple[int, int] | None:
             " /etc/security/limits.conf, or give the process CAP_IPC_LOCK"
         )
     return before
+
+
+def _restore(before: dict[int, tuple[int, int]]) -> None:
+    """Puts the threads that are still there back."""
+    for thread, (policy, priority) in before.items():
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(thread, policy, os.sched_param(priority))
+    if before:
+        ctypes.CDLL(None).munlockall()
+
+
+def _threads() -> list[int]:
+    """Those of this process; 0 is the calling one where they cannot be told."""
+    try:
+        return [int(name) for name in os.listdir("/proc/self/task")]
+    except OSError:
+        return [0]
