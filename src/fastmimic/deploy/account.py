@@ -14,6 +14,11 @@ _NONE: Final = "–"
 
 def account(result: dict[str, Any], table: Callable[..., list[str]]) -> list[str]:
     """Lines for the terminal; `table` aligns rows."""
+    return table(account_rows(result))
+
+
+def account_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
+    """Names and values of a deployment's figures."""
     r = result
     rows = [
         ("stopped by", r["stopped_by"] + (f": {r['stopped_because']}" if r["stopped_because"] else "")),
@@ -43,7 +48,7 @@ def account(result: dict[str, Any], table: Callable[..., list[str]]) -> list[str
             f" {packets['rejected']} rejected",
         ),
     ]
-    return table(rows)
+    return rows
 
 
 def commands_shown(log: DeploymentLog) -> list[str]:
