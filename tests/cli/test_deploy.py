@@ -85,6 +85,19 @@ def test_a_planning_controller_plans_in_every_period(run: Run) -> None:
     assert json.loads(done.out)["solve_us"]["median"] > 0.0
 
 
+def test_its_report_is_a_page_of_its_own(run: Run) -> None:
+    pytest.importorskip("plotly", reason="the extra 'report' is not installed")
+    run("deploy", "stand", *QUICK, "--method", "lh", "--out", "there")
+    assert run("report", "there").status == 0
+    page = Path("there/report.html").read_text(encoding="utf-8")
+    for said in ("stand on a1, deployed by driver sim", "Ended as planned (duration)", "Motor torque", "height_least"):
+        assert said in page
+    Path("there/log.npz").unlink()
+    done = run("report", "there")
+    assert "without the plots" in done.err
+    assert "Motor torque" not in Path("there/report.html").read_text(encoding="utf-8")
+
+
 BAD = {
     "no such driver": (["trot", "--driver", "spot"], "unknown driver 'spot'; there are go2, a1, sim"),
     "no such motion": (["trto", *QUICK], "did you mean 'trot'"),

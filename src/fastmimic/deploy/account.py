@@ -82,7 +82,7 @@ def _times(r: dict[str, Any]) -> list[tuple[str, str]]:
         *([("  planning ahead, µs", _spread(r["solve_us"]))] if r["solve_us"]["median"] is not None else []),
         ("reading, µs", _spread(r["read_us"])),
         ("writing, µs", _spread(r["write_us"])),
-        ("state's arrival to command, µs", _spread(r["round_trip_us"])),
+        ("state received to command gone, µs", _spread(r["round_trip_us"])),
     ]
 
 

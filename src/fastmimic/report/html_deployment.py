@@ -115,16 +115,17 @@ def _periods(time: Array, rows: NDArray[Any], log: DeploymentLog) -> Figure:
     error = np.full(len(rows), np.nan)
     error[1:] = 1e6 * np.abs(np.diff(time) - 1.0 / log.rate_hz)
     span = float(time[0]), float(time[-1])
-    age = 1e3 * rows["age_s"]
-    panels = []
-    for title, values, label in (
-        ("Period error", error, "|period − 2 ms| (µs)".replace("2 ms", f"{1e3 / log.rate_hz:g} ms")),
-        ("Age of the state when it was used", 1e3 * age, "age (µs)"),
-    ):
-        layout = layout_of("time (s)", label, 240, span)
-        layout["yaxis"]["type"] = "log"
-        shown = np.where(values > 0.05, values, 0.05)
-        panels.append(Panel(title, [curve(time, shown, ROBOT, peak=True)], layout))
+    layout = layout_of("time (s)", f"|period − {1e3 / log.rate_hz:g} ms| (µs)", 240, span)
+    layout["yaxis"]["type"] = "log"
+    least = 0.1  # µs, for the logarithm
+    panels = [
+        Panel("Period error", [curve(time, np.fmax(error, least), ROBOT, peak=True)], layout),
+        Panel(
+            "Age of the state when it was used",
+            [curve(time, 1e3 * rows["age_s"], ROBOT, peak=True)],
+            layout_of("time (s)", "age (ms)", 240, span),
+        ),
+    ]
     found = error[1:]
     return Figure(
         "periods",
