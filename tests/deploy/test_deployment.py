@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from deploy.rig import Rig, once
+from fastmimic.control.config import default_config
 from fastmimic.control.state import COMMAND
 from fastmimic.deploy.clock import VirtualClock
 from fastmimic.deploy.deployment import Deployment
-from fastmimic.deploy.itinerary import Itinerary
+from fastmimic.deploy.itinerary import Follower, Itinerary, make_itinerary
 from fastmimic.deploy.link import LinkConfig
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.pilot import Phase
@@ -17,7 +18,9 @@ from fastmimic.deploy.safety import StopReason
 from fastmimic.deploy.scoring import score_log
 from fastmimic.deploy.sim import SimDriver
 from fastmimic.errors import ConfigError, DriverError
-from fastmimic.pipeline import evaluate
+from fastmimic.motion.motion import Motion
+from fastmimic.motion.stitch import stitch_motions
+from fastmimic.pipeline import evaluate, load_motion
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
 
@@ -140,6 +143,21 @@ def test_the_reference_goes_on_where_one_stretch_ends_and_the_next_begins(way: I
         assert moved < 2.0, "m/s"
 
 
+def test_a_stitched_motion_is_done_once(a1: Robot, trot: Motion) -> None:
+    stitched = stitch_motions(a1, [trot, load_motion("turn", a1)], [2, 2])
+    way = make_itinerary(a1, stitched, default_config())
+    follower = Follower(way)
+    root, steps, feet = np.zeros((1, 3)), 0, []
+    while not follower.done:
+        follower.advance(root)
+        steps += follower.in_motion
+        feet.append(follower.table["joint_pos"][follower.clock["sample"][0]])
+        assert len(feet) < 20_000
+    assert stitched.n_samples - trot.n_samples <= steps <= stitched.n_samples
+    speed = np.abs(np.diff(feet, axis=0)).max() * 500.0
+    assert speed < 1.2 * a1.joint_speed_limit.min()
+
+
 def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:
     log = stands.run().log
     log.meta["driver"] = "sim"
@@ -190,6 +208,13 @@ def test_no_state_within_three_seconds(stands: Rig, a1: Robot) -> None:
 def test_called_off_nothing_is_sent(stands: Rig) -> None:
     with pytest.raises(DriverError, match="called off"):
         stands.run(on_ready=lambda: False)
+    assert stands.driver.written == []
+
+
+def test_stopped_while_it_prepares_nothing_is_sent(stands: Rig) -> None:
+    stands.switch.signals = 1
+    with pytest.raises(DriverError, match="called off"):
+        stands.run()
     assert stands.driver.written == []
 
 

@@ -21,6 +21,7 @@ from fastmimic.deploy.safety import Guard, StopReason
 from fastmimic.deploy.sim import SimDriver
 from fastmimic.deploy.stopping import StopSwitch
 from fastmimic.errors import ConfigError, DriverError
+from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot
 
 
@@ -166,6 +167,26 @@ def test_a_delay_that_is_short_is_counted_and_survived(stands: Rig) -> None:
     assert done.result["deadline_misses"] == 0
 
 
+def test_a_state_that_arrives_just_after_a_pause_is_in_time(stands: Rig) -> None:
+    """Of a computer on which everything paused, the robot's messages included."""
+
+    def pause(pilot: Pilot) -> None:
+        stands.clock.time_s += 0.03
+        read = stands.driver.read
+
+        def not_yet(timeout_s: float = 0.0) -> LowState | None:
+            if timeout_s == 0.0:
+                return None
+            stands.driver.read = read  # type: ignore[method-assign]
+            return read(timeout_s)
+
+        stands.driver.read = not_yet  # type: ignore[method-assign]
+
+    done = stands.run(watch=once(following, pause))
+    assert done.outcome.stopped_by is StopReason.DURATION
+    assert done.log.rows["late_s"].max() > 0.025
+
+
 def test_a_period_that_takes_too_long_is_a_miss(stands: Rig) -> None:
     def delay(pilot: Pilot) -> None:
         write = stands.driver.write
@@ -304,6 +325,27 @@ def test_only_enter_is_consent(key: bytes, agreed: bool) -> None:
     os.close(keyboard)
 
 
+@pytest.mark.nojit
+def test_a_state_is_held_against_the_limits_without_the_jit_as_well(a1: Robot) -> None:
+    guard = Guard(a1, SafetyLimits(), 500.0)
+    reading = np.zeros(1, READING)
+    reading["quat"], reading["joint_pos"] = (1.0, 0.0, 0.0, 0.0), a1.home_joint_pos
+    assert guard.check_state(reading) is None
+    reading["joint_vel"][0, 3] = -50.0
+    found = guard.check_state(reading)
+    assert found is not None
+    assert (found.reason, found.text) == (
+        StopReason.JOINT_VELOCITY,
+        "FL_abduction: speed 50.00 rad/s, beyond 31.50 rad/s",
+    )
+    reading["joint_vel"] = 0.0
+    reading["quat"] = np.cos(0.35), np.sin(0.35), 0.0, 0.0
+    found = guard.check_state(reading)
+    assert found is not None
+    assert found.text == "the trunk's tilt is 0.70 rad from the vertical; 0.6 are allowed"
+
+
+@pytest.mark.nojit
 def test_commands_are_cut_to_what_the_robot_can(a1: Robot) -> None:
     guard = Guard(a1, SafetyLimits(), 500.0)
     command = np.zeros(1, COMMAND)

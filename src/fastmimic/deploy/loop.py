@@ -108,12 +108,13 @@ class Loop:
             on_ready: called when all is prepared; False calls it off.
 
         Raises:
-            CalledOffError: it did.
+            CalledOffError: it did, or the switch was thrown before anything was sent.
             DriverError: there is no state within `FIRST_STATE_S`, or the robot is not fit to begin with; nothing was
                 sent.
         """
         self._prepare()
-        if on_ready is not None and not on_ready():
+        agreed = on_ready is None or on_ready()
+        if not agreed or self._emergency() is not None:
             raise CalledOffError("called off; nothing was sent")
         self._begin()
         self._start = self._deadline = self._clock.now() + 2 * self._dt
