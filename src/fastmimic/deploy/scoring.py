@@ -15,6 +15,7 @@ from fastmimic.imitation.reward import TALLY, TERMS, score_step
 from fastmimic.imitation.rollout import Rollout, summarised
 from fastmimic.pipeline import Evaluation
 from fastmimic.rotations import rotate_planar, yaw_from_quat
+from fastmimic.simulation.conditions import Conditions
 
 if TYPE_CHECKING:
     from fastmimic.motion.motion import Motion
@@ -82,7 +83,8 @@ def evaluation_of(robot: "Robot", log: DeploymentLog, config: ControllerConfig) 
     rollout = score_log(robot, log, log.truth)
     if rollout is None:
         raise DeploymentError(f"the robot never came to the motion: {log.meta['result']['stopped_because']}")
-    return Evaluation(log.motion, rollout, str(log.meta["method"]), config)
+    conditions = Conditions(observe="sensors")
+    return Evaluation(log.motion, rollout, str(log.meta["method"]), config, robot.name, conditions)
 
 
 def figures(rollout: Rollout | None) -> dict[str, Any]:
