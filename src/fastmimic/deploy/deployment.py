@@ -172,6 +172,7 @@ def deploy(
         "driver": type(driver).__name__,
         "method": method,
         "config": config.as_dict(),
+        "latency_s": pilot.estimator.config.latency_s,
         "limits": dataclasses.asdict(limits),
         "torque_limit": robot.torque_limit.tolist(),
         "joint_speed_limit": robot.joint_speed_limit.tolist(),

@@ -14,6 +14,7 @@ from fastmimic.control.state import COMMAND, OBSERVATION
 from fastmimic.errors import DeploymentError, MotionError
 from fastmimic.estimation.reading import READING
 from fastmimic.files import replace_file
+from fastmimic.identification.log import RunLog
 from fastmimic.motion.motion import Motion
 
 FORMAT_VERSION: Final = 1
@@ -102,6 +103,27 @@ class DeploymentLog:
     def rate_hz(self) -> float:
         """Periods a second."""
         return float(self.meta["rate_hz"])
+
+    def run_log(self) -> RunLog:
+        """What the robot's computer knew of the motion itself, for `fastmimic.identification.identify.identify`.
+
+        Raises:
+            DeploymentError: the robot did not come so far.
+        """
+        at = np.flatnonzero(self.rows["in_motion"])
+        if len(at) < 2:
+            raise DeploymentError("the robot never came to the motion, so there is nothing to tell of it")
+        step, after = self.rows[at[:-1]], self.rows[at[1:]]
+        return RunLog(
+            robot=str(self.meta["robot"]),
+            motion=str(self.meta["motion"]),
+            rate_hz=self.rate_hz,
+            latency_s=float(self.meta["latency_s"]),
+            reading=np.ascontiguousarray(after["reading"]),
+            command=np.ascontiguousarray(step["command"]),
+            estimate=np.ascontiguousarray(after["estimate"]),
+            stance=np.ascontiguousarray(step["stance"]),
+        )
 
     def save(self, path: str | Path) -> None:
         """Writes an `.npz` without pickles; raises `OutputError`."""
