@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 class Identify:
     """Identifies the ground's friction and the trunk's payload from a logged run, for all motions of the robot.
 
-    'fastmimic evaluate MOTION --observe sensors --log FILE.npz' writes such a log, and so does 'fastmimic deploy': readings
-    of the sensors, commands and estimates. The result is a configuration of the controller: give it to other commands
-    with --config FILE.json.
+    'fastmimic evaluate MOTION --observe sensors --log FILE.npz' and 'fastmimic deploy' write such a log: sensor
+    readings, commands and estimates. The result is a configuration of the controller: give it to other commands with
+    --config FILE.json.
     """
 
     log: Annotated[Positional[Path], arg(metavar="LOG.npz")]
