@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.clock import SHORT_SPIN_S, SPIN_S, Clock, RealClock, undisturbed
-from fastmimic.deploy.driver import Packets, RobotDriver
+from fastmimic.deploy.driver import RobotDriver
 from fastmimic.deploy.itinerary import Itinerary, make_itinerary
 from fastmimic.deploy.limits import SafetyLimits
 from fastmimic.deploy.log import LOST_ROWS, DeploymentLog, Recorder
@@ -184,7 +184,7 @@ def deploy(
         log = dataclasses.replace(log, truth=true_states(log, truth, np.arange(len(truth))))
     if recorder.periods > len(log.rows):
         _say(note, LOST_ROWS.format((recorder.periods - len(log.rows)) / rate_hz, len(log.rows) / rate_hz))
-    meta["result"] = _result(robot, log, outcome, driver.packets, recorder.periods)
+    meta["result"] = _result(robot, log, outcome, recorder.periods)
     noted = tuple(found.text for found in guard.noted.values()) if isinstance(guard, NotingGuard) else ()
     return Deployment(outcome, log, noted)
 
@@ -215,7 +215,7 @@ def _ending(motion: "Motion", cycles: int | None, duration_s: float | None, endl
     return Ending(steps=max(1, round(duration_s * motion.rate_hz))), duration_s
 
 
-def _result(robot: "Robot", log: DeploymentLog, outcome: Outcome, packets: Packets, periods: int) -> dict[str, Any]:
+def _result(robot: "Robot", log: DeploymentLog, outcome: Outcome, periods: int) -> dict[str, Any]:
     rows, dt = log.rows, 1.0 / log.rate_hz
     estimated = score_log(robot, log)
     true = None if log.truth is None else score_log(robot, log, log.truth)
@@ -237,7 +237,7 @@ def _result(robot: "Robot", log: DeploymentLog, outcome: Outcome, packets: Packe
         "read_us": percentiles(rows["read_s"], 1e6),
         "write_us": percentiles(sent["write_s"], 1e6),
         "round_trip_us": percentiles(sent["round_trip_s"][sent["fresh"]], 1e6),
-        "packets": dataclasses.asdict(packets),
+        "packets": dataclasses.asdict(outcome.packets),
         "commands_cut": int((rows["cut"] > 0).sum()),
         "cycles": float(rows["in_motion"].sum() / log.motion.n_samples),
     }

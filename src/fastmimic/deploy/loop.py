@@ -1,13 +1,13 @@
 """The real-time loop: at a fixed rate from the robot's state to its command, watched, measured and logged."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 from numpy.typing import NDArray
 
 from fastmimic.deploy.clock import Clock
-from fastmimic.deploy.driver import LowState, RobotDriver, damping_command
+from fastmimic.deploy.driver import LowState, Packets, RobotDriver, damping_command
 from fastmimic.deploy.log import Recorder
 from fastmimic.deploy.pilot import Phase, Pilot
 from fastmimic.deploy.safety import Guard, StopReason, Violation
@@ -54,6 +54,7 @@ class Outcome:
         phase: in which that was.
         deadline_misses: periods whose command went out after their end.
         skipped: periods that did not take place at all, because one before took so long.
+        packets: since the first period; what arrived while everything was prepared does not count.
     """
 
     stopped_by: StopReason
@@ -61,6 +62,7 @@ class Outcome:
     phase: Phase
     deadline_misses: int
     skipped: int
+    packets: Packets
 
 
 class Loop:
@@ -98,6 +100,7 @@ class Loop:
         self._ending, self._switch, self._dry, self._watch = ending, switch, dry, watch
         self._damping = damping_command(guard.limits.damping)
         self._state: LowState | None = None
+        self._before = Packets()
         self._late = 0.0
         self._misses = self._skipped = 0
 
@@ -143,6 +146,7 @@ class Loop:
         self._state = self._driver.read(FIRST_STATE_S)
         if self._state is None:
             raise DriverError(f"the robot has fallen silent: no state for {FIRST_STATE_S:g} s")
+        self._before = replace(self._driver.packets)
         found = self._pilot.begin(self._state.reading)
         if found is not None:
             raise DriverError(f"the robot is not fit to begin: {found.text}")
@@ -161,7 +165,12 @@ class Loop:
                     pilot.leave()
         if ended_by is None:
             ended_by = StopReason.END
-        return Outcome(ended_by, "", Phase.DONE, self._misses, self._skipped)
+        return self._outcome(ended_by, "", Phase.DONE)
+
+    def _outcome(self, reason: StopReason, text: str, phase: Phase) -> Outcome:
+        now, before = asdict(self._driver.packets), asdict(self._before)
+        packets = Packets(**{name: count - before[name] for name, count in now.items()})
+        return Outcome(reason, text, phase, self._misses, self._skipped, packets)
 
     def _wait(self) -> None:
         """Until the next period; those that were missed altogether are left out."""
@@ -246,7 +255,7 @@ class Loop:
 
     def _end(self, violation: Violation) -> Outcome:
         """Damps the robot for a while, and says why."""
-        outcome = Outcome(violation.reason, violation.text, self._pilot.phase, self._misses, self._skipped)
+        phase = self._pilot.phase
         try:
             for _ in range(max(1, round(self._guard.limits.damping_s / self._dt))):
                 self._damped_period()
@@ -254,7 +263,7 @@ class Loop:
                     break
         except DriverError:
             pass  # it is gone, and with it the wish to send it anything; the robot's own watchdog damps it
-        return outcome
+        return self._outcome(violation.reason, violation.text, phase)
 
     def _damped_period(self) -> None:
         clock = self._clock
