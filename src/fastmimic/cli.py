@@ -54,6 +54,7 @@ VERBS: Final = {
     "report": Verb("report", "Report", "write a run or a comparison as one HTML file"),
     "view": Verb("view", "View", "show a motion or a run in the browser"),
     "play": Verb("play", "Play", "simulate a robot live in the browser, steered by hand"),
+    "deploy": Verb("deploy", "Deploy", "have a robot do a motion, from lying to lying"),
     "robot-sim": Verb("robot_sim", "RobotSim", "be a simulated robot on a real robot's wire"),
     "motions": Verb("motions", "Motions", "list the motions that have a name"),
     "robots": Verb("robots", "Robots", "list the built-in robots"),

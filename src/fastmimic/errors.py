@@ -48,6 +48,10 @@ class DriverError(FastMimicError):
     """A robot that cannot be reached, or is not the one that was meant."""
 
 
+class DeploymentError(FastMimicError):
+    """The log of a deployment that cannot be read or used."""
+
+
 class CheckpointError(FastMimicError):
     """A checkpoint that is damaged or belongs to another problem."""
 

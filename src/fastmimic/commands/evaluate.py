@@ -1,5 +1,6 @@
 """`fastmimic evaluate`: what a motion is worth under the controller."""
 
+import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,8 @@ class Evaluate(MotionOptions):
     """
 
     motion: Annotated[Positional[str], arg(metavar="MOTION")]
-    """A robot motion (.npz), a clip, or a name of 'fastmimic motions'."""
+    """A robot motion (.npz), a clip, or a name of 'fastmimic motions'; or the log of a deployment, which is scored as
+    it was."""
     episodes: int = 1
     """How many."""
     duration: Annotated[float | None, arg(metavar="S")] = None
@@ -46,6 +48,8 @@ class Evaluate(MotionOptions):
     log: Annotated[Path | None, arg(metavar="FILE.npz")] = None
     """Write what the robot's own computer knew of episode 0, for 'fastmimic identify': readings, commands, estimates,
     no truth. Needs --observe sensors."""
+    truth: Annotated[Path | None, arg(metavar="FILE")] = None
+    """For the log of a deployment on 'fastmimic robot-sim --log FILE': what that robot really did."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
@@ -53,6 +57,12 @@ class Evaluate(MotionOptions):
         """Prints the figures; returns the exit status."""
         if self.duration is not None:
             check_duration(self.duration)
+        from fastmimic.deploy.log import is_deployment_log
+
+        if is_deployment_log(self.motion):
+            return self._deployed()
+        if self.truth is not None:
+            raise ConfigError(f"--truth is for the log of a deployment, and {self.motion} is none")
         from fastmimic.pipeline import evaluate
         from fastmimic.simulation.conditions import Conditions
         from fastmimic.simulation.disturbances import names_of, parse_disturbance
@@ -98,6 +108,44 @@ class Evaluate(MotionOptions):
                 put(f"in {conditions.simulator}; disturbances: {names_of(conditions.disturbances) or 'none'}")
             if self.log is not None:
                 put(f"log in {self.log}")
+        return 0
+
+    def _deployed(self) -> int:
+        """The figures of a deployment, out of its log."""
+        from fastmimic.commands.options import DEFAULT_ROBOT
+        from fastmimic.deploy.log import DeploymentLog
+        from fastmimic.deploy.robot_sim.truth import load_truth
+        from fastmimic.deploy.scoring import evaluation_of, true_states
+        from fastmimic.report.html_run import controller_from
+        from fastmimic.robot import ROBOT_NAMES, load_robot
+
+        fields = {f.name: f for f in dataclasses.fields(self)}
+        given = [
+            n
+            for n, f in fields.items()
+            if n not in ("motion", "robot", "truth", "json") and getattr(self, n) != f.default
+        ]
+        if given:
+            raise ConfigError(f"{self.motion} is the log of a deployment, which is over: leave out --{given[0]}")
+        log = DeploymentLog.load(self.motion)
+        if self.truth is not None:
+            found = load_truth(self.truth)
+            log = dataclasses.replace(log, truth=true_states(log, found.observation, found.tick))
+        name = str(log.meta.get("robot", DEFAULT_ROBOT))
+        if self.robot is None and name not in ROBOT_NAMES:
+            raise ConfigError(f"{self.motion}: of robot '{name}', which is not built in; give its MJCF by --robot")
+        robot = load_robot(self.robot or name)
+        config = controller_from(log.meta["config"])
+        with slow_start():
+            figures = evaluation_of(robot, log, config).as_dict()
+        figures |= {"driver": log.meta["driver"], "result": log.meta["result"]}
+        if self.json:
+            put(json.dumps(_finite(figures), allow_nan=False))
+            return 0
+        whose = "the simulator's truth" if log.truth is not None else "the robot's own estimate"
+        for line in _lines(figures, robot.name):
+            put(line)
+        put(f"deployed by driver '{log.meta['driver']}'; scored by {whose}")
         return 0
 
 

@@ -11,14 +11,16 @@ from fastmimic.commands.options import check_writable
 
 if TYPE_CHECKING:
     from fastmimic.identification.identify import Identification
+    from fastmimic.identification.log import RunLog
 
 
 @dataclass(frozen=True, kw_only=True)
 class Identify:
     """Identifies the ground's friction and the trunk's payload from a logged run, for all motions of the robot.
 
-    'fastmimic evaluate MOTION --observe sensors --log FILE.npz' writes such a log: sensor readings, commands and
-    estimates. The result is a configuration of the controller: give it to other commands with --config FILE.json.
+    'fastmimic evaluate MOTION --observe sensors --log FILE.npz' and 'fastmimic deploy' write such a log: sensor
+    readings, commands and estimates. The result is a configuration of the controller: give it to other commands with
+    --config FILE.json.
     """
 
     log: Annotated[Positional[Path], arg(metavar="LOG.npz")]
@@ -37,14 +39,13 @@ class Identify:
         from fastmimic.control.config import controller_config
         from fastmimic.errors import LogError
         from fastmimic.identification.identify import identify
-        from fastmimic.identification.log import RunLog
         from fastmimic.robot import load_robot
 
         if self.out is not None:
             check_writable(self.out, ".json")
         config = controller_config(self.config)
-        log = RunLog.load(self.log)
-        unloaded = None if self.unloaded is None else RunLog.load(self.unloaded)
+        log = _run_log(self.log)
+        unloaded = None if self.unloaded is None else _run_log(self.unloaded)
         robot = load_robot(self.robot or log.robot)
         try:
             found = identify(log, robot, unloaded)
@@ -57,6 +58,14 @@ class Identify:
             found.save(self.out, self.config)
             put(f"the controller's parameters in {self.out}: give it to other commands as --config {self.out}")
         return 0
+
+
+def _run_log(path: Path) -> "RunLog":
+    """The log of a run, or what a deployment's log has of the motion itself."""
+    from fastmimic.deploy.log import DeploymentLog, is_deployment_log
+    from fastmimic.identification.log import RunLog
+
+    return DeploymentLog.load(path).run_log() if is_deployment_log(path) else RunLog.load(path)
 
 
 def _rows(found: "Identification", assumed: float, before: float) -> list[tuple[str, str]]:

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Writes report.html into the folder of a run of 'imitate' or 'stitch', or of 'compare', 'stress' or 'transfer':
-    one file that opens anywhere and loads nothing, with the video, the figures before and after, and interactive plots.
+    """Writes report.html into the folder of a run of 'imitate', 'stitch' or 'deploy', or of 'compare', 'stress' or
+    'transfer': one file that opens anywhere and loads nothing, with the video, the figures before and after, and
+    interactive plots.
 
     A run's two nominal episodes are run again for the plots, and checked against its metrics.json. Needs Plotly:
     pip install 'fastmimic[report]'. With viser as well, pip install 'fastmimic[view]', the file holds a replay in 3D.

@@ -283,11 +283,12 @@ class ClosedLoop:
                 break
         counted += [tallies.copy() for _ in range(len(cuts) - len(counted))]  # all fell before
         parts = tuple(
-            self._result(b - a, None, _since(before, after))
+            summarised(_since(before, after), b - a, self.controller.config.rate_hz)
             for (a, b), (before, after) in zip(pairwise(cuts), pairwise(counted), strict=True)
         )
         estimation = observer.errors() if observer is not None else None
-        return self._result(steps, recorder.log() if recorder is not None else None, tallies, parts, estimation)
+        course = recorder.log() if recorder is not None else None
+        return summarised(tallies, steps, self.controller.config.rate_hz, course, parts, estimation)
 
     def _first_look(self, observer: Observer, start: Start) -> tuple[NDArray[Any], NDArray[Any]]:
         """What sensors tell of robots that start as the demonstration does, and the controller's own clocks.
@@ -372,36 +373,43 @@ class ClosedLoop:
             )
         return tables
 
-    def _result(
-        self,
-        steps: int,
-        log: Log | None,
-        t: NDArray[Any],
-        parts: tuple[Rollout, ...] = (),
-        estimation: EstimationErrors | None = None,
-    ) -> Rollout:
-        """What the tallies `t` of some steps amount to."""
-        rate = self.controller.config.rate_hz
-        lived = np.maximum(t["steps"], 1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            clearance = t["clearance_sum"] / t["swings"]
-            slip = t["slip"] / np.maximum(t["stances"], 1)
-        return Rollout(
-            reward=t["reward_sum"] / steps,
-            terms=t["terms"] / steps,
-            fell=t["fallen"].astype(bool),
-            steps=t["steps"].copy(),
-            duration_s=steps / rate,
-            drift=t["jump"] / (lived / rate),
-            clearance=clearance,
-            slip=slip,
-            early_contacts=t["early_touchdowns"] / (lived / rate),
-            foot_rmse=np.sqrt(t["foot_error_sq"] / lived[:, None, None]),
-            qp_failures=t["qp_failures"].copy(),
-            log=log,
-            parts=parts,
-            estimation=estimation,
-        )
+
+def summarised(
+    t: NDArray[Any],
+    steps: int,
+    rate_hz: float,
+    log: Log | None = None,
+    parts: tuple[Rollout, ...] = (),
+    estimation: EstimationErrors | None = None,
+) -> Rollout:
+    """What the tallies (n,) of `TALLY` of some steps amount to.
+
+    Args:
+        t: the tallies.
+        steps: control steps of each episode, also of those that fell before.
+        rate_hz: control steps a second.
+        log, parts, estimation: as in `Rollout`.
+    """
+    lived = np.maximum(t["steps"], 1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        clearance = t["clearance_sum"] / t["swings"]
+        slip = t["slip"] / np.maximum(t["stances"], 1)
+    return Rollout(
+        reward=t["reward_sum"] / steps,
+        terms=t["terms"] / steps,
+        fell=t["fallen"].astype(bool),
+        steps=t["steps"].copy(),
+        duration_s=steps / rate_hz,
+        drift=t["jump"] / (lived / rate_hz),
+        clearance=clearance,
+        slip=slip,
+        early_contacts=t["early_touchdowns"] / (lived / rate_hz),
+        foot_rmse=np.sqrt(t["foot_error_sq"] / lived[:, None, None]),
+        qp_failures=t["qp_failures"].copy(),
+        log=log,
+        parts=parts,
+        estimation=estimation,
+    )
 
 
 def _since(before: NDArray[Any], after: NDArray[Any]) -> NDArray[Any]:

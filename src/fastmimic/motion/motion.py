@@ -5,7 +5,7 @@ import zipfile
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,8 +144,8 @@ class Motion:
         replace_file(path, lambda file: np.savez_compressed(file, **arrays))
 
     @classmethod
-    def load(cls, path: str | Path) -> "Motion":
-        """Reads what `save` wrote.
+    def load(cls, path: str | Path | BinaryIO) -> "Motion":
+        """Reads what `save` wrote, from a file or an open stream.
 
         Raises:
             MotionError: the file is missing, damaged, or not a motion.

@@ -52,17 +52,8 @@ class Recovery:
     def __init__(self, robot: "Robot", simulation: "MujocoSimulation", stand: Array, height: float, dt: float) -> None:
         self._simulation, self._dt = simulation, dt
         self._stand, self._height = stand, height
-        self._radius = robot.foot_radius
-        self._limits = robot.joint_lower, robot.joint_upper
-        feet = foot_positions(robot, stand[None])[0]
-        folded = np.array(feet)
-        folded[:, 2] = robot.hip_pos_b[:, 2] - _FOLDED * robot.leg_length
-        self._path = np.stack(
-            [inverse_kinematics(robot, (feet + share * (folded - feet))[None])[0][0] for share in np.linspace(1, 0, 33)]
-        )
-        self._path = np.clip(self._path, robot.joint_lower, robot.joint_upper)
-        self._folded_height = float(-folded[:, 2].mean()) + robot.foot_radius
-        self._gain = robot.mass / _MASS_KG
+        self._path, self._folded_height = rising_path(robot, stand)
+        self._stiffness, self._damping = standing_gains(robot)
         self.command = np.zeros(1, COMMAND)
         self.phase = Phase.DONE
         self._time, self._tries = 0.0, 0
@@ -83,7 +74,7 @@ class Recovery:
             self._set_on_belly(np.zeros(2), 0.0)
             obs = self._simulation.observation[0]
         if self.phase is Phase.LIMP:
-            command["stiffness"], command["damping"] = 0.0, 2.0 * _DAMPING * self._gain
+            command["stiffness"], command["damping"] = 0.0, 2.0 * self._damping
             command["joint_pos"] = obs["joint_pos"]
             if self._time >= LIMP_S:
                 if self._up(obs) < _UPRIGHT or self._tries >= _TRIES:
@@ -91,16 +82,14 @@ class Recovery:
                 else:
                     self._go(Phase.FOLD, obs)
             return command
-        command["stiffness"], command["damping"] = _STIFFNESS * self._gain, _DAMPING * self._gain
+        command["stiffness"], command["damping"] = self._stiffness, self._damping
         if self.phase is Phase.FOLD:
-            share = _smooth(self._time / FOLD_S)
+            share = smooth(self._time / FOLD_S)
             command["joint_pos"] = self._from + share * (self._path[0] - self._from)
             if self._time >= FOLD_S:
                 self._go(Phase.RISE, obs)
         else:
-            at = _smooth(self._time / RISE_S) * (len(self._path) - 1)
-            low = min(int(at), len(self._path) - 2)
-            command["joint_pos"] = self._path[low] + (at - low) * (self._path[low + 1] - self._path[low])
+            command["joint_pos"] = along(self._path, self._time / RISE_S)
             if self._time >= RISE_S + SETTLE_S:
                 stands = self._up(obs) > 0.95 and obs["root_pos"][2] > 0.7 * self._height
                 self._tries += 1
@@ -125,6 +114,39 @@ class Recovery:
         return float(quat_rotate(obs["root_quat"], np.array([0.0, 0.0, 1.0]))[2])
 
 
-def _smooth(u: float) -> float:
+def rising_path(robot: "Robot", stand: Array) -> tuple[Array, float]:
+    """From folded legs under the body straight up to a posture.
+
+    Args:
+        robot: the robot.
+        stand: (12,) joints of the posture, rad.
+
+    Returns:
+        Joints (33, 12) on the way, rad, and the height of the base over the ground on folded legs, m.
+    """
+    feet = foot_positions(robot, stand[None])[0]
+    folded = np.array(feet)
+    folded[:, 2] = robot.hip_pos_b[:, 2] - _FOLDED * robot.leg_length
+    path = np.stack(
+        [inverse_kinematics(robot, (feet + share * (folded - feet))[None])[0][0] for share in np.linspace(1, 0, 33)]
+    )
+    return np.clip(path, robot.joint_lower, robot.joint_upper), float(-folded[:, 2].mean()) + robot.foot_radius
+
+
+def along(path: Array, share: float) -> Array:
+    """The posture (12,) at a share in [0, 1] of a path (t, 12), with a smooth start and end."""
+    at = smooth(share) * (len(path) - 1)
+    low = min(int(at), len(path) - 2)
+    return np.asarray(path[low] + (at - low) * (path[low + 1] - path[low]))
+
+
+def standing_gains(robot: "Robot") -> tuple[float, float]:
+    """Stiffness and damping with which the joints carry the robot, N·m/rad and N·m·s/rad."""
+    gain = robot.mass / _MASS_KG
+    return _STIFFNESS * gain, _DAMPING * gain
+
+
+def smooth(u: float) -> float:
+    """From 0 to 1 with a smooth start and end."""
     u = min(max(u, 0.0), 1.0)
     return u * u * (3 - 2 * u)

@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
+from fastmimic.deploy.files import RESULT as DEPLOYMENT
 from fastmimic.errors import ConfigError, FastMimicError, OutputError
 from fastmimic.files import replace_file
 from fastmimic.methods import ALL_METHODS
@@ -46,7 +47,7 @@ class Report:
 
 def kind_of(folder: str | Path) -> str:
     """What a folder holds: "run" for one of `imitate` or `stitch`, "comparison" for one of `compare`, "results" for one
-    of `stress` or `transfer`.
+    of `stress` or `transfer`, "deployment" for one of `deploy`.
 
     Raises:
         ConfigError: none of these.
@@ -54,6 +55,8 @@ def kind_of(folder: str | Path) -> str:
     path = Path(folder)
     if (path / METRICS).is_file():
         return "run"
+    if (path / DEPLOYMENT).is_file():
+        return "deployment"
     if (path / ENVIRONMENT).is_file():
         return "results" if "experiment" in _environment(path) else "comparison"
     if not path.is_dir():
@@ -62,7 +65,7 @@ def kind_of(folder: str | Path) -> str:
         raise ConfigError(f"{path}: the run is not finished ({METRICS} is missing); 'imitate --resume' may finish it")
     raise ConfigError(
         f"{path}: not the folder of a run: neither {METRICS} of imitate and stitch nor {ENVIRONMENT} of compare, stress"
-        " and transfer"
+        f" and transfer nor {DEPLOYMENT} of deploy"
     )
 
 
@@ -94,6 +97,11 @@ def make_report(folder: str | Path, replay: Callable[[Episodes], str] | None = N
         from fastmimic.report.html_results import results_page
 
         page, missing = results_page(Path(folder), _environment(Path(folder)))
+        return Report(page.html(), missing)
+    if kind == "deployment":
+        from fastmimic.report.html_deployment import deployment_page
+
+        page, missing = deployment_page(Path(folder))
         return Report(page.html(), missing)
     plotly_bundle()  # before the episodes: without it there is no page
     run = read_run(Path(folder))

@@ -1,0 +1,96 @@
+"""The figures of a deployment in words."""
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+
+from fastmimic.conventions import JOINT_NAMES, LEGS
+from fastmimic.deploy.log import DeploymentLog
+from fastmimic.deploy.pilot import Phase
+
+_NONE: Final = "–"
+
+
+def account(result: dict[str, Any], table: Callable[..., list[str]]) -> list[str]:
+    """Lines for the terminal; `table` aligns rows."""
+    return table(account_rows(result))
+
+
+def account_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
+    """Names and values of a deployment's figures."""
+    r = result
+    rows = [
+        ("stopped by", r["stopped_by"] + (f": {r['stopped_because']}" if r["stopped_because"] else "")),
+        ("fell", "yes" if r["fell"] else "no"),
+        ("cycles", f"{r['cycles']:.1f}, {r['motion_s']:.1f} s"),
+        ("reward, by the estimate", _number(r["reward_mean"], 3)),
+    ]
+    if r["reward_truth_mean"] is not None:
+        rows.append(("reward, by the simulator", _number(r["reward_truth_mean"], 3)))
+    if r["swing_clearance_m"] is not None:
+        heights = ", ".join(
+            f"{leg} {_number(None if c is None else 1e3 * c, 0)}"
+            for leg, c in zip(LEGS, r["swing_clearance_m"], strict=True)
+        )
+        rows.append(("swing clearance, mm", heights))
+    packets = r["packets"]
+    rows += [
+        (
+            "periods",
+            f"{r['periods']} at {r['rate_hz']:g} Hz, {r['deadline_misses']} late, {r['periods_skipped']} left out",
+        ),
+        *(_times(r) if r["control_us"]["max"] else []),
+        ("commands cut to the limits", str(r["commands_cut"])),
+        (
+            "packets",
+            f"{packets['sent']} sent, {packets['received']} received, {packets['lost']} lost,"
+            f" {packets['rejected']} rejected",
+        ),
+    ]
+    return rows
+
+
+def commands_shown(log: DeploymentLog) -> list[str]:
+    """What was commanded in each phase, a table for a person to check before a robot gets it."""
+    rows = log.rows
+    lines = []
+    for phase in Phase:
+        part = rows[rows["phase"] == phase]
+        if not len(part) or phase in (Phase.DONE, Phase.DAMP):
+            continue
+        command, reading = part["command"], part["reading"]
+        lines.append(f"{phase.text}, {len(part) / log.rate_hz:.1f} s")
+        lines.append("              angle, rad        is at   speed   stiffness  damping   torque, N·m")
+        torque = np.array(log.meta["torque_limit"])
+        for j, name in enumerate(JOINT_NAMES):
+            q = command["joint_pos"][:, j]
+            most = float(np.abs(command["torque"][:, j]).max())
+            lines.append(
+                f"  {name:12}{q.min():+6.2f} … {q.max():+5.2f}  {reading['joint_pos'][-1, j]:+7.2f}"
+                f"  {np.abs(command['joint_vel'][:, j]).max():6.1f}  {command['stiffness'][:, j].max():9.0f}"
+                f"  {command['damping'][:, j].max():8.1f}   {most:5.1f} of {torque[j]:.1f}"
+            )
+    return lines
+
+
+def _times(r: dict[str, Any]) -> list[tuple[str, str]]:
+    """How long things took; nothing takes any time on a virtual clock."""
+    return [
+        ("period error, µs", _spread(r["period_error_us"])),
+        ("state in to command out, µs", _spread(r["control_us"])),
+        *([("  planning ahead, µs", _spread(r["solve_us"]))] if r["solve_us"]["median"] is not None else []),
+        ("reading, µs", _spread(r["read_us"])),
+        ("writing, µs", _spread(r["write_us"])),
+        ("state received to command gone, µs", _spread(r["round_trip_us"])),
+    ]
+
+
+def _number(value: float | None, digits: int) -> str:
+    return _NONE if value is None else f"{value:.{digits}f}"
+
+
+def _spread(found: dict[str, float | None]) -> str:
+    if found["median"] is None:
+        return _NONE
+    return f"median {found['median']:.0f}, 99 % below {found['p99']:.0f}, at most {found['max']:.0f}"

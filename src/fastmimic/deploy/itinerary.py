@@ -1,0 +1,324 @@
+"""What the robot follows from standing to standing: a way in, the motion itself, and a way out, as tables.
+
+The way in stands, steps in place and passes into the motion by the transitions of `fastmimic.play`; the way out goes
+back likewise. Everything is made before the first command. In between the motion's own table is followed as in every
+other closed loop, so that what the controller computes there is what it computes everywhere.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.config import ControllerConfig
+from fastmimic.control.reference import (
+    CLOCK,
+    SAMPLE,
+    advance_clocks,
+    make_clocks,
+    place_clocks,
+    reference_table,
+    world_root,
+)
+from fastmimic.errors import MotionError
+from fastmimic.motion.motion import Motion
+from fastmimic.motion.stitch_layout import Layout
+from fastmimic.play.course import course_of
+from fastmimic.play.library import STAND, Library, standing
+from fastmimic.play.stream import MODULATION, Stream, make_place
+from fastmimic.play.transition import Transition
+from fastmimic.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+STAND_S: Final = 1.0
+"""How long the robot stands under the controller before it begins to step, and again at the end."""
+_SAME_POSTURE: Final = 0.05
+_VECTORS: Final = ("lin_vel", "ang_vel", "lin_acc", "ang_acc", "leg_lin_acc", "leg_ang_acc")
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """A stretch of the way.
+
+    Attributes:
+        table: (1, t) of `SAMPLE`.
+        first, last: samples at which it is entered and left; of a motion that repeats, the last may be below the first.
+        clock: (1,) of `CLOCK`, at the table's start.
+    """
+
+    table: NDArray[Any]
+    first: int
+    last: int
+    clock: NDArray[Any]
+
+    @property
+    def repeats(self) -> bool:
+        """Whether it goes on until it is asked to end."""
+        return bool(self.clock["repeats"][0])
+
+
+@dataclass(frozen=True, eq=False)
+class Itinerary:
+    """The way from standing to standing.
+
+    Attributes:
+        motion: what is done in the middle.
+        way_in, main, way_out: one after the other.
+        height: of the base when it stands, m.
+        stand: (12,) joints then, rad.
+    """
+
+    motion: Motion
+    way_in: Leg
+    main: Leg
+    way_out: Leg
+    height: float
+    stand: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Stretch:
+    """Rows `first` to `last`, exclusive, of a course that repeats; `last` may be beyond its end."""
+
+    course: NDArray[Any]
+    first: int
+    last: int
+
+
+class Follower:
+    """Where in an itinerary the robot is. One control step after the other; nothing is allocated that matters.
+
+    Attributes:
+        leg: the present one.
+        table: (t,) of `SAMPLE`, its samples.
+        clock: (1,) of `CLOCK`, of the present leg.
+        steps: control steps in the motion itself so far.
+        leaving: whether the motion is to be left where it can be.
+        done: whether the way out has come to its end.
+    """
+
+    def __init__(self, itinerary: Itinerary) -> None:
+        self.itinerary = itinerary
+        self.begin(np.zeros(3))
+
+    def begin(self, pose: Array) -> None:
+        """Starts where the robot stands: (3,) x, y, yaw in the world, m and rad."""
+        self.steps, self.leaving, self.done = 0, False, False
+        self.enter(self.itinerary.way_in, pose)
+
+    @property
+    def in_motion(self) -> bool:
+        """Whether the present sample is one of the motion itself."""
+        return self.leg is self.itinerary.main
+
+    def advance(self, root: Array) -> bool:
+        """One control step on; returns whether another leg has begun.
+
+        Args:
+            root: (1, ≥2) where the robot is, to which x and y are synchronised where a cycle starts, m.
+        """
+        if self.done:
+            return False
+        way, leg = self.itinerary, self.leg
+        if leg is way.main:
+            self.steps += 1
+        advance_clocks(self.clock, leg.table, root)
+        sample = int(self.clock["sample"][0])
+        if leg is way.way_out:
+            self.done = sample >= leg.last
+            return False
+        left = sample == leg.last and (not leg.repeats or self.leaving)
+        if left:
+            following = way.main if leg is way.way_in else way.way_out
+            position, quat = world_root(leg.table[0], self.clock["sample"], self.clock["origin"])
+            self.enter(following, np.array([*position[0, :2], yaw_from_quat(quat)[0]]))
+        return left
+
+    def enter(self, leg: Leg, pose: Array) -> None:
+        """Begins a leg with its first sample's root at (3,) x, y, yaw in the world, m and rad."""
+        self.leg, self.table, self.clock = leg, leg.table[0], leg.clock.copy()
+        place_clocks(self.clock, np.array([leg.first]), self.table, pose[None])
+
+
+def make_itinerary(robot: "Robot", motion: Motion, config: ControllerConfig) -> Itinerary:
+    """The way into a motion and out of it.
+
+    Args:
+        robot: the robot.
+        motion: a motion that repeats, or a stitched one, which is done once.
+        config: of the controller, which may look ahead.
+
+    Raises:
+        MotionError: another robot's motion, one at another rate, one that neither repeats nor is stitched, or one that
+            no way leads into or out of.
+    """
+    first, last = _ends(robot, motion, config.rate_hz)
+    if motion.contact.all():
+        return _standing(robot, motion, config)
+    start, end = f"{motion.name} (start)", f"{motion.name} (end)"
+    library = Library(robot, {start: first.motion, end: last.motion}, config.rate_hz)
+    ahead = _looked_ahead(config)
+    hold = max(1, round(STAND_S * config.rate_hz))
+    stand = library.entry(STAND)
+
+    hops = _way(library, STAND, start)
+    whole = course_of(motion, robot)
+    arrive = (hops[-1][1].arrive + first.shift) % first.motion.n_samples
+    way_in = _stretches(library, STAND, hops, 0, hold)
+    way_in.append(_Stretch(whole, arrive, arrive + ahead))
+    table, at = _table(robot, way_in, config.rate_hz)
+    into = _leg(table, 0, at[-1])
+
+    hops = _way(library, end, STAND)
+    n = last.motion.n_samples
+    # so early that the controller, which looks ahead, sees where it goes
+    begins = (hops[0][1].leave - ahead) % n if motion.cycle is not None else (motion.n_samples - 1 - last.shift) % n
+    ends = begins if motion.cycle is not None else motion.n_samples - 1
+    way_out = _stretches(library, end, hops, begins, 0)
+    way_out.append(_Stretch(stand.course, hops[-1][1].arrive, hops[-1][1].arrive + hold + ahead))
+    table, at = _table(robot, way_out, config.rate_hz)
+    out = _leg(table, 0, at[-1] + hold)
+
+    main = Leg(reference_table(motion, robot)[None], arrive, ends, make_clocks(motion, 1))
+    height = float(stand.motion.root_pos_w[0, 2])
+    return Itinerary(motion, into, main, out, height, np.array(stand.motion.joint_pos[0]))
+
+
+def _standing(robot: "Robot", motion: Motion, config: ControllerConfig) -> Itinerary:
+    """A motion that only stands: nothing has to be passed through.
+
+    Raises:
+        MotionError: it does not begin and end as a robot stands.
+    """
+    hold = max(1, round(STAND_S * config.rate_hz))
+    stand = standing(robot)
+    off = float(np.abs(motion.joint_pos[[0, -1]] - stand.joint_pos[0]).max())
+    if off > _SAME_POSTURE:
+        raise MotionError(
+            f"motion '{motion.name}' never lifts a foot and begins or ends {off:.2f} rad off the posture in which the"
+            " robot stands: no way leads there without a step"
+        )
+    course = course_of(stand, robot)
+    table, _ = _table(robot, [_Stretch(course, 0, hold + _looked_ahead(config))], config.rate_hz)
+    way = _leg(table, 0, hold)
+    main = Leg(reference_table(motion, robot)[None], 0, 0, make_clocks(motion, 1))
+    return Itinerary(motion, way, main, _leg(table, 0, hold), float(stand.root_pos_w[0, 2]), stand.joint_pos[0].copy())
+
+
+class _End(NamedTuple):
+    """A cyclic motion with which another one begins or ends: sample t of that is sample (t − shift) mod n of it."""
+
+    motion: Motion
+    shift: int
+
+
+def _ends(robot: "Robot", motion: Motion, rate_hz: float) -> tuple[_End, _End]:
+    """The cyclic motions with which a motion begins and ends."""
+    of = motion.meta.get("robot")
+    if of is not None and of != robot.name:
+        raise MotionError(f"motion '{motion.name}' is for robot '{of}', not for '{robot.name}'; retarget its clip anew")
+    if abs(motion.rate_hz - rate_hz) > 1e-9:
+        raise MotionError(
+            f"motion '{motion.name}' has {motion.rate_hz:g} samples a second and the controller runs at {rate_hz:g} Hz;"
+            " retarget the clip with that rate"
+        )
+    if motion.cycle is not None:
+        return _End(motion, 0), _End(motion, 0)
+    parts = motion.target.parts
+    if not parts:
+        raise MotionError(
+            f"motion '{motion.name}' does not repeat: it begins and ends in mid-stride, and no way leads there from"
+            " standing; choose a part of the clip that repeats (--frames), or stitch motions that do"
+        )
+    segments = Layout.of(motion.target).segments
+    return tuple(_End(parts[s.part], s.shift) for s in (segments[0], segments[-1]))  # type: ignore[return-value]
+
+
+def _looked_ahead(config: ControllerConfig) -> int:
+    """Control steps that the controller looks ahead."""
+    if config.stance.forces != "horizon":
+        return 1
+    return math.ceil((config.horizon.steps + 1) * config.horizon.step_s * config.rate_hz) + 2
+
+
+def _way(library: Library, start: str, goal: str) -> list[tuple[str, Transition]]:
+    """What one passes through from one motion of the library to another."""
+    hops: list[tuple[str, Transition]] = []
+    now = start
+    while now != goal:
+        hop = library.next_hop(now, goal)
+        if hop is None or len(hops) > len(library.names):
+            raise MotionError(f"no way was found from '{start}' to '{goal}'")
+        hops.append(hop)
+        now = hop[0]
+    return hops
+
+
+def _stretches(
+    library: Library, start: str, hops: list[tuple[str, Transition]], first: int, hold: int
+) -> list[_Stretch]:
+    """Rows of the motions and transitions on a way, from row `first` of its first motion, there for `hold` at least."""
+    found, name, row, least = [], start, first, hold
+    for following, transition in hops:
+        course = library.entry(name).course
+        n = len(course)
+        last = row + (transition.leave - row) % n
+        last += n if last == row else 0
+        last += n * math.ceil(max(0, least - (last - row)) / n)
+        found.append(_Stretch(course, row, last))
+        found.append(_Stretch(transition.course, transition.first, transition.last))
+        name, row, least = following, transition.arrive, 0
+    return found
+
+
+def _table(robot: "Robot", stretches: list[_Stretch], rate_hz: float) -> tuple[NDArray[Any], list[int]]:
+    """Stretches one after the other as a table (t,) of `SAMPLE`, relative to the heading frame of its first row.
+
+    Returns:
+        The table, and the sample at which each stretch begins.
+    """
+    stream, place, row = Stream(robot, rate_hz), make_place(), np.zeros(1, SAMPLE)
+    modulation = np.zeros(1, MODULATION)
+    modulation["speed"] = modulation["lift"] = 1.0
+    rows: list[Any] = []
+    poses: list[Array] = []
+    begins: list[int] = []
+    pose = np.zeros(3)
+    for stretch, following in pairwise([*stretches, stretches[-1]]):
+        course = stretch.course
+        n = len(course)
+        begins.append(len(rows))
+        for i in range(stretch.first, stretch.last):
+            at = i % n
+            place["position"] = at
+            # interpolation looks a few rows beyond the end, into what follows
+            place["exit"] = at + stretch.last - i if stretch is not following else -1
+            place["entry"] = following.first % len(following.course)
+            stream.fill(course, following.course, place, modulation, row)
+            row["sync"] = course["sync"][at]
+            rows.append(row[0].copy())
+            poses.append(pose.copy())
+            pose[:2] += rotate_planar(float(pose[2]), course["step"][at])
+            pose[2] += course["turn"][at]
+    table, where = np.array(rows, SAMPLE), np.array(poses)
+    return _placed(table, where), begins
+
+
+def _placed(table: NDArray[Any], pose: Array) -> NDArray[Any]:
+    """Rows (t,) of `SAMPLE`, each in the heading frame of its own root, at (t, 3) x, y, yaw."""
+    table["root_pos"][:, :2] = pose[:, :2]
+    table["root_quat"] = quat_multiply(quat_from_yaw(pose[:, 2]), table["root_quat"])
+    for name in _VECTORS:
+        table[name][:, :2] = rotate_planar(pose[:, 2], table[name][:, :2])
+    return table
+
+
+def _leg(table: NDArray[Any], first: int, last: int) -> Leg:
+    return Leg(table[None], first, last, np.zeros(1, CLOCK))

@@ -1,0 +1,207 @@
+"""All that went through the loop, a row for each period, in memory that was there before it began; and its file."""
+
+import io
+import json
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.state import COMMAND, OBSERVATION
+from fastmimic.errors import DeploymentError, MotionError
+from fastmimic.estimation.reading import READING
+from fastmimic.files import replace_file
+from fastmimic.identification.log import RunLog
+from fastmimic.motion.motion import Motion
+
+FORMAT_VERSION: Final = 1
+_MARK: Final = "deployment_version"
+_MOTION: Final = "motion_npz"
+
+ROW: Final = np.dtype(
+    [
+        ("time_s", "f8"),
+        ("late_s", "f8"),
+        ("read_s", "f8"),
+        ("control_s", "f8"),
+        ("write_s", "f8"),
+        ("round_trip_s", "f8"),
+        ("age_s", "f8"),
+        ("sequence", "i8"),
+        ("fresh", "?"),
+        ("phase", "i1"),
+        ("in_motion", "?"),
+        ("sample", "i8"),
+        ("origin", "f8", (3,)),
+        ("reading", READING),
+        ("estimate", OBSERVATION),
+        ("command", COMMAND),
+        ("sent", "?"),
+        ("cut", "i4"),
+        ("stance", "?", (4,)),
+        ("force", "f8", (4, 3)),
+        ("solve_s", "f8"),
+        ("early_touchdowns", "i8"),
+        ("qp_failures", "i8"),
+    ]
+)
+"""One period: when it began, from the start of the run, and by how much too late; how long reading, computing and
+writing took; from the state's arrival to the command's departure; the age of the state when it was used, its sequence
+number, and whether it was a new one; the `Phase`, whether it was in the motion itself, the sample and the origin of the
+reference; the state, the estimate, the command, whether it was sent, and how many of its numbers were cut; leg states,
+the forces asked for (heading frame, N), the time to plan ahead, and the controller's counts."""
+
+LOST_ROWS: Final = "the first {:.0f} s are not in the log, which holds the last {:.0f} s"
+
+
+class Recorder:
+    """Rows in preallocated memory; when it is full the oldest are written over.
+
+    Attributes:
+        periods: how many were recorded, those written over included.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self._rows = np.zeros(capacity, ROW)
+        self._rows.view(np.uint8)[:] = 0  # so that the memory is there, not only promised
+        self.periods = 0
+
+    def next_row(self) -> Any:
+        """The record to fill in for this period."""
+        row = self._rows[self.periods % len(self._rows)]
+        self.periods += 1
+        return row
+
+    def rows(self) -> NDArray[Any]:
+        """What is kept, in its order."""
+        n = len(self._rows)
+        if self.periods <= n:
+            return self._rows[: self.periods]
+        return np.roll(self._rows, -(self.periods % n))
+
+
+@dataclass(frozen=True, eq=False)
+class DeploymentLog:
+    """A deployment that has ended.
+
+    Attributes:
+        rows: (t,) of `ROW`.
+        motion: what was deployed.
+        meta: `rate_hz`, `robot`, `motion`, `driver`, `method`, `result` and more, JSON-serialisable.
+        truth: (t,) of `OBSERVATION`, of a simulated robot at the moments of the states used; None of a real one.
+    """
+
+    rows: NDArray[Any]
+    motion: Motion
+    meta: dict[str, Any]
+    truth: NDArray[Any] | None = None
+
+    @property
+    def rate_hz(self) -> float:
+        """Periods a second."""
+        return float(self.meta["rate_hz"])
+
+    def run_log(self) -> RunLog:
+        """What the robot's computer knew of the motion itself, for `fastmimic.identification.identify.identify`.
+
+        Raises:
+            DeploymentError: the robot did not come so far.
+        """
+        at = np.flatnonzero(self.rows["in_motion"])
+        if len(at) < 2:
+            raise DeploymentError("the robot never came to the motion, so there is nothing to tell of it")
+        step, after = self.rows[at[:-1]], self.rows[at[1:]]
+        return RunLog(
+            robot=str(self.meta["robot"]),
+            motion=str(self.meta["motion"]),
+            rate_hz=self.rate_hz,
+            latency_s=float(self.meta["latency_s"]),
+            reading=np.ascontiguousarray(after["reading"]),
+            command=np.ascontiguousarray(step["command"]),
+            estimate=np.ascontiguousarray(after["estimate"]),
+            stance=np.ascontiguousarray(step["stance"]),
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Writes an `.npz` without pickles; raises `OutputError`."""
+        arrays: dict[str, Any] = {
+            _MARK: np.int64(FORMAT_VERSION),
+            "meta_json": np.str_(json.dumps(self.meta, sort_keys=True)),
+        }
+        arrays[_MOTION] = np.frombuffer(_as_bytes(self.motion), np.uint8)
+        arrays |= _flat("", self.rows)
+        if self.truth is not None:
+            arrays |= _flat("truth_", self.truth)
+        replace_file(path, lambda file: np.savez_compressed(file, **arrays))
+
+    @classmethod
+    def load(cls, path: str | Path) -> "DeploymentLog":
+        """Reads what `save` wrote.
+
+        Raises:
+            DeploymentError: the file is missing, damaged, or not the log of a deployment.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {key: file[key] for key in file.files}
+        except FileNotFoundError:
+            raise DeploymentError(f"{path}: no such file") from None
+        except Exception as error:  # noqa: BLE001 - whatever NumPy and zipfile raise for a damaged archive
+            raise DeploymentError(f"{path}: not a readable .npz ({error})") from None
+        if _MARK not in arrays:
+            raise DeploymentError(f"{path}: not the log of a deployment ('{_MARK}' is missing)")
+        if int(arrays[_MARK]) != FORMAT_VERSION:
+            raise DeploymentError(
+                f"{path}: version {int(arrays[_MARK])} of the log; this release reads version {FORMAT_VERSION}"
+            )
+        try:
+            n = len(arrays["time_s"])
+            truth = _unflat("truth_", OBSERVATION, arrays, n) if "truth_root_pos" in arrays else None
+            motion = Motion.load(io.BytesIO(arrays[_MOTION].tobytes()))
+            return cls(_unflat("", ROW, arrays, n), motion, json.loads(str(arrays["meta_json"])), truth)
+        except (KeyError, ValueError, MotionError) as error:
+            raise DeploymentError(f"{path}: the log is damaged ({error})") from None
+
+
+def is_deployment_log(path: str | Path) -> bool:
+    """Whether a file is the log of a deployment."""
+    if Path(path).suffix != ".npz" or not Path(path).is_file():
+        return False
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return _MARK in file.files
+    except Exception:  # noqa: BLE001 - a damaged archive is somebody else's to report
+        return False
+
+
+def _as_bytes(motion: Motion) -> bytes:
+    """The motion's file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "motion.npz"
+        motion.save(path)
+        return path.read_bytes()
+
+
+def _flat(prefix: str, rows: NDArray[Any]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name in rows.dtype.names or ():
+        column = rows[name]
+        if column.dtype.names:
+            found |= _flat(f"{prefix}{name}_", column)
+        else:
+            found[f"{prefix}{name}"] = np.ascontiguousarray(column)
+    return found
+
+
+def _unflat(prefix: str, dtype: np.dtype[Any], arrays: dict[str, Any], n: int) -> NDArray[Any]:
+    rows = np.zeros(n, dtype)
+    for name in dtype.names or ():
+        field = dtype[name]
+        if field.names:
+            rows[name] = _unflat(f"{prefix}{name}_", field, arrays, n)
+        else:
+            rows[name] = arrays[f"{prefix}{name}"]
+    return rows

@@ -1,0 +1,283 @@
+"""The real-time loop: at a fixed rate from the robot's state to its command, watched, measured and logged."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
+
+from numpy.typing import NDArray
+
+from fastmimic.deploy.clock import Clock
+from fastmimic.deploy.driver import LowState, Packets, RobotDriver, damping_command
+from fastmimic.deploy.log import Recorder
+from fastmimic.deploy.pilot import Phase, Pilot
+from fastmimic.deploy.safety import Guard, StopReason, Violation
+from fastmimic.deploy.stopping import StopSwitch
+from fastmimic.errors import DriverError
+
+FIRST_STATE_S: Final = 3.0
+_AT_ONCE: Final = 2
+"""So many signals end the damping as well."""
+
+
+class CalledOffError(DriverError):
+    """A person did not want it after all; nothing was sent."""
+
+
+@dataclass(frozen=True)
+class Ending:
+    """When the motion is left.
+
+    Attributes:
+        cycles: after so many complete cycles; None for no such end.
+        steps: after so many control steps in the motion; None likewise.
+    """
+
+    cycles: int | None = None
+    steps: int | None = None
+
+    def reached(self, pilot: Pilot) -> StopReason | None:
+        """Why the motion is to be left by now."""
+        if self.cycles is not None and pilot.cycles >= self.cycles:
+            return StopReason.CYCLES
+        if self.steps is not None and pilot.follower.steps >= self.steps:
+            return StopReason.DURATION
+        return None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run of the loop ended.
+
+    Attributes:
+        stopped_by: why.
+        text: a line that says more, of what was not planned.
+        phase: in which that was.
+        deadline_misses: periods whose command went out after their end.
+        skipped: periods that did not take place at all, because one before took so long.
+        packets: since the first period; what arrived while everything was prepared does not count.
+    """
+
+    stopped_by: StopReason
+    text: str
+    phase: Phase
+    deadline_misses: int
+    skipped: int
+    packets: Packets
+
+
+class Loop:
+    """One run. Nothing is sent to the robot before `run`, and after it the robot is damped or limp."""
+
+    def __init__(
+        self,
+        driver: RobotDriver,
+        pilot: Pilot,
+        guard: Guard,
+        recorder: Recorder,
+        clock: Clock,
+        rate_hz: float,
+        *,
+        ending: Ending,
+        switch: StopSwitch,
+        dry: bool = False,
+        watch: Callable[[Pilot, NDArray[Any]], None] | None = None,
+    ) -> None:
+        """
+        Args:
+            driver: open, and of nobody else.
+            pilot: what is sent.
+            guard: what may be.
+            recorder: takes a row for each period.
+            clock: of the deadlines; the driver's states were received on the same.
+            rate_hz: periods a second.
+            ending: when the motion is left.
+            switch: a person's hand.
+            dry: whether nothing is sent.
+            watch: called at the end of each period with the pilot and the command (1,) of `COMMAND`.
+        """
+        self._driver, self._pilot, self._guard = driver, pilot, guard
+        self._recorder, self._clock, self._dt = recorder, clock, 1.0 / rate_hz
+        self._ending, self._switch, self._dry, self._watch = ending, switch, dry, watch
+        self._damping = damping_command(guard.limits.damping)
+        self._state: LowState | None = None
+        self._before = Packets()
+        self._late = 0.0
+        self._misses = self._skipped = 0
+
+    def run(self, on_ready: Callable[[], bool] | None = None) -> Outcome:
+        """Until the robot lies again.
+
+        Args:
+            on_ready: called when all is prepared; False calls it off.
+
+        Raises:
+            CalledOffError: it did, or the switch was thrown before anything was sent.
+            DriverError: there is no state within `FIRST_STATE_S`, or the robot is not fit to begin with; nothing was
+                sent.
+        """
+        self._prepare()
+        agreed = on_ready is None or on_ready()
+        if not agreed or self._emergency() is not None:
+            raise CalledOffError("called off; nothing was sent")
+        self._begin()
+        self._start = self._deadline = self._clock.now() + 2 * self._dt
+        try:
+            return self._follow()
+        except DriverError as error:
+            return self._end(Violation(StopReason.DRIVER, str(error)))
+        except BaseException:
+            self._damp_once()
+            raise
+
+    def _prepare(self) -> None:
+        state = self._driver.read(FIRST_STATE_S)
+        if state is None:
+            raise DriverError(
+                f"no state of the robot within {FIRST_STATE_S:g} s: is it switched on, in low-level mode, and on this"
+                " network?"
+            )
+        self._pilot.warm_up(state.reading)
+        self._began = self._start = self._deadline = self._clock.now()
+        self._record(state, True, Phase.HOLD, False, self._damping, False, (0.0, 0.0, 0.0))
+        self._recorder.periods = 0
+
+    def _begin(self) -> None:
+        """With the newest state: a person may have taken a while."""
+        self._state = self._driver.read(FIRST_STATE_S)
+        if self._state is None:
+            raise DriverError(f"the robot has fallen silent: no state for {FIRST_STATE_S:g} s")
+        self._before = replace(self._driver.packets)
+        found = self._pilot.begin(self._state.reading)
+        if found is not None:
+            raise DriverError(f"the robot is not fit to begin: {found.text}")
+
+    def _follow(self) -> Outcome:
+        pilot, ended_by = self._pilot, None
+        while pilot.phase is not Phase.DONE:
+            self._wait()
+            violation = self._emergency() or self._period()
+            if violation is not None:
+                return self._end(violation)
+            if ended_by is None and pilot.phase <= Phase.FOLLOW:
+                ended_by = self._ending.reached(pilot) if pilot.in_motion else None
+                ended_by = StopReason.ASKED if self._switch.leave else ended_by
+                if ended_by is not None:
+                    pilot.leave()
+        if ended_by is None:
+            ended_by = StopReason.END
+        return self._outcome(ended_by, "", Phase.DONE)
+
+    def _outcome(self, reason: StopReason, text: str, phase: Phase) -> Outcome:
+        now, before = asdict(self._driver.packets), asdict(self._before)
+        packets = Packets(**{name: count - before[name] for name, count in now.items()})
+        return Outcome(reason, text, phase, self._misses, self._skipped, packets)
+
+    def _wait(self) -> None:
+        """Until the next period; those that were missed altogether are left out."""
+        self._clock.sleep_until(self._deadline)
+        self._began = self._clock.now()
+        self._late = self._began - self._deadline
+        if self._late >= self._dt:
+            missed = int(self._late / self._dt)
+            self._skipped += missed
+            self._deadline += missed * self._dt
+
+    def _emergency(self) -> Violation | None:
+        self._switch.poll()
+        if self._switch.key:
+            return Violation(StopReason.KEY, "emergency stop by a key")
+        if self._switch.signals:
+            return Violation(StopReason.SIGNAL, "emergency stop by a signal")
+        return None
+
+    def _period(self) -> Violation | None:
+        """One period: read, compute, write, record."""
+        clock, pilot = self._clock, self._pilot
+        fresh = self._read()
+        read = clock.now()
+        assert self._state is not None
+        violation = self._guard.check_age(read - self._state.received)
+        if violation is not None and self._late > self._dt:
+            # it was this computer that paused: what the robot sent meanwhile may be about to be delivered
+            fresh = self._read(self._dt)
+            read = clock.now()
+            violation = self._guard.check_age(read - self._state.received)
+        state = self._state
+        phase, command = pilot.phase, self._damping
+        if violation is None:
+            command = pilot.step(state.reading)
+            violation = pilot.violation
+        ready = clock.now()
+        if violation is None:
+            violation = self._guard.check_lateness(max(self._late, ready - self._deadline - self._dt))
+        send = violation is None and not self._dry
+        if send:
+            self._driver.write(command)
+        done = clock.now()
+        self._record(state, fresh, phase, pilot.in_motion, command, send, (read, ready, done))
+        if done > self._deadline + self._dt:
+            self._misses += 1
+        self._deadline += self._dt
+        if self._watch is not None and pilot.phase is not Phase.DONE:
+            self._watch(pilot, command)
+        return violation
+
+    def _read(self, timeout_s: float = 0.0) -> bool:
+        """Takes the newest state; whether there is a new one."""
+        state = self._driver.read(timeout_s)
+        if state is None:
+            return False
+        self._state = state
+        return True
+
+    def _record(
+        self,
+        state: LowState,
+        fresh: bool,
+        phase: Phase,
+        moving: bool,
+        command: NDArray[Any],
+        sent: bool,
+        times: tuple[float, float, float],
+    ) -> None:
+        row, pilot, began = self._recorder.next_row(), self._pilot, self._began
+        read, ready, done = times
+        memory, clock = pilot.controller.memory[0], pilot.follower.clock[0]
+        row["time_s"], row["late_s"] = began - self._start, self._late
+        row["read_s"], row["control_s"], row["write_s"] = read - began, ready - read, done - ready
+        row["round_trip_s"], row["age_s"] = done - state.received, read - state.received
+        row["sequence"], row["fresh"], row["phase"], row["in_motion"] = state.sequence, fresh, phase, moving
+        row["sample"], row["origin"] = clock["sample"], clock["origin"]
+        row["reading"], row["estimate"], row["command"] = state.reading[0], pilot.observation[0], command[0]
+        row["sent"], row["cut"], row["stance"] = sent, self._guard.cut, memory["stance"]
+        row["force"], row["solve_s"] = memory["force"], memory["solve_time"]
+        row["early_touchdowns"], row["qp_failures"] = memory["early_touchdowns"], memory["qp_failures"]
+
+    def _end(self, violation: Violation) -> Outcome:
+        """Damps the robot for a while, and says why."""
+        phase = self._pilot.phase
+        try:
+            for _ in range(max(1, round(self._guard.limits.damping_s / self._dt))):
+                self._damped_period()
+                if self._switch.signals >= _AT_ONCE:
+                    break
+        except DriverError:
+            pass  # it is gone, and with it the wish to send it anything; the robot's own watchdog damps it
+        return self._outcome(violation.reason, violation.text, phase)
+
+    def _damped_period(self) -> None:
+        clock = self._clock
+        self._damp_once()
+        sent = clock.now()
+        fresh = self._read()
+        state = self._state
+        assert state is not None
+        times = (sent, sent, clock.now())
+        self._began = sent
+        self._record(state, fresh, Phase.DAMP, False, self._damping, not self._dry, times)
+        self._deadline = max(self._deadline, sent) + self._dt
+        clock.sleep_until(self._deadline)
+
+    def _damp_once(self) -> None:
+        if not self._dry:
+            self._driver.write(self._damping)

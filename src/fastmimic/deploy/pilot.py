@@ -1,0 +1,319 @@
+"""What the robot is told, from lying to lying: up, on its way, down. It knows states, and nothing of time or wires."""
+
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.config import ControllerConfig
+from fastmimic.control.controller import Controller
+from fastmimic.control.state import COMMAND, OBSERVATION
+from fastmimic.deploy.itinerary import Follower, Itinerary
+from fastmimic.deploy.safety import Guard, NotingGuard, Violation
+from fastmimic.estimation.config import EstimatorConfig
+from fastmimic.estimation.estimator import START, Estimator
+from fastmimic.imitation.rollout import LoopController, MakeController
+from fastmimic.play.recovery import along, rising_path, smooth, standing_gains
+from fastmimic.robot.kinematics import foot_positions
+from fastmimic.rotations import yaw_from_quat
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+HOLD_S: Final = 0.4
+"""In which the joints become stiff where they are."""
+FOLD_S: Final = 1.2
+RISE_S: Final = 1.5
+SETTLE_S: Final = 0.6
+SIT_S: Final = 1.8
+RELEASE_S: Final = 0.5
+_STANDING: Final = 0.75
+"""Share of the standing posture's height of the hips over the feet from which the robot is taken to stand already."""
+_WARM_UP: Final = 20
+_LEGS: Final = np.ones((1, 4), np.int64)
+
+
+class Phase(IntEnum):
+    """Of a deployment."""
+
+    HOLD = 0
+    FOLD = 1
+    RISE = 2
+    SETTLE = 3
+    FOLLOW = 4
+    SIT = 5
+    RELEASE = 6
+    DONE = 7
+    DAMP = 8
+    """After a violation or an emergency stop."""
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        return _WORDS[self]
+
+
+_WORDS: Final = {
+    Phase.HOLD: "taking hold",
+    Phase.FOLD: "folding its legs",
+    Phase.RISE: "standing up",
+    Phase.SETTLE: "standing",
+    Phase.FOLLOW: "on its way",
+    Phase.SIT: "sitting down",
+    Phase.RELEASE: "letting go",
+    Phase.DONE: "done",
+    Phase.DAMP: "damped",
+}
+_LASTS_S: Final = {
+    Phase.HOLD: HOLD_S,
+    Phase.FOLD: FOLD_S,
+    Phase.RISE: RISE_S,
+    Phase.SETTLE: SETTLE_S,
+    Phase.SIT: SIT_S,
+    Phase.RELEASE: RELEASE_S,
+}
+
+
+class Pilot:
+    """Commands for one robot, a control step after the other.
+
+    Attributes:
+        phase: the present one.
+        follower: where in the itinerary it is, in the phase `FOLLOW`.
+        observation: (1,) of `OBSERVATION`, what the controller is told; all 0 before the robot stands.
+        violation: what it found wrong in the last step.
+        cycles: of the motion that are complete.
+    """
+
+    def __init__(
+        self,
+        robot: "Robot",
+        itinerary: Itinerary,
+        guard: Guard,
+        config: ControllerConfig,
+        *,
+        estimator: EstimatorConfig | None = None,
+        policy: MakeController | None = None,
+    ) -> None:
+        """
+        Args:
+            robot: the robot.
+            itinerary: where it goes.
+            guard: what it may do.
+            config: of the controller.
+            estimator: of the estimator.
+            policy: makes the controller of the motion itself; the model-based one goes there and back.
+        """
+        motion = itinerary.motion
+        self.robot, self.itinerary, self.guard = robot, itinerary, guard
+        self._dt = 1.0 / config.rate_hz
+        self._model_based = Controller(robot, [motion], 1, config)
+        self._own: LoopController = self._model_based if policy is None else policy(robot, motion.target, 1, config)
+        self.controller: LoopController = self._model_based
+        self._failed = self.controller.memory["failed_in_a_row"]
+        self.estimator = Estimator(robot, 1, config.rate_hz, estimator)
+        self.follower = Follower(itinerary)
+        self._path, _ = rising_path(robot, itinerary.stand)
+        self._stiffness, self._damping = standing_gains(robot)
+        self._reach = _height(robot, itinerary.stand)
+        self._command = np.zeros(1, COMMAND)
+        self._words = f"passing into {motion.name}", motion.name, f"passing out of {motion.name}"
+        self._nothing = np.zeros(1, OBSERVATION)
+        self._from = itinerary.stand
+        self._estimating, self._folded, self._leave_early = False, True, False
+        self.phase, self._steps = Phase.HOLD, 0
+        self.violation: Violation | None = None
+
+    def begin(self, reading: NDArray[Any]) -> Violation | None:
+        """Takes the robot as it is, by its first state (1,) of `READING`; returns what keeps it from standing up."""
+        self.guard.reset()
+        found = self.guard.check_state(reading)
+        if found is None:
+            self._estimating = False
+            self._go(Phase.HOLD, reading)
+        return found
+
+    def warm_up(self, reading: NDArray[Any]) -> None:
+        """Has everything compiled and in the caches; nothing of it is remembered."""
+        way, guard = self.itinerary, self.guard
+        self.guard = NotingGuard(self.robot, guard.limits, 1.0 / self._dt)
+        for phase in Phase:
+            if phase in _LASTS_S:
+                self._estimating = False
+                self._go(phase, reading)
+                self.step(reading)
+        for leg in (way.way_in, way.main, way.way_out):
+            self._start_estimating(reading)
+            self._start_following()
+            self.follower.enter(leg, np.zeros(3))
+            self._switch_controller()
+            self.phase = Phase.FOLLOW
+            for _ in range(_WARM_UP):
+                self.step(reading)
+        self.guard, self._estimating, self.violation = guard, False, None
+        self._go(Phase.HOLD, reading)
+
+    @property
+    def observation(self) -> NDArray[Any]:
+        return self.estimator.observation if self._estimating else self._nothing
+
+    @property
+    def doing(self) -> str:
+        """What it does, in words."""
+        if self.phase is not Phase.FOLLOW:
+            return _WORDS[self.phase]
+        way, leg = self.itinerary, self.follower.leg
+        return self._words[0 if leg is way.way_in else 1 if leg is way.main else 2]
+
+    @property
+    def in_motion(self) -> bool:
+        """Whether the robot does the motion itself at present, neither on its way there nor back."""
+        return self.phase is Phase.FOLLOW and self.follower.in_motion
+
+    @property
+    def cycles(self) -> int:
+        return self.follower.steps // self.itinerary.motion.n_samples
+
+    def leave(self) -> None:
+        """Has the robot go back to standing and sit down as soon as the motion can be left."""
+        self.follower.leaving = True
+        self._leave_early = True
+
+    def step(self, reading: NDArray[Any]) -> NDArray[Any]:
+        """One control step.
+
+        Args:
+            reading: (1,) of `READING`, the newest.
+
+        Returns:
+            (1,) of `COMMAND`, overwritten by the next call. Where `violation` is set it is not to be sent.
+        """
+        following = self.phase is Phase.FOLLOW
+        follower = self.follower
+        if following:
+            self.violation = self.guard.check_state(reading, follower.table, follower.clock)
+        else:
+            self.violation = self.guard.check_state(reading)
+        if self.violation is not None:
+            return self._command
+        self._look(reading)
+        if following:
+            command = self._follow()
+            if self.phase is Phase.FOLLOW or self.violation is not None:
+                return command
+        return self._posture(reading)
+
+    def _look(self, reading: NDArray[Any]) -> None:
+        """Takes in the state, where there is an estimate."""
+        if self._estimating:
+            following = self.phase is Phase.FOLLOW
+            self.estimator.step(reading, self.controller.memory["stance"] if following else _LEGS)
+
+    def _follow(self) -> NDArray[Any]:
+        """The controller's command, or the first one of sitting down."""
+        observation, follower = self.estimator.observation, self.follower
+        if follower.advance(observation["root_pos"]):
+            self._switch_controller()
+        self.violation = self.guard.check_estimate(observation, follower.table, follower.clock)
+        if self.violation is not None:
+            return self._command
+        if follower.done:
+            last, joints = self.controller.command[0], observation["joint_pos"][0]
+            torque = last["torque"] + last["stiffness"] * (last["joint_pos"] - joints)
+            self._from = joints + torque / self._stiffness  # so that the joints go on pushing as they do
+            self.phase, self._steps = Phase.SIT, 0
+            return self._command
+        command = self._drive()
+        self.violation = self.guard.check_solver(int(self._failed[0]))
+        return self._cut(command)
+
+    def _drive(self) -> NDArray[Any]:
+        return self.controller.step(self.estimator.observation, self.follower.clock)
+
+    def _cut(self, command: NDArray[Any]) -> NDArray[Any]:
+        found = self.guard.cut_command(command)
+        self.violation = self.violation if self.violation is not None else found
+        return command
+
+    def _posture(self, reading: NDArray[Any]) -> NDArray[Any]:
+        """A command of one of the phases without the controller, and what comes after it."""
+        share = (self._steps + 1) * self._dt / _LASTS_S[self.phase] if self.phase in _LASTS_S else 1.0
+        self._steps += 1
+        stiffness, damping = 1.0, 1.0
+        path = self._path
+        if self.phase is Phase.HOLD:
+            joints, stiffness = self._from, smooth(share)
+        elif self.phase is Phase.FOLD:
+            joints = self._from + smooth(share) * (path[0] - self._from)
+        elif self.phase is Phase.RISE:
+            joints = along(path, share) if self._folded else self._from + smooth(share) * (path[-1] - self._from)
+        elif self.phase is Phase.SETTLE:
+            joints = path[-1]
+        elif self.phase is Phase.SIT:
+            # from wherever the controller left the joints
+            joints = along(path, 1.0 - share) + (1.0 - smooth(min(1.0, 3.0 * share))) * (self._from - path[-1])
+        else:
+            joints, stiffness = path[0], 1.0 - smooth(share)
+        command = self._cut(self._command_of_posture(joints, stiffness, damping))
+        if share >= 1.0 - 1e-9 and self.violation is None:
+            self._next(reading)
+        return command
+
+    def _command_of_posture(self, joints: Array, stiffness: float = 1.0, damping: float = 1.0) -> NDArray[Any]:
+        command = self._command
+        command["joint_pos"], command["joint_vel"], command["torque"] = joints, 0.0, 0.0
+        command["stiffness"], command["damping"] = stiffness * self._stiffness, damping * self._damping
+        return command
+
+    def _next(self, reading: NDArray[Any]) -> None:
+        """The next phase, with this state."""
+        if self.phase is Phase.HOLD:
+            self._folded = _height(self.robot, reading["joint_pos"][0]) < _STANDING * self._reach
+            self._go(Phase.FOLD if self._folded else Phase.RISE, reading)
+        elif self.phase is Phase.RISE:
+            self._start_estimating(reading)
+            self._go(Phase.SETTLE, reading)
+        elif self.phase is Phase.SETTLE:
+            self.violation = self.guard.check_posture(reading, self.itinerary.stand)
+            if self.violation is None and self._leave_early:
+                self._go(Phase.SIT, reading)
+            elif self.violation is None:
+                self._start_following()
+                self.phase = Phase.FOLLOW
+        elif self.phase is not Phase.DONE:
+            self._go(Phase(self.phase + 1), reading)
+
+    def _go(self, phase: Phase, reading: NDArray[Any]) -> None:
+        self.phase, self._steps = phase, 0
+        self._from = np.array(reading["joint_pos"][0])
+
+    def _start_estimating(self, reading: NDArray[Any]) -> None:
+        """The robot stands: its place is the world's origin, its heading the x axis."""
+        self.estimator.reset(reading, np.zeros(1, START), _LEGS)
+        self._estimating = True
+
+    def _start_following(self) -> None:
+        observation = self.estimator.observation
+        root, yaw = observation["root_pos"][0], float(yaw_from_quat(observation["root_quat"][0]))
+        self.follower.begin(np.array([root[0], root[1], yaw]))
+        self._switch_controller()
+
+    def _switch_controller(self) -> None:
+        """Whose turn it is, with the table of the present stretch."""
+        follower = self.follower
+        chosen = self._own if follower.in_motion else self._model_based
+        begins = follower.leg is self.itinerary.way_in
+        if chosen is not self.controller or begins:
+            self.controller, self._failed = chosen, chosen.memory["failed_in_a_row"]
+            chosen.tables = follower.leg.table
+            chosen.reset(follower.clock["sample"])
+        chosen.tables = follower.leg.table
+
+
+def _height(robot: "Robot", joints: Array) -> float:
+    """Mean height of the hips over the feet, m."""
+    feet = foot_positions(robot, joints[None])[0]
+    return float(np.mean(robot.hip_pos_b[:, 2] - feet[:, 2]))

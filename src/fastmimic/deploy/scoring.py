@@ -1,0 +1,138 @@
+"""What a deployment was worth: the reward of what was done in the motion itself, out of its log."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.control.reference import advance_clocks, make_clocks, reference_table
+from fastmimic.control.state import MEMORY
+from fastmimic.conventions import GRAVITY
+from fastmimic.deploy.log import DeploymentLog
+from fastmimic.errors import DeploymentError
+from fastmimic.imitation.reward import TALLY, TERMS, score_step
+from fastmimic.imitation.rollout import Rollout, summarised
+from fastmimic.pipeline import Evaluation
+from fastmimic.rotations import rotate_planar, yaw_from_quat
+from fastmimic.simulation.conditions import Conditions
+
+if TYPE_CHECKING:
+    from fastmimic.motion.motion import Motion
+    from fastmimic.robot import Robot
+
+
+def score_log(robot: "Robot", log: DeploymentLog, observation: NDArray[Any] | None = None) -> Rollout | None:
+    """Scores the periods in the motion itself, as every other closed loop, against the motion's demonstration.
+
+    The reference starts as the controller's did and is then synchronised to what is scored.
+
+    Args:
+        robot: the robot.
+        log: of the deployment.
+        observation: (t,) of `OBSERVATION`, the state in each of the log's rows; the estimate if None.
+
+    Returns:
+        One episode; None if the robot did not come so far.
+    """
+    motion, rows = log.motion, np.flatnonzero(log.rows["in_motion"])
+    if not len(rows):
+        return None
+    seen = log.rows["estimate"] if observation is None else observation
+    if len(seen) != len(log.rows):
+        raise DeploymentError(f"{len(seen)} states for the {len(log.rows)} periods of the log")
+    seen = np.ascontiguousarray(seen[rows])
+    counts = log.rows[rows]
+    clock = _first_clock(motion, counts[0], seen[0])
+    table = reference_table(motion.target, robot)
+    threshold = default_config().gait.contact_threshold * robot.mass * GRAVITY
+    tally, memory, work = np.zeros(1, TALLY), np.zeros(1, MEMORY), np.zeros((2, 3, 3))
+    before = counts[0]
+    for i in range(len(rows)):
+        if i > 0:
+            # periods that are not there were left out of the reference as well
+            advance_clocks(clock, table[None], seen["root_pos"][i : i + 1])
+        memory["early_touchdowns"] = counts["early_touchdowns"][i] - before["early_touchdowns"]
+        memory["qp_failures"] = counts["qp_failures"][i] - before["qp_failures"]
+        score_step(
+            robot.geometry.rows,
+            robot.foot_radius,
+            threshold,
+            1.0 / log.rate_hz,
+            table,
+            clock,
+            seen[i : i + 1],
+            memory,
+            tally,
+            work,
+        )
+    return summarised(tally, len(rows), log.rate_hz)
+
+
+def evaluation_of(robot: "Robot", log: DeploymentLog, config: ControllerConfig) -> Evaluation:
+    """A deployment as `fastmimic.pipeline.evaluate` would have it: by the truth if there is one, else by the estimate.
+
+    Args:
+        robot: the robot.
+        log: of the deployment.
+        config: with which it was.
+
+    Raises:
+        DeploymentError: the robot did not come so far as to the motion.
+    """
+    rollout = score_log(robot, log, log.truth)
+    if rollout is None:
+        raise DeploymentError(f"the robot never came to the motion: {log.meta['result']['stopped_because']}")
+    conditions = Conditions(observe="sensors")
+    return Evaluation(log.motion, rollout, str(log.meta["method"]), config, robot.name, conditions)
+
+
+def figures(rollout: Rollout | None) -> dict[str, Any]:
+    """Of an episode, JSON-serialisable; None for each if there is none."""
+    if rollout is None:
+        return {"reward_mean": None, "components": None, "swing_clearance_m": None, "motion_s": 0.0}
+    clearance = [float(c) if np.isfinite(c) else None for c in rollout.clearance[0]]
+    return {
+        "reward_mean": float(rollout.reward[0]),
+        "components": {name: float(v) for name, v in zip(TERMS, rollout.terms[0], strict=True)},
+        "swing_clearance_m": clearance,
+        "drift_m_per_s": float(rollout.drift[0]),
+        "early_contacts_per_s": float(rollout.early_contacts[0]),
+        "stance_slip_m": float(rollout.slip.mean()),
+        "motion_s": rollout.duration_s,
+    }
+
+
+def true_states(log: DeploymentLog, truth: NDArray[Any], sequence: NDArray[np.int64]) -> NDArray[Any]:
+    """A simulated robot's true states in the log's rows, (t,) of `OBSERVATION`.
+
+    Args:
+        log: whose rows say which state message each period had.
+        truth: (k,) of `OBSERVATION`.
+        sequence: (k,) ascending, the sequence numbers of the messages that told of them.
+
+    Raises:
+        DeploymentError: there is none of some message.
+    """
+    wanted = log.rows["sequence"]
+    at = np.searchsorted(sequence, wanted)
+    found = at < len(sequence)
+    found[found] = sequence[at[found]] == wanted[found]
+    if not found.all():
+        raise DeploymentError(
+            f"the log has state {wanted[~found][0]}, and there are true ones of {sequence[0]} to {sequence[-1]}:"
+            " another run's?"
+        )
+    return truth[at]
+
+
+def _first_clock(motion: "Motion", row: Any, seen: Any) -> NDArray[Any]:
+    """The reference's clock in the first row, moved from where the robot was believed to be to where it was."""
+    clock = make_clocks(motion, 1)
+    clock["sample"] = row["sample"]
+    believed = row["estimate"]
+    turn = float(yaw_from_quat(seen["root_quat"]) - yaw_from_quat(believed["root_quat"]))
+    offset = row["origin"][:2] - believed["root_pos"][:2]
+    clock["origin"][0, :2] = seen["root_pos"][:2] + rotate_planar(turn, offset)
+    clock["origin"][0, 2] = row["origin"][2] + turn
+    return clock

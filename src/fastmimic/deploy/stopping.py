@@ -1,0 +1,101 @@
+"""How a person stops the robot: a key in the terminal, or a signal to the process."""
+
+import os
+import select
+import signal
+import sys
+import threading
+from types import FrameType, TracebackType
+from typing import Any, Final, Self
+
+EMERGENCY_KEYS: Final = " \r\nqQ"
+"""Damp at once: the robot sinks to the ground."""
+LEAVE_KEYS: Final = "sS"
+"""Go back to standing and sit down."""
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+
+
+class StopSwitch:
+    """Watches the terminal and the process's signals; a context manager.
+
+    While it is entered, SIGINT and SIGTERM end no program: they are counted. Keys are read where standard input is a
+    terminal, without waiting for Enter.
+
+    Attributes:
+        signals: how many came.
+        key: whether an emergency key was pressed.
+        leave: whether the robot was asked to sit down.
+    """
+
+    def __init__(self, stream: Any = None) -> None:
+        """
+        Args:
+            stream: the terminal; standard input if None.
+        """
+        self._stream = stream if stream is not None else sys.stdin
+        self._file: int | None = None
+        self._saved: Any = None
+        self._handlers: dict[int, Any] = {}
+        self.signals, self.key, self.leave = 0, False, False
+
+    @property
+    def watches_keys(self) -> bool:
+        """Whether there is a terminal."""
+        return self._file is not None
+
+    def poll(self) -> None:
+        """Looks whether a key was pressed; takes some microseconds."""
+        if self._file is None:
+            return
+        while select.select([self._file], [], [], 0.0)[0]:
+            try:
+                pressed = os.read(self._file, 64)
+            except OSError:
+                pressed = b""
+            if not pressed:  # the terminal is gone
+                self._file = None
+                return
+            for character in pressed.decode(errors="replace"):
+                self.key = self.key or character in EMERGENCY_KEYS
+                self.leave = self.leave or character in LEAVE_KEYS
+
+    def wait_for_consent(self) -> bool:
+        """Waits for a key or a signal; whether it was Enter."""
+        while not self.signals and self._file is not None:
+            if not select.select([self._file], [], [], 0.1)[0]:
+                continue
+            pressed = os.read(self._file, 64)
+            if not pressed:
+                break
+            return pressed[:1] in (b"\r", b"\n")
+        return False
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            self._handlers = {number: signal.signal(number, self._count) for number in _SIGNALS}
+        try:
+            descriptor = self._stream.fileno()
+            if os.isatty(descriptor):
+                import termios
+                import tty
+
+                self._saved = termios.tcgetattr(descriptor)
+                tty.setcbreak(descriptor)
+                self._file = descriptor
+        except (ImportError, OSError, ValueError, AttributeError):  # no terminal, or not a system that has them
+            self._file = None
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+        if self._saved is not None:
+            import termios
+
+            termios.tcsetattr(self._stream.fileno(), termios.TCSADRAIN, self._saved)
+        self._file = self._saved = None
+
+    def _count(self, number: int, frame: FrameType | None) -> None:
+        self.signals += 1

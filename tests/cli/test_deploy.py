@@ -1,0 +1,165 @@
+"""`fastmimic deploy` with a simulated robot: what it writes and prints, how it ends, and bad input."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.running import Run
+from fastmimic.deploy.log import DeploymentLog
+from fastmimic.motion.motion import Motion
+from fastmimic.pipeline import load_motion
+
+QUICK = ("--driver", "sim", "--lock-step", "--duration", "0.2")
+
+
+def test_it_prints_the_figures_and_writes_the_folder(run: Run, in_folder: Path) -> None:
+    done = run("deploy", "stand", *QUICK)
+    assert done.status == 0
+    assert "stopped by" in done.out
+    assert "duration" in done.out
+    assert done.err.splitlines()[-3:] == ["passing out of stand", "sitting down", "letting go"]
+    folder = in_folder / "runs" / "deploy-stand-a1-sim"
+    assert {path.name for path in folder.iterdir()} == {"log.npz", "motion.npz", "deployment.json"}
+    written = json.loads((folder / "deployment.json").read_text())
+    log = DeploymentLog.load(folder / "log.npz")
+    assert written["result"]["periods"] == len(log.rows)
+    assert written["driver"] == "sim"
+    assert written["limits"]["tilt"] == 0.6
+    assert Motion.load(folder / "motion.npz").name == "stand"
+    again = run("deploy", "stand", *QUICK)
+    assert "runs/deploy-stand-a1-sim-2/log.npz" in again.out
+
+
+def test_json_is_one_object_on_stdout(run: Run) -> None:
+    done = run("deploy", "stand", *QUICK, "--json", "--out", "there", "--log", "elsewhere.npz")
+    found = json.loads(done.out)
+    assert found["stopped_by"] == "duration"
+    assert not found["fell"]
+    for name in ("period_error_us", "control_us", "write_us", "round_trip_us"):
+        assert {"median", "p99", "max"} == found[name].keys()
+    assert {"sent", "received", "lost", "rejected"} == found["packets"].keys()
+    assert found["reward_mean"] > 0.9
+    assert found["log"] == "elsewhere.npz"
+    assert Path("elsewhere.npz").is_file()
+    assert not Path("there/log.npz").exists()
+
+
+def test_its_log_can_be_evaluated(run: Run) -> None:
+    run("deploy", "stand", *QUICK, "--out", "there")
+    done = run("evaluate", "there/log.npz", "--json")
+    found = json.loads(done.out)
+    assert found["motion"] == "stand"
+    assert found["driver"] == "sim"
+    assert found["reward_mean"] == found["result"]["reward_truth_mean"]
+    assert "the simulator's truth" in run("evaluate", "there/log.npz").out
+    assert "there/log.npz: the log is 0.50 s long" in run("identify", "there/log.npz").error
+    assert "leave out --episodes" in run("evaluate", "there/log.npz", "--episodes", "2").error
+
+
+def test_a_violation_has_a_status_and_a_line_of_its_own(run: Run) -> None:
+    done = run("deploy", "stand", *QUICK, "--limit", "height_least=0.999", "--out", "there")
+    assert done.status == 3
+    assert "stopped by" in done.out
+    last = done.err.splitlines()[-1]
+    assert last.startswith("fastmimic: the base is 0.2")
+    assert last.endswith("the robot was damped while on its way")
+    assert json.loads(Path("there/deployment.json").read_text())["result"]["stopped_by"] == "height"
+
+
+def test_a_dry_run_shows_the_commands(run: Run) -> None:
+    done = run("deploy", "stand", *QUICK, "--dry-run", "--out", "there")
+    assert done.status == 0
+    assert "standing up, 1.5 s" in done.out
+    assert "FR_knee" in done.out
+    assert "of 33.5" in done.out
+    assert not DeploymentLog.load("there/log.npz").rows["sent"].any()
+
+
+def test_a_planning_controller_plans_in_every_period(run: Run) -> None:
+    done = run("deploy", "stand", *QUICK, "--method", "lh", "--json", "--out", "there")
+    rows = DeploymentLog.load("there/log.npz").rows
+    following = rows[rows["phase"] == 4]
+    assert (following["solve_s"] > 0.0).all()
+    assert json.loads(done.out)["solve_us"]["median"] > 0.0
+
+
+def test_its_report_is_a_page_of_its_own(run: Run) -> None:
+    pytest.importorskip("plotly", reason="the extra 'report' is not installed")
+    run("deploy", "stand", *QUICK, "--method", "lh", "--out", "there")
+    assert run("report", "there").status == 0
+    page = Path("there/report.html").read_text(encoding="utf-8")
+    for said in ("stand on a1, deployed by driver sim", "Ended as planned (duration)", "Motor torque", "height_least"):
+        assert said in page
+    Path("there/log.npz").unlink()
+    done = run("report", "there")
+    assert "without the plots" in done.err
+    assert "Motor torque" not in Path("there/report.html").read_text(encoding="utf-8")
+
+
+BAD = {
+    "no such driver": (["trot", "--driver", "spot"], "unknown driver 'spot'; there are go2, a1, sim"),
+    "no such motion": (["trto", *QUICK], "did you mean 'trot'"),
+    "another robot's motion": (["{go1}", *QUICK, "--robot", "a1"], "is for robot 'go1', not for 'a1'"),
+    "a motion for another driver": (
+        ["{go1}", "--driver", "go2", "--yes"],
+        "is for robot 'go1', and driver 'go2' drives a go2",
+    ),
+    "another robot than the driver's": (
+        ["trot", "--driver", "go2", "--robot", "a1", "--yes"],
+        "driver 'go2' drives a go2, not 'a1'",
+    ),
+    "a motion that does not repeat": (
+        ["{once}", "--driver", "sim"],
+        "does not repeat: it begins and ends in mid-stride",
+    ),
+    "both ends": (["trot", *QUICK, "--cycles", "2"], "cycles and duration both say"),
+    "no cycles": (["stand", "--driver", "sim", "--cycles", "0"], "at least 1"),
+    "duration": (["stand", "--driver", "sim", "--duration", "nan"], "--duration must be above 0"),
+    "no such limit": (["stand", *QUICK, "--limit", "tlit=1"], "did you mean 'tilt'"),
+    "no limits": (["stand", *QUICK, "--limits", "none.toml"], "none.toml: cannot be read"),
+    "a simulated robot's option": (["trot", "--driver", "go2", "--loss", "0.1"], "--loss is for '--driver sim'"),
+    "a wire's option": (
+        ["trot", *QUICK, "--interface", "eth0"],
+        "--interface and --domain are for a robot on the wire",
+    ),
+    "nobody to ask": (["trot", "--driver", "go2"], "standard input is not a terminal"),
+    "no planning": (["stand", *QUICK, "--solve-rate", "100"], "does not plan ahead"),
+    "no such method": (["stand", *QUICK, "--method", "mpc"], "unknown method 'mpc'"),
+    "a policy's method": (["stand", *QUICK, "--method", "rl"], "needs a trained policy"),
+    "no policy": (["trot", *QUICK, "--policy", "none.npz"], "none.npz"),
+    "loss": (["stand", *QUICK, "--loss", "2"], "loss must be a share"),
+    "somebody's folder": (["stand", *QUICK, "--out", "taken"], "taken holds something else than a deployment"),
+    "log": (["stand", *QUICK, "--log", "log.txt"], "must end in .npz"),
+    "disturbance": (["stand", *QUICK, "--disturb", "wind=3"], "wind"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line(case: str, run: Run, in_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", open(Path("/dev/null")))  # noqa: SIM115
+    arguments, said = BAD[case]
+    taken = in_folder / "taken"
+    taken.mkdir()
+    (taken / "thesis.txt").write_text("")
+    files = {}
+    if any("{go1}" in a for a in arguments):
+        files["go1"] = in_folder / "go1.npz"
+        load_motion("trot", "go1").save(files["go1"])
+    if any("{once}" in a for a in arguments):
+        files["once"] = in_folder / "once.npz"
+        dataclasses.replace(load_motion("trot"), cycle=None).save(files["once"])
+    done = run("deploy", *[a.format(**files) for a in arguments])
+    assert said in done.error
+    assert sorted(path.name for path in taken.iterdir()) == ["thesis.txt"]
+    assert not (in_folder / "runs").exists()
+
+
+def test_a_damaged_log_is_said_to_be_one(run: Run, in_folder: Path) -> None:
+    run("deploy", "stand", *QUICK, "--out", "there")
+    with np.load("there/log.npz") as file:
+        arrays = {key: file[key] for key in file.files if key != "reading_quat"}
+    np.savez("cut.npz", **arrays)
+    assert "cut.npz: the log is damaged" in run("evaluate", "cut.npz").error

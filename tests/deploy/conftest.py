@@ -1,0 +1,43 @@
+"""A robot, a motion and the way into it; made once, since a way takes seconds to make."""
+
+import pytest
+
+from deploy.rig import Rig
+from fastmimic.control.config import default_config
+from fastmimic.deploy.itinerary import Itinerary, make_itinerary
+from fastmimic.motion.motion import Motion
+from fastmimic.pipeline import load_motion
+from fastmimic.play.library import standing
+from fastmimic.robot import Robot, load_robot
+
+
+@pytest.fixture(scope="session")
+def a1() -> Robot:
+    return load_robot("a1")
+
+
+@pytest.fixture(scope="session")
+def trot(a1: Robot) -> Motion:
+    return load_motion("trot", a1)
+
+
+@pytest.fixture(scope="session")
+def way(a1: Robot, trot: Motion) -> Itinerary:
+    return make_itinerary(a1, trot, default_config())
+
+
+@pytest.fixture(scope="session")
+def standstill(a1: Robot) -> Itinerary:
+    return make_itinerary(a1, standing(a1), default_config())
+
+
+@pytest.fixture
+def trotting(a1: Robot, way: Itinerary) -> Rig:
+    """A deployment of the trot in lock step."""
+    return Rig(a1, way)
+
+
+@pytest.fixture
+def stands(a1: Robot, standstill: Itinerary) -> Rig:
+    """A deployment that only stands up, stands and sits down: short."""
+    return Rig(a1, standstill)

@@ -1,0 +1,278 @@
+"""From lying to lying: what is done, in which order, and what it is worth."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from deploy.rig import Rig, once
+from fastmimic.control.config import default_config
+from fastmimic.control.state import COMMAND
+from fastmimic.deploy.clock import VirtualClock
+from fastmimic.deploy.deployment import Deployment
+from fastmimic.deploy.itinerary import Follower, Itinerary, make_itinerary
+from fastmimic.deploy.link import LinkConfig
+from fastmimic.deploy.log import DeploymentLog
+from fastmimic.deploy.pilot import Phase
+from fastmimic.deploy.safety import StopReason
+from fastmimic.deploy.scoring import score_log
+from fastmimic.deploy.sim import SimDriver
+from fastmimic.errors import ConfigError, DriverError
+from fastmimic.motion.motion import Motion
+from fastmimic.motion.stitch import stitch_motions
+from fastmimic.pipeline import evaluate, load_motion
+from fastmimic.robot import Robot
+from fastmimic.simulation.conditions import Conditions
+
+
+@pytest.fixture(scope="module")
+def trotted(a1: Robot, way: Itinerary) -> tuple[Rig, Deployment]:
+    """Six cycles of the trot. Not to be changed."""
+    rig = Rig(a1, way)
+    return rig, rig.run(cycles=6)
+
+
+def test_it_stands_up_trots_and_sits_down(trotted: tuple[Rig, Deployment]) -> None:
+    _, done = trotted
+    result = done.result
+    assert done.outcome.stopped_by is StopReason.CYCLES
+    assert not result["fell"]
+    phases = done.log.rows["phase"]
+    assert list(dict.fromkeys(phases.tolist())) == [int(p) for p in Phase if p < Phase.DONE]
+    truth = done.log.truth
+    assert truth is not None
+    walked = truth["root_pos"][-1, :2] - truth["root_pos"][0, :2]
+    assert walked[0] > 2.0, "m, forwards"
+    height = truth["root_pos"][:, 2]
+    assert height[phases == Phase.SETTLE].min() > 0.25, "m: it stands"
+    assert height[-1] < 0.15, "m: it lies"
+    assert truth["other_contact"][phases == Phase.FOLLOW].max() == 0.0
+    last = done.log.rows["command"][-1]
+    assert last["stiffness"].max() < 1e-9, "it has been let go"
+    assert 6.0 <= result["cycles"] <= 7.1
+    assert result["deadline_misses"] == result["periods_skipped"] == 0
+    assert result["packets"]["lost"] == result["packets"]["rejected"] == 0
+
+
+def test_everything_that_is_sent_is_within_the_limits(trotted: tuple[Rig, Deployment], a1: Robot) -> None:
+    sent = np.concatenate(trotted[0].driver.written)
+    assert np.isfinite(sent.view(np.float64)).all()
+    assert (sent["joint_pos"] >= a1.joint_lower).all()
+    assert (sent["joint_pos"] <= a1.joint_upper).all()
+    assert (np.abs(sent["torque"]) <= a1.torque_limit).all()
+    assert (np.abs(sent["joint_vel"]) <= a1.joint_speed_limit).all()
+
+
+def test_the_reward_is_that_of_the_closed_loop_with_sensors(trotted: tuple[Rig, Deployment], a1: Robot) -> None:
+    rig, done = trotted
+    conditions = Conditions(observe="sensors")
+    loop = evaluate(rig.itinerary.motion, a1, duration_s=3.0, conditions=conditions).rollout
+    assert done.result["reward_truth_mean"] == pytest.approx(loop.reward[0], abs=0.02)
+    lifted = np.array(done.result["swing_clearance_truth_m"])
+    np.testing.assert_allclose(lifted, loop.clearance[0], atol=0.005)  # m
+    assert done.result["reward_mean"] == pytest.approx(done.result["reward_truth_mean"], abs=0.05)
+
+
+def test_lock_step_is_the_same_every_time(a1: Robot, standstill: Itinerary) -> None:
+    first, second = Rig(a1, standstill).run(), Rig(a1, standstill).run()
+    assert first.log.rows.tobytes() == second.log.rows.tobytes()
+    assert first.result == second.result
+
+
+def test_a_wire_that_loses_and_delays_is_survived(trotting: Rig, a1: Robot) -> None:
+    trotting.put_in(SimDriver(a1, trotting.clock, link=LinkConfig(latency_s=0.004, loss=0.05)))
+    done = trotting.run(duration_s=3.0)
+    assert done.outcome.stopped_by is StopReason.DURATION
+    assert not done.result["fell"]
+    packets = done.result["packets"]
+    assert 0.03 < packets["lost"] / packets["received"] < 0.08
+    assert done.result["reward_truth_mean"] > 0.85
+
+
+def test_what_is_wrong_with_messages_is_counted_and_not_used(stands: Rig, a1: Robot) -> None:
+    link = LinkConfig(duplicated=0.05, reordered=0.05, corrupted=0.05, not_finite=0.02)
+    stands.put_in(SimDriver(a1, stands.clock, link=link))
+    done = stands.run()
+    assert done.outcome.stopped_by is StopReason.DURATION
+    packets = done.result["packets"]
+    assert 0.1 < packets["rejected"] / packets["received"] < 0.25
+    sequence = done.log.rows["sequence"]
+    assert (np.diff(sequence) >= 0).all()
+    assert np.isfinite(done.log.rows["reading"]["joint_pos"]).all()
+
+
+def test_a_person_has_it_sit_down(trotting: Rig) -> None:
+    def press(pilot: object) -> None:
+        trotting.switch.leave = True
+
+    done = trotting.run(endless=True, watch=once(lambda pilot: pilot.in_motion, press))
+    assert done.outcome.stopped_by is StopReason.ASKED
+    assert 0.0 < done.result["cycles"] <= 1.1
+    assert done.log.rows["phase"][-1] == Phase.RELEASE
+
+
+def test_asked_while_it_stands_up_it_does_not_begin_to_step(trotting: Rig) -> None:
+    trotting.switch.leave = True
+    done = trotting.run()
+    assert done.outcome.stopped_by is StopReason.ASKED
+    assert Phase.FOLLOW not in done.log.rows["phase"]
+    assert done.result["reward_mean"] is None
+
+
+def test_a_robot_that_stands_already_does_not_lie_down_first(stands: Rig, a1: Robot) -> None:
+    stands.put_in(SimDriver(a1, stands.clock, start="standing"))
+    done = stands.run()
+    assert done.outcome.stopped_by is StopReason.DURATION
+    assert Phase.FOLD not in done.log.rows["phase"]
+    truth = done.log.truth
+    assert truth is not None
+    assert truth["root_pos"][done.log.rows["phase"] <= Phase.FOLLOW, 2].min() > 0.2
+
+
+def test_the_reference_goes_on_where_one_stretch_ends_and_the_next_begins(way: Itinerary, a1: Robot) -> None:
+    tables = [way.way_in.table[0], way.main.table[0], way.way_out.table[0]]
+    ends = (tables[0][way.way_in.last], tables[1][way.main.first]), (tables[1][way.main.last], tables[2][0])
+    for before, after in ends:
+        np.testing.assert_allclose(before["joint_pos"], after["joint_pos"], atol=0.01)
+        np.testing.assert_array_equal(before["contact"], after["contact"])
+        assert before["root_pos"][2] == pytest.approx(after["root_pos"][2], abs=1e-6)
+    for table in (tables[0][: way.way_in.last], tables[2]):
+        speed = np.abs(np.diff(table["joint_pos"], axis=0)).max() * 500.0
+        assert speed < a1.joint_speed_limit.min()
+        moved = np.linalg.norm(np.diff(table["root_pos"], axis=0), axis=1).max() * 500.0
+        assert moved < 2.0, "m/s"
+
+
+def test_a_stitched_motion_is_done_once(a1: Robot, trot: Motion) -> None:
+    stitched = stitch_motions(a1, [trot, load_motion("turn", a1)], [2, 2])
+    way = make_itinerary(a1, stitched, default_config())
+    follower = Follower(way)
+    root, steps, feet = np.zeros((1, 3)), 0, []
+    while not follower.done:
+        follower.advance(root)
+        steps += follower.in_motion
+        feet.append(follower.table["joint_pos"][follower.clock["sample"][0]])
+        assert len(feet) < 20_000
+    assert stitched.n_samples - trot.n_samples <= steps <= stitched.n_samples
+    speed = np.abs(np.diff(feet, axis=0)).max() * 500.0
+    assert speed < 1.2 * a1.joint_speed_limit.min()
+
+
+def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:
+    log = stands.run().log
+    log.meta["driver"] = "sim"
+    log.save(tmp_path / "log.npz")
+    again = DeploymentLog.load(tmp_path / "log.npz")
+    assert again.rows.tobytes() == log.rows.tobytes()
+    assert again.truth is not None
+    assert log.truth is not None
+    assert again.truth.tobytes() == log.truth.tobytes()
+    assert again.meta["result"]["periods"] == len(log.rows)
+    assert again.motion.joint_pos.tobytes() == log.motion.joint_pos.tobytes()
+    score = score_log(a1, again)
+    assert score is not None
+    assert score.reward[0] == log.meta["result"]["reward_mean"]
+
+
+def test_a_long_run_keeps_its_end(stands: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fastmimic.deploy.deployment.LOGGED_S", 0.5)
+    monkeypatch.setattr("fastmimic.deploy.deployment._MARGIN_S", 0.0)
+    said: list[str] = []
+    done = stands.run(note=said.append)
+    rows = done.log.rows
+    assert len(rows) < done.result["periods"]
+    np.testing.assert_allclose(np.diff(rows["time_s"]), 0.002, atol=1e-9)
+    assert rows["phase"][-1] == Phase.RELEASE
+    assert "not in the log" in said[0]
+
+
+def test_a_dry_run_sends_nothing(stands: Rig) -> None:
+    done = stands.run(dry_run=True)
+    assert stands.driver.written == []
+    assert done.outcome.stopped_by is StopReason.DURATION, "it went through all of it"
+    assert not done.log.rows["sent"].any()
+    standing = done.log.rows[done.log.rows["phase"] == Phase.SETTLE]["command"]
+    assert standing["stiffness"].min() > 100.0, "the commands were computed"
+    assert any("posture" in line for line in done.noted), "the robot lay all the time"
+
+
+def test_no_state_within_three_seconds(stands: Rig, a1: Robot) -> None:
+    stands.put_in(SimDriver(a1, stands.clock, link=LinkConfig(loss=1.0)))
+    with pytest.raises(DriverError, match="no state of the robot within 3 s"):
+        stands.run()
+    assert stands.clock.now() == pytest.approx(3.0, abs=0.01)
+    assert stands.driver.written == []
+    assert stands.driver.closed == 1
+
+
+def test_called_off_nothing_is_sent(stands: Rig) -> None:
+    with pytest.raises(DriverError, match="called off"):
+        stands.run(on_ready=lambda: False)
+    assert stands.driver.written == []
+
+
+def test_stopped_while_it_prepares_nothing_is_sent(stands: Rig) -> None:
+    stands.switch.signals = 1
+    with pytest.raises(DriverError, match="called off"):
+        stands.run()
+    assert stands.driver.written == []
+
+
+def test_a_robot_on_its_side_is_not_made_to_stand(stands: Rig) -> None:
+    def rolled(state):
+        state.reading["quat"] = np.cos(0.7), np.sin(0.7), 0.0, 0.0
+        return state
+
+    stands.driver.change = rolled
+    with pytest.raises(DriverError, match=r"not fit to begin: the trunk's tilt is 1\.4"):
+        stands.run()
+    assert stands.driver.written == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"cycles": 2, "duration_s": 3.0}, "cycles and duration"),
+        ({"cycles": 0}, "at least 1"),
+        ({"duration_s": -1.0}, "must be positive"),
+        ({"solve_rate_hz": 100.0}, "does not plan ahead"),
+    ],
+)
+def test_arguments_that_cannot_be(arguments: dict, said: str, stands: Rig) -> None:
+    with pytest.raises(ConfigError, match=said):
+        stands.run(**({"duration_s": None} | arguments))
+    assert stands.driver.opened == 0
+
+
+def test_without_commands_the_simulated_robot_damps_by_itself(a1: Robot) -> None:
+    """What a robot does whose computer has died."""
+    clock = VirtualClock()
+    hold = np.zeros(1, COMMAND)
+    hold["stiffness"], hold["damping"], hold["joint_pos"] = 120.0, 3.0, a1.home_joint_pos
+    with SimDriver(a1, clock, start="standing") as sim:
+        for _ in range(100):
+            clock.time_s += 0.002
+            sim.read()
+            sim.write(hold)
+        stood = sim.truth[-1]["root_pos"][2]
+        assert not sim.damped
+        for _ in range(500):
+            clock.time_s += 0.002
+            sim.read()
+        assert sim.damped
+        assert sim.truth[-1]["root_pos"][2] < 0.6 * stood
+
+
+def test_a_simulated_robot_that_nobody_looked_at_stood_still(a1: Robot) -> None:
+    clock = VirtualClock()
+    with SimDriver(a1, clock) as sim:
+        sim.read()
+        clock.time_s += 100.0
+        assert sim.read() is not None
+        assert sim.tick <= 2
+
+
+def test_a_link_says_what_it_cannot_be() -> None:
+    with pytest.raises(ConfigError, match="loss must be a share"):
+        LinkConfig(loss=1.5)
+    assert dataclasses.replace(LinkConfig(), latency_s=0.01).perfect
