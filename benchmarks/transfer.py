@@ -32,14 +32,14 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/transfer"))
     parser.add_argument("--write", action="store_true", help="put the table into docs/robustness.md")
     args = parser.parse_args()
-    given = ["--trials", str(args.trials), "--iterations", str(args.iterations), "--out", str(args.out)]
+    given = ["--identify", "--trials", str(args.trials), "--iterations", str(args.iterations), "--out", str(args.out)]
     resume = ["--resume"] if (args.out / ENVIRONMENT).is_file() else []
     status = fastmimic(["transfer", *args.motions, "--methods", *args.methods, *given, *resume])
     if status:
         sys.exit(status)
     if args.write:
         command = f"fastmimic transfer {' '.join(args.motions)} --methods {' '.join(args.methods)}"
-        command += f" --trials {args.trials} --iterations {args.iterations}"
+        command += f" --identify --trials {args.trials} --iterations {args.iterations}"
         table = (args.out / TABLE).read_text(encoding="utf-8").strip()
         put(DOCS / "robustness.md", "transfer", f"`{command}`\n\n{table}")
         shutil.copyfile(args.out / FIGURE, DOCS / "images" / "transfer.png")
