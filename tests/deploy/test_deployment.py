@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from deploy.rig import Rig, once
-from fastmimic.control.config import default_config
-from fastmimic.control.state import COMMAND
+from fastmimic.control.config import RecoveryConfig, default_config
+from fastmimic.control.state import COMMAND, OBSERVATION
 from fastmimic.deploy.clock import VirtualClock
 from fastmimic.deploy.deployment import Deployment
 from fastmimic.deploy.itinerary import Follower, Itinerary, make_itinerary
@@ -147,15 +147,32 @@ def test_a_stitched_motion_is_done_once(a1: Robot, trot: Motion) -> None:
     stitched = stitch_motions(a1, [trot, load_motion("turn", a1)], [2, 2])
     way = make_itinerary(a1, stitched, default_config())
     follower = Follower(way)
-    root, steps, feet = np.zeros((1, 3)), 0, []
+    seen, steps, feet = np.zeros(1, OBSERVATION), 0, []
     while not follower.done:
-        follower.advance(root)
+        follower.advance(seen)
         steps += follower.in_motion
         feet.append(follower.table["joint_pos"][follower.clock["sample"][0]])
         assert len(feet) < 20_000
     assert stitched.n_samples - trot.n_samples <= steps <= stitched.n_samples
     speed = np.abs(np.diff(feet, axis=0)).max() * 500.0
     assert speed < 1.2 * a1.joint_speed_limit.min()
+
+
+def test_the_reference_yields_to_a_robot_that_was_pushed(trotting: Rig) -> None:
+    config = dataclasses.replace(
+        default_config(), recovery=RecoveryConfig(enabled=True, start_error=0.02, end_error=0.01)
+    )
+    moved = {}
+    for name, chosen in (("on", config), ("off", default_config())):
+        rig = Rig(trotting.robot, trotting.itinerary)
+        done = rig.run(cycles=2, config=chosen)
+        assert done.outcome.stopped_by is StopReason.CYCLES
+        rows = done.log.rows[done.log.rows["in_motion"]]
+        moved[name] = len(np.unique(rows["origin"][:, 0]))
+    assert moved["on"] > 10 * moved["off"], "its origin moves while the robot's speed is off"
+    slow = dataclasses.replace(config, recovery=dataclasses.replace(config.recovery, phase_rate=0.5))
+    with pytest.raises(ConfigError, match=r"recovery\.phase_rate is 0\.5"):
+        trotting.run(config=slow)
 
 
 def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:

@@ -79,6 +79,11 @@ def deployed_config(
     """
     chosen, found = controller_for(motion, "rl" if learned and method is None else method, config)
     check_controller(chosen, learned)
+    if found.recovery.enabled and found.recovery.phase_rate != 1.0:
+        raise ConfigError(
+            f"recovery.phase_rate is {found.recovery.phase_rate:g}; a deployment keeps the reference at its pace: it"
+            " must be 1"
+        )
     if found.stance.forces == "horizon":
         rate = found.rate_hz if solve_rate_hz is None else solve_rate_hz
         found = dataclasses.replace(found, horizon=dataclasses.replace(found.horizon, solve_rate_hz=rate))

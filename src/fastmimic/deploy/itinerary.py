@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.control.config import ControllerConfig
+from fastmimic.control.recovery import advance_recovering
 from fastmimic.control.reference import (
     CLOCK,
     SAMPLE,
@@ -104,8 +105,13 @@ class Follower:
         done: whether the way out has come to its end.
     """
 
-    def __init__(self, itinerary: Itinerary) -> None:
-        self.itinerary = itinerary
+    def __init__(self, itinerary: Itinerary, recovery: NDArray[Any] | None = None) -> None:
+        """
+        Args:
+            itinerary: the way.
+            recovery: packed configuration of a controller whose reference yields to a robot that was pushed.
+        """
+        self.itinerary, self._recovery = itinerary, recovery
         self.begin(np.zeros(3))
 
     def begin(self, pose: Array) -> None:
@@ -118,18 +124,21 @@ class Follower:
         """Whether the present sample is one of the motion itself."""
         return self.leg is self.itinerary.main
 
-    def advance(self, root: Array) -> bool:
+    def advance(self, observation: NDArray[Any]) -> bool:
         """One control step on; returns whether another leg has begun.
 
         Args:
-            root: (1, ≥2) where the robot is, to which x and y are synchronised where a cycle starts, m.
+            observation: (1,) of `OBSERVATION`; x and y are synchronised to where the robot is where a cycle starts.
         """
         if self.done:
             return False
         way, leg = self.itinerary, self.leg
         if leg is way.main:
             self.steps += 1
-        advance_clocks(self.clock, leg.table, root)
+        if self._recovery is not None and leg is way.main:
+            advance_recovering(self._recovery, self.clock, leg.table, observation)
+        else:
+            advance_clocks(self.clock, leg.table, observation["root_pos"])
         sample = int(self.clock["sample"][0])
         if leg is way.way_out:
             self.done = sample >= leg.last

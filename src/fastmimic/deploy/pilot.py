@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.config import ControllerConfig
+from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.control.controller import Controller
 from fastmimic.control.state import COMMAND, OBSERVATION
+from fastmimic.conventions import GRAVITY
 from fastmimic.deploy.itinerary import Follower, Itinerary
 from fastmimic.deploy.safety import Guard, NotingGuard, Violation
 from fastmimic.estimation.config import EstimatorConfig
@@ -115,7 +116,8 @@ class Pilot:
         self.controller: LoopController = self._model_based
         self._failed = self.controller.memory["failed_in_a_row"]
         self.estimator = Estimator(robot, 1, config.rate_hz, estimator)
-        self.follower = Follower(itinerary)
+        recovers = config.recovery.enabled and policy is None
+        self.follower = Follower(itinerary, pack_config(config, robot.mass * GRAVITY) if recovers else None)
         self._path, _ = rising_path(robot, itinerary.stand)
         self._stiffness, self._damping = standing_gains(robot)
         self._reach = _height(robot, itinerary.stand)
@@ -215,7 +217,7 @@ class Pilot:
     def _follow(self) -> NDArray[Any]:
         """The controller's command, or the first one of sitting down."""
         observation, follower = self.estimator.observation, self.follower
-        if follower.advance(observation["root_pos"]):
+        if follower.advance(observation):
             self._switch_controller()
         self.violation = self.guard.check_estimate(observation, follower.table, follower.clock)
         if self.violation is not None:
