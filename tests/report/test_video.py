@@ -166,7 +166,7 @@ def test_three_tracks_make_a_grid_whose_last_cell_is_blank(a1: Robot, walk: Walk
     cells = [first[y : y + 82, x : x + 152] for y in (4, 94) for x in (4, 164)]
     dark = [np.mean(cell.max(axis=-1) < 90) for cell in cells]
     assert all(share > 0.02 for share in dark[:3])
-    assert np.ptp(cells[3], axis=(0, 1)).max() < 8
+    assert np.ptp(cells[3], axis=(0, 1)).max() < 16  # the encoder's, where a robot would be 150
     np.testing.assert_allclose(cells[0], cells[2], atol=60)  # the same robot, the same camera
 
 

@@ -84,15 +84,19 @@ class _Patch:
     """A small RGBA picture at a place, with its blending worked out once."""
 
     def __init__(self, image: "Image.Image", top: int, left: int) -> None:
-        rgba = np.asarray(image, dtype=np.uint16)
-        self._keep = 255 - rgba[..., 3:]
-        self._add = rgba[..., :3] * rgba[..., 3:]
+        rgba = np.asarray(image, dtype=np.uint32)
+        opaque = (rgba[..., 3:] * 256 + 127) // 255  # of 256, so that blending ends in a shift
+        self._keep = np.broadcast_to(256 - opaque, (*rgba.shape[:2], 3)).astype(np.uint16)
+        self._add = (rgba[..., :3] * opaque).astype(np.uint16)
         self._place = (slice(top, top + rgba.shape[0]), slice(left, left + rgba.shape[1]))
 
     def blend(self, frame: NDArray[np.uint8]) -> None:
         under = frame[self._place]
         h, w = under.shape[:2]
-        frame[self._place] = (under * self._keep[:h, :w] + self._add[:h, :w]) // 255
+        mixed = under * self._keep[:h, :w]
+        mixed += self._add[:h, :w]
+        mixed >>= 8
+        frame[self._place] = mixed
 
 
 @lru_cache(maxsize=16)

@@ -33,7 +33,7 @@ class Quality:
     crf: int
 
 
-PREVIEW: Final = Quality("preview", (854, 480), 0, 0, 0.0, False, 10, "ultrafast", 25)
+PREVIEW: Final = Quality("preview", (800, 450), 0, 0, 0.0, False, 8, "ultrafast", 25)
 HIGH: Final = Quality("high", (1280, 720), 2048, 4, 0.06, True, 36, "medium", 19)
 QUALITIES: Final = {quality.name: quality for quality in (PREVIEW, HIGH)}
 

@@ -31,6 +31,7 @@ TILE_M: Final = 0.5
 """Edge of a tile of the ground."""
 _TILED_M: Final = 8.0
 """How far from the camera's point the tiles reach: the fog hides what is beyond."""
+_OVERLAP: Final = 0.05  # m
 _GROUND_M: Final = 22.0
 """How far the ground goes on; the fog hides its edge."""
 _LIGHT_TILE: Final = (0.80, 0.82, 0.84)
@@ -206,11 +207,13 @@ def _checkered(tile: float, reach: float, parity: int) -> tuple[Array, NDArray[n
 
 
 def _framed(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
-    """A square of tiles with the ground that goes on around it."""
-    inner, outer = float(vertices[..., 0].max()), _GROUND_M
+    """A square of tiles with the ground that goes on around it: under their edge, since it has none of their corners
+    and cracks would show."""
+    inner, outer = float(vertices[..., 0].max()) - _OVERLAP, _GROUND_M
     low = np.array([[-outer, inner], [-outer, -outer], [-outer, -inner], [inner, -inner]])
     high = np.array([[outer, outer], [outer, -inner], [-inner, inner], [outer, inner]])
     more, their_faces = _quads(low, high)
+    more[..., 2] = -_OVERLAP / 10
     return np.concatenate([vertices, more]), np.concatenate([faces, their_faces + 4 * len(vertices)])
 
 

@@ -41,7 +41,7 @@ _LOOK_AT_HEIGHT: Final = 0.62
 MAX_PANELS: Final = 4
 _MAX_PAINTERS: Final = 4
 _TRAIL_S: Final = 0.45
-_TRAIL_PIECES: Final = 18
+_TRAIL_PIECES: Final = 14
 _TRAIL_STEP: Final = 0.002
 """Pieces of a trail that are shorter, m, are not drawn: the foot stands."""
 _TRAIL_WIDTH: Final = 3.0
