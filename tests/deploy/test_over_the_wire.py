@@ -1,0 +1,94 @@
+"""`fastmimic deploy` and `fastmimic robot-sim`, two processes that know nothing of each other but the wire.
+
+The machine that runs tests is busy, so the limits of time are wide; how well time is kept, `benchmarks/deploy.py` says.
+"""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("cyclonedds", reason="CycloneDDS is not installed")
+
+from deploy.dds_domains import free_domain
+
+PATIENT = ("--limit", "stale_s=2", "--limit", "overrun_s=2")
+
+
+class Sim:
+    """A robot in a process of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.domain = free_domain()
+        self.truth = folder / "truth.npz"
+        options = ["--domain", str(self.domain), "--watchdog-ms", "300", "--json", "--log", str(self.truth)]
+        self._process = fastmimic("robot-sim", *options, cwd=folder)
+
+    def end(self) -> dict[str, Any]:
+        """Its account."""
+        self._process.send_signal(signal.SIGINT)
+        out, err = self._process.communicate(timeout=60)
+        assert self._process.returncode == 0, err
+        return dict(json.loads(out))
+
+    def kill(self) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.communicate()
+
+
+def fastmimic(*arguments: str, cwd: Path) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-m", "fastmimic", *arguments]
+    return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+@pytest.fixture
+def sim(tmp_path: Path) -> Iterator[Sim]:
+    robot = Sim(tmp_path)
+    yield robot
+    robot.kill()
+
+
+def deploying(sim: Sim, folder: Path, *options: str) -> "subprocess.Popen[str]":
+    where = ("--robot", "go2", "--driver", "go2", "--domain", str(sim.domain), "--yes", "--out", "there")
+    return fastmimic("deploy", "stand", *where, *PATIENT, *options, cwd=folder)
+
+
+def test_a_robot_stands_up_and_lies_down_again(sim: Sim, tmp_path: Path) -> None:
+    process = deploying(sim, tmp_path, "--duration", "1", "--json")
+    out, err = process.communicate(timeout=180)
+    assert process.returncode == 0, err
+    found, told = json.loads(out), sim.end()
+    assert (found["fell"], found["stopped_by"]) == (False, "duration")
+    assert (told["fell"], told["commands_rejected"]) == (False, 0)
+    assert found["packets"]["rejected"] == 0
+    assert told["commands_received"] >= 0.9 * found["packets"]["sent"] > 1000
+    assert found["packets"]["received"] > 1000
+    assert told["base_pos"][2] < 0.2  # it lies
+    scored = fastmimic("evaluate", "there/log.npz", "--truth", str(sim.truth), "--json", cwd=tmp_path)
+    out, err = scored.communicate(timeout=120)
+    assert scored.returncode == 0, err
+    assert json.loads(out)["reward_mean"] > 0.9  # by what the robot really did
+
+
+def test_whose_program_is_killed_while_it_stands_damps_itself(sim: Sim, tmp_path: Path) -> None:
+    process = deploying(sim, tmp_path, "--endless")
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "passing into stand" in line:
+            break
+    time.sleep(1.0)
+    assert process.poll() is None
+    process.kill()
+    process.communicate()
+    time.sleep(3.0)
+    told = sim.end()
+    assert told["damped"] == 1
+    assert told["damped_s"] > 1.0
+    assert told["base_pos"][2] < 0.2
