@@ -47,7 +47,8 @@ class Packets:
 
 
 class RobotDriver(Protocol):
-    """What the real-time loop needs of a robot. A driver is a context manager: leaving it closes it.
+    """What the real-time loop needs of a robot. A driver derives from it, and is a context manager:
+    leaving it closes it.
 
     Errors:
         `fastmimic.errors.DriverError` from `open` for everything that a user can mend: a missing extra, an interface
@@ -69,11 +70,14 @@ class RobotDriver(Protocol):
     def close(self) -> None:
         """Disconnects; sends nothing. Closing twice is allowed."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        self.open()
+        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    ) -> None:
+        self.close()
 
 
 def damping_command(damping: float = 3.0) -> NDArray[Any]:

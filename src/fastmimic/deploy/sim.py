@@ -1,14 +1,13 @@
 """A robot in this process: MuJoCo behind the drivers' interface, with sensors, a wire, and a watchdog of its own."""
 
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.control.state import COMMAND, OBSERVATION
 from fastmimic.deploy.clock import Clock, VirtualClock
-from fastmimic.deploy.driver import LowState, Packets, damping_command
+from fastmimic.deploy.driver import LowState, Packets, RobotDriver, damping_command
 from fastmimic.deploy.link import Link, LinkConfig, Receiver
 from fastmimic.errors import ConfigError
 from fastmimic.estimation.reading import READING
@@ -32,7 +31,7 @@ _MOST_BEHIND_S: Final = 0.25
 _BLOCK: Final = 4096
 
 
-class SimDriver:
+class SimDriver(RobotDriver):
     """One simulated robot. Time passes in it when it is read from, up to the clock's present moment: with a
     `VirtualClock` in lock step with whoever reads, with a `RealClock` in real time.
 
@@ -132,15 +131,6 @@ class SimDriver:
     def close(self) -> None:
         """Ends it."""
         self._open = False
-
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _catch_up(self, now: float) -> None:
         """Simulates the control periods up to now."""

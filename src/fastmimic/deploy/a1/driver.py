@@ -8,13 +8,12 @@ turn. Legs come FR, FL, RR, RL, the quaternion w, x, y, z, angles and signs as i
 import importlib
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.deploy.driver import LowState, Packets
+from fastmimic.deploy.driver import LowState, Packets, RobotDriver
 from fastmimic.deploy.identity import impossible_joint
 from fastmimic.errors import DriverError
 from fastmimic.estimation.reading import READING
@@ -33,7 +32,7 @@ _POLL_S: Final = 0.0002
 _ASK_S: Final = 0.002
 
 
-class A1Driver:
+class A1Driver(RobotDriver):
     """A `RobotDriver`.
 
     The A1 answers those who write to it: until the first state, `open` writes commands without gains or torque, which
@@ -101,15 +100,6 @@ class A1Driver:
     def close(self) -> None:
         """See `RobotDriver`."""
         self._interface = None
-
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _newest(self) -> NDArray[Any] | None:
         """(1,) of `READING` if there is a state that is new and makes sense."""

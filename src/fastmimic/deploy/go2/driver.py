@@ -2,14 +2,13 @@
 
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.deploy.dds import LOOPBACK, Participant, Reader, Writer
-from fastmimic.deploy.driver import LowState, Packets
+from fastmimic.deploy.driver import LowState, Packets, RobotDriver
 from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowCommand, Received, StateWire
 from fastmimic.deploy.go2.services import release_motion_service
@@ -29,7 +28,7 @@ _LISTEN_S: Final = 0.3  # for somebody else's commands
 _LYING: Final = 0.6  # share of the height in the home pose
 
 
-class Go2Driver:
+class Go2Driver(RobotDriver):
     """A `RobotDriver`.
 
     States are rejected whose checksum is wrong, that are not finite or have no orientation, that are from another
@@ -121,15 +120,6 @@ class Go2Driver:
         if self._participant is not None:
             self._participant.close()
             self._participant = None
-
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _newest(self, taken: int) -> NDArray[Any] | None:
         """Counts what was taken; (1,) of `READING` of the newest state in it that is good."""
