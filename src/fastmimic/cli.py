@@ -47,6 +47,7 @@ VERBS: Final = {
     "identify": Verb("identify", "Identify", "tell friction and payload from a logged run, for all motions"),
     "stitch": Verb("stitch", "Stitch", "join several motions to one that the robot can execute"),
     "retarget": Verb("retarget", "Retarget", "turn an animal's clip into a robot motion, without optimising it"),
+    "library": Verb("library", "Libraries", "build a dataset of motions from takes and clips, list it, check it"),
     "export": Verb("export", "Export", "write a robot motion for other trainers"),
     "segment": Verb("segment", "SegmentTake", "find the locomotion cycles in a long take"),
     "inspect": Verb("inspect", "Inspect", "say what a clip or a robot motion is"),

@@ -52,6 +52,14 @@ class DeploymentError(FastMimicError):
     """The log of a deployment that cannot be read or used."""
 
 
+class WorkerError(FastMimicError):
+    """A job whose process or machine died each time that it was begun."""
+
+
+class LibraryError(FastMimicError):
+    """A motion library that is damaged, or of other settings than those asked for."""
+
+
 class CheckpointError(FastMimicError):
     """A checkpoint that is damaged or belongs to another problem."""
 

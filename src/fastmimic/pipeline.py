@@ -33,7 +33,7 @@ from fastmimic.motion.formats import detect_format
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.retarget import retarget
 from fastmimic.optimize.cma_es import CmaSettings, History, Progress, optimize
-from fastmimic.optimize.parameters import Parameter
+from fastmimic.optimize.parameters import Parameter, moved_by
 from fastmimic.optimize.problem import Objective
 from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization, randomization
 from fastmimic.optimize.stitching import make_problem
@@ -247,6 +247,7 @@ def imitate(
     n_basis: int = N_BASIS,
     controller: MakeController | None = None,
     randomize: int | Randomization | None = None,
+    warm_start: str | Path | Motion | None = None,
     **overrides: Any,
 ) -> Imitation:
     """Turns a motion into one that the robot can execute: retarget, fit DMPs, optimise with the robot in the loop.
@@ -265,6 +266,8 @@ def imitate(
         n_basis: basis functions of each DMP.
         controller: of a trained policy, as in `evaluate`; for the method rl, which optimises nothing.
         randomize: over which robots each candidate is scored, or just over how many; None for the robot as it is.
+        warm_start: an optimised motion, or its file, modulated like which the search begins; None for the unmodulated
+            motion.
         overrides: as in `load_motion`.
 
     Raises:
@@ -278,6 +281,7 @@ def imitate(
     over = randomization(randomize)
     if over is not None and not chosen.optimises:
         raise ConfigError(f"randomisation is of a search, and method '{method}' has none; leave it out")
+    moved = _warm(warm_start, chosen)
     began = time.perf_counter()
     given = load_motion(source, robot, **overrides)
     demonstration = given.target
@@ -312,6 +316,7 @@ def imitate(
         group=chosen.parameters,
         workers=workers,
         n_basis=n_basis,
+        moved=moved,
     )
     prepared = time.perf_counter() - began
     optimum = optimize(problem, settings, checkpoint=checkpoint, resume=resume, progress=progress)
@@ -339,6 +344,15 @@ def imitate(
         interrupted=optimum.interrupted,
         held_out=held_out,
     )
+
+
+def _warm(given: str | Path | Motion | None, method: Method) -> dict[str, float] | None:
+    """How the motion is modulated that a search begins from."""
+    if given is None:
+        return None
+    if not method.optimises:
+        raise ConfigError(f"a warm start is of a search, and method '{method.name}' has none; leave it out")
+    return moved_by(given if isinstance(given, Motion) else Motion.load(given))
 
 
 def _held_out(

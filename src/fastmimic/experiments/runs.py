@@ -250,28 +250,86 @@ def _row(
     run: Run, settings: Settings, result: Imitation, folder: Path, controller: MakeController | None = None
 ) -> Row:
     robot, demonstration = result.robot, result.demonstration
-    method = method_named(run.method)
-    seconds = _length(demonstration, settings.evaluation_s)
+    measured = measure(
+        result,
+        evaluation_s=settings.evaluation_s,
+        perturbed_episodes=settings.perturbed_episodes,
+        controller=controller,
+    )
+    _save_tracking(folder / TRACKING, demonstration, measured.before, measured.after, robot)
+    found = {
+        "motion": run.motion,
+        "method": run.method,
+        "variant": run.variant,
+        "seed": run.seed,
+        **measured.figures,
+        "evaluations": result.evaluations,
+        "iterations": result.iterations,
+        "simulated_s": result.simulated_s + measured.simulated_s,
+        "robot": robot.name,
+        "config": settings.config,
+        "duration_s": settings.duration_s,
+        "population": settings.population,
+        "evaluation_s": measured.seconds,
+        "perturbed_episodes": settings.perturbed_episodes,
+        "parameters": named_values(result),
+        **{f"{name}_version": v for name, v in versions().items()},
+    }
+    return {name: plain(value) for name, value in found.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What a motion is worth, evaluated like every other.
+
+    Attributes:
+        figures: those of a row, JSON-serialisable.
+        before, after: the nominal episodes of the demonstration and of the motion, logged.
+        seconds: their length, s.
+        simulated_s: simulated in all, s.
+    """
+
+    figures: Row
+    before: Rollout
+    after: Rollout
+    seconds: float
+    simulated_s: float
+
+
+def measure(
+    result: Imitation,
+    *,
+    evaluation_s: float = EVALUATION_S,
+    perturbed_episodes: int = PERTURBED_EPISODES,
+    controller: MakeController | None = None,
+) -> Measured:
+    """Evaluates what a method has made of a motion: one nominal episode, and others from perturbed starts that are the
+    same for every motion and that no optimisation has seen.
+
+    Args:
+        result: of `imitate`.
+        evaluation_s: length of the episodes, s; a motion that does not repeat ends them at the latest.
+        perturbed_episodes: how many begin perturbed.
+        controller: of a learned method.
+    """
+    robot, demonstration = result.robot, result.demonstration
+    method = method_named(result.method)
+    seconds = _length(demonstration, evaluation_s)
 
     def episode(motion: Motion) -> Rollout:
         return run_episodes(robot, motion, duration_s=seconds, config=result.config, log=True, controller=controller)
 
     after = episode(result.motion)
     before = episode(demonstration) if method.optimises else after
-    _save_tracking(folder / TRACKING, demonstration, before, after, robot)
     rng = np.random.default_rng(_EVALUATION_SEED)
     room = _room(demonstration, seconds)
-    start = perturbed_start(settings.perturbed_episodes + 1, room, rng).part(slice(1, None))
+    start = perturbed_start(perturbed_episodes + 1, room, rng).part(slice(1, None))
     rough = run_episodes(
         robot, result.motion, start=start, duration_s=seconds, config=result.config, controller=controller
     )
     clearance = after.clearance[0]
     share = clearance / swing_clearance(demonstration, robot.foot_radius)
     found = {
-        "motion": run.motion,
-        "method": run.method,
-        "variant": run.variant,
-        "seed": run.seed,
         "reward": after.reward[0],
         "reward_before": before.reward[0],
         "reward_perturbed": rough.reward.mean(),
@@ -291,21 +349,14 @@ def _row(
         "foot_x_rmse_before_m": _rms(before.foot_rmse[0, :, 0]),
         "foot_x_rmse_after_m": _rms(after.foot_rmse[0, :, 0]),
         **{f"reward_{name}": value for name, value in zip(TERMS, after.terms[0], strict=True)},
-        "evaluations": result.evaluations,
-        "iterations": result.iterations,
-        "simulated_s": result.simulated_s + seconds * (1 + method.optimises + settings.perturbed_episodes),
-        "robot": robot.name,
-        "config": settings.config,
-        "duration_s": settings.duration_s,
-        "population": settings.population,
-        "evaluation_s": seconds,
-        "perturbed_episodes": settings.perturbed_episodes,
-        "parameters": " ".join(
-            f"{p.name}={v!r}" for p, v in zip(result.parameters, result.values.tolist(), strict=True)
-        ),
-        **{f"{name}_version": v for name, v in versions().items()},
     }
-    return {name: _plain(value) for name, value in found.items()}
+    simulated_s = seconds * (1 + method.optimises + perturbed_episodes)
+    return Measured({name: plain(value) for name, value in found.items()}, before, after, seconds, simulated_s)
+
+
+def named_values(result: Imitation) -> str:
+    """The parameters found, by name, with all their digits."""
+    return " ".join(f"{p.name}={v!r}" for p, v in zip(result.parameters, result.values.tolist(), strict=True))
 
 
 def _length(motion: Motion, seconds: float) -> float:
@@ -369,8 +420,8 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _plain(value: Any) -> Any:
-    """A plain JSON value; None in place of NaN."""
+def plain(value: Any) -> Any:
+    """The value as a plain JSON value; None in place of NaN."""
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -127,7 +127,7 @@ def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segme
     """
     config = config if config is not None else SegmentConfig()
     if clip.is_cycle and clip.n_frames <= config.longest_s * clip.rate_hz:
-        return [_whole_cycle(_take(clip), config)]
+        return [as_one_cycle(clip, config)]
     fewest = 2 * math.ceil(config.shortest_s * clip.rate_hz)
     if clip.n_frames < fewest:
         raise ClipError(
@@ -144,8 +144,10 @@ def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segme
     return _with_the_rest(take, segments, aperiodicity, config)
 
 
-def _whole_cycle(take: _Take, config: SegmentConfig) -> Segment:
-    """The only segment of a clip that is a cycle."""
+def as_one_cycle(clip: Clip, config: SegmentConfig | None = None) -> Segment:
+    """A clip that is taken for one cycle, whether or not it is: its gait, speed and turning, and how well it closes."""
+    config = config if config is not None else SegmentConfig()
+    take = _take(clip)
     n = len(take.heading)
     piece = _piece(take, 0, n, float(n))
     x = take.toes.reshape(n, -1)

@@ -3,12 +3,13 @@
 To open others, add them to `PARAMETER_GROUPS`; each group holds all of those before it.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from fastmimic.conventions import LEGS
 from fastmimic.errors import ConfigError, MotionError, did_you_mean
+from fastmimic.motion.motion import Motion
 from fastmimic.primitive import MotionDmp
 
 FOOT_HEIGHT: Final = "foot-height"
@@ -123,3 +124,42 @@ def _check_group(group: str) -> None:
             f"unknown parameters '{group}'; there are {', '.join(PARAMETER_GROUPS)}"
             f"{did_you_mean(group, PARAMETER_GROUPS)}"
         )
+
+
+def moved_by(motion: Motion) -> dict[str, float]:
+    """How an optimised cyclic motion was modulated, by parameter: baselines by how far they are from the fitted ones,
+    amplitudes as they are. Another motion can begin there.
+
+    Raises:
+        MotionError: the motion was not optimised, or its `meta` cannot be read.
+    """
+    dmp = motion.meta.get("dmp")
+    if motion.demonstration is None or dmp is None:
+        raise MotionError(
+            f"motion '{motion.name}' was not optimised as one cycle: there is nothing in it to begin from"
+        )
+    try:
+        found: dict[str, float] = {}
+        for i, name in enumerate(dmp["names"]):
+            found[f"{name}.{_GOAL}"] = float(dmp["goal"][i]) - float(dmp["fitted_goal"][i])
+            found[f"{name}.{_AMPLITUDE}"] = float(dmp["amplitude"][i])
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise MotionError(f"motion '{motion.name}': the DMP parameters in its 'meta' are damaged ({error!r})") from None
+    return found
+
+
+def begun_at(parameters: Sequence[Parameter], moved: Mapping[str, float]) -> list[float]:
+    """Values of parameters that are modulated as another motion is, within their bounds.
+
+    Args:
+        parameters: of a motion.
+        moved: of the other one, see `moved_by`; parameters that it does not name stay as they are.
+    """
+    found = []
+    for parameter in parameters:
+        value = parameter.initial
+        if parameter.name in moved:
+            relative = parameter.name.endswith(f".{_GOAL}")
+            value = moved[parameter.name] + (parameter.initial if relative else 0.0)
+        found.append(min(max(value, parameter.lower), parameter.upper))
+    return found

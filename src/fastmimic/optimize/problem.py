@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -26,7 +26,7 @@ from fastmimic.errors import ConfigError
 from fastmimic.imitation.rollout import ClosedLoop, Rollout, Start, nominal_start, perturbed_start, swing_clearance
 from fastmimic.machine import available_cores
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.parameters import FOOT_HEIGHT, Parameter, parameters_of_group
+from fastmimic.optimize.parameters import FOOT_HEIGHT, Parameter, begun_at, parameters_of_group
 from fastmimic.optimize.randomization import Randomization
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.coordinates import FEET
@@ -242,6 +242,7 @@ class ImitationProblem(Problem):
         objective: Objective | None = None,
         config: ControllerConfig | None = None,
         workers: int | None = None,
+        moved: Mapping[str, float] | None = None,
     ) -> None:
         """
         Args:
@@ -251,6 +252,7 @@ class ImitationProblem(Problem):
             group: what is optimised, one of `PARAMETER_GROUPS`.
             objective: how candidates are scored.
             config: the controller's.
+            moved: modulated like which motion the search begins, see `moved_by`; unmodulated if None.
             workers: threads; one for each core if None.
 
         Raises:
@@ -259,6 +261,7 @@ class ImitationProblem(Problem):
         objective = objective if objective is not None else Objective()
         parameters = parameters_of_group(group, dmp)
         super().__init__(robot, demonstration, parameters, objective=objective, config=config, workers=workers)
+        self._start = np.array(begun_at(parameters, moved or {}))
         self.dmp = dmp
         self._steps = max(1, math.ceil(self.objective.duration_s * self.config.rate_hz - 1e-9))
         if self._steps < demonstration.n_samples:  # what no episode reaches would be optimised blindly
@@ -268,6 +271,11 @@ class ImitationProblem(Problem):
         self._goals = {i: dmp.index(name) for i, name in self._moved("goal")}
         self._amplitudes = {i: dmp.index(name) for i, name in self._moved("amplitude")}
         self._moves_root = min((*self._goals.values(), *self._amplitudes.values())) < FEET.start
+
+    @property
+    def start(self) -> Array:
+        """(k,) where the search begins: usually the unmodulated motion."""
+        return self._start
 
     @property
     def steps(self) -> int:

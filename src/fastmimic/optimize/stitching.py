@@ -198,15 +198,18 @@ def make_problem(
     group: str = FOOT_HEIGHT,
     workers: int | None = None,
     n_basis: int = N_BASIS,
+    moved: Mapping[str, float] | None = None,
 ) -> Problem:
     """The problem of optimising a motion: of its cycle or, if it is stitched, of its segments from where they are.
 
     Raises:
-        ConfigError: no such group of parameters.
+        ConfigError: no such group of parameters, or a stitched motion is to begin like another one.
         MotionError: the motion neither repeats nor is a stitched one.
     """
     demonstration = motion.target
     if demonstration.cycle is None and demonstration.parts:
+        if moved is not None:
+            raise ConfigError(f"'{motion.name}' is a stitched motion, whose search begins at its own parts' optima")
         own = motion.meta["stitch"].get("parameters") or {}
         names = {name.rpartition("/")[2]: value for name, value in own.items()}
         return StitchedProblem(
@@ -220,7 +223,9 @@ def make_problem(
             n_basis=n_basis,
         )
     dmp = MotionDmp.fit(demonstration, robot, n_basis)
-    return ImitationProblem(robot, demonstration, dmp, group=group, objective=objective, config=config, workers=workers)
+    return ImitationProblem(
+        robot, demonstration, dmp, group=group, objective=objective, config=config, workers=workers, moved=moved
+    )
 
 
 def parameters_of(motion: Motion) -> dict[str, float]:

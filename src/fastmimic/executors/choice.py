@@ -1,0 +1,31 @@
+"""The executors by name."""
+
+from typing import Final
+
+from fastmimic.errors import ConfigError, did_you_mean
+from fastmimic.executors.base import Executor
+from fastmimic.executors.local import LocalExecutor
+
+EXECUTORS: Final = {"local": "processes on this machine", "ray": "a Ray cluster"}
+
+
+def make_executor(name: str, *, workers: int | None = None, address: str | None = None) -> Executor:
+    """The executor of that name.
+
+    Args:
+        name: one of `EXECUTORS`.
+        workers: how many jobs at a time; one for each core if None.
+        address: of a running Ray cluster.
+
+    Raises:
+        ConfigError: an unknown name, fewer than one worker, an address for another than Ray, or Ray is not installed.
+    """
+    if name not in EXECUTORS:
+        raise ConfigError(f"unknown executor '{name}'; there are {', '.join(EXECUTORS)}{did_you_mean(name, EXECUTORS)}")
+    if name == "local":
+        if address is not None:
+            raise ConfigError("an address is of a Ray cluster; the executor 'local' has none")
+        return LocalExecutor(workers)
+    from fastmimic.executors.ray_cluster import RayExecutor
+
+    return RayExecutor(address, workers)

@@ -1,0 +1,230 @@
+"""Building a library: look through the sources, do the jobs that are not done, write the index."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from random import Random
+from typing import Final
+
+from fastmimic.errors import ConfigError, FastMimicError, LibraryError, OutputError, WorkerError
+from fastmimic.executors import Executor, Report
+from fastmimic.files import check_folder
+from fastmimic.library.folder import Library, Row, require_pyarrow
+from fastmimic.library.jobs import Job, failed, perform, robot_digest
+from fastmimic.library.pieces import Survey, save_survey, survey
+from fastmimic.library.recipe import Recipe
+from fastmimic.library.records import FAILED, Record, load_record, save_record
+from fastmimic.library.sources import Source
+from fastmimic.library.warm_start import Neighbours
+from fastmimic.robot import load_robot
+
+CONFIDENCE: Final = 0.5
+INDEX_EVERY: Final = 200
+"""Records after which the index is written anew while a build goes on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Building:
+    """What to build.
+
+    Attributes:
+        sources: of the motions.
+        recipe: how they are made.
+        robots: built-in names, or paths of MJCFs.
+        seeds: searches for each piece and robot, with CMA-ES seeds 0 to seeds − 1.
+        confidence: from which a cycle found in a take counts.
+        warm: a library whose results searches begin from; None to begin from the unmodulated motion.
+    """
+
+    sources: Sequence[Source]
+    recipe: Recipe
+    robots: Sequence[str]
+    seeds: int = 1
+    confidence: float = CONFIDENCE
+    warm: Library | None = None
+
+    def __post_init__(self) -> None:
+        if not self.robots:
+            raise ConfigError("a library needs at least one robot")
+        if self.seeds < 1:
+            raise ConfigError(f"seeds must be at least 1, found {self.seeds}")
+        if not 0.0 <= self.confidence <= 1.0:
+            raise ConfigError(f"the confidence is within 0 and 1, found {self.confidence}")
+
+
+@dataclass(frozen=True)
+class Step:
+    """How far a build is.
+
+    Attributes:
+        what: 'looking' through sources, or 'making' motions.
+        done, total: how many of them.
+        share: of all work of that kind, in [0, 1].
+        record: the one that was just finished, if one was.
+        survey: likewise.
+    """
+
+    what: str
+    done: int
+    total: int
+    share: float
+    record: Record | None = None
+    survey: Survey | None = None
+
+
+@dataclass(frozen=True)
+class Built:
+    """What came of a build.
+
+    Attributes:
+        library: the library.
+        rows: of its index.
+        surveys: of the sources that were asked for.
+        jobs: how many jobs they make.
+        done: how many of them were done now; the others were there.
+    """
+
+    library: Library
+    rows: list[Row]
+    surveys: list[Survey]
+    jobs: int
+    done: int
+
+
+def build(
+    building: Building,
+    out: str | Path,
+    executor: Executor,
+    *,
+    update: bool = False,
+    progress: Callable[[Step], None] | None = None,
+) -> Built:
+    """Builds a library, or does what is missing in one.
+
+    Args:
+        building: what.
+        out: its folder; with a cluster, one that all machines see under the same path, as the sources.
+        executor: where.
+        update: whether a library of another recipe may be made anew; its motions stay in the folder until removed.
+        progress: called with every step.
+
+    Raises:
+        LibraryError: the folder holds a library of another recipe, or Arrow is not installed.
+        ConfigError: there is no such robot.
+        OutputError: the folder cannot be written to, such as a full disk. What is finished is kept.
+        KeyboardInterrupt: Ctrl-C; likewise.
+    """
+    require_pyarrow()
+    library = Library(Path(out).resolve())
+    robots = {name: load_robot(name) for name in dict.fromkeys(building.robots)}
+    neighbours = None if building.warm is None else Neighbours.of(building.warm)
+    _begin(library, building.recipe, update)
+    tell = progress if progress is not None else lambda step: None
+    surveys = _look(building, library, executor, tell)
+    jobs = [
+        Job(piece, _place(name), robot_digest(robot), seed, building.recipe, library.path)
+        for survey in surveys
+        for piece in survey.pieces
+        for name, robot in robots.items()
+        if piece.robot in (None, robot.name)
+        for seed in range(building.seeds)
+    ]
+    if neighbours is not None:
+        jobs = [replace(job, warm=neighbours.nearest(job.piece, job.robot)) for job in jobs]
+    jobs = list({job.id: job for job in jobs}.values())
+    try:
+        done = _make(jobs, library, executor, tell)
+    finally:
+        rows = library.write_index()
+    return Built(library, rows, surveys, len(jobs), done)
+
+
+def _begin(library: Library, recipe: Recipe, update: bool) -> None:
+    try:
+        there = library.recipe()
+    except LibraryError:
+        if not update:
+            raise
+        there = None
+    if there is not None and there.digest != recipe.digest and not update:
+        changed = [name for name, value in vars(recipe).items() if getattr(there, name) != value] or ["the controller"]
+        said = ", ".join(f"{name} was {getattr(there, name)}" for name in changed if hasattr(there, name))
+        raise LibraryError(
+            f"{library.path}: holds a library made otherwise ({said or 'another controller'}); --update makes it anew,"
+            " or choose another --out"
+        )
+    check_folder(library.path)
+    if there is None or there.digest != recipe.digest:
+        library.save_recipe(recipe)
+
+
+def _place(robot: str) -> str:
+    """A robot as any process finds it: files by their whole path."""
+    path = Path(robot)
+    return str(path.resolve()) if path.is_file() else robot.lower()
+
+
+def _look(building: Building, library: Library, executor: Executor, tell: Callable[[Step], None]) -> list[Survey]:
+    """Looks through all sources; what is found is kept in the library, and returned in the order of the sources."""
+    sources = list(building.sources)
+    found: dict[int, Survey] = {}
+    tell(Step("looking", 0, len(sources), 0.0))
+    looking = partial(_survey, confidence=building.confidence)
+    for outcome in executor.run(looking, sources):
+        if isinstance(outcome.error, OutputError):
+            raise outcome.error
+        source = sources[outcome.index]
+        found[outcome.index] = outcome.result or Survey(source, failed=str(outcome.error))
+        save_survey(library.path, found[outcome.index])
+        share = len(found) / len(sources)
+        tell(Step("looking", len(found), len(sources), share, survey=found[outcome.index]))
+    return [found[i] for i in range(len(sources))]
+
+
+def _survey(source: Source, report: Report, *, confidence: float) -> Survey:
+    return survey(source, confidence)
+
+
+def _make(jobs: Sequence[Job], library: Library, executor: Executor, tell: Callable[[Step], None]) -> int:
+    """Does the jobs whose record is not there; how many."""
+    missing = [job for job in jobs if not _finished(job)]
+    # builders that share a folder begin at different ends, and each leaves out what another has done meanwhile
+    Random().shuffle(missing)
+    total, done = len(jobs), len(jobs) - len(missing)
+    shares: dict[int, float] = {}
+    tell(Step("making", done, total, done / total if total else 1.0))
+
+    def progress(index: int, share: float) -> None:
+        shares[index] = share
+        tell(Step("making", done, total, (total - len(missing) + sum(shares.values())) / total))
+
+    since = 0
+    for outcome in executor.run(perform, missing, progress):
+        job = missing[outcome.index]
+        if isinstance(outcome.error, WorkerError):
+            record: Record = _given_up(job, outcome.error)
+        elif outcome.error is not None:
+            raise outcome.error
+        else:
+            record = outcome.result
+        done, since = done + 1, since + 1
+        shares[outcome.index] = 1.0
+        share = (total - len(missing) + sum(shares.values())) / total
+        tell(Step("making", done, total, share, record=record))
+        if since >= INDEX_EVERY:
+            library.write_index()
+            since = 0
+    return len(missing)
+
+
+def _finished(job: Job) -> bool:
+    record = load_record(job.folder, job.id)
+    return record is not None and record["status"] != FAILED
+
+
+def _given_up(job: Job, error: FastMimicError) -> Record:
+    """The record of a job whose process died whenever it was begun."""
+    record = job.record | failed(error)
+    save_record(job.folder, record)
+    return record

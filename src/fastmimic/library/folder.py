@@ -1,0 +1,278 @@
+"""A library on disk.
+
+    library.json            how its motions are made
+    index.parquet           a row for each record, graded
+    records/ID.json         a record
+    motions/NAME-ID.npz     its motion
+    sources/KEY.json        what was found in a source
+    work/                   checkpoints; may be removed, and then nothing goes on from them
+
+Everything is named by its content and written whole or not at all, so that any number of builders may work in one
+folder, and what one of them was killed over is done again by the next. The index is made of the records whenever a
+builder ends; it is never the only place of anything.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from fastmimic.errors import LibraryError, did_you_mean
+from fastmimic.files import replace_file
+from fastmimic.library.grades import KEPT, grade, rank
+from fastmimic.library.pieces import Survey, load_surveys
+from fastmimic.library.recipe import Recipe
+from fastmimic.library.records import COLUMNS, COSTS, FAILED, MOTIONS, RECORDS, Record, damage, read_record
+from fastmimic.motion.motion import Motion
+
+if TYPE_CHECKING:
+    import pyarrow
+
+SETTINGS: Final = "library.json"
+INDEX: Final = "index.parquet"
+FORMAT_VERSION: Final = 1
+
+Row = dict[str, Any]
+
+GRADED: Final = {"grade": str, "lacks": str, "kept": bool, "best": bool}
+"""What a row of the index has besides the record: its grade, what it lacks for a better one, whether it is kept, and
+whether it is the best of its piece and robot."""
+
+
+def require_pyarrow() -> Any:
+    """Arrow's module for Parquet; raises `LibraryError` with what to do if it is not installed."""
+    try:
+        import pyarrow.parquet
+    except ImportError:
+        raise LibraryError("a library's index needs Arrow: pip install 'fastmimic[library]'") from None
+    return pyarrow.parquet
+
+
+@dataclass(frozen=True)
+class Library:
+    """A folder with a library.
+
+    Attributes:
+        path: the folder.
+    """
+
+    path: Path
+
+    @classmethod
+    def open(cls, path: str | Path) -> "Library":
+        """An existing one.
+
+        Raises:
+            LibraryError: there is none, or it is of another format.
+        """
+        library = cls(Path(path))
+        if not (library.path / SETTINGS).is_file():
+            raise LibraryError(f"{path}: no library there; 'fastmimic library build SOURCES --out {path}' makes one")
+        library.recipe()  # whose format is checked
+        return library
+
+    def recipe(self) -> Recipe | None:
+        """How its motions are made; None if it is not begun.
+
+        Raises:
+            LibraryError: it cannot be read.
+        """
+        path = self.path / SETTINGS
+        try:
+            said = json.loads(path.read_text(encoding="utf-8"))
+            if said["format_version"] != FORMAT_VERSION:
+                raise LibraryError(
+                    f"{path}: format version {said['format_version']}; this release reads version {FORMAT_VERSION}"
+                )
+            return Recipe(**said["recipe"])
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            raise LibraryError(f"{path}: cannot be read ({error}); build with --update to write it anew") from None
+
+    def save_recipe(self, recipe: Recipe) -> None:
+        """Writes it; raises `OutputError` if it cannot."""
+        text = json.dumps({"format_version": FORMAT_VERSION, "recipe": asdict(recipe)}, indent=1)
+        replace_file(self.path / SETTINGS, lambda file: file.write(text.encode()))
+
+    def surveys(self) -> list[Survey]:
+        """What was found in its sources; raises `LibraryError`."""
+        return load_surveys(self.path)
+
+    def records(self) -> Iterator[Record]:
+        """The records that belong to it now: of its recipe, of pieces that its sources have. A record of an earlier
+        recipe, or of a source that has changed, stays in the folder and is nobody's."""
+        recipe = self.recipe()
+        pieces = {(survey.source.place, piece.digest) for survey in self.surveys() for piece in survey.pieces}
+        for path in sorted((self.path / RECORDS).glob("*.json")):
+            record = read_record(path)
+            if record is None or recipe is None or record["recipe"] != recipe.digest:
+                continue
+            if (record["source"], record["piece"]) in pieces:
+                yield record
+
+    def graded(self) -> list[Row]:
+        """The rows of the index, by name, robot and seed."""
+        rows = []
+        for record in self.records():
+            reached, lacks = grade(record)
+            rows.append({**record, "grade": reached, "lacks": lacks or None, "kept": reached in KEPT, "best": False})
+        best: dict[tuple[str, str], Row] = {}
+        for row in rows:
+            key = (row["piece"], row["robot"])
+            if key not in best or rank(row) > rank(best[key]):
+                best[key] = row
+        for row in best.values():
+            row["best"] = row["kept"]
+        return sorted(rows, key=lambda row: (row["name"], row["robot"], row["seed"], row["id"]))
+
+    def write_index(self) -> list[Row]:
+        """Makes the index of what is there; its rows.
+
+        Raises:
+            LibraryError: Arrow is not installed.
+            OutputError: it cannot be written.
+        """
+        parquet = require_pyarrow()
+        while True:
+            there = self._names()
+            rows = self.graded()
+            table = _table(rows)
+            replace_file(self.path / INDEX, lambda file, table=table: parquet.write_table(table, file))  # type: ignore[misc]
+            if self._names() == there:  # else another builder has finished something meanwhile
+                return rows
+
+    def index(self) -> list[Row]:
+        """The rows of the index.
+
+        Raises:
+            LibraryError: there is none, or it is damaged.
+        """
+        parquet = require_pyarrow()
+        path = self.path / INDEX
+        if not path.is_file():
+            raise LibraryError(f"{path}: no index yet; 'fastmimic library build' makes it when it ends")
+        try:
+            table = parquet.read_table(path)
+        except (OSError, ValueError) as error:
+            raise LibraryError(
+                f"{path}: damaged ({str(error).splitlines()[0]}); 'fastmimic library verify --mend' makes it anew"
+            ) from None
+        missing = [name for name in (*COLUMNS, *GRADED) if name not in table.column_names]
+        if missing:
+            raise LibraryError(f"{path}: no column '{missing[0]}'; 'fastmimic library verify --mend' makes it anew")
+        rows: list[Row] = table.to_pylist()
+        return rows
+
+    def find(self, name: str) -> list[Row]:
+        """The rows whose id begins with `name`, or whose name it is.
+
+        Raises:
+            LibraryError: there are none; the closest names are listed.
+        """
+        rows = self.index()
+        found = [row for row in rows if row["name"] == name] or [row for row in rows if row["id"].startswith(name)]
+        if not found:
+            raise LibraryError(
+                f"{self.path}: no motion '{name}'{did_you_mean(name, {row['name'] for row in rows})}"
+                f" ('fastmimic library list {self.path}')"
+            )
+        return found
+
+    def motion(self, row: Row) -> Motion:
+        """The motion of a row.
+
+        Raises:
+            LibraryError: it could not be made.
+            MotionError: its file is damaged.
+        """
+        if row["motion_file"] is None:
+            raise LibraryError(f"'{row['name']}' on {row['robot']} has no motion: {row['lacks']}")
+        return Motion.load(self.path / row["motion_file"])
+
+    def _names(self) -> set[str]:
+        return {path.name for path in (self.path / RECORDS).glob("*.json")}
+
+
+@dataclass(frozen=True)
+class Health:
+    """What `check` found.
+
+    Attributes:
+        records: how many were looked at.
+        damaged: what is wrong, a line each; to build again mends it.
+        foreign: files that belong to no record: of earlier recipes, changed sources, or killed builders.
+        outdated: whether the index is not of these records.
+    """
+
+    records: int
+    damaged: tuple[str, ...]
+    foreign: tuple[str, ...]
+    outdated: bool
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.damaged and not self.outdated
+
+
+def check(library: Library, progress: Callable[[int, int], None] | None = None) -> Health:
+    """Reads everything in a library, and says what is wrong.
+
+    Args:
+        library: the library.
+        progress: called with (files done, files in all).
+    """
+    paths = sorted((library.path / RECORDS).glob("*.json"))
+    current = {record["id"]: record for record in library.records()}
+    damaged, known = [], set()
+    for i, path in enumerate(paths):
+        record = read_record(path)
+        if record is None:
+            damaged.append(f"{RECORDS}/{path.name}: not a whole record")
+        else:
+            known.add(record["motion_file"])
+            wrong = damage(library.path, record)
+            if wrong is not None:
+                damaged.append(f"{record['id']}: {wrong}")
+        if progress is not None:
+            progress(i + 1, len(paths))
+    motions = {f"{MOTIONS}/{path.name}" for path in (library.path / MOTIONS).glob("*")}
+    foreign = sorted(motions - known) + sorted(f"{RECORDS}/{p.name}" for p in paths if p.stem not in current)
+    return Health(len(paths), tuple(damaged), tuple(foreign), _outdated(library))
+
+
+def _outdated(library: Library) -> bool:
+    try:
+        rows = library.index()
+    except LibraryError:
+        return True
+    return [_compared(row) for row in rows] != [_compared(row) for row in library.graded()]
+
+
+def _compared(row: Row) -> Row:
+    return {name: row[name] for name in (*COLUMNS, *GRADED)}
+
+
+def reproducible(record: Record) -> Record:
+    """The part of a record that is the same whenever, wherever and by whomever it is made."""
+    return {name: value for name, value in record.items() if name not in COSTS}
+
+
+def failures(rows: Sequence[Row], surveys: Sequence[Survey]) -> list[tuple[str, str]]:
+    """What could not be done: source or motion, and why."""
+    found = [(str(survey.source), survey.failed) for survey in surveys if survey.failed is not None]
+    return found + [(f"{row['name']} on {row['robot']}", row["reason"]) for row in rows if row["status"] == FAILED]
+
+
+def _table(rows: Sequence[Row]) -> "pyarrow.Table":
+    import pyarrow
+
+    types = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_()}
+    columns = {**COLUMNS, **GRADED}
+    schema = pyarrow.schema([(name, types[kind]) for name, kind in columns.items()])
+    converted = [
+        {name: None if row[name] is None else kind(row[name]) for name, kind in columns.items()} for row in rows
+    ]
+    return pyarrow.Table.from_pylist(converted, schema=schema)

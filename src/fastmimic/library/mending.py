@@ -1,0 +1,71 @@
+"""Checking a library by running it, and putting it in order."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from fastmimic.control.config import controller_config
+from fastmimic.errors import OutputError
+from fastmimic.imitation.rollout import run_episodes
+from fastmimic.library.folder import Health, Library
+from fastmimic.library.records import MOTIONS, RECORDS
+from fastmimic.methods import method_named
+from fastmimic.pipeline import default_duration
+from fastmimic.robot import load_robot
+
+_DRAW_SEED = 0
+
+
+def rerun(library: Library, count: int, progress: Callable[[int, int], None] | None = None) -> tuple[list[str], int]:
+    """Runs motions' nominal episodes again.
+
+    Args:
+        library: the library.
+        count: how many, drawn at random; all if there are not more.
+        progress: called with (done, all).
+
+    Returns:
+        Those with another reward than is recorded, a line each, and how many were run.
+
+    Raises:
+        FastMimicError: a motion is damaged, or a robot's file is not there any more.
+    """
+    recipe = library.recipe()
+    assert recipe is not None, "an open library has one"
+    rows = [row for row in library.index() if row["motion_file"] is not None]
+    drawn = np.random.default_rng(_DRAW_SEED).permutation(len(rows))[:count]
+    found = []
+    for i, at in enumerate(drawn):
+        row = rows[at]
+        motion = library.motion(row)
+        config = method_named(row["method"]).configure(controller_config(recipe.config))
+        seconds = min(recipe.evaluation_s, default_duration(motion.target, recipe.evaluation_s))
+        robot = load_robot(row["robot_file"] or row["robot"])
+        reward = float(run_episodes(robot, motion, duration_s=seconds, config=config).reward[0])
+        if reward != row["reward"]:
+            found.append(f"{row['id']} {row['name']} on {row['robot']}: {row['reward']!r} recorded, {reward!r} now")
+        if progress is not None:
+            progress(i + 1, len(drawn))
+    return found, len(drawn)
+
+
+def mend(library: Library, health: Health) -> int:
+    """Removes what is damaged and what belongs to no record, and writes the index; how many files it removed.
+
+    Raises:
+        OutputError: a file cannot be removed.
+    """
+    damaged = [line.split(":", 1)[0] for line in health.damaged]
+    names = [name if "/" in name else f"{RECORDS}/{name}.json" for name in damaged]
+    removed = 0
+    for name in {*names, *health.foreign}:
+        assert name.startswith((RECORDS, MOTIONS)), "nothing else is looked at"
+        try:
+            (library.path / name).unlink()
+            removed += 1
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise OutputError(f"{library.path / name}: cannot be removed ({error.strerror or error})") from None
+    library.write_index()
+    return removed

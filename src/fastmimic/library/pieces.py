@@ -1,0 +1,227 @@
+"""What a source holds that can be imitated: whole motions, and the cycles of long takes."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fastmimic.errors import ClipError, FastMimicError, LibraryError
+from fastmimic.files import replace_file
+from fastmimic.library.sources import Source
+from fastmimic.motion.catalogue import open_clip
+from fastmimic.motion.clip import Clip
+from fastmimic.motion.formats import detect_format
+from fastmimic.motion.motion import Motion
+from fastmimic.motion.segment import Segment, as_one_cycle, find_segments
+
+SOURCES: Final = "sources"
+WHOLE: Final = "whole"
+"""Of a piece that is not looked at: a robot motion, or frames that were given."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One motion of a source.
+
+    Attributes:
+        name: unique within the source.
+        source: where it is from.
+        frames: (first, end) in it; None for all of it.
+        digest: of its content: 16 hexadecimal digits.
+        gait, footfall: as in `fastmimic.motion.segment.Segment`; `WHOLE` where nothing was looked for.
+        confidence: likewise; 1 where nothing was looked for.
+        period_s, speed_m_s, yaw_rate_rad_s: in the animal's size, or the robot's if it is its motion.
+        robot: whose motion it is already, if it is one; None for an animal's.
+        licence, credit: of the recording; None where nobody says.
+    """
+
+    name: str
+    source: Source
+    frames: tuple[int, int] | None
+    digest: str
+    gait: str
+    footfall: str | None
+    confidence: float
+    period_s: float
+    speed_m_s: float
+    yaw_rate_rad_s: float
+    robot: str | None
+    licence: str | None
+    credit: str | None
+
+    def open(self) -> Clip | Motion:
+        """The piece itself.
+
+        Raises:
+            FastMimicError: it cannot be read, or is not what it was when it was found.
+        """
+        whole = _open(self.source)
+        if isinstance(whole, Motion):
+            piece: Clip | Motion = whole
+        else:
+            cut = whole if self.frames is None or self.source.frames is not None else whole.cut(*self.frames)
+            cycle = True if self.gait != WHOLE else cut.is_cycle
+            piece = replace(cut, is_cycle=cycle, meta={**cut.meta, "name": self.name})
+        if digest_of(piece) != self.digest:
+            raise ClipError(f"{self.source}: has changed since it was looked through; build again")
+        return piece
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What was found in a source.
+
+    Attributes:
+        source: the source.
+        pieces: to be imitated.
+        skipped: why there are none; None if there are.
+        failed: why it cannot be read; None if it can.
+    """
+
+    source: Source
+    pieces: tuple[Piece, ...] = ()
+    skipped: str | None = None
+    failed: str | None = None
+
+
+def survey(source: Source, confidence: float) -> Survey:
+    """Looks through a source; what is wrong with it is part of the result.
+
+    Args:
+        source: the source.
+        confidence: from which a cycle found in a take counts.
+    """
+    try:
+        opened = _open(source)
+        if isinstance(opened, Motion):
+            return Survey(source, (_of_motion(source, opened),))
+        if source.frames is not None:
+            return Survey(source, (_piece(source, opened, source.frames, as_one_cycle(opened), looked=False),))
+        return _of_take(source, opened, confidence)
+    except FastMimicError as error:
+        return Survey(source, failed=" ".join(str(error).split()))
+
+
+def _open(source: Source) -> Clip | Motion:
+    if Path(source.place).is_file() and detect_format(source.place) == "npz":
+        if source.overrides or source.frames is not None:
+            raise ClipError(
+                f"{source.place}: is already a robot motion; frames, fps, up, scale and point map are of clips"
+            )
+        return Motion.load(source.place)
+    return open_clip(source.place, frames=source.frames, **source.overrides)
+
+
+def _of_motion(source: Source, motion: Motion) -> Piece:
+    robot = motion.meta.get("robot")
+    if robot is None:
+        raise ClipError(f"{source.place}: does not say whose motion it is ('robot' in its meta)")
+    return Piece(
+        name=source.name,
+        source=source,
+        frames=None,
+        digest=digest_of(motion),
+        gait=WHOLE,
+        footfall=None,
+        confidence=1.0,
+        period_s=motion.period_s,
+        speed_m_s=float(np.linalg.norm(motion.root_lin_vel_w[:, :2], axis=1).mean()),
+        yaw_rate_rad_s=float(motion.root_ang_vel_w[:, 2].mean()),
+        robot=str(robot),
+        licence=motion.meta.get("licence") or source.licence,
+        credit=motion.meta.get("credit") or source.credit,
+    )
+
+
+def _of_take(source: Source, take: Clip, confidence: float) -> Survey:
+    found, doubtful = [], 0
+    for segment in find_segments(take):
+        if segment.cycle is None:
+            continue
+        if segment.confidence < confidence:
+            doubtful += 1
+            continue
+        first, end = segment.cycle
+        cycle = take if (first, end) == (0, take.n_frames) else take.cut(first, end)
+        found.append(_piece(source, cycle, (first, end), segment, looked=True))
+    if found:
+        return Survey(source, tuple(found))
+    seen = f"{doubtful} cycles, none with a confidence of {confidence:g}" if doubtful else "nothing that repeats"
+    return Survey(source, skipped=f"{take.n_frames} frames hold {seen}")
+
+
+def _piece(source: Source, cut: Clip, frames: tuple[int, int], segment: Segment, *, looked: bool) -> Piece:
+    """A part of a clip; `looked` is whether it was found there as a cycle."""
+    whole = frames == (0, cut.n_frames) and source.frames is None
+    name = source.name if whole else f"{source.name}-{frames[0]}-{frames[1]}"
+    return Piece(
+        name=name,
+        source=source,
+        frames=None if whole else frames,
+        digest=digest_of(replace(cut, is_cycle=True) if looked else cut),
+        gait=segment.gait if looked else WHOLE,
+        footfall=segment.footfall,
+        confidence=round(segment.confidence, 4) if looked else 1.0,
+        period_s=cut.n_frames / cut.rate_hz,
+        speed_m_s=segment.speed_m_s,
+        yaw_rate_rad_s=segment.yaw_rate_rad_s,
+        robot=None,
+        licence=cut.meta.get("licence") or source.licence,
+        credit=cut.meta.get("credit") or source.credit,
+    )
+
+
+def digest_of(piece: Clip | Motion) -> str:
+    """16 hexadecimal digits of all of a piece that counts: not of its name and place."""
+    found = hashlib.sha256()
+    if isinstance(piece, Motion):
+        for motion in (piece, piece.target):
+            for array in (motion.root_pos_w, motion.root_quat_wxyz, motion.joint_pos, motion.contact):
+                found.update(np.ascontiguousarray(array).tobytes())
+            found.update(repr((motion.rate_hz, None if motion.cycle is None else motion.cycle.tolist())).encode())
+        return found.hexdigest()[:16]
+    found.update(np.ascontiguousarray(piece.points_w).tobytes())
+    if piece.root_quat_wxyz is not None:
+        found.update(np.ascontiguousarray(piece.root_quat_wxyz).tobytes())
+    found.update(repr((piece.rate_hz, piece.is_cycle, piece.leg_length_m, piece.scale)).encode())
+    return found.hexdigest()[:16]
+
+
+def save_survey(folder: Path, found: Survey) -> None:
+    """Keeps what was found in a source; raises `OutputError` if it cannot."""
+    text = json.dumps(asdict(found), indent=1, allow_nan=False)
+    replace_file(folder / SOURCES / f"{found.source.key}.json", lambda file: file.write(text.encode()))
+
+
+def load_surveys(folder: Path) -> list[Survey]:
+    """What was found in all sources of a library, by their names.
+
+    Raises:
+        LibraryError: a file cannot be read.
+    """
+    found = [_load(path) for path in sorted((folder / SOURCES).glob("*.json"))]
+    return sorted(found, key=lambda survey: (survey.source.name, survey.source.key))
+
+
+def _load(path: Path) -> Survey:
+    try:
+        said: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        pieces = tuple(
+            Piece(**{**piece, "source": _source(piece["source"]), "frames": _pair(piece["frames"])})
+            for piece in said["pieces"]
+        )
+        return Survey(_source(said["source"]), pieces, said["skipped"], said["failed"])
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise LibraryError(f"{path}: cannot be read ({error}); remove it and build again") from None
+
+
+def _source(said: dict[str, Any]) -> Source:
+    return Source(**{**said, "frames": _pair(said["frames"])})
+
+
+def _pair(found: Sequence[int] | None) -> tuple[int, int] | None:
+    return None if found is None else (int(found[0]), int(found[1]))

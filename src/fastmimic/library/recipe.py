@@ -1,0 +1,78 @@
+"""How the motions of a library are made and tried: the same for all of them."""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from fastmimic.control.config import controller_config
+from fastmimic.errors import ConfigError
+from fastmimic.methods import RL, method_named
+from fastmimic.optimize.cma_es import CmaSettings
+from fastmimic.optimize.problem import Objective
+from fastmimic.optimize.randomization import Randomization
+
+HELD_OUT: Final = 16
+SECOND_SIMULATOR_EPISODES: Final = 3
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What all jobs of a library have in common.
+
+    Attributes:
+        method: one of `fastmimic.methods.METHODS`.
+        config: name of the controller's parameters, or their file.
+        duration_s: length of the search's episodes, s.
+        iterations, population: of CMA-ES.
+        evaluation_s: length of the episodes that a motion is tried in, s.
+        perturbed: how many of them begin perturbed.
+        robots: how many other robots it is tried on: other floors, loads and motors, drawn from the usual ranges.
+        second_simulator: whether it is tried in PyBullet, where that knows the robot.
+    """
+
+    method: str = "mbc-dmp"
+    config: str = "default"
+    duration_s: float = 5.0
+    iterations: int = 200
+    population: int = 10
+    evaluation_s: float = 10.0
+    perturbed: int = 8
+    robots: int = HELD_OUT
+    second_simulator: bool = True
+
+    def __post_init__(self) -> None:
+        if method_named(self.method).name == RL:
+            raise ConfigError("a library's motions are made by a model-based method; a policy is not one motion")
+        controller_config(self.config)
+        CmaSettings(self.iterations, self.population)
+        Objective(self.duration_s)
+        for name, least in (("perturbed", 1), ("robots", 0)):
+            if getattr(self, name) < least:
+                raise ConfigError(f"{name} must be at least {least}, found {getattr(self, name)}")
+        if not self.evaluation_s > 0:
+            raise ConfigError(f"the length of an episode must be positive, found {self.evaluation_s}")
+
+    @property
+    def digest(self) -> str:
+        """16 hexadecimal digits of all that it says."""
+        return _digest({**self._search(), **asdict(self), "over": Randomization().as_dict()["over"]})
+
+    @property
+    def search_digest(self) -> str:
+        """Of what a search depends on, but for its length: a longer one goes on from a shorter one's checkpoint."""
+        return _digest(self._search())
+
+    def _search(self) -> dict[str, Any]:
+        method = method_named(self.method)
+        return {
+            "method": method.name,
+            "parameters": method.parameters,
+            "controller": method.configure(controller_config(self.config)).as_dict(),
+            "objective": Objective(self.duration_s).as_dict(),
+            "population": self.population,
+        }
+
+
+def _digest(said: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:16]

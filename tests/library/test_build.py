@@ -1,0 +1,296 @@
+"""A library is built once, whatever happens meanwhile, and says what it is made of."""
+
+import errno
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fastmimic.errors import LibraryError, OutputError
+from fastmimic.executors import make_executor
+from fastmimic.library import Building, Library, Source, build, find_sources
+from fastmimic.library.folder import check
+from fastmimic.library.mending import mend, rerun
+from fastmimic.library.records import COLUMNS
+from fastmimic.motion.export import export_motion
+from fastmimic.pipeline import evaluate, load_motion
+from fastmimic.robot import load_robot
+from library.conftest import RECIPE, contents, of
+
+HERE = make_executor("local", workers=1)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two motions; not to be changed."""
+    pytest.importorskip("pyarrow")
+    folder = tmp_path_factory.mktemp("library")
+    build(of("trot", "pace"), folder, HERE)
+    return folder
+
+
+@pytest.fixture
+def mine(built: Path, tmp_path: Path) -> Path:
+    """A copy of it, to be changed."""
+    import shutil
+
+    return Path(shutil.copytree(built, tmp_path / "mine"))
+
+
+def test_a_record_says_all(built: Path) -> None:
+    rows = Library.open(built).index()
+    assert [(row["name"], row["robot"], row["grade"]) for row in rows] == [("pace", "a1", "A"), ("trot", "a1", "A")]
+    for row in rows:
+        assert row["kept"]
+        assert row["best"]
+        assert row["gait"] == row["footfall"] == row["name"]
+        assert row["licence"].startswith("no recording")
+        assert row["reward_second_simulator"] is None
+        motion = Library.open(built).motion(row)
+        again = evaluate(motion, "a1", duration_s=RECIPE.evaluation_s)
+        assert again.rollout.reward[0] == row["reward"]
+        assert row["iterations"] == 3
+        assert row["speed_m_s"] == pytest.approx(1.25, abs=0.45)
+
+
+def test_pandas_reads_the_index(built: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    index = pandas.read_parquet(built / "index.parquet")
+    assert set(COLUMNS) < set(index.columns)
+    motion = np.load(built / index.query("name == 'trot'").iloc[0]["motion_file"])
+    assert motion["joint_pos"].shape[1] == 12
+
+
+def test_a_second_build_does_nothing(mine: Path) -> None:
+    before = contents(mine)
+    again = build(of("trot", "pace"), mine, HERE)
+    assert (again.jobs, again.done) == (2, 0)
+    assert contents(mine) == before
+
+
+def test_more_seeds_and_robots_are_added(mine: Path) -> None:
+    more = Building([Source("trot")], RECIPE, ("a1", "go2"), seeds=2)
+    again = build(more, mine, HERE)
+    assert (again.jobs, again.done) == (4, 3)
+    rows = [row for row in again.rows if row["name"] == "trot"]
+    assert [(row["robot"], row["seed"]) for row in rows] == [("a1", 0), ("a1", 1), ("go2", 0), ("go2", 1)]
+    assert sum(row["best"] for row in rows) == 2
+    assert len(again.rows) == 5  # with the pace
+
+
+@pytest.mark.parametrize("harm", ["torn motion", "changed motion", "lost motion", "torn record", "other record"])
+def test_what_is_torn_is_noticed_and_done_again(harm: str, mine: Path) -> None:
+    before, rows = contents(mine), Library.open(mine).index()
+    motion, record = mine / rows[0]["motion_file"], mine / "records" / f"{rows[0]['id']}.json"
+    if harm == "torn motion":
+        motion.write_bytes(motion.read_bytes()[:1000])
+    elif harm == "changed motion":
+        motion.write_bytes(motion.read_bytes()[:-1] + b"x")
+    elif harm == "lost motion":
+        motion.unlink()
+    elif harm == "torn record":
+        record.write_bytes(record.read_bytes()[:200])
+    else:
+        record.write_text("[]")
+    health = check(Library.open(mine))
+    assert len(health.damaged) == 1
+    again = build(of("trot", "pace"), mine, HERE)
+    assert again.done == 1
+    assert contents(mine) == before
+    assert check(Library.open(mine)).sound
+
+
+def test_a_torn_checkpoint_is_begun_anew(mine: Path) -> None:
+    before = contents(mine)
+    for path in mine.glob("records/*.json"):
+        path.unlink()
+    for path in mine.glob("work/*/checkpoint.npz"):
+        path.write_bytes(path.read_bytes()[:500])
+    assert build(of("trot", "pace"), mine, HERE).done == 2
+    assert contents(mine) == before
+
+
+def test_a_longer_search_goes_on_from_the_shorter_one(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    longer = replace(of("trot"), recipe=replace(RECIPE, iterations=5))
+    with pytest.raises(LibraryError, match="iterations was 3"):
+        build(longer, mine, HERE)
+    begun = []
+    from fastmimic.library import jobs
+
+    whole = jobs.imitate
+    monkeypatch.setattr(jobs, "imitate", lambda *a, **k: begun.append(k["resume"]) or whole(*a, **k))
+    again = build(longer, mine, HERE, update=True)
+    assert begun == [True]
+    assert [row["iterations"] for row in again.rows] == [5]  # the pace is of the old recipe
+    health = check(Library.open(mine))
+    assert len(health.foreign) == 2  # the old records; their motions are theirs
+    assert mend(Library.open(mine), health) == 2
+
+
+def test_a_full_disk_loses_nothing(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = contents(mine)
+    full = True
+    through = os.fsync
+
+    def fsync(handle: int) -> None:
+        if full and "walk" in os.readlink(f"/proc/self/fd/{handle}"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        through(handle)
+
+    monkeypatch.setattr("fastmimic.files.os.fsync", fsync)
+    with pytest.raises(OutputError, match="No space left"):
+        build(of("trot", "pace", "walk"), mine, HERE)
+    assert contents(mine) == before
+    assert len(Library.open(mine).index()) == 2
+    full = False
+    assert build(of("trot", "pace", "walk"), mine, HERE).done == 1
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with clips: a trot, a pace further down, a file that is torn, and others that are none."""
+    folder = tmp_path_factory.mktemp("clips")
+    robot = load_robot("a1")
+    for name, path in (("trot", "trot.txt"), ("pace", "below/pace.txt")):
+        (folder / path).parent.mkdir(exist_ok=True)
+        export_motion(load_motion(name), robot, folder / path, "deepmimic")
+    text = (folder / "trot.txt").read_text()
+    (folder / "torn.txt").write_text(text[: len(text) // 2])
+    (folder / "LICENSE.txt").write_text("\nMade for a test\nand nothing else\n")
+    (folder / "README.md").write_text("Read me")
+    (folder / "picture.png").write_bytes(b"\x89PNG")
+    return folder
+
+
+def test_a_folder_with_one_clip_that_is_torn(clips: Path, tmp_path: Path) -> None:
+    sources = find_sources(clips)
+    assert [Path(source.place).name for source in sources] == ["pace.txt", "torn.txt", "trot.txt"]
+    done = build(Building(sources, RECIPE, ("a1",)), tmp_path, HERE)
+    assert [(row["name"], row["status"]) for row in done.rows] == [("pace", "done"), ("trot", "done")]
+    assert {row["licence"] for row in done.rows} == {"Made for a test"}
+    failed = [survey for survey in done.surveys if survey.failed is not None]
+    assert len(failed) == 1
+    assert "torn.txt" in (failed[0].failed or "")
+
+
+def test_a_source_that_changes_is_done_again(clips: Path, tmp_path: Path) -> None:
+    file = tmp_path / "trot.txt"
+    file.write_text((clips / "trot.txt").read_text())
+    folder = tmp_path / "library"
+    building = Building(find_sources(file), RECIPE, ("a1",))
+    first = build(building, folder, HERE)
+    file.write_text((clips / "below/pace.txt").read_text())
+    second = build(building, folder, HERE)
+    assert second.done == 1
+    assert [row["id"] for row in second.rows] != [row["id"] for row in first.rows]
+    assert len(second.rows) == 1
+
+
+def test_a_motion_that_cannot_be_made_is_said_with_its_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fastmimic.library import jobs
+
+    whole = jobs.imitate
+
+    def sometimes(motion, *a, **k):  # type: ignore[no-untyped-def]
+        if motion.name == "pace":
+            raise ZeroDivisionError("a defect")
+        return whole(motion, *a, **k)
+
+    monkeypatch.setattr(jobs, "imitate", sometimes)
+    rows = build(of("trot", "pace"), tmp_path, HERE).rows
+    assert [(row["name"], row["grade"]) for row in rows] == [("pace", "failed"), ("trot", "A")]
+    assert "unexpected ZeroDivisionError" in rows[0]["lacks"]
+    monkeypatch.undo()
+    assert build(of("trot", "pace"), tmp_path, HERE).done == 1  # what failed is tried again
+
+
+def test_long_takes_are_cut(data_folder: Path, tmp_path: Path) -> None:
+    take = data_folder / "dog_keypoints" / "dog_walk09_joint_pos.txt"
+    building = Building(find_sources(take), replace(RECIPE, iterations=1), ("a1",), confidence=0.8)
+    done = build(building, tmp_path, HERE)
+    assert done.jobs >= 2
+    assert all(row["first_frame"] < row["end_frame"] for row in done.rows)
+    assert all("CC BY-NC" in row["licence"] for row in done.rows)
+
+
+def test_warm_starts_are_of_the_nearest(built: Path, tmp_path: Path) -> None:
+    rows = {row["name"]: row for row in Library.open(built).index()}
+    done = build(of("pace", warm=Library.open(built)), tmp_path, HERE)
+    assert [row["warm_start"] for row in done.rows] == [rows["pace"]["id"]]
+    assert done.rows[0]["id"] != rows["pace"]["id"]
+    assert done.rows[0]["reward"] >= rows["pace"]["reward"] - 1e-3
+
+
+def test_a_rerun_notices_another_reward(mine: Path) -> None:
+    library = Library.open(mine)
+    assert rerun(library, 5) == ([], 2)
+    path = next(mine.glob("records/*.json"))
+    record = json.loads(path.read_text())
+    path.write_text(json.dumps({**record, "reward": 0.5}))
+    library.write_index()
+    differing, _ = rerun(library, 5)
+    assert len(differing) == 1
+    assert record["id"] in differing[0]
+
+
+def test_processes_make_the_same(built: Path, tmp_path: Path) -> None:
+    done = build(of("trot", "pace"), tmp_path, make_executor("local", workers=2))
+    assert {row["name"]: row["status"] for row in done.rows} == {"trot": "done", "pace": "done"}
+    assert [row["evaluations"] for row in done.rows] != [0, 0]
+
+
+def test_lists(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("")
+    (tmp_path / "clips.list").write_text("# what\ntrot\n\na.txt  # a file\n")
+    assert [source.place for source in find_sources(tmp_path / "clips.list")] == ["trot", str(tmp_path / "a.txt")]
+    (tmp_path / "clips.csv").write_text("source,frames,licence\na.txt,10:20,mine\ntrot,,\n")
+    found = find_sources(tmp_path / "clips.csv", licence="given")
+    assert [(s.frames, s.licence) for s in found] == [((10, 20), "mine"), (None, "given")]
+    assert find_sources("dog:trot")[0].place == "dog:trot"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("x.csv", "source,fames\na,1:2\n", "unknown column 'fames'"),
+        ("x.csv", "source,frames\na,1-2\n", "line 2: frames are FIRST:END"),
+        ("x.csv", "source,fps\na,fast\n", "line 2"),
+        ("x.list", "# nothing\n", "the list is empty"),
+        ("none.csv", None, "no such list"),
+    ],
+)
+def test_lists_that_cannot_be_read(name: str, text: str | None, said: str, tmp_path: Path) -> None:
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    with pytest.raises(LibraryError, match=said):
+        find_sources(tmp_path / name)
+
+
+def test_folders_without_clips(tmp_path: Path) -> None:
+    with pytest.raises(LibraryError, match="no clips"):
+        find_sources(tmp_path)
+    with pytest.raises(LibraryError, match="no library there"):
+        Library.open(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"format_version": 9, "recipe": {}}'])
+def test_a_library_that_cannot_be_read(text: str, mine: Path) -> None:
+    (mine / "library.json").write_text(text)
+    with pytest.raises(LibraryError, match=r"library\.json"):
+        Library.open(mine)
+
+
+@pytest.mark.parametrize("harm", ["lost", "torn"])
+def test_an_index_that_is_damaged_is_made_anew(harm: str, mine: Path) -> None:
+    index = mine / "index.parquet"
+    rows = Library.open(mine).index()
+    index.unlink() if harm == "lost" else index.write_bytes(index.read_bytes()[:300])
+    with pytest.raises(LibraryError, match=r"index\.parquet"):
+        Library.open(mine).index()
+    health = check(Library.open(mine))
+    assert health.outdated
+    mend(Library.open(mine), health)
+    assert Library.open(mine).index() == rows
