@@ -5,8 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from cli.conftest import in_folder, run, start
 from fastmimic.library import Building, Library, Recipe, Source
 from fastmimic.library.folder import reproducible
+
+__all__ = ["in_folder", "run", "start"]
 
 RECIPE = Recipe(
     iterations=3, population=4, duration_s=0.6, evaluation_s=0.6, perturbed=1, robots=2, second_simulator=False

@@ -15,7 +15,7 @@ from fastmimic.library.build import Step
 from fastmimic.library.folder import check
 from library.conftest import of, same
 
-MOTIONS = ("trot", "pace", "walk", "side-step", "turn", "bound", "spin", "stand")
+MOTIONS = ("trot", "pace", "walk", "side-step", "turn", "bound", "spin", "backward-trot")
 
 
 @pytest.fixture

@@ -48,6 +48,8 @@ class Imitate(MotionOptions, RandomizeOptions):
     """Candidates in each."""
     seed: int = 0
     """Of the optimiser. The same seed gives the same result, whatever the number of workers."""
+    warm_start: Annotated[Path | None, arg(metavar="FILE.npz")] = None
+    """Begin the search like an optimised motion, such as one of another speed."""
     workers: Annotated[int | None, arg(metavar="INT")] = None
     """Threads; by default one for each core."""
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
@@ -67,6 +69,8 @@ class Imitate(MotionOptions, RandomizeOptions):
         """Runs it, and writes the folder; returns the exit status."""
         check_duration(self.duration)
         from fastmimic.methods import check_controller, method_named
+        from fastmimic.motion.motion import Motion
+        from fastmimic.optimize.parameters import moved_by
         from fastmimic.report.quality import quality_named
         from fastmimic.report.run_folder import default_folder, open_run
 
@@ -79,6 +83,10 @@ class Imitate(MotionOptions, RandomizeOptions):
             raise ConfigError("--resume goes on with an optimisation; without one there is nothing to resume")
         if self.randomization() is not None and not method_named(method).optimises:
             raise ConfigError(f"--randomize is of a search, and method '{method}' has none; leave it out")
+        if self.warm_start is not None:
+            if not method_named(method).optimises:
+                raise ConfigError(f"--warm-start is of a search, and method '{method}' has none; leave it out")
+            moved_by(Motion.load(self.warm_start))
         began = time.perf_counter()
         robot, motion = self.load(self.motion)
         loading_s = time.perf_counter() - began
@@ -115,6 +123,7 @@ class Imitate(MotionOptions, RandomizeOptions):
                     resume=self.resume,
                     progress=progress,
                     randomize=self.randomization(),
+                    warm_start=self.warm_start,
                 )
         except KeyboardInterrupt:
             if folder.checkpoint.exists():
