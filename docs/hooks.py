@@ -6,6 +6,7 @@ import sys
 from typing import Any
 
 MARK = "<!-- verbs -->"
+ACTIONS = {"library": [["build"], ["list"], ["show"], ["export"], ["verify"]]}
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
@@ -17,13 +18,14 @@ def _verbs() -> str:
     from fastmimic.cli import VERBS
 
     return "\n\n".join(
-        f"## {name}\n\n{verb.about[0].upper()}{verb.about[1:]}.\n\n```text\n{_help(name)}\n```"
+        f"## {name}\n\n{verb.about[0].upper()}{verb.about[1:]}.\n\n"
+        + "\n\n".join(f"```text\n{_help(name, *action)}\n```" for action in ([], *ACTIONS.get(name, ())))
         for name, verb in VERBS.items()
     )
 
 
-def _help(verb: str) -> str:
-    command = [sys.executable, "-m", "fastmimic", verb, "--help"]
+def _help(*words: str) -> str:
+    command = [sys.executable, "-m", "fastmimic", *words, "--help"]
     environment = {"COLUMNS": "84", "NO_COLOR": "1", "TERM": "dumb"}
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ | environment, check=True)
     return done.stdout.strip()

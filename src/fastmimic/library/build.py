@@ -21,7 +21,9 @@ from fastmimic.robot import load_robot
 
 CONFIDENCE: Final = 0.5
 INDEX_EVERY: Final = 200
-"""Records after which the index is written anew while a build goes on."""
+INDEX_SHARE: Final = 0.1
+"""The index is written anew while a build goes on after so many records, and so large a share of all that are there:
+it is made of all records, and would take most of the time of a large library otherwise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +201,7 @@ def _make(jobs: Sequence[Job], library: Library, executor: Executor, tell: Calla
         shares[index] = share
         tell(Step("making", done, total, (total - len(missing) + sum(shares.values())) / total))
 
-    since = 0
+    since, every = 0, INDEX_EVERY
     for outcome in executor.run(perform, missing, progress):
         job = missing[outcome.index]
         if isinstance(outcome.error, WorkerError):
@@ -212,8 +214,8 @@ def _make(jobs: Sequence[Job], library: Library, executor: Executor, tell: Calla
         shares[outcome.index] = 1.0
         share = (total - len(missing) + sum(shares.values())) / total
         tell(Step("making", done, total, share, record=record))
-        if since >= INDEX_EVERY:
-            library.write_index()
+        if since >= every:
+            every = max(INDEX_EVERY, round(INDEX_SHARE * len(library.write_index())))
             since = 0
     return len(missing)
 

@@ -16,7 +16,8 @@ from fastmimic.motion.catalogue import open_clip
 from fastmimic.motion.clip import Clip
 from fastmimic.motion.formats import detect_format
 from fastmimic.motion.motion import Motion
-from fastmimic.motion.segment import Segment, as_one_cycle, find_segments
+from fastmimic.motion.retarget import is_one_cycle
+from fastmimic.motion.segment import Segment, SegmentConfig, as_one_cycle, find_segments
 
 SOURCES: Final = "sources"
 WHOLE: Final = "whole"
@@ -138,20 +139,21 @@ def _of_motion(source: Source, motion: Motion) -> Piece:
 
 
 def _of_take(source: Source, take: Clip, confidence: float) -> Survey:
-    found, doubtful = [], 0
-    for segment in find_segments(take):
-        if segment.cycle is None:
-            continue
-        if segment.confidence < confidence:
-            doubtful += 1
-            continue
-        first, end = segment.cycle
-        cycle = take if (first, end) == (0, take.n_frames) else take.cut(first, end)
-        found.append(_piece(source, cycle, (first, end), segment, looked=True))
+    """The cycles of a take; or the whole of a short clip, if it is one cycle by what it says or by its ends."""
+    segments = [segment for segment in find_segments(take) if segment.cycle is not None]
+    found = []
+    for segment in segments:
+        assert segment.cycle is not None
+        if segment.confidence >= confidence:
+            cut = take if segment.cycle == (0, take.n_frames) else take.cut(*segment.cycle)
+            found.append(_piece(source, cut, segment.cycle, segment, looked=True))
+    if not found and take.n_frames <= SegmentConfig().longest_s * take.rate_hz and is_one_cycle(take):
+        whole = as_one_cycle(take)
+        found.append(_piece(source, take, (0, take.n_frames), replace(whole, confidence=1.0), looked=True))
     if found:
         return Survey(source, tuple(found))
-    seen = f"{doubtful} cycles, none with a confidence of {confidence:g}" if doubtful else "nothing that repeats"
-    return Survey(source, skipped=f"{take.n_frames} frames hold {seen}")
+    doubtful = f"{len(segments)} cycles, none with a confidence of {confidence:g}"
+    return Survey(source, skipped=f"{take.n_frames} frames hold {doubtful if segments else 'nothing that repeats'}")
 
 
 def _piece(source: Source, cut: Clip, frames: tuple[int, int], segment: Segment, *, looked: bool) -> Piece:

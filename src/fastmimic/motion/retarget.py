@@ -136,6 +136,12 @@ def _check(clip: Clip, rate_hz: float, scale: float | None) -> None:
         raise ClipError(f"retargeting needs at least {MIN_FRAMES} frames, found {clip.n_frames}; choose a longer cut")
 
 
+def is_one_cycle(clip: Clip, config: RetargetConfig | None = None) -> bool:
+    """Whether a clip is taken for one cycle if nothing else is asked: if it says so, or if its ends meet."""
+    config = config or RetargetConfig()
+    return _decide_cycle(clip, extract(clip, clip.scale or 1.0, config.roll_share), None, config)[0]
+
+
 def _decide_cycle(clip: Clip, source: Source, cycle: bool | None, config: RetargetConfig) -> tuple[bool, str]:
     if cycle is not None:
         return cycle, "taken as one cycle, as asked" if cycle else "not a cycle, as asked"

@@ -1,0 +1,296 @@
+"""What a library costs: time, memory and disk a motion, what several processes make of it, and what warm starts save.
+
+    python benchmarks/library.py cost [--json] [--write]        # about 15 minutes on two idle cores
+    python benchmarks/library.py warm [--write]                 # needs FASTMIMIC_DATA; about as long
+    python benchmarks/library.py takes [--write] [--out LIBRARY]  # a library of all of the dog's recordings
+
+`--write` puts the tables into docs/library.md. `cost` wants a machine that does nothing else: it compares wall times.
+"""
+
+import argparse
+import json
+import os
+import resource
+import statistics
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from marked import put
+
+from fastmimic.executors import Executor, Report, make_executor
+from fastmimic.library import Building, Library, Recipe, Source, build, find_sources
+from fastmimic.library.build import Step
+from fastmimic.library.jobs import Job, perform, robot_digest
+from fastmimic.library.pieces import survey
+from fastmimic.library.warm_start import distance
+from fastmimic.motion.data import data_folder
+from fastmimic.pipeline import imitate, load_motion
+from fastmimic.robot import load_robot
+
+PAGE = Path(__file__).parents[1] / "docs" / "library.md"
+MOTIONS = ("trot", "pace", "turn", "side-step", "walk", "bound", "spin", "backward-trot")
+SHORT, LONG = 5, 25
+CLIPS = 100_000
+CORES = 1000
+
+WARM_MOTIONS = ("dog:trot", "dog:pace", "dog:right-turn", "dog:canter", "dog:spin", "anim:side-steps")
+WARM_ITERATIONS, WARM_SEEDS = 40, 2
+WARM_WITHIN = 0.001
+
+
+def measured(job: Job, report: Report) -> tuple[dict[str, Any], float]:
+    """The record of a job, and the greatest memory of its process so far, MB."""
+    record = perform(job, report)
+    return record, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def jobs_of(folder: Path, iterations: int) -> list[Job]:
+    """The built-in motions on the A1."""
+    robot = load_robot("a1")
+    recipe = Recipe(iterations=iterations)
+    pieces = [piece for name in MOTIONS for piece in survey(Source(name), 0.5).pieces]
+    return [Job(piece, "a1", robot_digest(robot), 0, recipe, folder) for piece in pieces]
+
+
+def timed(executor: Executor, iterations: int) -> dict[str, Any]:
+    """Wall and processor time of the jobs, memory, and disk."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        began = time.perf_counter()
+        done = [outcome.result for outcome in executor.run(measured, jobs_of(folder, iterations))]
+        wall = time.perf_counter() - began
+        assert all(record["status"] == "done" for record, _ in done), done
+        sizes = {
+            kind: statistics.mean(path.stat().st_size for path in folder.glob(pattern)) / 1e3
+            for kind, pattern in (("motion", "motions/*"), ("record", "records/*"), ("checkpoint", "work/*/*"))
+        }
+        began = time.perf_counter()
+        for _ in range(20):
+            list((folder / "records").glob("*.json"))
+            for path in (folder / "records").glob("*.json"):
+                json.loads(path.read_text())
+        reading = (time.perf_counter() - began) / 20 / len(done)
+    return {
+        "wall_s": wall,
+        "cpu_s": statistics.mean(record["cpu_s"] for record, _ in done),
+        "simulated_s": statistics.mean(record["simulated_s"] for record, _ in done),
+        "memory_mb": max(memory for _, memory in done),
+        "kb": sizes,
+        "reading_ms": 1e3 * reading,
+    }
+
+
+def cost() -> dict[str, Any]:
+    """All of it, measured in one run."""
+    from fastmimic.executors.local import LocalExecutor, _spread
+
+    class OneProcess(LocalExecutor):
+        """A pool of one process, to compare with two."""
+
+        def run(self, work: Any, jobs: Any, progress: Any = None) -> Any:
+            return _spread(work, jobs, 1, progress)
+
+    one, two = OneProcess(1), make_executor("local", workers=2)
+    timed(two, 1)  # compiles, and loads from the disk
+    short = {"one": timed(one, SHORT), "two": timed(two, SHORT)}
+    long = timed(two, LONG)
+    each = (long["cpu_s"] - short["two"]["cpu_s"]) / (LONG - SHORT)
+    trials = short["two"]["cpu_s"] - SHORT * each
+    whole = trials + Recipe().iterations * each
+    takes = _surveying()
+    return {
+        "iteration_cpu_s": each,
+        "trials_cpu_s": trials,
+        "motion_cpu_s": whole,
+        "per_core_hour": 3600 / whole,
+        "simulated_per_cpu_s": (long["simulated_s"] - short["two"]["simulated_s"]) / (LONG - SHORT) / each,
+        "efficiency_two": short["one"]["wall_s"] / (2 * short["two"]["wall_s"]),
+        "memory_mb": long["memory_mb"],
+        "kb": long["kb"],
+        "reading_ms": long["reading_ms"],
+        **takes,
+        "core_hours": CLIPS * whole / 3600,
+    }
+
+
+def _surveying() -> dict[str, Any]:
+    folder = data_folder() / "dog_keypoints"
+    files = sorted(folder.glob("*_joint_pos.txt"))
+    if not files:
+        return {}
+    began, busy = time.perf_counter(), time.process_time()
+    found = [survey(source, 0.5) for source in find_sources(folder)]
+    seconds = sum(len(path.read_text().splitlines()) for path in files) / 60
+    return {
+        "survey_cpu_s_per_minute": 60 * (time.process_time() - busy) / seconds,
+        "survey_wall_s": time.perf_counter() - began,
+        "pieces_per_minute": 60 * sum(len(s.pieces) for s in found) / seconds,
+    }
+
+
+def cost_table(c: dict[str, Any]) -> str:
+    """As Markdown, with the arithmetic."""
+    kb = sum(c["kb"].values())
+    rows = [
+        ("a generation of ten candidates, 5 s each", f"{c['iteration_cpu_s']:.2f} s of a core"),
+        ("simulated, with its controller", f"{c['simulated_per_cpu_s']:.0f} s a second of a core"),
+        ("choosing among the best, and all trials", f"{c['trials_cpu_s']:.0f} s of a core"),
+        ("one motion, 200 generations", f"{c['motion_cpu_s']:.0f} s of a core"),
+        ("motions a core-hour", f"{c['per_core_hour']:.0f}"),
+        ("two processes against one, share of twice as fast", f"{100 * c['efficiency_two']:.0f} %"),
+        ("memory of a process, at most", f"{c['memory_mb']:.0f} MB"),
+        ("disk: motion, record, checkpoint", " + ".join(f"{c['kb'][k]:.0f}" for k in c["kb"]) + " kB"),
+        ("reading a record for the index", f"{c['reading_ms']:.2f} ms"),
+    ]
+    if "survey_cpu_s_per_minute" in c:
+        rows.append(("looking through a minute of a take", f"{c['survey_cpu_s_per_minute']:.2f} s of a core"))
+    hours = c["core_hours"]
+    lines = ["| what | measured |", "| --- | --- |", *(f"| {a} | {b} |" for a, b in rows), ""]
+    lines += [
+        f"{CLIPS:,} clips, one robot, one seed: {CLIPS:,} × {c['motion_cpu_s']:.0f} s = **{hours:,.0f} core-hours**, on"
+        f" {CORES:,} cores {hours / CORES:.1f} h; {CLIPS * kb / 1e6:,.0f} GB of disk, of which the checkpoints"
+        f" ({CLIPS * c['kb']['checkpoint'] / 1e6:,.0f} GB) may be removed. The {CORES:,} processes need"
+        f" {CORES * c['memory_mb'] / 1e6:.1f} TB of memory in all. Writing the index once takes"
+        f" {CLIPS * c['reading_ms'] / 1e3:.0f} s of the one builder."
+    ]
+    return "\n".join(lines)
+
+
+def warm(say: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Searches of each motion from the unmodulated one and from the nearest other one's result, seed by seed."""
+    robot = load_robot("a1")
+    pieces = {name: survey(Source(name), 0.0).pieces[0] for name in WARM_MOTIONS}
+    motions = {name: load_motion(name, robot) for name in WARM_MOTIONS}
+    cold: dict[tuple[str, int], Any] = {}
+    for name in WARM_MOTIONS:
+        for seed in range(WARM_SEEDS):
+            cold[name, seed] = imitate(motions[name], robot, iterations=WARM_ITERATIONS, seed=seed)
+            say(f"{name} seed {seed}, cold: {best_so_far(cold[name, seed])[-1]:.4f}")
+    rows = []
+    for name in WARM_MOTIONS:
+        near = min((n for n in WARM_MOTIONS if n != name), key=lambda n: distance(pieces[name], pieces[n]))
+        for seed in range(WARM_SEEDS):
+            # another seed's result: what a library has is not of the same search
+            start = cold[near, (seed + 1) % WARM_SEEDS].motion
+            found = imitate(motions[name], robot, iterations=WARM_ITERATIONS, seed=seed, warm_start=start)
+            rows.append(
+                {
+                    "motion": name,
+                    "near": near,
+                    "distance": distance(pieces[name], pieces[near]),
+                    "seed": seed,
+                    "unmodulated": cold[name, seed].history.baseline,
+                    "given": found.history.start,
+                    "cold": best_so_far(cold[name, seed]).tolist(),
+                    "warm": best_so_far(found).tolist(),
+                }
+            )
+            say(f"{name} seed {seed}, like {near}: {rows[-1]['warm'][-1]:.4f}")
+    return rows
+
+
+def best_so_far(result: Any) -> Any:
+    """(iterations + 1,) the best score until then, before the first iteration included."""
+    history = result.history
+    return np.maximum.accumulate(np.concatenate([[history.start], history.best]))
+
+
+def warm_table(rows: Sequence[dict[str, Any]]) -> str:
+    """As Markdown."""
+    lines = [
+        "| motion | begins like | distance | unmodulated | first candidate | cold, best | generations, cold | warm |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    saved = []
+    for name in WARM_MOTIONS:
+        own = [row for row in rows if row["motion"] == name]
+        counts = []
+        for row in own:
+            goal = row["cold"][-1] - WARM_WITHIN
+            counts.append([next((i for i, v in enumerate(row[k]) if v >= goal), None) for k in ("cold", "warm")])
+        saved += [(c - w) / c for c, w in counts if c and w is not None]
+        first = own[0]
+        lines.append(
+            f"| `{name}` | `{first['near']}` | {first['distance']:.1f} | {first['unmodulated']:.3f} |"
+            f" {statistics.mean(r['given'] for r in own):.3f} | {statistics.mean(r['cold'][-1] for r in own):.3f} |"
+            f" {', '.join(str(c) for c, _ in counts)} |"
+            f" {', '.join('–' if w is None else str(w) for _, w in counts)} |"
+        )
+    never = sum(1 for row in rows if all(value < row["cold"][-1] - WARM_WITHIN for value in row["warm"]))
+    lines += [
+        "",
+        f"Generations until the best score is within {WARM_WITHIN:g} of what {WARM_ITERATIONS} generations from the"
+        f" unmodulated motion find, {WARM_SEEDS} seeds; '–': not within as many. Saved:"
+        f" {100 * statistics.mean(saved):.0f} % of them in the mean of those that get there, {never} of {len(rows)} do"
+        " not.",
+    ]
+    return "\n".join(lines)
+
+
+def takes(out: Path, iterations: int, say: Callable[[str], None]) -> str:
+    """A library of all recordings of the dog; its table as Markdown."""
+
+    def progress(step: Step) -> None:
+        if step.record is not None:
+            say(f"{step.done}/{step.total} {step.record['name']}: {step.record['reward']}")
+
+    sources = find_sources(data_folder())
+    recipe = replace(Recipe(), iterations=iterations)
+    built = build(Building(sources, recipe, ("a1",)), out, make_executor("local"), progress=progress)
+    rows = built.rows
+    by_gait: dict[str, Counter[str]] = {}
+    for row in rows:
+        by_gait.setdefault(row["footfall"] if row["gait"] != "turn" else "turn", Counter())[row["grade"]] += 1
+    grades = ["A", "B", "C", "rejected", "failed"]
+    lines = [f"| gait | {' | '.join(grades)} |", f"| {' | '.join(['---'] * (len(grades) + 1))} |"]
+    for gait, counted in sorted(by_gait.items()):
+        lines.append(f"| {gait} | {' | '.join(str(counted[g] or '') for g in grades)} |")
+    lost = Counter(
+        (row["limits_exceeded"] or row["lacks"] or "").split(";")[0].split(" (")[0] for row in rows if not row["kept"]
+    )
+    lines += [
+        "",
+        f"{len(sources)} files, {len(rows)} motions for the A1, {iterations} generations each,"
+        f" {sum(row['cpu_s'] for row in rows) / 60:.0f} minutes of a core in all;"
+        f" kept {sum(row['kept'] for row in rows)}."
+        + (f" What is rejected lacks: {', '.join(f'{why} ({n})' for why, n in lost.most_common())}." if lost else ""),
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["cost", "warm", "takes"])
+    parser.add_argument("--json", action="store_true", help="print figures instead of a table")
+    parser.add_argument("--write", action="store_true", help="into docs/library.md")
+    parser.add_argument("--out", type=Path, default=Path("runs/takes"), help="the library of `takes`")
+    parser.add_argument("--iterations", type=int, default=20, help="generations of `takes`")
+    given = parser.parse_args()
+
+    def say(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+    if given.what == "cost":
+        figures: Any = cost()
+        text = cost_table(figures)
+    elif given.what == "warm":
+        figures = warm(say)
+        text = warm_table(figures)
+    else:
+        text = takes(given.out, given.iterations, say)
+        figures = Library.open(given.out).index()
+    print(json.dumps(figures) if given.json else text)
+    if given.write:
+        put(PAGE, given.what, text)
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    main()
