@@ -1,6 +1,6 @@
 """What every executor is."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
@@ -39,11 +39,11 @@ class Executor(Protocol):
 
     def run(
         self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
-    ) -> Iterator[Outcome]:
+    ) -> Generator[Outcome, None, None]:
         """Runs all jobs; yields each one's outcome as it is there.
 
-        Whoever stops asking, or Ctrl-C, stops what runs. Anything but a `FastMimicError` that a job raises is a defect,
-        and is raised here.
+        Closing it (`contextlib.closing`), or Ctrl-C, stops what runs. Anything but a `FastMimicError` that a job raises
+        is a defect, and is raised here.
 
         Args:
             work: the function.

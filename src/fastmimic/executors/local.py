@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import queue
 import signal
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from typing import Any, Final
@@ -45,14 +45,16 @@ class LocalExecutor:
 
     def run(
         self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
-    ) -> Iterator[Outcome]:
+    ) -> Generator[Outcome, None, None]:
         """As `Executor.run`."""
         if self._workers == 1:
             return _here(work, jobs, progress)
         return _spread(work, jobs, self._workers, progress)
 
 
-def _here(work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None) -> Iterator[Outcome]:
+def _here(
+    work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None
+) -> Generator[Outcome, None, None]:
     for index, job in enumerate(jobs):
 
         def report(share: float, index: int = index) -> None:
@@ -64,7 +66,7 @@ def _here(work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None
 
 def _spread(
     work: Work, jobs: Iterable[Any], workers: int, progress: Callable[[int, float], None] | None
-) -> Iterator[Outcome]:
+) -> Generator[Outcome, None, None]:
     context = multiprocessing.get_context("spawn")
     steps: Any = context.Queue()
     waiting = enumerate(jobs)

@@ -7,7 +7,7 @@ in common is the installed package and, for jobs that read and write files, thos
 import logging
 import os
 import socket
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from typing import Any, Final
 
 from fastmimic.errors import ConfigError, FastMimicError, WorkerError
@@ -56,7 +56,7 @@ class RayExecutor:
 
     def run(
         self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
-    ) -> Iterator[Outcome]:
+    ) -> Generator[Outcome, None, None]:
         """As `Executor.run`; a job is told of as done only when it is."""
         ray = require_ray()
         own = not ray.is_initialized()

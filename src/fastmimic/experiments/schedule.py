@@ -6,28 +6,18 @@ thread's work. Here there are more runs than cores. Nothing is shared between ru
 number of processes. `benchmarks/comparison.py --scaling` measures both ways.
 """
 
-import multiprocessing
-import os
-import queue
-import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
 
-from fastmimic.errors import OutputError
+from fastmimic.executors.local import LocalExecutor
 from fastmimic.experiments.runs import Row, Run, Settings, perform
 from fastmimic.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import VALIDATED, VALIDATION_EPISODES, VALIDATION_S, Progress
 from fastmimic.robot import load_robot
-
-_POLL_S: Final = 0.5
-_ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -129,98 +119,34 @@ def run_all(tasks: Sequence[Task], workers: int, report: Report) -> list[Row]:
         FastMimicError: as the first run that failed; the others are stopped.
         KeyboardInterrupt: Ctrl-C.
     """
-    workers = max(1, min(workers, len(tasks)))
-    effort = Effort(tasks, workers)
+    executor = LocalExecutor(max(1, min(workers, len(tasks))))
+    effort = Effort(tasks, executor.workers)
     rows: list[Row | None] = [None] * len(tasks)
-    for index, row in _in_this_process(tasks, effort, report) if workers == 1 else _spread(tasks, effort, report):
-        rows[index] = row
+
+    def progress(index: int, share: float) -> None:
+        if share > 0.0:
+            effort.advance(index, round(share * tasks[index].settings.iterations))
+            report(effort, None)
+        else:
+            effort.begin(index)
+
+    outcomes = executor.run(_work, tasks, progress)
+    with closing(outcomes):
+        for outcome in outcomes:
+            if outcome.error is not None:
+                raise outcome.error
+            rows[outcome.index] = outcome.result
+            effort.finish(outcome.index)
+            report(effort, outcome.result)
     return [row for row in rows if row is not None]
 
 
-def _in_this_process(tasks: Sequence[Task], effort: Effort, report: Report) -> Iterator[tuple[int, Row]]:
-    for index, task in enumerate(tasks):
-        effort.begin(index)
-
-        def progress(step: Progress, index: int = index) -> None:
-            effort.advance(index, step.iteration)
-            report(effort, None)
-
-        row = _perform(task, progress)
-        effort.finish(index)
-        report(effort, row)
-        yield index, row
-
-
-def _spread(tasks: Sequence[Task], effort: Effort, report: Report) -> Iterator[tuple[int, Row]]:
-    context = multiprocessing.get_context("spawn")
-    steps: Any = context.Queue()
-    with _one_thread_each(), _pool(effort.workers, context, steps) as pool:
-        futures: dict[Future[Row], int] = {pool.submit(_work, i, task): i for i, task in enumerate(tasks)}
-        while futures:
-            done, _ = wait(futures, timeout=_POLL_S, return_when=FIRST_COMPLETED)
-            if _drain(steps, effort):
-                report(effort, None)
-            for future in done:
-                index = futures.pop(future)
-                row = _result(future)
-                effort.finish(index)
-                report(effort, row)
-                yield index, row
-
-
-@contextmanager
-def _pool(workers: int, context: Any, steps: Any) -> Iterator[ProcessPoolExecutor]:
-    """A pool whose processes are stopped, not waited for, if anything goes wrong."""
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(steps,))
-    others = set(multiprocessing.active_children())
-    try:
-        yield pool
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        started = set(multiprocessing.active_children()) - others
-        for process in started:
-            process.terminate()
-        for process in started:
-            process.join()
-        raise
-    pool.shutdown()
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Lets processes started in the block use one thread for linear algebra, unless the user said otherwise."""
-    added = [name for name in _ONE_THREAD if name not in os.environ]
-    os.environ.update(dict.fromkeys(added, "1"))
-    try:
-        yield
-    finally:
-        for name in added:
-            os.environ.pop(name, None)
-
-
-_steps: Any = None
-
-
-def _begin(steps: Any) -> None:
-    """Prepares a process of the pool: Ctrl-C is the parent's to handle."""
-    global _steps
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _steps = steps
-
-
-def _work(index: int, task: Task) -> Row:
-    _steps.put((index, 0))
+def _work(task: Task, report: Callable[[float], None]) -> Row:
+    report(0.0)
 
     def progress(step: Progress) -> None:
-        parent = multiprocessing.parent_process()
-        if parent is not None and not parent.is_alive():
-            os._exit(1)  # it was killed; the checkpoint is on disk
-        _steps.put((index, step.iteration))
+        report(step.iteration / step.iterations)
 
-    return _perform(task, progress)
-
-
-def _perform(task: Task, progress: Callable[[Progress], None]) -> Row:
     robot = load_robot(task.settings.robot)
     policy = None
     if task.policy is not None:
@@ -228,28 +154,3 @@ def _perform(task: Task, progress: Callable[[Progress], None]) -> Row:
 
         policy = Policy.load(task.policy)
     return perform(task.run, task.settings, robot, Motion.load(task.demonstration), task.folder, progress, policy)
-
-
-def _result(future: Future[Row]) -> Row:
-    try:
-        return future.result()
-    except BrokenProcessPool:
-        raise OutputError(
-            "a process of the comparison was killed, perhaps for want of memory; --resume goes on, with fewer"
-            " --workers if it happens again"
-        ) from None
-
-
-def _drain(steps: Any, effort: Effort) -> bool:
-    """Takes in what the processes have reported; whether there was anything."""
-    found = False
-    while True:
-        try:
-            index, iteration = steps.get_nowait()
-        except queue.Empty:
-            return found
-        found = True
-        if iteration:
-            effort.advance(index, iteration)
-        else:
-            effort.begin(index)

@@ -1,6 +1,7 @@
 """Building a library: look through the sources, do the jobs that are not done, write the index."""
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -173,14 +174,15 @@ def _look(building: Building, library: Library, executor: Executor, tell: Callab
     found: dict[int, Survey] = {}
     tell(Step("looking", 0, len(sources), 0.0))
     looking = partial(_survey, confidence=building.confidence)
-    for outcome in executor.run(looking, sources):
-        if isinstance(outcome.error, OutputError):
-            raise outcome.error
-        source = sources[outcome.index]
-        found[outcome.index] = outcome.result or Survey(source, failed=str(outcome.error))
-        save_survey(library.path, found[outcome.index])
-        share = len(found) / len(sources)
-        tell(Step("looking", len(found), len(sources), share, survey=found[outcome.index]))
+    with closing(executor.run(looking, sources)) as outcomes:
+        for outcome in outcomes:
+            if isinstance(outcome.error, OutputError):
+                raise outcome.error
+            source = sources[outcome.index]
+            found[outcome.index] = outcome.result or Survey(source, failed=str(outcome.error))
+            save_survey(library.path, found[outcome.index])
+            share = len(found) / len(sources)
+            tell(Step("looking", len(found), len(sources), share, survey=found[outcome.index]))
     return [found[i] for i in range(len(sources))]
 
 
@@ -202,21 +204,22 @@ def _make(jobs: Sequence[Job], library: Library, executor: Executor, tell: Calla
         tell(Step("making", done, total, (total - len(missing) + sum(shares.values())) / total))
 
     since, every = 0, INDEX_EVERY
-    for outcome in executor.run(perform, missing, progress):
-        job = missing[outcome.index]
-        if isinstance(outcome.error, WorkerError):
-            record: Record = _given_up(job, outcome.error)
-        elif outcome.error is not None:
-            raise outcome.error
-        else:
-            record = outcome.result
-        done, since = done + 1, since + 1
-        shares[outcome.index] = 1.0
-        share = (total - len(missing) + sum(shares.values())) / total
-        tell(Step("making", done, total, share, record=record))
-        if since >= every:
-            every = max(INDEX_EVERY, round(INDEX_SHARE * len(library.write_index())))
-            since = 0
+    with closing(executor.run(perform, missing, progress)) as outcomes:
+        for outcome in outcomes:
+            job = missing[outcome.index]
+            if isinstance(outcome.error, WorkerError):
+                record: Record = _given_up(job, outcome.error)
+            elif outcome.error is not None:
+                raise outcome.error
+            else:
+                record = outcome.result
+            done, since = done + 1, since + 1
+            shares[outcome.index] = 1.0
+            share = (total - len(missing) + sum(shares.values())) / total
+            tell(Step("making", done, total, share, record=record))
+            if since >= every:
+                every = max(INDEX_EVERY, round(INDEX_SHARE * len(library.write_index())))
+                since = 0
     return len(missing)
 
 
