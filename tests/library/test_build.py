@@ -126,8 +126,9 @@ def test_a_longer_search_goes_on_from_the_shorter_one(mine: Path, monkeypatch: p
     assert begun == [True]
     assert [row["iterations"] for row in again.rows] == [5]  # the pace is of the old recipe
     health = check(Library.open(mine))
-    assert len(health.foreign) == 2  # the old records; their motions are theirs
-    assert mend(Library.open(mine), health) == 2
+    assert len(health.foreign) == 4  # the old records, and their motions
+    assert mend(Library.open(mine), health) == 4
+    assert check(Library.open(mine)).foreign == ()
 
 
 def test_a_full_disk_loses_nothing(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:

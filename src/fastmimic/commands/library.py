@@ -81,7 +81,6 @@ class Build:
         """Builds it; returns the exit status."""
         from fastmimic.executors import make_executor
         from fastmimic.library import build
-        from fastmimic.library.folder import failures
 
         building = self._building()
         executor = make_executor(self.executor, workers=self.workers, address=self.address)
@@ -90,11 +89,10 @@ class Build:
             built = build(building, self.out, executor, update=self.update, progress=progress)
         put(f"{built.jobs} motions, {built.done} of them made now")
         _summary(built.rows)
-        failed = failures(built.rows, built.library.surveys())
-        for what, why in failed:
-            note(f"failed: {what}: {why}")
+        for line in built.failures:
+            note(f"failed: {line}")
         put(f"library in {self.out}")
-        return EXIT_SOME_FAILED if failed else 0
+        return EXIT_SOME_FAILED if built.failures else 0
 
     def _building(self) -> "Building":
         from fastmimic.library import Building, Library, Recipe, find_sources
@@ -181,8 +179,8 @@ class ListMotions(_Choice):
             put(line)
         _summary(rows)
         for survey in library.surveys():
-            if survey.failed is not None or survey.skipped is not None:
-                put(f"{survey.source}: {survey.failed or survey.skipped}")
+            if survey.problem is not None:
+                put(survey.problem)
         return 0
 
 
@@ -262,7 +260,8 @@ class Verify:
     rerun: Annotated[int, arg(metavar="INT")] = 0
     """Run so many motions' nominal episodes again, drawn at random, and compare them with what is recorded."""
     mend: bool = False
-    """Write the index anew, and remove damaged records, which the next build makes again, and files of no record."""
+    """Write the index anew, and remove damaged records, which the next build makes again, and files of no record. Not
+    while a build runs there."""
 
     def run(self) -> int:
         """Does it; returns the exit status."""
@@ -313,15 +312,15 @@ class Libraries:
 
 
 def _second_simulator(robots: Sequence[str]) -> bool:
-    """Whether PyBullet is there; says so once if it is not, and knows one of the robots."""
+    """Whether PyBullet is there, which is of the recipe whatever the robots are; says so once if it is not, and would
+    know one of them."""
     from fastmimic.simulation.pybullet_sim import DESCRIPTIONS, require_pybullet
 
-    if not any(name in DESCRIPTIONS for name in robots):
-        return False
     try:
         require_pybullet()
     except ConfigError:
-        note("PyBullet is not installed: motions are not tried in a second simulator")
+        if any(name.lower() in DESCRIPTIONS for name in robots):
+            note("PyBullet is not installed: motions are not tried in a second simulator")
         return False
     return True
 
@@ -341,7 +340,7 @@ def _progress(said: str) -> "Iterator[Callable[[Step], None]]":
                 note(said)
                 begun = True
             if step.survey is not None and step.survey.failed is not None:
-                note(f"failed: {step.survey.source}: {step.survey.failed}")
+                note(f"failed: {step.survey.problem}")
             if step.record is not None:
                 started()
                 r = step.record

@@ -2,20 +2,20 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Final
 
-from fastmimic.errors import ConfigError, FastMimicError, LibraryError, OutputError, WorkerError
+from fastmimic.errors import ConfigError, LibraryError, OutputError, WorkerError
 from fastmimic.executors import Executor, Report
 from fastmimic.files import check_folder
 from fastmimic.library.folder import Library, Row, require_pyarrow
-from fastmimic.library.jobs import Job, failed, perform, robot_digest
-from fastmimic.library.pieces import Survey, save_survey, survey
+from fastmimic.library.jobs import Job, give_up, perform, robot_digest
+from fastmimic.library.pieces import Survey, remove_survey, save_survey, survey
 from fastmimic.library.recipe import Recipe
-from fastmimic.library.records import FAILED, Record, load_record, save_record
+from fastmimic.library.records import FAILED, Record, load_record
 from fastmimic.library.sources import Source
 from fastmimic.library.warm_start import Neighbours
 from fastmimic.robot import load_robot
@@ -84,15 +84,27 @@ class Built:
         library: the library.
         rows: of its index.
         surveys: of the sources that were asked for.
-        jobs: how many jobs they make.
+        ids: of the records of the jobs that they make.
         done: how many of them were done now; the others were there.
     """
 
     library: Library
     rows: list[Row]
     surveys: list[Survey]
-    jobs: int
+    ids: frozenset[str]
     done: int
+
+    @property
+    def jobs(self) -> int:
+        """How many jobs the sources make."""
+        return len(self.ids)
+
+    @property
+    def failures(self) -> list[str]:
+        """What of this build could not be done, a line each: source or motion, and why."""
+        found = [survey.problem for survey in self.surveys if survey.failed is not None and survey.problem is not None]
+        rows = [row for row in self.rows if row["id"] in self.ids and row["status"] == FAILED]
+        return found + [f"{row['name']} on {row['robot']} seed {row['seed']}: {row['reason']}" for row in rows]
 
 
 def build(
@@ -138,27 +150,29 @@ def build(
     jobs = list({job.id: job for job in jobs}.values())
     try:
         done = _make(jobs, library, executor, tell)
-    finally:
-        rows = library.write_index()
-    return Built(library, rows, surveys, len(jobs), done)
+    except BaseException:
+        library.write_index(settled=False)
+        raise
+    rows = library.write_index()
+    return Built(library, rows, surveys, frozenset(job.id for job in jobs), done)
 
 
 def _begin(library: Library, recipe: Recipe, update: bool) -> None:
     try:
-        there = library.recipe()
+        there = library.recipe_digest()
+        was = library.settings()
     except LibraryError:
         if not update:
             raise
-        there = None
-    if there is not None and there.digest != recipe.digest and not update:
-        changed = [name for name, value in vars(recipe).items() if getattr(there, name) != value] or ["the controller"]
-        said = ", ".join(f"{name} was {getattr(there, name)}" for name in changed if hasattr(there, name))
+        there, was = None, {}
+    if there is not None and there != recipe.digest and not update:
+        said = ", ".join(f"{name} was {was[name]}" for name, value in asdict(recipe).items() if was[name] != value)
         raise LibraryError(
             f"{library.path}: holds a library made otherwise ({said or 'another controller'}); --update makes it anew,"
             " or choose another --out"
         )
     check_folder(library.path)
-    if there is None or there.digest != recipe.digest:
+    if there != recipe.digest:
         library.save_recipe(recipe)
 
 
@@ -183,7 +197,17 @@ def _look(building: Building, library: Library, executor: Executor, tell: Callab
             save_survey(library.path, found[outcome.index])
             share = len(found) / len(sources)
             tell(Step("looking", len(found), len(sources), share, survey=found[outcome.index]))
+    _supersede(library, sources)
     return [found[i] for i in range(len(sources))]
+
+
+def _supersede(library: Library, sources: Sequence[Source]) -> None:
+    """Forgets what was found in the same parts of the same files when they were read otherwise: at another rate, with
+    another licence."""
+    keys, parts = {source.key for source in sources}, {(source.place, source.frames) for source in sources}
+    for old in library.surveys():
+        if (old.source.place, old.source.frames) in parts and old.source.key not in keys:
+            remove_survey(library.path, old)
 
 
 def _survey(source: Source, report: Report, *, confidence: float) -> Survey:
@@ -208,7 +232,7 @@ def _make(jobs: Sequence[Job], library: Library, executor: Executor, tell: Calla
         for outcome in outcomes:
             job = missing[outcome.index]
             if isinstance(outcome.error, WorkerError):
-                record: Record = _given_up(job, outcome.error)
+                record: Record = give_up(job, outcome.error)
             elif outcome.error is not None:
                 raise outcome.error
             else:
@@ -218,7 +242,7 @@ def _make(jobs: Sequence[Job], library: Library, executor: Executor, tell: Calla
             share = (total - len(missing) + sum(shares.values())) / total
             tell(Step("making", done, total, share, record=record))
             if since >= every:
-                every = max(INDEX_EVERY, round(INDEX_SHARE * len(library.write_index())))
+                every = max(INDEX_EVERY, round(INDEX_SHARE * len(library.write_index(settled=False))))
                 since = 0
     return len(missing)
 
@@ -226,10 +250,3 @@ def _make(jobs: Sequence[Job], library: Library, executor: Executor, tell: Calla
 def _finished(job: Job) -> bool:
     record = load_record(job.folder, job.id)
     return record is not None and record["status"] != FAILED
-
-
-def _given_up(job: Job, error: FastMimicError) -> Record:
-    """The record of a job whose process died whenever it was begun."""
-    record = job.record | failed(error)
-    save_record(job.folder, record)
-    return record

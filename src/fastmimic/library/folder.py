@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any, Final
 from fastmimic.errors import LibraryError, did_you_mean
 from fastmimic.files import replace_file
 from fastmimic.library.grades import KEPT, grade, rank
-from fastmimic.library.pieces import Survey, load_surveys
+from fastmimic.library.pieces import Piece, Survey, load_surveys
 from fastmimic.library.recipe import Recipe
-from fastmimic.library.records import COLUMNS, COSTS, FAILED, MOTIONS, RECORDS, Record, damage, read_record
+from fastmimic.library.records import COLUMNS, COSTS, MOTIONS, RECORDS, Record, damage, read_record
 from fastmimic.motion.motion import Motion
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class Library:
         library = cls(Path(path))
         if not (library.path / SETTINGS).is_file():
             raise LibraryError(f"{path}: no library there; 'fastmimic library build SOURCES --out {path}' makes one")
-        library.recipe()  # whose format is checked
+        library.recipe_digest()  # the format is checked
         return library
 
     def recipe(self) -> Recipe | None:
@@ -77,23 +77,47 @@ class Library:
 
         Raises:
             LibraryError: it cannot be read.
+            ConfigError: the file of the controller's parameters is not there any more.
         """
+        said = self.settings()
+        return Recipe(**said) if said else None
+
+    def settings(self) -> dict[str, Any]:
+        """The recipe as it is written down, empty if there is none; raises `LibraryError` if it cannot be read."""
+        said = self._settings()
+        return {} if said is None else dict(said["recipe"])
+
+    def recipe_digest(self) -> str | None:
+        """Of how its motions are made, at the time when they were, whatever has become of a configuration's file.
+
+        Raises:
+            LibraryError: it cannot be read.
+        """
+        said = self._settings()
+        return None if said is None else said["digest"]
+
+    def _settings(self) -> dict[str, Any] | None:
         path = self.path / SETTINGS
         try:
-            said = json.loads(path.read_text(encoding="utf-8"))
+            said: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
             if said["format_version"] != FORMAT_VERSION:
                 raise LibraryError(
                     f"{path}: format version {said['format_version']}; this release reads version {FORMAT_VERSION}"
                 )
-            return Recipe(**said["recipe"])
+            missing = {"digest", *Recipe.__dataclass_fields__} ^ {"digest", *said["recipe"]}
+            if missing or not isinstance(said["digest"], str):
+                raise ValueError(f"not a recipe: {', '.join(sorted(missing)) or 'digest'}")
         except FileNotFoundError:
             return None
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise LibraryError(f"{path}: cannot be read ({error}); build with --update to write it anew") from None
+        return said
 
     def save_recipe(self, recipe: Recipe) -> None:
         """Writes it; raises `OutputError` if it cannot."""
-        text = json.dumps({"format_version": FORMAT_VERSION, "recipe": asdict(recipe)}, indent=1)
+        text = json.dumps(
+            {"format_version": FORMAT_VERSION, "digest": recipe.digest, "recipe": asdict(recipe)}, indent=1
+        )
         replace_file(self.path / SETTINGS, lambda file: file.write(text.encode()))
 
     def surveys(self) -> list[Survey]:
@@ -102,15 +126,20 @@ class Library:
 
     def records(self) -> Iterator[Record]:
         """The records that belong to it now: of its recipe, of pieces that its sources have. A record of an earlier
-        recipe, or of a source that has changed, stays in the folder and is nobody's."""
-        recipe = self.recipe()
-        pieces = {(survey.source.place, piece.digest) for survey in self.surveys() for piece in survey.pieces}
+        recipe, or of a source that has changed, stays in the folder and is nobody's. What a record says of its piece is
+        as the source has it now: it may be found elsewhere, or under another licence, with the same content."""
+        recipe = self.recipe_digest()
+        pieces: dict[str, list[Piece]] = {}
+        for survey in self.surveys():
+            for piece in survey.pieces:
+                pieces.setdefault(piece.digest, []).append(piece)
         for path in sorted((self.path / RECORDS).glob("*.json")):
             record = read_record(path)
-            if record is None or recipe is None or record["recipe"] != recipe.digest:
+            if record is None or record["recipe"] != recipe or record["piece"] not in pieces:
                 continue
-            if (record["source"], record["piece"]) in pieces:
-                yield record
+            there = pieces[record["piece"]]
+            own = (piece for piece in there if (piece.source.place, piece.name) == (record["source"], record["name"]))
+            yield record | next(own, there[0]).described
 
     def graded(self) -> list[Row]:
         """The rows of the index, by name, robot and seed."""
@@ -127,8 +156,12 @@ class Library:
             row["best"] = row["kept"]
         return sorted(rows, key=lambda row: (row["name"], row["robot"], row["seed"], row["id"]))
 
-    def write_index(self) -> list[Row]:
+    def write_index(self, *, settled: bool = True) -> list[Row]:
         """Makes the index of what is there; its rows.
+
+        Args:
+            settled: whether to make it again until no other builder has finished anything meanwhile: for one that ends,
+                as another may have ended while this one wrote. While jobs run, there is always something.
 
         Raises:
             LibraryError: Arrow is not installed.
@@ -140,7 +173,7 @@ class Library:
             rows = self.graded()
             table = _table(rows)
             replace_file(self.path / INDEX, lambda file, table=table: parquet.write_table(table, file))  # type: ignore[misc]
-            if self._names() == there:  # else another builder has finished something meanwhile
+            if not settled or self._names() == there:
                 return rows
 
     def index(self) -> list[Row]:
@@ -202,12 +235,14 @@ class Health:
     Attributes:
         records: how many were looked at.
         damaged: what is wrong, a line each; to build again mends it.
+        useless: the files of what is damaged, relative to the library.
         foreign: files that belong to no record: of earlier recipes, changed sources, or killed builders.
         outdated: whether the index is not of these records.
     """
 
     records: int
     damaged: tuple[str, ...]
+    useless: tuple[str, ...]
     foreign: tuple[str, ...]
     outdated: bool
 
@@ -225,22 +260,28 @@ def check(library: Library, progress: Callable[[int, int], None] | None = None) 
         progress: called with (files done, files in all).
     """
     paths = sorted((library.path / RECORDS).glob("*.json"))
-    current = {record["id"]: record for record in library.records()}
-    damaged, known = [], set()
+    current = {record["id"] for record in library.records()}
+    damaged, useless, known = [], [], set()
     for i, path in enumerate(paths):
         record = read_record(path)
         if record is None:
             damaged.append(f"{RECORDS}/{path.name}: not a whole record")
-        else:
+            useless.append(f"{RECORDS}/{path.name}")
+        elif record["id"] in current:
             known.add(record["motion_file"])
             wrong = damage(library.path, record)
             if wrong is not None:
                 damaged.append(f"{record['id']}: {wrong}")
+                useless += [f"{RECORDS}/{path.name}", *([record["motion_file"]] if record["motion_file"] else [])]
         if progress is not None:
             progress(i + 1, len(paths))
     motions = {f"{MOTIONS}/{path.name}" for path in (library.path / MOTIONS).glob("*")}
-    foreign = sorted(motions - known) + sorted(f"{RECORDS}/{p.name}" for p in paths if p.stem not in current)
-    return Health(len(paths), tuple(damaged), tuple(foreign), _outdated(library))
+    foreign = sorted(motions - known) + sorted(
+        f"{RECORDS}/{path.name}"
+        for path in paths
+        if path.stem not in current and f"{RECORDS}/{path.name}" not in useless
+    )
+    return Health(len(paths), tuple(damaged), tuple(useless), tuple(foreign), _outdated(library))
 
 
 def _outdated(library: Library) -> bool:
@@ -258,12 +299,6 @@ def _compared(row: Row) -> Row:
 def reproducible(record: Record) -> Record:
     """The part of a record that is the same whenever, wherever and by whomever it is made."""
     return {name: value for name, value in record.items() if name not in COSTS}
-
-
-def failures(rows: Sequence[Row], surveys: Sequence[Survey]) -> list[tuple[str, str]]:
-    """What could not be done: source or motion, and why."""
-    found = [(str(survey.source), survey.failed) for survey in surveys if survey.failed is not None]
-    return found + [(f"{row['name']} on {row['robot']}", row["reason"]) for row in rows if row["status"] == FAILED]
 
 
 def _table(rows: Sequence[Row]) -> "pyarrow.Table":

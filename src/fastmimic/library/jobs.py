@@ -7,7 +7,6 @@ Nothing else is shared, so it does not matter where, when and how often it is do
 import hashlib
 import re
 import time
-import traceback
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
@@ -21,7 +20,7 @@ from fastmimic.executors import Report
 from fastmimic.experiments.runs import measure, named_values, plain
 from fastmimic.imitation.feasibility import demands, describe_fall, reasons
 from fastmimic.imitation.rollout import Rollout, nominal_start, perturbed_start, run_episodes
-from fastmimic.library.pieces import Piece
+from fastmimic.library.pieces import Piece, reason_of
 from fastmimic.library.recipe import SECOND_SIMULATOR_EPISODES, Recipe
 from fastmimic.library.records import DONE, FAILED, MOTIONS, Record, empty, load_record, save_record, sha256
 from fastmimic.motion.motion import Motion
@@ -86,29 +85,21 @@ class Job:
         """Its motion's file, relative to the library."""
         robot = Path(self.robot).stem
         name = re.sub(r"[^\w.-]+", "_", f"{self.piece.name}-{robot}-{self.seed}")
-        return f"{MOTIONS}/{name[:100]}-{self.id}.npz"
+        short = name.encode()[:100].decode(errors="ignore")  # file systems count bytes
+        return f"{MOTIONS}/{short}-{self.id}.npz"
 
     @property
     def record(self) -> Record:
         """Its record as far as it is known before."""
-        piece, (first, end) = self.piece, self.piece.frames or (None, None)
-        return empty() | {
+        return {
+            **empty(),
+            **self.piece.described,
             "id": self.id,
-            "name": piece.name,
-            "source": piece.source.place,
-            "first_frame": first,
-            "end_frame": end,
-            "piece": piece.digest,
-            "gait": piece.gait,
-            "footfall": piece.footfall,
-            "confidence": piece.confidence,
             "robot": Path(self.robot).stem,
             "robot_file": self.robot if Path(self.robot).suffix else None,
             "method": self.recipe.method,
             "seed": self.seed,
             "recipe": self.recipe.digest,
-            "licence": piece.licence,
-            "credit": piece.credit,
         }
 
     def _content(self, recipe: str) -> str:
@@ -143,26 +134,28 @@ def perform(job: Job, report: Report) -> Record:
         record |= _made(job, report)
     except OutputError:
         raise
-    except FastMimicError as error:
-        record |= failed(error)
-    except MemoryError:
-        record |= {"status": FAILED, "reason": "not enough memory"}
     except Exception as error:  # noqa: BLE001 - one motion's defect, of which there may be a thousand others
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        at = f"{Path(where.filename).name}:{where.lineno}"
-        record |= {"status": FAILED, "reason": f"unexpected {type(error).__name__} in {at}: {error}"}
+        record |= {"status": FAILED, "reason": reason_of(error)}
     record |= {
         "wall_s": time.perf_counter() - began,
         "cpu_s": time.process_time() - busy,
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
     }
+    return _kept(job, record)
+
+
+def give_up(job: Job, error: FastMimicError) -> Record:
+    """Keeps the record of a job whose process died whenever it was begun; raises `OutputError` if it cannot."""
+    return _kept(job, job.record | {"status": FAILED, "reason": reason_of(error)})
+
+
+def _kept(job: Job, record: Record) -> Record:
+    """Writes the record; unless it says that the job failed, which another builder has done meanwhile."""
+    there = load_record(job.folder, job.id) if record["status"] == FAILED else None
+    if there is not None and there["status"] != FAILED:
+        return there
     save_record(job.folder, record)
     return record
-
-
-def failed(error: FastMimicError) -> Record:
-    """What a record says whose motion could not be made."""
-    return {"status": FAILED, "reason": " ".join(str(error).split())}
 
 
 def _made(job: Job, report: Report) -> Record:

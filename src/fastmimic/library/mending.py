@@ -5,9 +5,10 @@ from collections.abc import Callable
 import numpy as np
 
 from fastmimic.control.config import controller_config
-from fastmimic.errors import OutputError
+from fastmimic.errors import MotionError, OutputError, RobotError
 from fastmimic.imitation.rollout import run_episodes
 from fastmimic.library.folder import Health, Library
+from fastmimic.library.pieces import reason_of
 from fastmimic.library.records import MOTIONS, RECORDS
 from fastmimic.methods import method_named
 from fastmimic.pipeline import default_duration
@@ -25,25 +26,33 @@ def rerun(library: Library, count: int, progress: Callable[[int, int], None] | N
         progress: called with (done, all).
 
     Returns:
-        Those with another reward than is recorded, a line each, and how many were run.
+        Those with another reward than is recorded, or that cannot be run as their file or their robot's is damaged or
+        not there any more, a line each; and how many were drawn.
 
     Raises:
-        FastMimicError: a motion is damaged, or a robot's file is not there any more.
+        LibraryError: there is no index, or it is damaged.
+        ConfigError: the file of the controller's parameters is not there any more.
     """
     recipe = library.recipe()
     assert recipe is not None, "an open library has one"
+    controller = controller_config(recipe.config)
     rows = [row for row in library.index() if row["motion_file"] is not None]
     drawn = np.random.default_rng(_DRAW_SEED).permutation(len(rows))[:count]
     found = []
     for i, at in enumerate(drawn):
         row = rows[at]
-        motion = library.motion(row)
-        config = method_named(row["method"]).configure(controller_config(recipe.config))
-        seconds = min(recipe.evaluation_s, default_duration(motion.target, recipe.evaluation_s))
-        robot = load_robot(row["robot_file"] or row["robot"])
-        reward = float(run_episodes(robot, motion, duration_s=seconds, config=config).reward[0])
-        if reward != row["reward"]:
-            found.append(f"{row['id']} {row['name']} on {row['robot']}: {row['reward']!r} recorded, {reward!r} now")
+        config = method_named(row["method"]).configure(controller)
+        what = f"{row['id']} {row['name']} on {row['robot']}"
+        try:
+            motion = library.motion(row)
+            seconds = min(recipe.evaluation_s, default_duration(motion.target, recipe.evaluation_s))
+            robot = load_robot(row["robot_file"] or row["robot"])
+            reward = float(run_episodes(robot, motion, duration_s=seconds, config=config).reward[0])
+        except (MotionError, RobotError) as error:
+            found.append(f"{what}: {reason_of(error)}")
+        else:
+            if reward != row["reward"]:
+                found.append(f"{what}: {row['reward']!r} recorded, {reward!r} now")
         if progress is not None:
             progress(i + 1, len(drawn))
     return found, len(drawn)
@@ -55,10 +64,8 @@ def mend(library: Library, health: Health) -> int:
     Raises:
         OutputError: a file cannot be removed.
     """
-    damaged = [line.split(":", 1)[0] for line in health.damaged]
-    names = [name if "/" in name else f"{RECORDS}/{name}.json" for name in damaged]
     removed = 0
-    for name in {*names, *health.foreign}:
+    for name in sorted({*health.useless, *health.foreign}):
         assert name.startswith((RECORDS, MOTIONS)), "nothing else is looked at"
         try:
             (library.path / name).unlink()

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import traceback
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fastmimic.errors import ClipError, FastMimicError, LibraryError
+from fastmimic.errors import ClipError, FastMimicError, LibraryError, OutputError
 from fastmimic.files import replace_file
 from fastmimic.library.sources import Source
 from fastmimic.motion.catalogue import open_clip
@@ -54,6 +55,23 @@ class Piece:
     licence: str | None
     credit: str | None
 
+    @property
+    def described(self) -> dict[str, Any]:
+        """What records say of it: what it is, where from, and under which licence."""
+        first, end = self.frames or (None, None)
+        return {
+            "name": self.name,
+            "source": self.source.place,
+            "first_frame": first,
+            "end_frame": end,
+            "piece": self.digest,
+            "gait": self.gait,
+            "footfall": self.footfall,
+            "confidence": self.confidence,
+            "licence": self.licence,
+            "credit": self.credit,
+        }
+
     def open(self) -> Clip | Motion:
         """The piece itself.
 
@@ -88,6 +106,12 @@ class Survey:
     skipped: str | None = None
     failed: str | None = None
 
+    @property
+    def problem(self) -> str | None:
+        """Why there are no pieces, with the source's name; None if there are."""
+        said = self.failed or self.skipped
+        return said if said is None or said.startswith(self.source.place) else f"{self.source}: {said}"
+
 
 def survey(source: Source, confidence: float) -> Survey:
     """Looks through a source; what is wrong with it is part of the result.
@@ -103,8 +127,20 @@ def survey(source: Source, confidence: float) -> Survey:
         if source.frames is not None:
             return Survey(source, (_piece(source, opened, source.frames, as_one_cycle(opened), looked=False),))
         return _of_take(source, opened, confidence)
-    except FastMimicError as error:
-        return Survey(source, failed=" ".join(str(error).split()))
+    except Exception as error:  # noqa: BLE001 - one source's defect, of which there may be a thousand others
+        return Survey(source, failed=reason_of(error))
+
+
+def reason_of(error: Exception) -> str:
+    """In one line why something could not be done; a defect with its kind and place."""
+    if isinstance(error, FastMimicError):
+        said = str(error)
+    elif isinstance(error, MemoryError):
+        said = "not enough memory"
+    else:
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        said = f"unexpected {type(error).__name__} in {Path(at.filename).name}:{at.lineno}: {error}"
+    return " ".join(said.split())
 
 
 def _open(source: Source) -> Clip | Motion:
@@ -197,6 +233,15 @@ def save_survey(folder: Path, found: Survey) -> None:
     """Keeps what was found in a source; raises `OutputError` if it cannot."""
     text = json.dumps(asdict(found), indent=1, allow_nan=False)
     replace_file(folder / SOURCES / f"{found.source.key}.json", lambda file: file.write(text.encode()))
+
+
+def remove_survey(folder: Path, found: Survey) -> None:
+    """Forgets what was found in a source; raises `OutputError` if it cannot."""
+    path = folder / SOURCES / f"{found.source.key}.json"
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be removed ({error.strerror or error})") from None
 
 
 def load_surveys(folder: Path) -> list[Survey]:

@@ -3,9 +3,11 @@
 import hashlib
 import json
 from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Any, Final
 
-from fastmimic.control.config import controller_config
+from fastmimic.control.config import CONFIGS, controller_config
 from fastmimic.errors import ConfigError
 from fastmimic.methods import RL, method_named
 from fastmimic.optimize.cma_es import CmaSettings
@@ -45,6 +47,8 @@ class Recipe:
         if method_named(self.method).name == RL:
             raise ConfigError("a library's motions are made by a model-based method; a policy is not one motion")
         controller_config(self.config)
+        if self.config not in CONFIGS:  # as any process finds it
+            object.__setattr__(self, "config", str(Path(self.config).resolve()))
         CmaSettings(self.iterations, self.population)
         Objective(self.duration_s)
         for name, least in (("perturbed", 1), ("robots", 0)):
@@ -53,12 +57,14 @@ class Recipe:
         if not self.evaluation_s > 0:
             raise ConfigError(f"the length of an episode must be positive, found {self.evaluation_s}")
 
-    @property
+    @cached_property
     def digest(self) -> str:
-        """16 hexadecimal digits of all that it says."""
-        return _digest({**self._search(), **asdict(self), "over": Randomization().as_dict()["over"]})
+        """16 hexadecimal digits of all that it says; of a file with the controller's parameters, what is in it."""
+        config = self.config if self.config in CONFIGS else "a file"
+        said = {**asdict(self), "config": config, "over": Randomization().as_dict()["over"]}
+        return _digest({**self._search(), **said})
 
-    @property
+    @cached_property
     def search_digest(self) -> str:
         """Of what a search depends on, but for its length: a longer one goes on from a shorter one's checkpoint."""
         return _digest(self._search())
