@@ -63,6 +63,7 @@ def timed(executor: Executor, iterations: int) -> dict[str, Any]:
     """Wall and processor time of the jobs, memory, and disk."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        Library(folder).save_recipe(Recipe(iterations=iterations))
         began = time.perf_counter()
         done = [outcome.result for outcome in executor.run(measured, jobs_of(folder, iterations))]
         wall = time.perf_counter() - began

@@ -9,12 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fastmimic.errors import LibraryError, OutputError
+from fastmimic.errors import LibraryError, OutputError, WorkerError
 from fastmimic.executors import make_executor
 from fastmimic.library import Building, Library, Source, build, find_sources
+from fastmimic.library.build import Built
 from fastmimic.library.folder import check
+from fastmimic.library.jobs import Job, give_up, perform, robot_digest
 from fastmimic.library.mending import mend, rerun
-from fastmimic.library.records import COLUMNS
+from fastmimic.library.pieces import survey
+from fastmimic.library.records import COLUMNS, load_record
 from fastmimic.motion.export import export_motion
 from fastmimic.pipeline import evaluate, load_motion
 from fastmimic.robot import load_robot
@@ -188,6 +191,112 @@ def test_a_source_that_changes_is_done_again(clips: Path, tmp_path: Path) -> Non
     assert second.done == 1
     assert [row["id"] for row in second.rows] != [row["id"] for row in first.rows]
     assert len(second.rows) == 1
+
+
+def test_equal_clips_are_one_motion_with_a_source_and_its_licence(clips: Path, tmp_path: Path) -> None:
+    one, other = tmp_path / "clips" / "one.txt", tmp_path / "clips" / "other.txt"
+    one.parent.mkdir()
+    for path in (one, other):
+        path.write_text((clips / "trot.txt").read_text())
+
+    def made(licence: str | None = None) -> Built:
+        sources = find_sources(tmp_path / "clips", licence=licence)
+        return build(Building(sources, RECIPE, ("a1",)), tmp_path / "library", HERE)
+
+    first = made()
+    assert (first.jobs, first.done) == (1, 1)
+    again = made(licence="mine")
+    assert again.done == 0
+    assert [row["licence"] for row in again.rows] == ["mine"]
+    assert len(list((tmp_path / "library" / "sources").iterdir())) == 2
+    for torn, whole in ((other, one), (one, other)):
+        text = torn.read_text()
+        torn.write_text("1 2 3")
+        harmed = made()
+        assert harmed.done == 0
+        assert [(row["source"], row["name"]) for row in harmed.rows] == [(str(whole), whole.stem)]
+        assert len(harmed.failures) == 1
+        assert harmed.failures[0].count(str(torn)) == 1
+        torn.write_text(text)
+    one.write_text("1 2 3")
+    made()
+    one.unlink()
+    assert made().failures == []
+
+
+def test_a_defect_met_in_a_source_is_that_sources(monkeypatch: pytest.MonkeyPatch) -> None:
+    def open_clip(*_: object, **__: object) -> None:
+        raise IndexError("a defect")
+
+    monkeypatch.setattr("fastmimic.library.pieces.open_clip", open_clip)
+    found = survey(Source("trot"), 0.5)
+    assert (found.failed or "").startswith("unexpected IndexError in test_build.py")
+    assert found.problem == f"trot: {found.failed}"
+
+
+def test_a_controllers_file_is_told_by_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def write(path: Path, friction: float) -> None:
+        path.parent.mkdir(exist_ok=True)
+        said = {"format": "fastmimic controller", "version": 1, "stance": {"friction": friction}}
+        path.write_text(json.dumps(said))
+
+    write(tmp_path / "mine.json", 0.4)
+    write(tmp_path / "below" / "mine.json", 0.4)
+    monkeypatch.chdir(tmp_path)
+    recipe = replace(RECIPE, config="mine.json")
+    assert recipe.digest == replace(RECIPE, config="below/mine.json").digest
+    library = Library(tmp_path / "library")
+    library.save_recipe(recipe)
+    write(tmp_path / "mine.json", 0.5)
+    with pytest.raises(LibraryError, match="made otherwise"):
+        build(replace(of("trot"), recipe=replace(RECIPE, config="mine.json")), library.path, HERE)
+    monkeypatch.chdir("/")
+    assert library.recipe() == recipe
+    (tmp_path / "mine.json").unlink()
+    assert Library.open(library.path).recipe_digest() == recipe.digest
+
+
+def test_what_is_of_another_robot_leaves_the_index(mine: Path) -> None:
+    library = Library.open(mine)
+    assert len(library.write_index()) == 2
+    library.save_robot("a1", "another")
+    assert library.write_index() == []
+    assert len(check(library).foreign) == 4
+    assert build(of("trot", "pace"), mine, HERE).done == 0
+    assert len(library.index()) == 2
+
+
+def test_the_index_of_a_running_build_is_written_once(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    others = iter(range(5))
+    monkeypatch.setattr(Library, "_names", lambda self: {next(others)})
+    assert len(Library.open(mine).write_index(settled=False)) == 2
+    assert next(others) == 1
+
+
+def job_of(name: str, folder: Path) -> Job:
+    """As `build` makes it."""
+    (piece,) = survey(Source(name), 0.5).pieces
+    return Job(piece, "a1", robot_digest(load_robot("a1")), 0, RECIPE, folder)
+
+
+def test_a_failure_does_not_replace_what_another_builder_has_done(mine: Path) -> None:
+    job = job_of("trot", mine)
+    done = load_record(mine, job.id)
+    assert done is not None
+    assert give_up(job, WorkerError("died")) == done == load_record(mine, job.id)
+
+
+def test_a_machine_that_does_not_see_the_library_says_so(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="no library there as seen from"):
+        perform(job_of("trot", tmp_path / "elsewhere"), print)
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_names_are_as_long_as_file_systems_allow(tmp_path: Path) -> None:
+    job = job_of("trot", tmp_path)
+    long = replace(job, piece=replace(job.piece, name="犬" * 200))
+    assert len(Path(long.motion_file).name.encode()) < 200
+    assert long.motion_file.startswith("motions/犬犬")
 
 
 def test_a_motion_that_cannot_be_made_is_said_with_its_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

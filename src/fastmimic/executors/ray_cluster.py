@@ -17,6 +17,7 @@ from fastmimic.machine import available_cores
 _AHEAD: Final = 2  # jobs handed out for each core, so that none waits for the next
 _POLL_S: Final = 1.0
 _REACHED_S: Final = 5.0
+_NOT_IMPORTED: Final = "failed to import on the worker"  # as Ray says it
 
 
 def require_ray() -> Any:
@@ -126,6 +127,11 @@ def _result(ray: Any, reference: Any) -> tuple[Any, FastMimicError | None]:
     try:
         result, error = ray.get(reference)
     except ray.exceptions.RayTaskError as raised:
+        if isinstance(raised.cause, ImportError) or _NOT_IMPORTED in str(raised.cause):
+            why = str(raised.cause).strip().splitlines()[-1]
+            raise ConfigError(
+                f"a machine of the cluster cannot import FastMimic ({why}); install the same version on all of them"
+            ) from None
         raise raised.as_instanceof_cause() from None
     except ray.exceptions.RayError as died:
         said = str(died).strip().splitlines()

@@ -135,10 +135,13 @@ def build(
     robots = {name: load_robot(name) for name in dict.fromkeys(building.robots)}
     neighbours = None if building.warm is None else Neighbours.of(building.warm)
     _begin(library, building.recipe, update)
+    digests = {name: robot_digest(robot) for name, robot in robots.items()}
+    for name, digest in digests.items():
+        library.save_robot(_place(name), digest)
     tell = progress if progress is not None else lambda step: None
     surveys = _look(building, library, executor, tell)
     jobs = [
-        Job(piece, _place(name), robot_digest(robot), seed, building.recipe, library.path)
+        Job(piece, _place(name), digests[name], seed, building.recipe, library.path)
         for survey in surveys
         for piece in survey.pieces
         for name, robot in robots.items()

@@ -5,6 +5,7 @@
     records/ID.json         a record
     motions/NAME-ID.npz     its motion
     sources/KEY.json        what was found in a source
+    robots/KEY.json         which description of a robot counts
     work/                   checkpoints; may be removed, and then nothing goes on from them
 
 Everything is named by its content and written whole or not at all, so that any number of builders may work in one
@@ -12,8 +13,9 @@ folder, and what one of them was killed over is done again by the next. The inde
 builder ends; it is never the only place of anything.
 """
 
+import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
 
 SETTINGS: Final = "library.json"
 INDEX: Final = "index.parquet"
+ROBOTS: Final = "robots"
 FORMAT_VERSION: Final = 1
 
 Row = dict[str, Any]
@@ -38,6 +41,11 @@ Row = dict[str, Any]
 GRADED: Final = {"grade": str, "lacks": str, "kept": bool, "best": bool}
 """What a row of the index has besides the record: its grade, what it lacks for a better one, whether it is kept, and
 whether it is the best of its piece and robot."""
+
+
+def robot_of(record: Mapping[str, Any]) -> str:
+    """Which robot a record is about: its name, or its file."""
+    return str(record["robot_file"] or record["robot"])
 
 
 def require_pyarrow() -> Any:
@@ -120,15 +128,43 @@ class Library:
         )
         replace_file(self.path / SETTINGS, lambda file: file.write(text.encode()))
 
+    def robots(self) -> dict[str, str]:
+        """The digests of its robots' descriptions when they were last built for, by name or file.
+
+        Raises:
+            LibraryError: a file cannot be read.
+        """
+        found = {}
+        for path in (self.path / ROBOTS).glob("*.json"):
+            try:
+                said = json.loads(path.read_text(encoding="utf-8"))
+                found[str(said["robot"])] = str(said["digest"])
+            except (OSError, ValueError, TypeError, KeyError) as error:
+                raise LibraryError(f"{path}: cannot be read ({error}); remove it and build again") from None
+        return found
+
+    def save_robot(self, robot: str, digest: str) -> None:
+        """Keeps the digest of a robot's description; raises `OutputError` if it cannot."""
+        text = json.dumps({"robot": robot, "digest": digest}, indent=1)
+        key = hashlib.sha256(robot.encode()).hexdigest()[:12]
+        replace_file(self.path / ROBOTS / f"{key}.json", lambda file: file.write(text.encode()))
+
     def surveys(self) -> list[Survey]:
         """What was found in its sources; raises `LibraryError`."""
         return load_surveys(self.path)
 
     def records(self) -> Iterator[Record]:
-        """The records that belong to it now: of its recipe, of pieces that its sources have. A record of an earlier
-        recipe, or of a source that has changed, stays in the folder and is nobody's. What a record says of its piece is
-        as the source has it now: it may be found elsewhere, or under another licence, with the same content."""
+        """The records that belong to it now: of its recipe, its robots, and pieces that its sources have.
+
+        A record of an earlier recipe, or of a source or a robot that has changed, stays in the folder and is nobody's.
+        What a record says of its piece is as the source has it now: the same content may be found elsewhere, or under
+        another licence.
+
+        Raises:
+            LibraryError: what it is made of cannot be read.
+        """
         recipe = self.recipe_digest()
+        robots = self.robots()
         pieces: dict[str, list[Piece]] = {}
         for survey in self.surveys():
             for piece in survey.pieces:
@@ -136,6 +172,8 @@ class Library:
         for path in sorted((self.path / RECORDS).glob("*.json")):
             record = read_record(path)
             if record is None or record["recipe"] != recipe or record["piece"] not in pieces:
+                continue
+            if robots.get(robot_of(record), record["robot_digest"]) != record["robot_digest"]:
                 continue
             there = pieces[record["piece"]]
             own = (piece for piece in there if (piece.source.place, piece.name) == (record["source"], record["name"]))
@@ -149,7 +187,7 @@ class Library:
             rows.append({**record, "grade": reached, "lacks": lacks or None, "kept": reached in KEPT, "best": False})
         best: dict[tuple[str, str], Row] = {}
         for row in rows:
-            key = (row["piece"], row["robot"])
+            key = (row["piece"], robot_of(row))
             if key not in best or rank(row) > rank(best[key]):
                 best[key] = row
         for row in best.values():

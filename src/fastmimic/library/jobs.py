@@ -6,6 +6,7 @@ Nothing else is shared, so it does not matter where, when and how often it is do
 
 import hashlib
 import re
+import socket
 import time
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -20,6 +21,7 @@ from fastmimic.executors import Report
 from fastmimic.experiments.runs import measure, named_values, plain
 from fastmimic.imitation.feasibility import demands, describe_fall, reasons
 from fastmimic.imitation.rollout import Rollout, nominal_start, perturbed_start, run_episodes
+from fastmimic.library.folder import SETTINGS
 from fastmimic.library.pieces import Piece, reason_of
 from fastmimic.library.recipe import SECOND_SIMULATOR_EPISODES, Recipe
 from fastmimic.library.records import DONE, FAILED, MOTIONS, Record, empty, load_record, save_record, sha256
@@ -96,7 +98,8 @@ class Job:
             **self.piece.described,
             "id": self.id,
             "robot": Path(self.robot).stem,
-            "robot_file": self.robot if Path(self.robot).suffix else None,
+            "robot_file": self.robot if Path(self.robot).is_absolute() else None,
+            "robot_digest": self.robot_digest,
             "method": self.recipe.method,
             "seed": self.seed,
             "recipe": self.recipe.digest,
@@ -123,8 +126,13 @@ def perform(job: Job, report: Report) -> Record:
     of a library are made nevertheless.
 
     Raises:
-        OutputError: the library's folder cannot be written to, such as a full disk.
+        OutputError: the library's folder is not to be seen here, or cannot be written to, such as a full disk.
     """
+    if not (job.folder / SETTINGS).is_file():
+        raise OutputError(
+            f"{job.folder}: no library there as seen from {socket.gethostname()}; all machines must see it under the"
+            " same path"
+        )
     found = load_record(job.folder, job.id)
     if found is not None and found["status"] != FAILED:
         return found

@@ -28,6 +28,7 @@ IDENTITY: Final = {
     "confidence": float,
     "robot": str,
     "robot_file": str,
+    "robot_digest": str,
     "method": str,
     "seed": int,
     "recipe": str,
@@ -37,7 +38,7 @@ IDENTITY: Final = {
     "reason": str,
 }
 """What every record has; `source` is the place of it, `piece` the digest of its content, `robot_file` an
-MJCF of the user's own, `reason` why it failed."""
+MJCF of the user's own, `robot_digest` of the robot's description, `reason` why it failed."""
 
 FIGURES: Final = {
     "period_s": float,

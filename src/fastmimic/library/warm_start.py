@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from fastmimic.library.folder import Library, Row
+from fastmimic.library.folder import Library, Row, robot_of
 from fastmimic.library.jobs import WarmStart
 from fastmimic.library.pieces import Piece
 
@@ -41,7 +41,7 @@ class Neighbours:
     Attributes:
         library: the folder.
         pieces: by digest.
-        best: the best row of each robot and piece, of those that are kept.
+        best: by robot, name or file, the best row of each piece, of those that are kept.
     """
 
     library: Path
@@ -55,7 +55,7 @@ class Neighbours:
         best: dict[str, list[Row]] = {}
         for row in library.index():
             if row["best"] and row["repeats"] and row["parameters"] and row["piece"] in pieces:
-                best.setdefault(row["robot"], []).append(row)
+                best.setdefault(robot_of(row), []).append(row)
         return cls(library.path.resolve(), pieces, best)
 
     def nearest(self, piece: Piece, robot: str) -> WarmStart | None:
@@ -65,7 +65,7 @@ class Neighbours:
             piece: the piece.
             robot: its name, or the path of its MJCF.
         """
-        rows = self.best.get(Path(robot).stem, ())
+        rows = self.best.get(robot, ())
         near = min(rows, key=lambda row: (distance(piece, self.pieces[row["piece"]]), row["id"]), default=None)
         if near is None or distance(piece, self.pieces[near["piece"]]) > FARTHEST:
             return None
