@@ -69,6 +69,12 @@ def test_what_there_is_not(name: str, options: dict[str, object], said: str) -> 
         make_executor(name, **options)  # type: ignore[arg-type]
 
 
+def test_a_machine_that_lacks_the_package() -> None:
+    pytest.importorskip("ray")  # whose processes do not find this file's neighbours of themselves
+    with pytest.raises(ConfigError, match=r"cannot import what it is to do .*No module named 'executors'"):
+        by_job(make_executor("ray", workers=1).run(do, [1]))
+
+
 @pytest.mark.parametrize(
     ("address", "said"),
     [("127.0.0.1:9", "no Ray cluster at '127.0.0.1:9'"), ("there", "HOST:PORT"), ("localhost:99999", "no Ray cluster")],

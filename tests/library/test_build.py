@@ -357,6 +357,8 @@ def test_lists(tmp_path: Path) -> None:
     (tmp_path / "clips.list").write_text("# what\ntrot\n\na.txt  # a file\n")
     assert [source.place for source in find_sources(tmp_path / "clips.list")] == ["trot", str(tmp_path / "a.txt")]
     (tmp_path / "clips.csv").write_text("source,frames,licence\na.txt,10:20,mine\ntrot,,\n")
+    (tmp_path / "sheet.csv").write_text("\ufeffsource\ntrot\n", encoding="utf-8")
+    assert [source.place for source in find_sources(tmp_path / "sheet.csv")] == ["trot"]
     found = find_sources(tmp_path / "clips.csv", licence="given")
     assert [(s.frames, s.licence) for s in found] == [((10, 20), "mine"), (None, "given")]
     assert find_sources("dog:trot")[0].place == "dog:trot"

@@ -18,6 +18,7 @@ _AHEAD: Final = 2  # jobs handed out for each core, so that none waits for the n
 _POLL_S: Final = 1.0
 _REACHED_S: Final = 5.0
 _NOT_IMPORTED: Final = "failed to import on the worker"  # as Ray says it
+_NO_MODULE: Final = "No module named"
 
 
 def require_ray() -> Any:
@@ -127,10 +128,11 @@ def _result(ray: Any, reference: Any) -> tuple[Any, FastMimicError | None]:
     try:
         result, error = ray.get(reference)
     except ray.exceptions.RayTaskError as raised:
-        if isinstance(raised.cause, ImportError) or _NOT_IMPORTED in str(raised.cause):
-            why = str(raised.cause).strip().splitlines()[-1]
+        cause = str(raised.cause)
+        if _NOT_IMPORTED in cause or _NO_MODULE in cause:
+            why = next((line.strip() for line in cause.splitlines() if _NO_MODULE in line), "ImportError")
             raise ConfigError(
-                f"a machine of the cluster cannot import FastMimic ({why}); install the same version on all of them"
+                f"a machine of the cluster cannot import what it is to do ({why}); install the same FastMimic on all"
             ) from None
         raise raised.as_instanceof_cause() from None
     except ray.exceptions.RayError as died:

@@ -118,7 +118,7 @@ def _beside(path: Path, top: Path) -> str | None:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")  # as spreadsheets write it
     except FileNotFoundError:
         raise LibraryError(f"{path}: no such list") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -130,7 +130,7 @@ def _is_list(path: Path) -> bool:
     if not path.is_file():
         return True  # a list that is not there, rather than a motion of that name
     try:
-        with path.open(encoding="utf-8") as file:
+        with path.open(encoding="utf-8-sig") as file:
             header = next(csv.reader(file), [])
     except (OSError, UnicodeDecodeError, csv.Error):
         return False
