@@ -113,6 +113,9 @@ def test_verify(library: Path, run: Run, tmp_path: Path) -> None:
         (["list", "LIBRARY", "--gait", "canter"], "there are pace, trot"),
         (["export", "LIBRARY", "--to", "y", "--grade", "rejected"], "no motion of those"),
         (["export", "LIBRARY", "--to", "y", "--format", "bvh"], "unknown format 'bvh'"),
+        (["export", "LIBRARY", "--to", "LIBRARY"], "is in the library"),
+        (["build", "none/below/", "--out", "x"], "no such file or folder"),
+        (["build", "none.txt", "--out", "x"], "no such file or folder"),
         (["verify", "LIBRARY", "--rerun", "-1"], "--rerun must not be negative"),
     ],
 )

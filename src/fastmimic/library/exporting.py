@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
+from fastmimic.errors import LibraryError
 from fastmimic.files import replace_file
 from fastmimic.library.folder import Library, Row
 from fastmimic.motion.export import DEFAULT_FPS, EXPORTS, export_motion
@@ -41,8 +42,13 @@ def export_library(
         The table's file.
 
     Raises:
-        FastMimicError: an unknown format, a damaged motion, or a file that cannot be written.
+        FastMimicError: a folder within the library, an unknown format, a damaged motion, or a file that cannot be
+            written.
     """
+    if Path(folder).resolve().is_relative_to(library.path.resolve()):
+        raise LibraryError(
+            f"{folder}: is in the library, whose own motions would be overwritten; choose another folder"
+        )
     text = io.StringIO()
     writer = csv.DictWriter(text, _COLUMNS, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()

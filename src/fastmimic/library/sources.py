@@ -85,6 +85,8 @@ def find_sources(
         return found
     if path.suffix == ".list" or (path.suffix == ".csv" and _is_list(path)):
         return _of_list(path, licence, credit)
+    if not path.exists() and (path.suffix or "/" in str(place)):
+        raise LibraryError(f"{place}: no such file or folder")
     return [Source(str(path.resolve()) if path.is_file() else str(place), licence=licence, credit=credit)]
 
 
