@@ -12,7 +12,7 @@ from fastmimic.library.folder import reproducible
 __all__ = ["in_folder", "run", "start"]
 
 RECIPE = Recipe(
-    iterations=3, population=4, duration_s=0.6, evaluation_s=0.6, perturbed=1, robots=2, second_simulator=False
+    iterations=3, population=4, duration_s=0.6, evaluation_s=0.6, perturbed=1, others=2, second_simulator=False
 )
 
 

@@ -91,6 +91,8 @@ class Build:
         _summary(built.rows)
         for line in built.failures:
             note(f"failed: {line}")
+        for line in built.left_out:
+            note(f"left out: {line}")
         put(f"library in {self.out}")
         return EXIT_SOME_FAILED if built.failures else 0
 
@@ -112,7 +114,7 @@ class Build:
             population=self.population,
             evaluation_s=self.trial,
             perturbed=self.perturbed,
-            robots=self.others,
+            others=self.others,
             second_simulator=not self.no_second_simulator and _second_simulator(self.robots),
         )
         warm = None if self.warm_start is None else Library.open(self.warm_start)

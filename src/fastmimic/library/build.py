@@ -12,7 +12,7 @@ from fastmimic.errors import ConfigError, LibraryError, OutputError, WorkerError
 from fastmimic.executors import Executor, Report
 from fastmimic.files import check_folder
 from fastmimic.library.folder import Library, Row, require_pyarrow
-from fastmimic.library.jobs import Job, give_up, perform, robot_digest
+from fastmimic.library.jobs import Job, give_up, now, perform, robot_digest
 from fastmimic.library.pieces import Survey, remove_survey, save_survey, survey
 from fastmimic.library.recipe import Recipe
 from fastmimic.library.records import FAILED, Record, load_record
@@ -86,6 +86,7 @@ class Built:
         surveys: of the sources that were asked for.
         ids: of the records of the jobs that they make.
         done: how many of them were done now; the others were there.
+        left_out: robot motions that are none of the robots', a line each.
     """
 
     library: Library
@@ -93,6 +94,7 @@ class Built:
     surveys: list[Survey]
     ids: frozenset[str]
     done: int
+    left_out: list[str]
 
     @property
     def jobs(self) -> int:
@@ -131,6 +133,7 @@ def build(
         KeyboardInterrupt: Ctrl-C; likewise.
     """
     require_pyarrow()
+    began = now()
     library = Library(Path(out).resolve())
     robots = {name: load_robot(name) for name in dict.fromkeys(building.robots)}
     neighbours = None if building.warm is None else Neighbours.of(building.warm)
@@ -141,7 +144,7 @@ def build(
     tell = progress if progress is not None else lambda step: None
     surveys = _look(building, library, executor, tell)
     jobs = [
-        Job(piece, _place(name), digests[name], seed, building.recipe, library.path)
+        Job(piece, _place(name), digests[name], seed, building.recipe, library.path, began=began)
         for survey in surveys
         for piece in survey.pieces
         for name, robot in robots.items()
@@ -157,7 +160,10 @@ def build(
         library.write_index(settled=False)
         raise
     rows = library.write_index()
-    return Built(library, rows, surveys, frozenset(job.id for job in jobs), done)
+    names = {robot.name for robot in robots.values()}
+    others = [p for s in surveys for p in s.pieces if p.robot is not None and p.robot not in names]
+    left_out = [f"{piece.source}: already a motion of the {piece.robot}" for piece in others]
+    return Built(library, rows, surveys, frozenset(job.id for job in jobs), done, left_out)
 
 
 def _begin(library: Library, recipe: Recipe, update: bool) -> None:

@@ -62,6 +62,7 @@ class Job:
         recipe: how.
         folder: the library.
         warm: what the search begins like; None for the unmodulated motion.
+        began: when its build began: a motion that could not be made since then is not tried again.
     """
 
     piece: Piece
@@ -71,6 +72,7 @@ class Job:
     recipe: Recipe
     folder: Path
     warm: WarmStart | None = None
+    began: str = "~"  # after all times
 
     @cached_property
     def id(self) -> str:
@@ -110,6 +112,11 @@ class Job:
         return repr((self.piece.digest, self.robot_digest, self.seed, recipe, warm))
 
 
+def now() -> str:
+    """The time, as records have it."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
 def robot_digest(robot: "Robot") -> str:
     """16 hexadecimal digits of a robot's description."""
     return _digest(robot.xml)
@@ -134,7 +141,7 @@ def perform(job: Job, report: Report) -> Record:
             " same path"
         )
     found = load_record(job.folder, job.id)
-    if found is not None and found["status"] != FAILED:
+    if found is not None and (found["status"] != FAILED or job.began <= found["finished"]):
         return found
     began, busy = time.perf_counter(), time.process_time()
     record = job.record
@@ -147,14 +154,14 @@ def perform(job: Job, report: Report) -> Record:
     record |= {
         "wall_s": time.perf_counter() - began,
         "cpu_s": time.process_time() - busy,
-        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "finished": now(),
     }
     return _kept(job, record)
 
 
 def give_up(job: Job, error: FastMimicError) -> Record:
     """Keeps the record of a job whose process died whenever it was begun; raises `OutputError` if it cannot."""
-    return _kept(job, job.record | {"status": FAILED, "reason": reason_of(error)})
+    return _kept(job, job.record | {"status": FAILED, "reason": reason_of(error), "finished": now()})
 
 
 def _kept(job: Job, record: Record) -> Record:
@@ -242,16 +249,16 @@ def _tried(job: Job, result: Imitation) -> Record:
             robot, result.motion, start=start, duration_s=measured.seconds, config=result.config, conditions=conditions
         )
 
-    if recipe.robots:
-        others = Randomization().held_out(recipe.robots)
-        rollout = elsewhere(Conditions(disturbances=others), recipe.robots, perturbed=False)
-        simulated_s += measured.seconds * recipe.robots
+    if recipe.others:
+        others = Randomization().held_out(recipe.others)
+        rollout = elsewhere(Conditions(disturbances=others), recipe.others, perturbed=False)
+        simulated_s += measured.seconds * recipe.others
         figures |= {
             "reward_robots": rollout.reward.mean(),
             "reward_robots_worst": rollout.reward.min(),
             "fell_robots": rollout.fell.mean(),
         }
-    if recipe.second_simulator and robot.name in DESCRIPTIONS:
+    if recipe.second_simulator and job.robot in DESCRIPTIONS:
         rollout = elsewhere(Conditions("pybullet"), SECOND_SIMULATOR_EPISODES, perturbed=True)
         simulated_s += measured.seconds * SECOND_SIMULATOR_EPISODES
         figures |= {"reward_second_simulator": rollout.reward.mean(), "fell_second_simulator": rollout.fell.mean()}

@@ -29,7 +29,7 @@ class Recipe:
         iterations, population: of CMA-ES.
         evaluation_s: length of the episodes that a motion is tried in, s.
         perturbed: how many of them begin perturbed.
-        robots: how many other robots it is tried on: other floors, loads and motors, drawn from the usual ranges.
+        others: how many other robots it is tried on: other floors, loads and motors, drawn from the usual ranges.
         second_simulator: whether it is tried in PyBullet, where that knows the robot.
     """
 
@@ -40,7 +40,7 @@ class Recipe:
     population: int = 10
     evaluation_s: float = 10.0
     perturbed: int = 8
-    robots: int = HELD_OUT
+    others: int = HELD_OUT
     second_simulator: bool = True
 
     def __post_init__(self) -> None:
@@ -51,7 +51,7 @@ class Recipe:
             object.__setattr__(self, "config", str(Path(self.config).resolve()))
         CmaSettings(self.iterations, self.population)
         Objective(self.duration_s)
-        for name, least in (("perturbed", 1), ("robots", 0)):
+        for name, least in (("perturbed", 1), ("others", 0)):
             if getattr(self, name) < least:
                 raise ConfigError(f"{name} must be at least {least}, found {getattr(self, name)}")
         if not self.evaluation_s > 0:
