@@ -16,6 +16,7 @@ builder ends; it is never the only place of anything.
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -207,11 +208,11 @@ class Library:
         """
         parquet = require_pyarrow()
         while True:
-            there = self._names()
+            there = self._state()
             rows = self.graded()
             table = _table(rows)
             replace_file(self.path / INDEX, lambda file, table=table: parquet.write_table(table, file))  # type: ignore[misc]
-            if not settled or self._names() == there:
+            if not settled or self._state() == there:
                 return rows
 
     def index(self) -> list[Row]:
@@ -262,8 +263,13 @@ class Library:
             raise LibraryError(f"'{row['name']}' on {row['robot']} has no motion: {row['lacks']}")
         return Motion.load(self.path / row["motion_file"])
 
-    def _names(self) -> set[str]:
-        return {path.name for path in (self.path / RECORDS).glob("*.json")}
+    def _state(self) -> set[tuple[str, int]]:
+        """The records' files with their times of writing."""
+        found = set()
+        for path in (self.path / RECORDS).glob("*.json"):
+            with suppress(FileNotFoundError):
+                found.add((path.name, path.stat().st_mtime_ns))
+        return found
 
 
 @dataclass(frozen=True)

@@ -165,8 +165,8 @@ def give_up(job: Job, error: FastMimicError) -> Record:
 
 
 def _kept(job: Job, record: Record) -> Record:
-    """Writes the record; unless it says that the job failed, which another builder has done meanwhile."""
-    there = load_record(job.folder, job.id) if record["status"] == FAILED else None
+    """Writes the record, unless another builder has done the job meanwhile."""
+    there = load_record(job.folder, job.id)
     if there is not None and there["status"] != FAILED:
         return there
     save_record(job.folder, record)
