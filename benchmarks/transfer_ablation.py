@@ -127,7 +127,7 @@ def other_motions(results: Results, motions: list[str]) -> str:
             before, after = (
                 np.mean(results.of(motion, *of, config)["reward"]) for of in (("as optimised", NOMINAL), (last, ALL))
             )
-            changes.append(f"{100 * (after / before - 1):+.0f} %")
+            changes.append(f"{round(100 * (after / before - 1)):+d} %")
         lines.append(f"| `{motion}` | {' | '.join(cells + changes)} |")
     return "\n".join(lines)
 

@@ -117,7 +117,7 @@ def test_the_references_own_turning_keeps_its_moment(robot: Robot) -> None:
 
 
 def test_four_feet_do_not_shake_the_trunk_of_light_legs_with_late_sensors(robot: Robot) -> None:
-    """PyBullet's legs have no rotors: for them the rigid body's inertia is 3.6 times too much in roll, and with 6 ms
+    """PyBullet's legs have no rotors: for them the rigid body's inertia is 3.8 times too much in roll, and with 6 ms
     from gyro to motor the roll feedback then oscillates at some 45 Hz."""
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'fastmimic[pybullet]'")
     shaking = []
