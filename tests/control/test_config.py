@@ -54,6 +54,7 @@ def test_a_set_can_be_written_to_a_file(name: str) -> None:
         ({"gait": {"contact_threshold": 0.1, "release_threshold": 0.2}}, "gait.release_threshold must be in"),
         ({"stance": {"adaptation": "some"}}, "stance.adaptation must be one of off, paper, full"),
         ({"stance": {"friction": 0.0}}, "stance.friction must be positive"),
+        ({"stance": {"friction_sides": 6}}, "stance.friction_sides must be 4 or 8"),
         ({"stance": {"force_weight": 0.0}}, "stance.force_weight must be positive"),
         ({"stance": {"min_force": 2.0, "max_force": 1.0}}, "stance.min_force must be in"),
         ({"stance": {"acceleration_weight": (1, 1, 1, 1, 1, -1)}}, "stance.acceleration_weight must not be negative"),
@@ -106,6 +107,7 @@ def test_every_parameter_reaches_the_kernels() -> None:
                 "foothold": "raibert",
                 "planner": "schedule" if value == "full" else "full",
                 "adaptation": "off" if value != "off" else "full",
+                "friction_sides": 8,
             }.get(field.name)
             if changed is None:
                 changed = (

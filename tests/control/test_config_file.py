@@ -37,6 +37,10 @@ def test_parameters_of_all_robots_have_the_digest_that_they_had() -> None:
     loaded = changed(default_config(), {"robot": "a1", "load": {"mass": 1.0}}, "here")
     assert loaded.as_dict()["load"]["mass"] == 1.0
     assert loaded.as_dict()["robot"] == "a1"
+    later = {"friction_sides": 8, "standing_inertia": True}
+    assert later.keys().isdisjoint(default_config().as_dict()["stance"])
+    options = changed(default_config(), {"stance": later}, "here").as_dict()["stance"]
+    assert {name: options[name] for name in later} == later
 
 
 @pytest.mark.parametrize(

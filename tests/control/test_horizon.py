@@ -76,6 +76,10 @@ class Problem:
             x, y, z = (np.eye(n)[self.variable(slot, axis)] for axis in range(3))
             rows += [z, -z, *(sign * side - stance.friction * z for side in (x, y) for sign in (-1, 1))]
             limits += [stance.max_force, -stance.min_force, 0, 0, 0, 0]
+            if stance.friction_sides == 8:
+                diagonals = [(a * x + b * y) / np.sqrt(2) for a in (-1, 1) for b in (-1, 1)]
+                rows += [side - stance.friction * z for side in diagonals]
+                limits += [0] * 4
         self.rows, self.limits = np.array(rows), np.array(limits)
         self.qp = rig.controller._plan_qp[0]
 
@@ -120,9 +124,11 @@ class TestProblem:
             gradient = problem.qp["gradient"][:n]
             np.testing.assert_allclose(gradient, problem.gradient, rtol=0, atol=1e-10 * np.abs(gradient).max())
 
-    def test_forces_are_those_that_another_solver_finds(self, robot: Robot, trot: Motion) -> None:
-        held = 0
-        for rig in self.rigs(robot, trot, lh()):
+    @pytest.mark.parametrize("sides", [4, 8])
+    def test_forces_are_those_that_another_solver_finds(self, robot: Robot, trot: Motion, sides: int) -> None:
+        held, config = 0, lh()
+        config = dataclasses.replace(config, stance=dataclasses.replace(config.stance, friction_sides=sides))
+        for rig in self.rigs(robot, trot, config):
             problem = Problem(rig)
             expected = problem.solution()
             np.testing.assert_allclose(problem.qp["x"][: problem.n], expected, atol=1e-4)

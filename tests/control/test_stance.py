@@ -88,6 +88,11 @@ class Stance:
                 rows += [self.stance.friction * z - side, self.stance.friction * z + side]
                 lower += [0.0] * 2
                 upper += [1e9] * 2
+            for sign in (1, -1) if self.stance.friction_sides == 8 else ():
+                rows += [np.sqrt(2) * self.stance.friction * z - (x + sign * y)]
+                rows += [np.sqrt(2) * self.stance.friction * z + (x + sign * y)]
+                lower += [0.0] * 2
+                upper += [1e9] * 2
             rows.append(z)
             lower.append(self.stance.min_force * WEIGHT)
             upper.append(self.stance.max_force * WEIGHT)
@@ -102,10 +107,10 @@ def square(x: float, y: float, height: float) -> np.ndarray:
     return np.array([[x, -y, -height], [x, y, -height], [-x, -y, -height], [-x, y, -height]])
 
 
-def random_case(rng: np.random.Generator) -> tuple[Stance, np.ndarray, tuple[int, ...]]:
+def random_case(rng: np.random.Generator, stance: StanceConfig = STANCE) -> tuple[Stance, np.ndarray, tuple[int, ...]]:
     arms = square(0.2, 0.13, 0.27) + rng.uniform(-0.08, 0.08, (4, 3))
     legs = tuple(int(leg) for leg in np.flatnonzero(rng.random(4) < 0.6)) or (int(rng.integers(4)),)
-    return Stance(arms), rng.normal(size=6) * (4, 4, 6, 15, 15, 15), legs
+    return Stance(arms, stance), rng.normal(size=6) * (4, 4, 6, 15, 15, 15), legs
 
 
 def assert_allowed(case: Stance, force: np.ndarray, legs: tuple[int, ...]) -> None:
@@ -130,6 +135,24 @@ def test_forces_are_those_of_the_problem_written_down_as_a_whole() -> None:
         ratio = np.abs(case.force[list(legs), :2]).max(axis=1) / case.force[list(legs), 2]
         at_friction_limit += bool(np.any(ratio > case.stance.friction - 1e-6))
     assert at_friction_limit > 20, "the cases must exercise the friction pyramid"
+
+
+@pytest.mark.nojit
+def test_eight_sides_keep_forces_close_to_the_cone() -> None:
+    """No force is further out than the corners of the octagon, μ / cos 22.5°; with four sides some are at μ √2."""
+    octagon, furthest = dataclasses.replace(STANCE, friction_sides=8), {4: 0.0, 8: 0.0}
+    for stance in (STANCE, octagon):
+        rng = np.random.default_rng(0)
+        for _ in range(60):
+            case, desired, legs = random_case(rng, stance)
+            assert case.solve(desired, legs)
+            np.testing.assert_allclose(case.force, case.dense_solution(desired, legs), atol=1e-5)
+            assert_allowed(case, case.force, legs)
+            force = case.force[list(legs)]
+            ratio = np.hypot(force[:, 0], force[:, 1]) / force[:, 2] / stance.friction
+            furthest[stance.friction_sides] = max(furthest[stance.friction_sides], float(ratio.max()))
+    assert furthest[4] == pytest.approx(np.sqrt(2), abs=1e-3)
+    assert furthest[8] == pytest.approx(1 / np.cos(np.pi / 8), abs=1e-3)
 
 
 def test_no_allowed_forces_are_cheaper() -> None:

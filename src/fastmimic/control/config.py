@@ -23,6 +23,7 @@ PLANNERS: Final = ("schedule", "full")
 FOOTHOLDS: Final = ("reference", "raibert")
 FORCES: Final = ("instant", "horizon")
 MAX_HORIZON_STEPS: Final = 20
+FRICTION_SIDES: Final = (4, 8)
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,10 @@ class StanceConfig:
         acceleration_weight: diagonal of Q.
         force_weight: diagonal of R, 1/N² relative to Q.
         friction: μ that the controller assumes.
+        friction_sides: of the pyramid that stands for each foot's cone of friction: 4, whose edges lie √2 as far out as
+            its sides, or 8, whose edges lie 1.08 as far out.
+        standing_inertia: an angular acceleration beyond the reference's is given the moment that it takes while the
+            standing feet stay where they are (`fastmimic.control.inertia`), and not that of a rigid body.
         min_force, max_force: of each standing foot, multiples of the weight.
         adaptation: low-gain joint feedback towards where the foot will be: "full" with the turning of the body,
             "paper" without it (eq. 2), "off".
@@ -82,12 +87,17 @@ class StanceConfig:
     acceleration_weight: Vector6 = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     force_weight: float = 1e-4
     friction: float = 0.6
+    friction_sides: int = 4
+    standing_inertia: bool = False
     min_force: float = 0.02
     max_force: float = 3.0
     adaptation: Literal["off", "paper", "full"] = "full"
     joint_stiffness: float = 30.0
     joint_damping: float = 2.5
     leg_dynamics: bool = True
+
+
+_LATER: Final = ("friction_sides", "standing_inertia")  # left out of `as_dict` where they are as they were before
 
 
 @dataclass(frozen=True)
@@ -268,6 +278,10 @@ class ControllerConfig:
             (self.stance.forces in FORCES, f"stance.forces must be one of {', '.join(FORCES)}"),
             (self.stance.adaptation in ADAPTATIONS, f"stance.adaptation must be one of {', '.join(ADAPTATIONS)}"),
             (self.stance.friction > 0, "stance.friction must be positive"),
+            (
+                self.stance.friction_sides in FRICTION_SIDES,
+                f"stance.friction_sides must be {' or '.join(map(str, FRICTION_SIDES))}",
+            ),
             (self.stance.force_weight > 0, "stance.force_weight must be positive"),
             (0 <= self.stance.min_force < self.stance.max_force, "stance.min_force must be in [0, max_force)"),
             *_horizon_checks(self.horizon, self.rate_hz, self.stance.forces == "horizon"),
@@ -292,6 +306,9 @@ class ControllerConfig:
         for name, unused in (("robot", ""), ("load", LoadConfig()), ("recovery", RecoveryConfig())):
             if getattr(self, name) == unused:
                 del found[name]
+        for field in _LATER:
+            if getattr(self.stance, field) == getattr(StanceConfig(), field):
+                del found["stance"][field]
         return found
 
 
@@ -363,6 +380,8 @@ _DTYPE = record_dtype(
         ("q_weight", "f8", (6,)),
         ("r_weight", "f8"),
         ("mu", "f8"),
+        ("friction_sides", "i8"),
+        ("standing_inertia", "i8"),
         ("min_force", "f8"),
         ("max_force", "f8"),
         ("adaptation", "i8"),
@@ -422,6 +441,8 @@ def pack_config(config: ControllerConfig, weight: float) -> NDArray[Any]:
     record["q_weight"] = stance.acceleration_weight
     record["r_weight"] = stance.force_weight
     record["mu"] = stance.friction
+    record["friction_sides"] = stance.friction_sides
+    record["standing_inertia"] = stance.standing_inertia
     record["min_force"] = stance.min_force * weight
     record["max_force"] = stance.max_force * weight
     record["adaptation"] = ADAPTATIONS.index(stance.adaptation)

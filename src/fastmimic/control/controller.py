@@ -16,13 +16,15 @@ from fastmimic.control.gait import plan_leg
 from fastmimic.control.horizon import FORESIGHT, PLAN, plan_forces, track_plan
 from fastmimic.control.horizon import MAX_CONSTRAINTS as HORIZON_CONSTRAINTS
 from fastmimic.control.horizon import MAX_VARIABLES as HORIZON_VARIABLES
+from fastmimic.control.inertia import WORK as INERTIA_WORK
+from fastmimic.control.inertia import add_standing_leg
 from fastmimic.control.load import loaded_robot
 from fastmimic.control.reference import stack_tables
 from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, invert_symmetric_3x3, stance_forces
 from fastmimic.control.state import COMMAND, MEMORY, pack_model
 from fastmimic.control.stopwatch import seconds_now
 from fastmimic.control.swing import lift_off, swing_leg
-from fastmimic.control.vectors import heading_vector, quat_to_matrix, rotation_error, transposed_times, turn_rows
+from fastmimic.control.vectors import heading_vector, quat_to_matrix, rotation_error, times, transposed_times, turn_rows
 from fastmimic.conventions import GRAVITY
 from fastmimic.errors import ConfigError
 from fastmimic.jit import inlined, kernel, record_dtype
@@ -68,6 +70,9 @@ SCRATCH: Final = record_dtype(
         ("work", "f8", (3,)),
         ("joint_acc", "f8", (12,)),  # of what the legs follow
         ("recovering", "f8"),  # 1 after a push, else 0
+        ("com", "f8", (3,)),  # body frame
+        ("held_inertia", "f8", (3, 3)),  # of the trunk with the standing feet held, body frame
+        ("held", INERTIA_WORK),
     ]
 )
 """Work memory of the kernel, so that it allocates nothing. One record for each thread."""
@@ -143,7 +148,7 @@ def _control_robot(
     planned = config.horizon == 1 and _plan_ahead(
         config, model, table, clock, obs, memory, scratch, plan, foresight, plan_qp
     )
-    solved = _forces(config, model, ref, memory, planned, scratch, qp)
+    solved = _forces(config, model, ref, obs, memory, planned, scratch, qp)
     for leg in range(4):
         if memory.stance[leg] == 1:
             stance_leg(config, model, obs, memory, command, scratch, leg, solved)
@@ -168,7 +173,7 @@ def _compare(model: Any, ref: Any, clock: Any, obs: Any, scratch: Any) -> None:
     turn_rows(ct, st, reference_rotation)
     scratch.turn[0], scratch.turn[1] = ct, st
 
-    _feet_and_com(model, obs, rotation, scratch.feet, scratch.arms, scratch.work)
+    _feet_and_com(model, obs, rotation, scratch.feet, scratch.arms, scratch.com)
     _heading_inertia(model.inertia, rotation, scratch.inertia)
     invert_symmetric_3x3(scratch.inertia, scratch.inverse_inertia)
     heading_vector(c, s, obs.lin_vel, scratch.lin_vel)
@@ -211,7 +216,7 @@ def _want(config: Any, ref: Any, memory: Any, scratch: Any) -> None:
 
 
 @inlined
-def _forces(config: Any, model: Any, ref: Any, memory: Any, planned: bool, scratch: Any, qp: Any) -> bool:
+def _forces(config: Any, model: Any, ref: Any, obs: Any, memory: Any, planned: bool, scratch: Any, qp: Any) -> bool:
     """Forces of the standing legs, and the base's acceleration that the legs' own dynamics go by.
 
     Returns:
@@ -224,12 +229,36 @@ def _forces(config: Any, model: Any, ref: Any, memory: Any, planned: bool, scrat
     for k in range(3):
         gravity_acc[k] = desired[k] + (GRAVITY if k == 2 else 0.0)
     transposed_times(scratch.rotation, gravity_acc, scratch.gravity_acc_b)
+    if config.standing_inertia == 1:
+        _turn_over_standing_feet(config, model, ref, obs, memory, scratch)
     _add_leg_momentum(config, ref, scratch.turn[0], scratch.turn[1], desired, scratch.work)
     if planned and config.horizon_interval == 1:
         return True
     return bool(
         stance_forces(config, model.mass, scratch.inverse_inertia, scratch.arms, desired, memory, qp, scratch.columns)
     )
+
+
+@kernel
+def _turn_over_standing_feet(config: Any, model: Any, ref: Any, obs: Any, memory: Any, scratch: Any) -> None:
+    """Gives the angular acceleration that is wanted beyond the reference's the moment that it takes while the standing
+    feet stay, as an acceleration of the rigid body; the reference's own has `leg_momentum`."""
+    held, desired = scratch.held_inertia, scratch.desired
+    held[:, :] = model.inertia
+    for leg in range(4):
+        if memory.stance[leg] == 1:
+            q = obs.joint_pos[3 * leg : 3 * leg + 3]
+            add_standing_leg(model, leg, q, scratch.feet[leg], scratch.com, scratch.held, held)
+    heading_vector(scratch.turn[0], -scratch.turn[1], ref.ang_acc, scratch.work)
+    beyond, moment = scratch.held.vector, scratch.held.place
+    for k in range(3):
+        beyond[k] = desired[3 + k] - config.reference_acceleration * scratch.work[k]
+    transposed_times(scratch.rotation, beyond, moment)
+    times(held, moment, beyond)
+    times(scratch.rotation, beyond, moment)
+    times(scratch.inverse_inertia, moment, beyond)
+    for k in range(3):
+        desired[3 + k] = config.reference_acceleration * scratch.work[k] + beyond[k]
 
 
 @kernel

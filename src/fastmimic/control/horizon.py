@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.control.config import MAX_HORIZON_STEPS
-from fastmimic.control.daqp import INFINITY, OPTIMAL, solve_qp
-from fastmimic.control.stance import force_column
+from fastmimic.control.daqp import OPTIMAL, solve_qp
+from fastmimic.control.stance import force_column, friction_rows
 from fastmimic.control.vectors import heading_vector, quat_to_matrix, rotation_error, times, turn_rows
 from fastmimic.conventions import GRAVITY
 from fastmimic.jit import inlined, kernel, record_dtype
@@ -70,7 +70,7 @@ FORESIGHT: Final = record_dtype(
 """Work memory: what lies ahead of one robot. One record for each thread."""
 
 MAX_VARIABLES: Final = 12 * _N
-MAX_CONSTRAINTS: Final = 20 * _N
+MAX_CONSTRAINTS: Final = 36 * _N
 
 
 @inlined
@@ -173,7 +173,7 @@ def condense(config: Any, weight: float, ahead: Any, qp: Any) -> int:
     """Assembles the QP of what is in `ahead`: standing, columns, drift, target, free[0].
 
     Returns:
-        The number k of forces; there are 3 k variables, k simple bounds and 4 k rows.
+        The number k of forces; there are 3 k variables, k simple bounds and 4 k rows, or 8 k.
     """
     steps, h = config.horizon_steps, config.horizon_step_s
     k = 0
@@ -204,16 +204,9 @@ def condense(config: Any, weight: float, ahead: Any, qp: Any) -> int:
                 qp.gradient[at] = _along(ahead.columns[j, leg, axis], axis, impulse)
 
     # friction and bounds
-    n, row = 3 * k, 0
-    qp.rows[: 4 * k * n] = 0.0
     for i in range(k):
         qp.lower[i], qp.upper[i] = config.min_force / weight, config.max_force / weight
-        for side in range(2):
-            for sign in (-1.0, 1.0):  # sign · f_side − μ f_z ≤ 0
-                qp.rows[row * n + i] = -config.mu
-                qp.rows[row * n + k + 2 * i + side] = sign
-                qp.upper[k + row], qp.lower[k + row] = 0.0, -INFINITY
-                row += 1
+    friction_rows(config, k, qp)
     return k
 
 
@@ -408,7 +401,7 @@ def plan_forces(
     k = condense(config, weight, ahead, qp)
     solved = True
     if k > 0:
-        solved = solve_qp(qp, 3 * k, 5 * k, k) == OPTIMAL
+        solved = solve_qp(qp, 3 * k, (1 + config.friction_sides) * k, k) == OPTIMAL
         for i in range(3 * k):
             solved = solved and np.isfinite(qp.x[i])  # DAQP calls a problem with a NaN in it solved
     plan.valid, plan.age = solved, 0

@@ -4,6 +4,7 @@ All vectors are in the heading frame: the world frame turned by the robot's yaw,
 turns.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from fastmimic.jit import inlined, kernel
 Array = NDArray[np.float64]
 
 MAX_VARIABLES = 12
-MAX_CONSTRAINTS = 4 + 16
+MAX_CONSTRAINTS = 4 + 32
+_DIAGONAL = math.sqrt(0.5)
 _HOLD_STEPS = 10  # control steps for which the last forces are held when the QP fails
 
 
@@ -49,13 +51,42 @@ def force_column(inverse_inertia: Array, arm: Array, axis: int, mass: float, out
         out[3 + i] = inverse_inertia[i, 0] * m0 + inverse_inertia[i, 1] * m1 + inverse_inertia[i, 2] * m2
 
 
+@inlined
+def friction_rows(config: Any, k: int, qp: Any) -> int:
+    """Writes the sides of the friction pyramids of k forces below the k simple bounds on their z components.
+
+    Returns:
+        How many rows: 4 k or 8 k.
+    """
+    n, row = 3 * k, 0
+    qp.rows[: config.friction_sides * k * n] = 0.0
+    for i in range(k):
+        for side in range(2):
+            for sign in (-1.0, 1.0):  # sign · f_side − μ f_z ≤ 0
+                qp.rows[row * n + i] = -config.mu
+                qp.rows[row * n + k + 2 * i + side] = sign
+                qp.upper[k + row], qp.lower[k + row] = 0.0, -INFINITY
+                row += 1
+    if config.friction_sides == 8:
+        for i in range(k):
+            for along in (-1.0, 1.0):
+                for across in (-1.0, 1.0):  # (± f_x ± f_y) / √2 − μ f_z ≤ 0
+                    qp.rows[row * n + i] = -config.mu
+                    qp.rows[row * n + k + 2 * i] = along * _DIAGONAL
+                    qp.rows[row * n + k + 2 * i + 1] = across * _DIAGONAL
+                    qp.upper[k + row], qp.lower[k + row] = 0.0, -INFINITY
+                    row += 1
+    return row
+
+
 @kernel
 def stance_forces(
     config: Any, mass: float, inverse_inertia: Array, arms: Array, desired: Array, memory: Any, qp: Any, columns: Array
 ) -> bool:
     """Solves for the forces of the legs whose state is stance; the result is in `memory.force`.
 
-    min ‖A f − g̃ − ẍ_des‖²_Q + ‖f‖²_R,  |f_x|, |f_y| ≤ μ f_z,  f_min ≤ f_z ≤ f_max;  f = 0 in swing.
+    min ‖A f − g̃ − ẍ_des‖²_Q + ‖f‖²_R,  |f_x|, |f_y| ≤ μ f_z,  f_min ≤ f_z ≤ f_max;  f = 0 in swing;
+    with `friction_sides` 8 also |f_x ± f_y| ≤ √2 μ f_z.
 
     The variables are the z forces of the k standing legs, then their x and y forces, so that the bounds on f_z are
     DAQP's simple bounds.
@@ -103,15 +134,7 @@ def stance_forces(
             qp.hessian[j * n + i] = h
     for i in range(k):
         qp.lower[i], qp.upper[i] = config.min_force, config.max_force
-    row = 0
-    qp.rows[: 4 * k * n] = 0.0
-    for i in range(k):
-        for side in range(2):
-            for sign in (-1.0, 1.0):  # sign · f_side − μ f_z ≤ 0
-                qp.rows[row * n + i] = -config.mu
-                qp.rows[row * n + k + 2 * i + side] = sign
-                qp.upper[k + row], qp.lower[k + row] = 0.0, -INFINITY
-                row += 1
+    row = friction_rows(config, k, qp)
     solved = solve_qp(qp, n, k + row, k) == OPTIMAL
     for i in range(n):
         solved = solved and np.isfinite(qp.x[i])  # DAQP calls a problem with a NaN in it solved
