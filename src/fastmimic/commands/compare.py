@@ -47,8 +47,8 @@ class Compare:
     """Also variants of mbc-dmp, each with one part taken away or changed."""
     robot: Annotated[str, arg(metavar="NAME|FILE.xml")] = DEFAULT_ROBOT
     """a1, go1, go2, or the MJCF of your own."""
-    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
-    """The controller's parameters: ours, or the paper's form."""
+    config: Annotated[str, arg(metavar="default|robust|paper|FILE")] = "default"
+    """The controller's parameters: ours, ours for another robot than the model, or the paper's form."""
     iterations: int = 200
     """Generations of CMA-ES."""
     population: int = 10

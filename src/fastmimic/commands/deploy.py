@@ -56,7 +56,7 @@ class Deploy(MotionOptions):
     """Until s or a stop."""
     method: Annotated[str | None, arg(metavar="NAME")] = None
     """Whose controller: raibert, mbc, lh; by default that with which the motion was optimised, or mbc."""
-    config: Annotated[str | None, arg(metavar="default|paper")] = None
+    config: Annotated[str | None, arg(metavar="default|robust|paper")] = None
     """The controller's parameters; by default those with which the motion was optimised, or "default"."""
     policy: Annotated[Path | None, arg(metavar="FILE")] = None
     """A trained policy (policy.npz of 'fastmimic train') in place of a method's controller, for the motion itself."""

@@ -34,7 +34,7 @@ class Evaluate(MotionOptions):
     method: Annotated[str | None, arg(metavar="NAME")] = None
     """Whose controller: raibert, mbc, lh; by default that with which the motion was optimised, or mbc. The motion is
     run as it is."""
-    config: Annotated[str | None, arg(metavar="default|paper|FILE")] = None
+    config: Annotated[str | None, arg(metavar="default|robust|paper|FILE")] = None
     """The controller's parameters; by default those with which the motion was optimised, or "default"."""
     policy: Annotated[Path | None, arg(metavar="FILE")] = None
     """A trained policy (policy.npz of 'fastmimic train') in place of a method's controller."""

@@ -29,7 +29,7 @@ class Identify:
     """a1, go1, go2, or the MJCF of your own, without payload; by default the one that the log names."""
     unloaded: Annotated[Path | None, arg(metavar="LOG.npz")] = None
     """The log of the same robot without payload: it takes the gains of its sensors out of the payload."""
-    config: Annotated[str, arg(metavar="default|paper")] = "default"
+    config: Annotated[str, arg(metavar="default|robust|paper")] = "default"
     """The controller's parameters that the result changes."""
     out: Annotated[Path | None, arg(metavar="FILE.json")] = None
     """Where the configuration goes; nothing is written without."""

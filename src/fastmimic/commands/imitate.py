@@ -38,8 +38,8 @@ class Imitate(MotionOptions, RandomizeOptions):
     """A name of 'fastmimic motions', or a file."""
     method: Annotated[str, arg(metavar="NAME")] = "mbc-dmp"
     """mbc-dmp, lh-dmp: the motion's DMPs are optimised; mbc, lh: not; raibert: feet step by a rule. lh looks ahead."""
-    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
-    """The controller's parameters: ours, or the paper's form."""
+    config: Annotated[str, arg(metavar="default|robust|paper|FILE")] = "default"
+    """The controller's parameters: ours, ours for another robot than the model, or the paper's form."""
     duration: Annotated[float, arg(metavar="S")] = 5.0
     """Length of an episode."""
     iterations: int = 200

@@ -42,7 +42,7 @@ class Build:
     """Searches for each motion and robot."""
     method: Annotated[str, arg(metavar="NAME")] = "mbc-dmp"
     """As in 'fastmimic imitate'."""
-    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
+    config: Annotated[str, arg(metavar="default|robust|paper|FILE")] = "default"
     """The controller's parameters."""
     iterations: int = 200
     """Generations of CMA-ES."""

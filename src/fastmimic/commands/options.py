@@ -118,7 +118,7 @@ class ExperimentOptions(MotionOptions):
 
     seed: int = 0
     """Of the episodes' starts, the sensors' errors, uneven ground, and CMA-ES."""
-    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
+    config: Annotated[str, arg(metavar="default|robust|paper|FILE")] = "default"
     """The controller's parameters."""
     policy: Annotated[Path | None, arg(metavar="FILE")] = None
     """A trained policy of the motion, for the method rl."""

@@ -32,7 +32,7 @@ class Play:
     """Where to listen; if it is taken, the next one that is free."""
     method: Annotated[str, arg(metavar="NAME")] = "mbc"
     """The controller to begin with: mbc, lh, raibert."""
-    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
+    config: Annotated[str, arg(metavar="default|robust|paper|FILE")] = "default"
     """The controller's parameters."""
 
     def run(self) -> int:

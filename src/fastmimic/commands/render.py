@@ -40,7 +40,7 @@ class Render(MotionOptions):
     method: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ()
     """Whose controller: raibert, mbc, lh; one for all motions or one for each; by default that with which the motion
     was optimised, or mbc."""
-    config: Annotated[str | None, arg(metavar="default|paper|FILE")] = None
+    config: Annotated[str | None, arg(metavar="default|robust|paper|FILE")] = None
     """The controller's parameters; by default those with which the motion was optimised, or "default"."""
     size: Annotated[str | None, arg(metavar="WxH")] = None
     """Width and height, pixels; by default 960x540, of high quality 1280x720, of a GIF 640x360."""

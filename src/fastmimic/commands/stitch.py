@@ -44,8 +44,8 @@ class Stitch(RandomizeOptions):
     """a1, go1, go2, or the MJCF of your own; by default that of the first optimised motion, or a1."""
     method: Annotated[str, arg(metavar="NAME")] = "mbc-dmp"
     """mbc-dmp and lh-dmp optimise; mbc, lh and raibert follow the stitched motion as its motions are."""
-    config: Annotated[str, arg(metavar="default|paper|FILE")] = "default"
-    """The controller's parameters: ours, or the paper's form."""
+    config: Annotated[str, arg(metavar="default|robust|paper|FILE")] = "default"
+    """The controller's parameters: ours, ours for another robot than the model, or the paper's form."""
     iterations: int = 200
     """Generations of CMA-ES on the whole."""
     population: int | None = None

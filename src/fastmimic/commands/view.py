@@ -46,7 +46,7 @@ class View(MotionOptions):
     """Of the perturbations."""
     method: Annotated[str | None, arg(metavar="NAME")] = None
     """Whose controller: raibert, mbc, lh; by default the run's, that with which the motion was optimised, or mbc."""
-    config: Annotated[str | None, arg(metavar="default|paper|FILE")] = None
+    config: Annotated[str | None, arg(metavar="default|robust|paper|FILE")] = None
     """The controller's parameters; by default the run's, those with which the motion was optimised, or "default"."""
 
     def run(self) -> int:
