@@ -91,7 +91,7 @@ def test_real_clips_are_fitted(name: str, robot: Robot, data_folder: Path) -> No
     if motion.cycle is None:
         pytest.fail(f"{name} is a cycle")
     dmp = MotionDmp.fit(motion, robot)
-    assert dmp.rhythmic.n_basis == 100
+    assert dmp.primitive.n_basis == 100
     assert_fits(dmp)
 
 
