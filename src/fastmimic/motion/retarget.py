@@ -41,6 +41,8 @@ DOG_SCALE: Final = 0.825
 DOG_LEG_LENGTH_M: Final = 0.4 / DOG_SCALE
 """Leg length that this scale implies for an animal whose own is not known, so that other robots scale by theirs."""
 MIN_FRAMES: Final = 8
+_END_S: Final = 0.1
+"""Of a recording, over which is judged whether it comes to rest."""
 _SAME_BODY_M: Final = 2e-3
 _EXACT_FEET: Final = 0.2
 
@@ -79,7 +81,11 @@ def retarget(
     source = extract(clip, scale, config.roll_share)
     periodic, cycle_reason = _decide_cycle(clip, source, cycle, config)
     source, straight, aligned = _align(source, periodic and config.consistent, config)
-    duration = (clip.n_frames if periodic else clip.n_frames - 1) / clip.rate_hz
+    held = 0 if periodic or not config.consistent else _held_frames(source, config)
+    if held:
+        source = source.held(held)
+        cycle_reason += f"; ends standing, and is held for {held / clip.rate_hz:.2g} s"
+    duration = (clip.n_frames if periodic else clip.n_frames + held - 1) / clip.rate_hz
     n = max(2, round(duration * rate_hz))
     own = _is_own_body(clip, robot, scale)
     if own:
@@ -116,6 +122,8 @@ def retarget(
         "licence": clip.meta.get("licence"),
         "retarget": report.as_dict(),
     }
+    if held:
+        meta["held_s"] = held / clip.rate_hz
     return replace(fitted.motion, meta=meta), report
 
 
@@ -153,6 +161,26 @@ def _decide_cycle(clip: Clip, source: Source, cycle: bool | None, config: Retarg
     found = f"its ends differ by {mismatch:.2f} of the spread of its poses; limit {limit:.2f} for this length"
     closes = mismatch <= limit
     return closes, f"taken as one cycle ({found})" if closes else f"not a cycle ({found})"
+
+
+def _held_frames(source: Source, config: RetargetConfig) -> int:
+    """For how many frames the last pose of a recording that does not repeat is held: none unless it ends standing, on
+    all feet and with its trunk at rest."""
+    end = slice(-1 - max(1, round(_END_S * source.rate_hz)), None)
+    seconds = (len(source.heading[end]) - 1) / source.rate_hz
+    moved = np.linalg.norm(source.root_xy[end][-1] - source.root_xy[end][0]) / seconds
+    sunk = abs(source.root_z[end][-1] - source.root_z[end][0]) / seconds
+    turned = abs(source.heading[end][-1] - source.heading[end][0]) / seconds
+    frames = round(config.hold_s * source.rate_hz)
+    if max(moved, sunk) > config.rest_m_per_s or turned > config.rest_rad_per_s or frames < 1:
+        return 0
+    held = source.held(frames)
+    activity = foot_activity(held.toe_height, held.toe_speed, held.rate_hz, False, config.contact)
+    stands = all(
+        leg and leg[-1].lift_off == len(held.heading) and leg[-1].touch_down <= len(source.heading) - 1
+        for leg in detect(activity, held.rate_hz, False, config.contact)
+    )
+    return frames if stands else 0
 
 
 def _align(source: Source, periodic: bool, config: RetargetConfig) -> tuple[Source, bool, float]:

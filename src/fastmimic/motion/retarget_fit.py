@@ -15,7 +15,7 @@ from fastmimic.motion.retarget_dynamics import Demand, ground_demand
 from fastmimic.motion.retarget_feet import plant_feet
 from fastmimic.motion.retarget_pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
 from fastmimic.motion.retarget_reach import Reach, footholds
-from fastmimic.motion.retarget_spline import TrunkSpline
+from fastmimic.motion.retarget_spline import InnerSpline, TrunkSpline
 from fastmimic.robot import Robot
 from fastmimic.rotations import rotate_planar
 
@@ -114,7 +114,9 @@ class Fitter:
     def _balanced(self, raw_w: Array) -> tuple[Track, Array]:
         """The trunk as the standing feet can move it, and the foot paths shifted under it."""
         n = len(raw_w)
-        spline = TrunkSpline(n, self.rate_hz, self.periodic, self.config.balance.hz)
+        # how a motion that does not repeat begins and ends is the animal's own: a trunk that is free to move there falls
+        hz = self.config.balance.hz
+        spline = TrunkSpline(n, self.rate_hz, True, hz) if self.periodic else InnerSpline(n, self.rate_hz, hz)
         sample = np.arange(0, n, max(1, round(self.config.balance.sample_s * self.rate_hz)))
 
         def applied(coefficients: Array) -> tuple[Track, Array]:

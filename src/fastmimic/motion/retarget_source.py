@@ -37,6 +37,16 @@ class Source:
     toe_height: Array
     toe_speed: Array
 
+    def held(self, frames: int) -> "Source":
+        """The same recording with its last frame so many times more, at rest."""
+
+        def more(values: Array) -> Array:
+            return np.concatenate([values, np.repeat(values[-1:], frames, axis=0)])
+
+        names = ("root_xy", "root_z", "heading", "tilt", "toe_from_hip", "toe_height")
+        rest = np.concatenate([self.toe_speed, np.zeros((frames, 4))])
+        return replace(self, **{name: more(getattr(self, name)) for name in names}, toe_speed=rest)
+
     def turned(self, angle: float) -> "Source":
         """The same motion with the trunk's heading turned by `angle` rad; nothing moves in the world."""
         return replace(self, heading=self.heading + angle, toe_from_hip=rotate_planar(-angle, self.toe_from_hip))
