@@ -3,6 +3,7 @@
 After Peng et al. 2020 (section IV), then made consistent; one rule for every clip. The steps, each in its own module:
 
     retarget_source    keypoints → trunk and toe targets at the robot's size
+    retarget_posture   of a recording that does not repeat, as low as folded legs allow
     retarget_cycle     the recording as a continuous motion, closed if it is a cycle
     contacts           when each foot stands; retarget_gait makes a clean gait of it
     retarget_reach     where the feet can stand; retarget_feet plants them there and blends their swings
@@ -26,6 +27,7 @@ from fastmimic.motion.retarget_cycle import Track, cycle_displacement, pose_mism
 from fastmimic.motion.retarget_fidelity import Before, make_report
 from fastmimic.motion.retarget_fit import Fitter
 from fastmimic.motion.retarget_gait import GaitChanges, make_consistent, with_steps
+from fastmimic.motion.retarget_posture import levelled, within_folded_legs
 from fastmimic.motion.retarget_reach import Reach, foot_offsets
 from fastmimic.motion.retarget_report import MIN_CLEARANCE_SHARE, RetargetReport
 from fastmimic.motion.retarget_source import Source, extract
@@ -81,15 +83,18 @@ def retarget(
     source = extract(clip, scale, config.roll_share)
     periodic, cycle_reason = _decide_cycle(clip, source, cycle, config)
     source, straight, aligned = _align(source, periodic and config.consistent, config)
+    own = _is_own_body(clip, robot, scale)
+    if own:
+        config = _for_own_body(config)
+    lowered = 0.0 if own else config.crouch_m * scale / DOG_SCALE
+    if not periodic and config.consistent and not own:
+        source = within_folded_legs(levelled(source), robot, lowered, config)
     held = 0 if periodic or not config.consistent else _held_frames(source, config)
     if held:
         source = source.held(held)
         cycle_reason += f"; ends standing, and is held for {held / clip.rate_hz:.2g} s"
     duration = (clip.n_frames if periodic else clip.n_frames + held - 1) / clip.rate_hz
     n = max(2, round(duration * rate_hz))
-    own = _is_own_body(clip, robot, scale)
-    if own:
-        config = _for_own_body(config)
     activity = _activity(source, n, periodic, config.contact)
     detected = detect(activity, rate_hz, periodic, config.contact)
     travels = not (config.consistent and _stands(detected, n))
@@ -98,8 +103,8 @@ def retarget(
     else:
         track = track_open(source, n, config.trunk_hz, config.foot_hz)
 
-    height = source.hip_height + robot.foot_radius - (0.0 if own else config.crouch_m * scale / DOG_SCALE)
-    raised = _raise(Reach.of_robot(robot, height, config.reach_margin_rad), track, config)
+    height = source.hip_height + robot.foot_radius - lowered
+    raised = _raise(Reach.of_robot(robot, height, config.reach_margin_rad), track, config) if periodic else 0.0
     height += raised
     reach = Reach.of_robot(robot, height, config.reach_margin_rad)
     longest = reach.longest_stance(_speed(track, duration), config.swing.linger_s)

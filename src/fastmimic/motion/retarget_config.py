@@ -28,7 +28,7 @@ class RetargetConfig:
         max_lowering_m: further lowering for reach, at most.
         max_raising_m: raising at most, for knees that would bend too far or touch the ground, beyond the height at
             which folded legs can be lifted: an animal crouches and sits lower than a robot can. 0 leaves the animal's
-            height.
+            height. In a recording that does not repeat the base is raised where it is needed, and only there.
         limit_margin_rad: kept to the joint limits.
         reach_margin_rad: kept to the knees' and abduction joints' limits when footholds are chosen.
         speed_share: of the joint speed limit that the reference may use.

@@ -43,9 +43,16 @@ class Source:
         def more(values: Array) -> Array:
             return np.concatenate([values, np.repeat(values[-1:], frames, axis=0)])
 
-        names = ("root_xy", "root_z", "heading", "tilt", "toe_from_hip", "toe_height")
-        rest = np.concatenate([self.toe_speed, np.zeros((frames, 4))])
-        return replace(self, **{name: more(getattr(self, name)) for name in names}, toe_speed=rest)
+        return replace(
+            self,
+            root_xy=more(self.root_xy),
+            root_z=more(self.root_z),
+            heading=more(self.heading),
+            tilt=more(self.tilt),
+            toe_from_hip=more(self.toe_from_hip),
+            toe_height=more(self.toe_height),
+            toe_speed=np.concatenate([self.toe_speed, np.zeros((frames, 4))]),
+        )
 
     def turned(self, angle: float) -> "Source":
         """The same motion with the trunk's heading turned by `angle` rad; nothing moves in the world."""

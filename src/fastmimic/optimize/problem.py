@@ -269,7 +269,7 @@ class ImitationProblem(Problem):
         self._start = np.array(begun_at(parameters, moved or {}))
         self.dmp = dmp
         self._steps = max(1, math.ceil(self.objective.duration_s * self.config.rate_hz - 1e-9))
-        if self._repeats and self._steps < demonstration.n_samples:  # what no episode reaches would be optimised blindly
+        if self._repeats and self._steps < demonstration.n_samples:  # what no episode reaches is optimised blindly
             self._steps = math.ceil(_CYCLES * demonstration.n_samples)
         self._clearance = swing_clearance(demonstration, robot.foot_radius)
         self._base = reference_table(dmp.motion(), robot)

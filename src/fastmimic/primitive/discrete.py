@@ -6,12 +6,12 @@ With the canonical phase x, which decays from 1 over the duration T of the fitte
     f(x) = x Σ ψᵢ wᵢ / Σ ψᵢ,            ψᵢ = exp(−hᵢ (x − cᵢ)²),   β = α/4,   αₓ = α/3.
 
 The forcing dies out with x, so that whatever g and a are, y comes to rest at g, and stays there. It starts where the
-fitted motion starts, with its velocity, whatever g and a are. Two things are not as in the original. It multiplies f by
-g − y₀; a foot's height ends where it began, and what is scaled by nothing, or by noise of either sign, has no size: the
-amplitude a stands by itself, as in the rhythmic primitive. And τ = T there, here T or 1 s, whichever is less: an animal's
-ten seconds are many movements, and g and a would have come to bear only after the first of them.
+fitted motion starts, with its velocity, whatever g and a are. Two things are not as in the original. It multiplies f
+by g − y₀; a foot's height ends where it began, and what is scaled by nothing, or by noise of either sign, has no size:
+the amplitude a stands by itself, as in the rhythmic primitive. And τ = T there, here T or 1 s, whichever is less: an
+animal's ten seconds are many movements, and g and a would have come to bear only after the first of them.
 
-The system is linear in g and a: y = rest + pull g + a s, each computed once, so that nothing has to be integrated again.
+The system is linear in g and a: y = rest + pull g + a s, each computed once; nothing has to be integrated again.
 """
 
 from dataclasses import dataclass
@@ -117,7 +117,8 @@ class DiscreteDmp:
             raise MotionError(f"sample {int(np.argwhere(~np.isfinite(y))[0][0])} of the motion is not finite")
         if duration_s > MAX_S:
             raise MotionError(
-                f"a motion that does not repeat may last {MAX_S:g} s, found {duration_s:.1f} s; choose a part (--frames)"
+                f"a motion that does not repeat lasts {MAX_S:g} s at most, found {duration_s:.1f} s; choose a part"
+                " (--frames)"
             )
         n = max(n_basis, int(np.ceil(_FUNCTIONS_PER_S * duration_s)))
         start_rate = (len(y) - 1) * (-1.5 * y[0] + 2.0 * y[1] - 0.5 * y[2])

@@ -51,7 +51,7 @@ def foot_table(robot: Robot, foot_pos_b: Array, rate_hz: float, periodic: bool =
     if periodic:
         _differentiate(joint_pos, rate_hz, joint_vel)
     else:
-        joint_vel = np.gradient(joint_pos, 1.0 / rate_hz, axis=1)
+        joint_vel[:] = np.gradient(joint_pos, 1.0 / rate_hz, axis=1)
     return FootTable(feet, joint_pos, joint_vel, shift, count)
 
 
