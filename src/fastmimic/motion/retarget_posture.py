@@ -2,7 +2,8 @@
 
 A cycle has one posture, about which everything is periodic. Who sits down or gets up has two or more: the attitude that
 counts as level is that of the tallest of them, and a girdle goes no lower than its folded legs allow, moment by moment:
-an animal sits on its rump, a robot on its feet.
+an animal sits on its rump, a robot on its feet. The trunk keeps its pitch as far as its upper end is then no higher
+than it stands.
 """
 
 from dataclasses import replace
@@ -34,7 +35,8 @@ def levelled(source: Source) -> Source:
 
 
 def within_folded_legs(source: Source, robot: Robot, lowered_m: float, config: RetargetConfig) -> Source:
-    """With shoulders and hips no lower than legs that are folded, and lifted as the animal's, need.
+    """With shoulders and hips no lower than legs that are folded, and lifted as the animal's, need: the trunk is raised
+    as a whole, and levelled as far as its other end would be higher than it stands.
 
     Args:
         source: at the robot's size, level.
@@ -50,7 +52,9 @@ def within_folded_legs(source: Source, robot: Robot, lowered_m: float, config: R
     slope = -np.sin(source.tilt[:, 1])
     girdle = height[:, None] + slope[:, None] * x
     least = shortest + _ROOM_M + lift.reshape(-1, 2, 2).max(axis=2)
-    raised = _no_lower(girdle, least)
+    rise = (_no_lower(girdle, least) - girdle).max(axis=1, keepdims=True)
+    raised = -_no_lower(-(girdle + rise), -np.maximum(height.max(), least))
+    raised = np.where(rise > 0, raised, girdle)
     new_slope = slope + ((raised - girdle) @ np.array([1.0, -1.0])) / (x[0] - x[1])
     rise = (raised - girdle)[:, 0] - (new_slope - slope) * x[0]
     changed = np.any(raised != girdle, axis=1)
