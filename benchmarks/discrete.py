@@ -1,14 +1,14 @@
 """Pieces of the dog's takes that do not repeat: fitted, tracked as retargeted, optimised, tracked again.
 
     python benchmarks/discrete.py [--robot a1] [--pieces dog_walk09:2404:2450 …] [--iterations 20]
-                                  [--population 6] [--seed 0] [--out runs/discrete] [--write]
+                                  [--population 6] [--seed 0] [--longest 10] [--out runs/discrete] [--write]
 
-By default every piece that `fastmimic segment` calls discrete in the five takes, and the left turn of dog_walk09, which
-barely repeats. Each is retargeted, run once from its start and three times with perturbed joints and velocity,
-optimised (mbc-dmp, one set of parameters for all), and run like that again. Beside that stands what the two primitives
-make of it: the greatest error of a foot in the fit of a discrete DMP, and of a rhythmic one over the whole piece. What
-is finished is kept in `--out` and not run again. Needs `fastmimic data fetch`, or FASTMIMIC_DATA. `--write` puts the
-table between the markers in docs/segment.md.
+By default every piece of up to 10 s that `fastmimic segment` calls discrete in the five takes, and the left turn of
+dog_walk09, which barely repeats. Each is retargeted, run once from its start and three times with perturbed joints and
+velocity, optimised (mbc-dmp, one set of parameters for all), and run like that again. Beside that stands what the two
+primitives make of it: the greatest error of a foot in the fit of a discrete DMP, and of a rhythmic one over the whole
+piece. What is finished is kept in `--out` and not run again. Needs `fastmimic data fetch`, or FASTMIMIC_DATA. `--write`
+puts the table between the markers in docs/segment.md.
 """
 
 import argparse
@@ -30,6 +30,7 @@ from fastmimic.motion.retarget import retarget
 from fastmimic.motion.segment import DISCRETE, find_segments
 from fastmimic.primitive import MotionDmp, RhythmicDmp
 from fastmimic.primitive.coordinates import FEET, phases, to_coordinates
+from fastmimic.primitive.discrete import MAX_S
 
 TAKES = ("dog_walk00", "dog_walk03", "dog_walk09", "dog_run00", "dog_turn00")
 TURN = "dog_walk09:2404:2450"
@@ -42,11 +43,13 @@ def take(name: str) -> Path:
     return data_folder() / "dog_keypoints" / f"{name}_joint_pos.txt"
 
 
-def all_pieces() -> list[str]:
-    """The left turn, and every discrete piece of the takes."""
+def all_pieces(longest_s: float) -> list[str]:
+    """The left turn, and every discrete piece of the takes that lasts no longer."""
     found = [TURN]
     for name in TAKES:
-        pieces = [s for s in find_segments(open_clip(take(name))) if s.gait == DISCRETE]
+        clip = open_clip(take(name))
+        frames = longest_s * clip.rate_hz
+        pieces = [s for s in find_segments(clip) if s.gait == DISCRETE and s.end - s.start <= frames]
         found += [f"{name}:{s.start}:{s.end}" for s in pieces]
     return found
 
@@ -126,6 +129,7 @@ def main() -> None:
     parser.add_argument("--iterations", type=int, default=20)
     parser.add_argument("--population", type=int, default=6)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--longest", type=float, default=10.0, metavar="S", help="leaves out longer pieces; 30 at most")
     parser.add_argument("--out", type=Path, default=Path("runs/discrete"))
     parser.add_argument("--write", action="store_true", help="put the table into docs/segment.md")
     args = parser.parse_args()
@@ -134,12 +138,12 @@ def main() -> None:
             parser.error(f"a piece is TAKE:FIRST:END, such as {TURN}; found '{piece}'")
     robot = fm.load_robot(args.robot)
     args.out.mkdir(parents=True, exist_ok=True)
-    pieces = args.pieces or all_pieces()
+    pieces = args.pieces or all_pieces(min(args.longest, MAX_S))
     rows = [run(piece, robot, args.iterations, args.population, args.seed, args.out) for piece in pieces]
     counts = [sum(not any(row["fell"][i]) for row in rows) for i in (0, 1)]
     command = (
         f"python benchmarks/discrete.py --robot {robot.name} --iterations {args.iterations} --population"
-        f" {args.population} --seed {args.seed}"
+        f" {args.population} --seed {args.seed} --longest {args.longest:g}"
     )
     said = (
         f"`{command}`. Tracked without a fall in all {EPISODES} episodes: {counts[0]} of {len(rows)} as retargeted,"
