@@ -1,6 +1,5 @@
 """The main job as a library call: what goes in, what comes out, and what is refused."""
 
-import dataclasses
 import json
 from pathlib import Path
 
@@ -128,13 +127,24 @@ class TestImitate:
         assert metrics["parameters"] == []
         assert metrics["reward"]["before"] == metrics["reward"]["after"] > 0.8
 
-    def test_a_motion_that_does_not_repeat_can_be_followed_but_not_optimised(
-        self, motion: Motion, robot: Robot
-    ) -> None:
-        once = dataclasses.replace(motion, cycle=None)
-        assert imitate(once, robot, method="mbc", duration_s=0.2).before.reward[0] > 0.8
-        with pytest.raises(MotionError, match="cycl"):
-            imitate(once, robot, **QUICK)
+    def test_a_motion_that_does_not_repeat_is_done_once_and_optimised(self, robot: Robot, tmp_path: Path) -> None:
+        """From the clip to a saved motion that runs again: one cycle of a trot, once."""
+        once = load_motion("trot", robot, discrete=True)
+        assert once.cycle is None
+        result = imitate(once, robot, workers=1, **QUICK)
+        whole = (once.n_samples - 1) / once.rate_hz
+        assert result.duration_s == result.after.duration_s == pytest.approx(whole)
+        assert result.motion.cycle is None
+        assert result.demonstration is once
+        assert result.motion.meta["dmp"]["primitive"] == "discrete"
+        assert not result.after.fell[0]
+        assert result.after.reward[0] > 0.9
+        result.motion.save(tmp_path / "once.npz")
+        again = evaluate(tmp_path / "once.npz", robot, episodes=3)
+        assert again.rollout.duration_s == pytest.approx(whole)
+        assert again.rollout.reward[0] == result.after.reward[0]
+        with pytest.raises(ConfigError, match="discrete cannot be applied to 'trot': it is already a robot motion"):
+            load_motion(tmp_path / "once.npz", robot, discrete=True)
 
     def test_a_run_can_be_resumed(self, imitation: Imitation, motion: Motion, robot: Robot, tmp_path: Path) -> None:
         path = tmp_path / "checkpoint.npz"

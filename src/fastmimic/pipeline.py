@@ -206,13 +206,13 @@ def load_motion(source: str | Path | Clip | Motion, robot: Robot | str = "a1", *
         source: a `Motion` is returned as it is; a clip is retargeted to the robot.
         robot: the robot.
         overrides: for clips, as `open_clip` takes them (`fps`, `up`, `point_map`, `scale`, `frames`,
-            `speed`, `yaw_rate`, `duty`).
+            `discrete`, `speed`, `yaw_rate`, `duty`).
 
     Raises:
         FastMimicError: nothing of that name, a file that cannot be read, or an override that does not apply.
     """
     robot = load_robot(robot)
-    given = {k: v for k, v in overrides.items() if v is not None}
+    given = {k: v for k, v in overrides.items() if v is not None and v is not False}
     if isinstance(source, Motion):
         motion = source
     elif not isinstance(source, Clip) and Path(source).is_file() and detect_format(source) == "npz":
@@ -258,7 +258,7 @@ def imitate(
         robot: the robot, its name, or the path of its MJCF.
         method: one of `fastmimic.methods.METHODS`.
         config: the controller's parameters, or the name of a set.
-        duration_s: length of the episodes, s; those of a stitched motion are the whole of it.
+        duration_s: length of the episodes, s; those of a motion that does not repeat are the whole of it.
         iterations, population, seed: of CMA-ES.
         workers: threads; one for each core if None. The result does not depend on it.
         checkpoint, resume: as in `optimize`.
@@ -285,7 +285,7 @@ def imitate(
     began = time.perf_counter()
     given = load_motion(source, robot, **overrides)
     demonstration = given.target
-    if demonstration.parts:
+    if demonstration.cycle is None:
         duration_s = (demonstration.n_samples - 1) / demonstration.rate_hz
     objective = Objective(duration_s=duration_s, randomization=over)
     before = run_episodes(robot, demonstration, duration_s=duration_s, config=config, log=True, controller=controller)

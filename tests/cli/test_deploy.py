@@ -113,7 +113,7 @@ BAD = {
     ),
     "a motion that does not repeat": (
         ["{once}", "--driver", "sim"],
-        "does not repeat: it begins and ends in mid-stride",
+        "does not repeat, and no way leads from standing to where it begins",
     ),
     "both ends": (["trot", *QUICK, "--cycles", "2"], "cycles and duration both say"),
     "no cycles": (["stand", "--driver", "sim", "--cycles", "0"], "at least 1"),

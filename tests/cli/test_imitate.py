@@ -306,3 +306,18 @@ def test_a_terminal_gets_a_bar_with_the_best_reward_and_the_time_left(start: Sta
     text = shown.decode(errors="replace")
     assert re.search(r"30/30.*best 0\.\d{3}  \d+ evaluations/s  0:00 left", text), text
     assert "validating" in text
+
+
+def test_a_movement_that_does_not_repeat(run: Run, in_folder: Path) -> None:
+    done = run("imitate", "trot", "--discrete", *TINY, "--out", "once")
+    assert done.status == 0
+    assert "done once, to its end in mid-stride" in done.err
+    motion = Motion.load("once/motion.npz")
+    assert motion.cycle is None
+    assert metrics(Path("once"))["duration_s"] == pytest.approx((motion.n_samples - 1) / motion.rate_hz)
+    assert json.loads(Path("once/config.json").read_text())["arguments"]["discrete"] is True
+    assert "another run (discrete True)" in run("imitate", "trot", *TINY, "--out", "once").error
+    again = run("evaluate", "once/motion.npz", "--json")
+    assert json.loads(again.out)["duration_s"] == metrics(Path("once"))["duration_s"]
+    refused = run("imitate", "once/motion.npz", "--discrete", *TINY).error
+    assert "discrete cannot be applied to 'trot': it is already a robot motion" in refused

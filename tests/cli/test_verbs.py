@@ -56,6 +56,13 @@ def test_segment_lists_prints_and_draws_what_repeats(run: Run, tmp_path: Path) -
     assert again.status == 0
 
 
+def test_segment_tells_how_to_imitate_what_does_not_repeat(run: Run, data_folder: Path) -> None:
+    take = data_folder / "dog_keypoints" / "dog_walk00_joint_pos.txt"
+    done = run("segment", take)
+    assert re.search(r"35:94 +discrete", done.out)
+    assert f"fastmimic imitate {take} --frames 35:94 --discrete" in done.err
+
+
 def test_segment_refuses_what_is_no_take(run: Run, tmp_path: Path) -> None:
     for arguments, words in (
         (("trott",), "did you mean 'trot'"),

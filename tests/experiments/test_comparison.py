@@ -23,7 +23,6 @@ from fastmimic.motion.motion import Motion
 from fastmimic.pipeline import evaluate, load_motion
 from fastmimic.report.comparison_folder import ComparisonFolder
 from fastmimic.robot import load_robot
-from motion.sample_files import save_motion
 
 TINY = Settings(duration_s=0.6, iterations=2, population=4, evaluation_s=0.8, perturbed_episodes=2)
 PLAN = Plan(TINY, ("trot",), tuple(METHODS), seeds=2, ablations=True)
@@ -247,13 +246,14 @@ class TestKept:
         with pytest.raises(ConfigError, match="--ablations need the clip"):
             run(plan, tmp_path)
 
-    def test_only_cycles_can_be_optimised(self, tmp_path: Path) -> None:
-        path = save_motion(tmp_path / "once.npz")
-        motion = Motion.load(path)
-        replace(motion, cycle=None).save(path)
-        with pytest.raises(ConfigError, match="only cycles can be optimised"):
-            run(replace(PLAN, motions=(str(path),), ablations=False), tmp_path / "out")
-        assert not (tmp_path / "out").exists()
+    def test_a_motion_that_does_not_repeat_is_optimised_over_the_whole_of_it(self, tmp_path: Path) -> None:
+        once = replace(load_motion("trot"), cycle=None)
+        once.save(tmp_path / "once.npz")
+        plan = Plan(TINY, (str(tmp_path / "once.npz"),), ("mbc-dmp",), seeds=1, ablations=False)
+        (row,), _ = run(plan, tmp_path / "out")
+        assert row["evaluation_s"] == pytest.approx((once.n_samples - 1) / once.rate_hz)
+        assert row["evaluations"] > 0
+        assert row["style_distance_realised"] is not None, "it ran to its end"
 
     def test_a_motion_that_ends_is_evaluated_to_its_end(self, tmp_path: Path) -> None:
         once = replace(load_motion("trot"), cycle=None)

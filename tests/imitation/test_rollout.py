@@ -365,6 +365,19 @@ class TestSwingClearance:
             motion = gait(robot, touchdown=(phase, phase + 0.5, phase + 0.5, phase), lift=0.05)
             np.testing.assert_allclose(swing_clearance(motion, robot.foot_radius), 0.05, atol=1e-4)
 
+    def test_a_swing_that_the_end_cuts_off_is_none(self, robot: Robot) -> None:
+        """As in the episodes of a motion that does not repeat."""
+        motion = gait(robot, touchdown=(0.1, 0.6, 0.6, 0.1), lift=0.05)
+        once = dataclasses.replace(motion, cycle=None)
+        found = swing_clearance(once, robot.foot_radius)
+        lands = [bool(np.any(~once.contact[:-1, leg] & once.contact[1:, leg])) for leg in range(4)]
+        np.testing.assert_array_equal(np.isfinite(found), lands)
+        cut = slice(0, int(np.argmax(~motion.contact[:, 0])) + 5)
+        names = ("root_pos_w", "root_quat_wxyz", "joint_pos", "joint_vel", "foot_pos_b", "contact")
+        velocities = ("root_lin_vel_w", "root_ang_vel_w")
+        early = dataclasses.replace(once, **{n: getattr(once, n)[cut] for n in (*names, *velocities)})
+        assert np.isnan(swing_clearance(early, robot.foot_radius)[0])
+
     def test_is_the_mean_over_several_swings(self, robot: Robot) -> None:
         low, high = gait(robot, lift=0.04), gait(robot, lift=0.06)
         names = ("root_pos_w", "root_quat_wxyz", "joint_pos", "joint_vel", "foot_pos_b", "contact")

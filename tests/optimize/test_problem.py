@@ -269,3 +269,35 @@ def test_an_episode_holds_a_long_cycle_whole(make_problem: Callable[..., Imitati
     """What no episode reached would be optimised blindly."""
     problem = make_problem(duration_s=0.1)
     assert problem.steps == 1.5 * problem.demonstration.n_samples
+
+
+@pytest.fixture(scope="module")
+def once(robot: Robot) -> ImitationProblem:
+    motion = dataclasses.replace(gait(robot, (0.3, 0.0), n_samples=200), cycle=None)
+    return ImitationProblem(robot, motion, MotionDmp.fit(motion, robot), objective=Objective(5.0), workers=1)
+
+
+class TestOnce:
+    """A motion that does not repeat: its episode is the whole of it."""
+
+    def test_episodes_and_validation_are_the_whole(self, once: ImitationProblem) -> None:
+        assert once.steps == once.demonstration.n_samples - 1
+        assert once.objective.duration_s == once.steps / once.demonstration.rate_hz
+        start, steps = once.validation(3, 10.0, np.random.default_rng(0))
+        assert steps == once.steps
+        np.testing.assert_array_equal(start.sample, 0)
+        assert np.abs(start.joint_offset[1:]).min(axis=1).max() > 0
+
+    def test_tables_are_those_of_the_motions(self, once: ImitationProblem, robot: Robot) -> None:
+        x = candidates(once, 2)
+        tables = once.tables(x)
+        for candidate, table in zip(x, tables, strict=True):
+            expected = reference_table(once.motion(candidate), robot)
+            for name in expected.dtype.names or ():
+                np.testing.assert_allclose(table[name], expected[name], atol=1e-9, err_msg=name)
+
+    def test_the_unmodulated_motion_scores_what_it_earns(self, once: ImitationProblem, robot: Robot) -> None:
+        (score,) = once.evaluate(once.initial[None])
+        rollout = run_episodes(robot, once.motion(once.initial), duration_s=5.0)
+        assert score == pytest.approx(rollout.reward[0], abs=0.02)
+        assert score > 0.8

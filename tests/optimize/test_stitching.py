@@ -267,6 +267,8 @@ class TestParametersOf:
             parameters_of(broken)
 
 
-def test_a_motion_that_neither_repeats_nor_is_stitched(robot: Robot, stitched: Motion) -> None:
-    with pytest.raises(MotionError, match="is not cyclic"):
-        make_problem(robot, dataclasses.replace(stitched.parts[0], cycle=None))
+def test_a_motion_that_neither_repeats_nor_is_stitched_is_one_episode(robot: Robot, stitched: Motion) -> None:
+    once = dataclasses.replace(stitched.parts[0], cycle=None)
+    problem = make_problem(robot, once, workers=1)
+    assert isinstance(problem, ImitationProblem)
+    assert problem.steps == once.n_samples - 1

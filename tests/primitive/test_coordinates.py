@@ -72,11 +72,20 @@ def test_linear_velocities_are_the_rates_of_the_positions(robot: Robot, cycle: t
     np.testing.assert_allclose(y[:, 6:9], rates, atol=1e-6)
 
 
-def test_a_motion_without_a_cycle_is_refused(robot: Robot) -> None:
+def test_a_motion_that_does_not_repeat_is_seen_from_where_it_begins(robot: Robot) -> None:
     motion = cyclic_motion(robot)
     once = Motion(**{**motion.__dict__, "cycle": None})
-    with pytest.raises(MotionError, match="'synthetic' is not cyclic"):
-        twist_of(once)
+    y = to_coordinates(once, twist_of(once))
+    np.testing.assert_allclose(y[0, [0, 1, 5]], 0, atol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.norm(y[:, :2], axis=1), np.linalg.norm(once.root_pos_w[:, :2] - once.root_pos_w[0, :2], axis=1)
+    )
+    for found, wanted in zip(
+        root_from_coordinates(y, twist_of(once), once.period_s),
+        (once.root_pos_w, once.root_quat_wxyz, once.root_lin_vel_w, once.root_ang_vel_w),
+        strict=True,
+    ):
+        np.testing.assert_allclose(found, wanted, atol=1e-9)
 
 
 def test_a_trunk_that_points_up_is_refused(robot: Robot) -> None:

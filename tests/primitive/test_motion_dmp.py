@@ -91,7 +91,7 @@ def test_real_clips_are_fitted(name: str, robot: Robot, data_folder: Path) -> No
     if motion.cycle is None:
         pytest.fail(f"{name} is a cycle")
     dmp = MotionDmp.fit(motion, robot)
-    assert dmp.rhythmic.n_basis == 100
+    assert dmp.primitive.n_basis == 100
     assert_fits(dmp)
 
 
@@ -208,3 +208,47 @@ def test_parameters_of_another_shape_are_refused(dmp: MotionDmp, goal: np.ndarra
 def test_a_table_of_another_shape_is_refused(dmp: MotionDmp) -> None:
     with pytest.raises(MotionError, match=r"amplitude has shape \(3, 24\); expected \(2, 24\)"):
         dmp.foot_table(np.zeros((2, 24)), np.zeros((3, 24)))
+
+
+@pytest.fixture(scope="module")
+def once(robot: Robot) -> Motion:
+    """Half a cycle, once: it begins in one double stance and ends in the other, elsewhere."""
+    return retarget(open_clip("walk", robot=robot, frames=(0, 20), discrete=True), robot)[0]
+
+
+@pytest.fixture(scope="module")
+def fitted(once: Motion, robot: Robot) -> MotionDmp:
+    return MotionDmp.fit(once, robot)
+
+
+class TestDiscrete:
+    """A motion that does not repeat."""
+
+    def test_it_is_fitted_by_discrete_primitives(self, fitted: MotionDmp, once: Motion) -> None:
+        assert_fits(fitted)
+        made = fitted.motion()
+        assert made.cycle is None
+        assert made.demonstration is once
+        assert made.meta["dmp"]["primitive"] == "discrete"
+        inner = slice(1, -1)  # differences of the joints are one-sided at the ends
+        assert rms((made.joint_vel - once.joint_vel)[inner]) < 0.05
+
+    def test_the_goal_is_where_a_foot_ends_and_leaves_where_it_begins(self, fitted: MotionDmp) -> None:
+        goal = fitted.goal
+        goal[fitted.index("FL_foot_z")] -= 0.01
+        change = fitted.motion(goal=goal).foot_pos_b - fitted.motion().foot_pos_b
+        np.testing.assert_allclose(change[0], 0, atol=1e-12)
+        np.testing.assert_allclose(change[-1, 1, 2], -0.01, rtol=2e-3)
+        np.testing.assert_allclose(np.delete(change.reshape(-1, 12), 5, axis=1), 0, atol=1e-12)
+
+    def test_candidates_are_the_motions(self, fitted: MotionDmp) -> None:
+        goal, amplitude = np.tile(fitted.goal, (2, 1)), np.ones((2, 24))
+        amplitude[1, list(FOOT_Z)] = 1.2
+        goal[1, list(FOOT_Z)] += 0.005
+        table = fitted.foot_table(goal, amplitude)
+        for i in range(2):
+            motion = fitted.motion(goal[i], amplitude[i])
+            np.testing.assert_array_equal(table.foot_pos_b[i], motion.foot_pos_b)
+            np.testing.assert_array_equal(table.joint_vel[i], motion.joint_vel)
+        rates = np.gradient(table.joint_pos[1], fitted.fitted.dt, axis=0)
+        np.testing.assert_allclose(table.joint_vel[1], rates, atol=1e-12)

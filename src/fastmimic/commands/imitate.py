@@ -139,6 +139,7 @@ class Imitate(MotionOptions, RandomizeOptions):
         arguments = {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(self).items()}
         arguments = self.recorded(arguments)
         arguments.pop("no_optimize")
+        arguments["discrete"] = self.discrete or None  # as in the runs from before there was a choice
         return {
             "arguments": arguments | {"method": method},
             "robot": robot.name,

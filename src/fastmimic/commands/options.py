@@ -29,6 +29,9 @@ class MotionOptions:
     """a1, go1, go2, or the MJCF of your own; by default the robot motion's own, or a1."""
     frames: Annotated[str | None, arg(metavar="A:B")] = None
     """Part of a clip: first frame and end, 0-based, end exclusive."""
+    discrete: bool = False
+    """Take the clip for a movement that does not repeat, such as a turn, a start or a stop: it is done once. By default
+    a clip whose end does not lead back to its beginning."""
     fps: Annotated[float | None, arg(metavar="HZ")] = None
     """Frames a second of a clip file, in place of what it says."""
     up: Annotated[str | None, arg(metavar="y|z")] = None
@@ -48,6 +51,7 @@ class MotionOptions:
         """The clip's options that were given, as the API takes them."""
         found = {
             "frames": None if self.frames is None else parse_frames(self.frames),
+            "discrete": self.discrete or None,
             "fps": self.fps,
             "up": self.up,
             "point_map": self.point_map,

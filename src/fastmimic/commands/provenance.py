@@ -18,9 +18,16 @@ def provenance(motion: "Motion") -> str:
         parts.append(FORMATS[source["format"]])
     if "scale" in retargeting:
         parts.append(f"scale {retargeting['scale']:.3f}")
-    parts.append(f"{motion.period_s:.3f} s" + (" a cycle" if motion.cycle is not None else ", no cycle"))
+    parts.append(f"{motion.period_s:.3f} s" + (" a cycle" if motion.cycle is not None else f", {_once(motion)}"))
     licence = motion.meta.get("licence")
     return f"{motion.name}: {', '.join(parts)}" + (f"; licence: {licence}" if licence else "")
+
+
+def _once(motion: "Motion") -> str:
+    if motion.target.parts:
+        return "no cycle"
+    held = motion.meta.get("held_s")
+    return "done once, " + (f"the last {held:.2g} s of it at rest" if held else "to its end in mid-stride")
 
 
 def assumed(motion: "Motion") -> list[str]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class SegmentTake:
     """Finds what repeats in a take of any length: first frame and end, gait, period, speed and turning of each segment,
     and the cycle of it that closes best, which 'imitate --frames A:B' takes. Standing and movement that does not
-    repeat are listed, too. Speeds are the animal's.
+    repeat are listed, too; 'imitate --frames A:B --discrete' has such a movement done once. Speeds are the animal's.
     """
 
     take: Annotated[Positional[str], arg(metavar="FILE|NAME")]
@@ -37,7 +37,7 @@ class SegmentTake:
     def run(self) -> int:
         """Prints the segments; returns the exit status."""
         from fastmimic.motion.catalogue import open_clip
-        from fastmimic.motion.segment import find_segments
+        from fastmimic.motion.segment import DISCRETE, find_segments
 
         figure = None if self.figure is None else check_writable(self.figure, ".png", ".pdf", ".svg")
         overrides: dict[str, Any] = {"fps": self.fps, "up": self.up, "point_map": self.point_map}
@@ -52,6 +52,12 @@ class SegmentTake:
             if repeating:
                 first, end = max(repeating, key=lambda s: s.confidence).cycle or (0, 0)
                 note(f"to imitate a cycle: fastmimic imitate {self.take} --frames {first}:{end}")
+            once = next((segment for segment in segments if segment.gait == DISCRETE), None)
+            if once is not None:
+                note(
+                    "to imitate a piece that does not repeat: "
+                    f"fastmimic imitate {self.take} --frames {once.start}:{once.end} --discrete"
+                )
         if figure is not None:
             from fastmimic.report import save
             from fastmimic.report.segments import segments_figure

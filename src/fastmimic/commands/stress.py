@@ -47,7 +47,7 @@ class Stress(ExperimentOptions):
     def run(self) -> int:
         """Runs it, and writes the folder; returns the exit status."""
         check_duration(self.duration)
-        from fastmimic.experiments.entrants import MOTIONS, check_methods, check_motion, make_entrant
+        from fastmimic.experiments.entrants import MOTIONS, check_methods, make_entrant
         from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of
         from fastmimic.report.result_folder import ResultFolder
         from fastmimic.report.stress import WRITTEN, write_stress
@@ -68,7 +68,6 @@ class Stress(ExperimentOptions):
             population=self.population,
         )
         policy = None if self.policy is None else policy_with_digest(self.policy, robot, motion)
-        check_motion(motion, self.methods)
         check_length(motion, names, settings)
         check_simulator(robot, self.simulator)
         about = {"motion": motion.name, **asdict(settings)}

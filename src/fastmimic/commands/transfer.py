@@ -44,7 +44,7 @@ class Transfer(ExperimentOptions):
     def run(self) -> int:
         """Runs it, and writes the folder; returns the exit status."""
         check_duration(self.duration)
-        from fastmimic.experiments.entrants import check_methods, check_motion
+        from fastmimic.experiments.entrants import check_methods
         from fastmimic.experiments.transfer import PARTS, TransferSettings
         from fastmimic.report.result_folder import ResultFolder
         from fastmimic.report.transfer import WRITTEN, write_transfer
@@ -66,8 +66,6 @@ class Transfer(ExperimentOptions):
         if len(robots) > 1:
             raise ConfigError(f"the motions are for different robots: {', '.join(robots)}")
         check_simulator(loaded[0][0], "pybullet")
-        for _, motion in loaded:
-            check_motion(motion, self.methods)
         policy = None if self.policy is None else policy_with_digest(self.policy, *loaded[0])
         about = {"robot": loaded[0][0].name, **asdict(settings)}
         folder = ResultFolder(self.out, "transfer", PARTS, WRITTEN, about)

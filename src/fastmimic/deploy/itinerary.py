@@ -243,8 +243,8 @@ def _ends(robot: "Robot", motion: Motion, rate_hz: float) -> tuple[_End, _End]:
     parts = motion.target.parts
     if not parts:
         raise MotionError(
-            f"motion '{motion.name}' does not repeat: it begins and ends in mid-stride, and no way leads there from"
-            " standing; choose a part of the clip that repeats (--frames), or stitch motions that do"
+            f"motion '{motion.name}' does not repeat, and no way leads from standing to where it begins; a robot is"
+            " given motions that repeat, or stitched ones"
         )
     segments = Layout.of(motion.target).segments
     return tuple(_End(parts[s.part], s.shift) for s in (segments[0], segments[-1]))  # type: ignore[return-value]

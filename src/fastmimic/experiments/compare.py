@@ -315,12 +315,9 @@ def _demonstrations(
     plan: Plan, robot: Robot, prepared: Callable[[str], None]
 ) -> Iterator[tuple[tuple[str, bool], Motion]]:
     """Every motion, and with the ablations as it is without the consistency step too."""
-    optimised = plan.ablations or any(method_named(name).optimises for name in plan.methods)
     raw = any(not ablation_named(name).consistent for name in plan.variants)
     for name in plan.motions:
         motion = load_motion(name, robot).target
-        if optimised and motion.cycle is None:
-            raise ConfigError(f"'{name}' is not one cycle of a gait, and only cycles can be optimised")
         yield (name, True), motion
         if raw:
             yield (name, False), _raw(name, robot)

@@ -87,16 +87,6 @@ def check_methods(names: Sequence[str], policy: bool) -> None:
         raise ConfigError("a policy was given, and no method that uses it; add rl to --methods")
 
 
-def check_motion(motion: Motion, names: Sequence[str]) -> None:
-    """Raises `ConfigError` if a method would have to optimise a motion that is not one cycle of a gait."""
-    optimising = [name for name in names if method_named(name).optimises]
-    if optimising and motion is motion.target and motion.cycle is None:
-        raise ConfigError(
-            f"'{motion.name}' is not one cycle of a gait, and only cycles can be optimised;"
-            f" leave out {', '.join(optimising)}"
-        )
-
-
 def make_entrant(
     method: str,
     given: Motion,

@@ -377,8 +377,9 @@ def _style(result: Imitation) -> float:
 
 
 def _realised_style(rollout: Rollout, demonstration: Motion, robot: Robot) -> float | None:
-    """The style distance of what the feet did until the fall; None if that was less than a cycle."""
-    if rollout.steps[0] < demonstration.n_samples:
+    """The style distance of what the feet did until the fall; None if that was less than a cycle, or than
+    the whole of a motion that does not repeat."""
+    if rollout.steps[0] < demonstration.n_samples - (demonstration.cycle is None):
         return None
     wanted, feet = _courses(rollout, robot)
     return style_distance(feet, wanted, demonstration.foot_pos_b)

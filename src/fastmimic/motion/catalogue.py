@@ -127,6 +127,7 @@ def open_clip(
     duty: float | None = None,
     folder: str | Path | None = None,
     point_map: "str | Path | PointMap | None" = None,
+    discrete: bool = False,
 ) -> Clip:
     """Opens a motion by its name, or reads a file. A name goes before a file of the same name (use ./NAME).
 
@@ -136,6 +137,7 @@ def open_clip(
         frames: (first, end) 0-based, end exclusive; of the named clip, if it is a name.
         speed, yaw_rate, duty: of a built-in gait, m/s, rad/s and share of stance; its own if None.
         folder: the data folder (see `data_folder`).
+        discrete: take it for a movement that does not repeat, whatever it or its source says.
 
     Returns:
         The clip, with `name`, `source`, `licence` and `credit` in its `meta`.
@@ -144,6 +146,23 @@ def open_clip(
         ClipError: unknown name (lists the closest), data not fetched, unreadable file, or an option that does
             not apply to this motion.
     """
+    clip = _opened(name_or_path, robot, fps, up, scale, frames, speed, yaw_rate, duty, folder, point_map)
+    return replace(clip, is_cycle=False) if discrete else clip
+
+
+def _opened(
+    name_or_path: str | Path,
+    robot: "Robot | None",
+    fps: float | None,
+    up: str | None,
+    scale: float | None,
+    frames: tuple[int, int] | None,
+    speed: float | None,
+    yaw_rate: float | None,
+    duty: float | None,
+    folder: str | Path | None,
+    point_map: "str | Path | PointMap | None",
+) -> Clip:
     from fastmimic.motion.synthesis import GAITS
 
     name = str(name_or_path)

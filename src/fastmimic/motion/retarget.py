@@ -3,6 +3,7 @@
 After Peng et al. 2020 (section IV), then made consistent; one rule for every clip. The steps, each in its own module:
 
     retarget_source    keypoints → trunk and toe targets at the robot's size
+    retarget_posture   of a recording that does not repeat, as low as folded legs allow
     retarget_cycle     the recording as a continuous motion, closed if it is a cycle
     contacts           when each foot stands; retarget_gait makes a clean gait of it
     retarget_reach     where the feet can stand; retarget_feet plants them there and blends their swings
@@ -26,6 +27,7 @@ from fastmimic.motion.retarget_cycle import Track, cycle_displacement, pose_mism
 from fastmimic.motion.retarget_fidelity import Before, make_report
 from fastmimic.motion.retarget_fit import Fitter
 from fastmimic.motion.retarget_gait import GaitChanges, make_consistent, with_steps
+from fastmimic.motion.retarget_posture import levelled, within_folded_legs
 from fastmimic.motion.retarget_reach import Reach, foot_offsets
 from fastmimic.motion.retarget_report import MIN_CLEARANCE_SHARE, RetargetReport
 from fastmimic.motion.retarget_source import Source, extract
@@ -41,6 +43,8 @@ DOG_SCALE: Final = 0.825
 DOG_LEG_LENGTH_M: Final = 0.4 / DOG_SCALE
 """Leg length that this scale implies for an animal whose own is not known, so that other robots scale by theirs."""
 MIN_FRAMES: Final = 8
+_END_S: Final = 0.1
+"""Of a recording, over which is judged whether it comes to rest."""
 _SAME_BODY_M: Final = 2e-3
 _EXACT_FEET: Final = 0.2
 
@@ -79,11 +83,18 @@ def retarget(
     source = extract(clip, scale, config.roll_share)
     periodic, cycle_reason = _decide_cycle(clip, source, cycle, config)
     source, straight, aligned = _align(source, periodic and config.consistent, config)
-    duration = (clip.n_frames if periodic else clip.n_frames - 1) / clip.rate_hz
-    n = max(2, round(duration * rate_hz))
     own = _is_own_body(clip, robot, scale)
     if own:
         config = _for_own_body(config)
+    lowered = 0.0 if own else config.crouch_m * scale / DOG_SCALE
+    if not periodic and config.consistent and not own:
+        source = within_folded_legs(levelled(source), robot, lowered, config)
+    held = 0 if periodic or not config.consistent else _held_frames(source, config)
+    if held:
+        source = source.held(held)
+        cycle_reason += f"; ends standing, and is held for {held / clip.rate_hz:.2g} s"
+    duration = (clip.n_frames if periodic else clip.n_frames + held - 1) / clip.rate_hz
+    n = max(2, round(duration * rate_hz))
     activity = _activity(source, n, periodic, config.contact)
     detected = detect(activity, rate_hz, periodic, config.contact)
     travels = not (config.consistent and _stands(detected, n))
@@ -92,8 +103,8 @@ def retarget(
     else:
         track = track_open(source, n, config.trunk_hz, config.foot_hz)
 
-    height = source.hip_height + robot.foot_radius - (0.0 if own else config.crouch_m * scale / DOG_SCALE)
-    raised = _raise(Reach.of_robot(robot, height, config.reach_margin_rad), track, config)
+    height = source.hip_height + robot.foot_radius - lowered
+    raised = _raise(Reach.of_robot(robot, height, config.reach_margin_rad), track, config) if periodic else 0.0
     height += raised
     reach = Reach.of_robot(robot, height, config.reach_margin_rad)
     longest = reach.longest_stance(_speed(track, duration), config.swing.linger_s)
@@ -116,6 +127,8 @@ def retarget(
         "licence": clip.meta.get("licence"),
         "retarget": report.as_dict(),
     }
+    if held:
+        meta["held_s"] = held / clip.rate_hz
     return replace(fitted.motion, meta=meta), report
 
 
@@ -153,6 +166,26 @@ def _decide_cycle(clip: Clip, source: Source, cycle: bool | None, config: Retarg
     found = f"its ends differ by {mismatch:.2f} of the spread of its poses; limit {limit:.2f} for this length"
     closes = mismatch <= limit
     return closes, f"taken as one cycle ({found})" if closes else f"not a cycle ({found})"
+
+
+def _held_frames(source: Source, config: RetargetConfig) -> int:
+    """For how many frames the last pose of a recording that does not repeat is held: none unless it ends standing, on
+    all feet and with its trunk at rest."""
+    end = slice(-1 - max(1, round(_END_S * source.rate_hz)), None)
+    seconds = (len(source.heading[end]) - 1) / source.rate_hz
+    moved = np.linalg.norm(source.root_xy[end][-1] - source.root_xy[end][0]) / seconds
+    sunk = abs(source.root_z[end][-1] - source.root_z[end][0]) / seconds
+    turned = abs(source.heading[end][-1] - source.heading[end][0]) / seconds
+    frames = round(config.hold_s * source.rate_hz)
+    if max(moved, sunk) > config.rest_m_per_s or turned > config.rest_rad_per_s or frames < 1:
+        return 0
+    held = source.held(frames)
+    activity = foot_activity(held.toe_height, held.toe_speed, held.rate_hz, False, config.contact)
+    stands = all(
+        leg and leg[-1].lift_off == len(held.heading) and leg[-1].touch_down <= len(source.heading) - 1
+        for leg in detect(activity, held.rate_hz, False, config.contact)
+    )
+    return frames if stands else 0
 
 
 def _align(source: Source, periodic: bool, config: RetargetConfig) -> tuple[Source, bool, float]:

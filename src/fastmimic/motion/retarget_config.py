@@ -28,7 +28,7 @@ class RetargetConfig:
         max_lowering_m: further lowering for reach, at most.
         max_raising_m: raising at most, for knees that would bend too far or touch the ground, beyond the height at
             which folded legs can be lifted: an animal crouches and sits lower than a robot can. 0 leaves the animal's
-            height.
+            height. In a recording that does not repeat the base is raised where it is needed, and only there.
         limit_margin_rad: kept to the joint limits.
         reach_margin_rad: kept to the knees' and abduction joints' limits when footholds are chosen.
         speed_share: of the joint speed limit that the reference may use.
@@ -38,6 +38,9 @@ class RetargetConfig:
         cycle_mismatch: a clip of which nothing is known is a cycle if it closes better than this (see `pose_mismatch`).
         short_s, short_mismatch: so is one shorter than this that closes better than that: who cuts out a second of a
             recording means a cycle, and steps of a real animal differ.
+        hold_s: a recording that does not repeat and ends standing is held in its last pose for so long, s, so that what
+            the robot does there ends at rest, too.
+        rest_m_per_s, rest_rad_per_s: a trunk and feet that move less at the end, at the robot's size, stand.
         contact, gait, swing, balance: settings of these steps.
         consistent: without it the animal's feet, contacts, heading and trunk stay as scaled and closed, as in the
             published retargeting: feet slide in stance and hover, contacts are those of the thresholds. For
@@ -60,6 +63,9 @@ class RetargetConfig:
     cycle_mismatch: float = 0.6
     short_s: float = 1.5
     short_mismatch: float = 1.5
+    hold_s: float = 0.5
+    rest_m_per_s: float = 0.15
+    rest_rad_per_s: float = 0.5
     contact: ContactConfig = field(default_factory=ContactConfig)
     gait: GaitConfig = field(default_factory=GaitConfig)
     swing: SwingConfig = field(default_factory=SwingConfig)

@@ -1,6 +1,6 @@
 """From a track of the animal to a motion of the robot: balance the trunk, plant the feet, keep the limits."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -13,9 +13,9 @@ from fastmimic.motion.retarget_config import RetargetConfig
 from fastmimic.motion.retarget_cycle import Track
 from fastmimic.motion.retarget_dynamics import Demand, ground_demand
 from fastmimic.motion.retarget_feet import plant_feet
-from fastmimic.motion.retarget_pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
+from fastmimic.motion.retarget_pose import Pose, folding_rise, joint_velocity, root_velocity, solve_pose, unlimited_pose
 from fastmimic.motion.retarget_reach import Reach, footholds
-from fastmimic.motion.retarget_spline import TrunkSpline
+from fastmimic.motion.retarget_spline import InnerSpline, TrunkSpline
 from fastmimic.robot import Robot
 from fastmimic.rotations import rotate_planar
 
@@ -78,13 +78,27 @@ class Fitter:
         """The motion with the feet shifted by `offset` (4, 2) against the robot's hips, m."""
         if not self.config.consistent:
             return self._as_scaled(self._animal_feet(offset))
+        if not self.periodic:
+            return self._unfolded(offset)._fit(offset, 0.0)
+        return self._fit(offset, self.config.max_raising_m)
+
+    def _unfolded(self, offset: Array) -> "Fitter":
+        """With the trunk raised where, and only where, folded legs need it."""
+        raw_w = self._animal_feet(offset)
+        feet_w = self._planted(raw_w, self._footholds(raw_w, self.track), None)
+        margin, highest = self.config.limit_margin_rad, self.config.max_raising_m
+        rise = folding_rise(self.robot, self.track, feet_w, self.height, highest, margin, self.rate_hz)
+        track = replace(self.track, root_z=self.track.root_z + rise)
+        return replace(self, track=track, height=self.height + float(rise.mean()))
+
+    def _fit(self, offset: Array, max_raising: float) -> Fitted:
         track, raw_w = self._balanced(self._animal_feet(offset))
         holds = self._footholds(raw_w, track)
         limit = self.config.speed_share * self.robot.joint_speed_limit
         evenness, times = np.full(4, self.config.swing.evenness), np.zeros(4, dtype=int)
         for more in (*_EVENNESS, None):
             feet_w = self._planted(raw_w, holds, tuple(evenness))
-            pose = self._pose(track, feet_w, self.config.max_raising_m)
+            pose = self._pose(track, feet_w, max_raising)
             speed = np.abs(joint_velocity(pose.joint_pos, self.rate_hz, self.periodic))
             too_fast = (speed > limit).reshape(-1, 4, 3).any(axis=(0, 2))
             if more is None or not too_fast.any():
@@ -114,7 +128,9 @@ class Fitter:
     def _balanced(self, raw_w: Array) -> tuple[Track, Array]:
         """The trunk as the standing feet can move it, and the foot paths shifted under it."""
         n = len(raw_w)
-        spline = TrunkSpline(n, self.rate_hz, self.periodic, self.config.balance.hz)
+        # how a recording that does not repeat begins and ends is its own: a trunk that is free to move there falls
+        hz = self.config.balance.hz
+        spline = TrunkSpline(n, self.rate_hz, True, hz) if self.periodic else InnerSpline(n, self.rate_hz, hz)
         sample = np.arange(0, n, max(1, round(self.config.balance.sample_s * self.rate_hz)))
 
         def applied(coefficients: Array) -> tuple[Track, Array]:

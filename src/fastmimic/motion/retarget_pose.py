@@ -23,6 +23,8 @@ from fastmimic.rotations import (
 Array = NDArray[np.float64]
 
 _STEP_M: Final = 0.005
+_RISE_S: Final = 0.1
+"""In which the base rises for folded legs, and for which it is there before and after."""
 _KNEE_CLEARANCE_M: Final = 0.02
 """Of the knees above the centre of a standing foot, m."""
 
@@ -115,6 +117,41 @@ def solve_pose(
         limited=joints != q,
         lowered_m=best[1],
     )
+
+
+def folding_rise(
+    robot: Robot, track: Track, feet_w: Array, height: float, max_raising: float, margin_rad: float, rate_hz: float
+) -> Array:
+    """How much higher the base must be at each moment for folded legs to keep within their limits and their knees off
+    the ground, (t,) m: as little as it takes in steps of 5 mm, at most `max_raising`, and smooth.
+
+    Args:
+        robot: limits and geometry.
+        track: the trunk.
+        feet_w: (t, 4, 3) centres of the feet, world, m.
+        height: mean height of the base, m.
+        max_raising: m.
+        margin_rad: kept to the joint limits.
+        rate_hz: of the samples.
+    """
+    from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+
+    quat = trunk_quaternion(track.heading, track.tilt)
+    lower, upper = robot.joint_lower + margin_rad, robot.joint_upper - margin_rad
+    rest = track.root_z - track.root_z.mean() + height
+    least, best = np.full(len(rest), np.inf), np.zeros(len(rest))
+    for rise in _STEP_M * np.arange(round(max_raising / _STEP_M) + 1):
+        q, _ = _joints(robot, track, quat, feet_w, height + rise)
+        beyond, below = np.maximum(q - upper, 0)[:, 2::3], np.maximum(lower - q, 0)[:, 2::3]
+        folded = np.where(robot.knee_sign > 0, beyond, below)
+        knees = _knee_height(robot, quat, q) + (rest + rise)[:, None]
+        low = np.maximum(robot.foot_radius + _KNEE_CLEARANCE_M - knees, 0) / robot.calf_length
+        violation = folded.sum(axis=1) + low.sum(axis=1)
+        better = violation < least - 1e-9
+        least[better], best[better] = violation[better], rise
+    wide = 2 * round(_RISE_S * rate_hz) + 1
+    wide_rise = maximum_filter1d(best, wide, mode="nearest")
+    return np.asarray(gaussian_filter1d(wide_rise, 0.5 * _RISE_S * rate_hz, mode="nearest"))
 
 
 def unlimited_pose(robot: Robot, track: Track, feet_w: Array, height: float) -> Pose:

@@ -37,6 +37,23 @@ class Source:
     toe_height: Array
     toe_speed: Array
 
+    def held(self, frames: int) -> "Source":
+        """The same recording with its last frame so many times more, at rest."""
+
+        def more(values: Array) -> Array:
+            return np.concatenate([values, np.repeat(values[-1:], frames, axis=0)])
+
+        return replace(
+            self,
+            root_xy=more(self.root_xy),
+            root_z=more(self.root_z),
+            heading=more(self.heading),
+            tilt=more(self.tilt),
+            toe_from_hip=more(self.toe_from_hip),
+            toe_height=more(self.toe_height),
+            toe_speed=np.concatenate([self.toe_speed, np.zeros((frames, 4))]),
+        )
+
     def turned(self, angle: float) -> "Source":
         """The same motion with the trunk's heading turned by `angle` rad; nothing moves in the world."""
         return replace(self, heading=self.heading + angle, toe_from_hip=rotate_planar(-angle, self.toe_from_hip))

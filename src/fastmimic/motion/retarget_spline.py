@@ -1,9 +1,14 @@
 """Deviations of a trunk as functions of time: uniform cubic B-splines over a motion, periodic or not."""
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+_AT_REST: Final = 3
+"""Coefficients of a cubic B-spline that fix position, velocity and acceleration at an end."""
 
 
 class TrunkSpline:
@@ -46,3 +51,18 @@ class TrunkSpline:
         """All samples (n, 6) of coefficients (size, 6)."""
         index, weight = self.basis(np.arange(self._n))
         return np.einsum("ka,kac->kc", weight[0], coefficients[index])
+
+
+class InnerSpline(TrunkSpline):
+    """Deviations that vanish, with velocity and acceleration, at both ends."""
+
+    def __init__(self, n: int, rate_hz: float, hz: float) -> None:
+        super().__init__(n, rate_hz, periodic=False, hz=hz)
+        self._all = self.size
+        self.size = max(1, self._all - 2 * _AT_REST)
+
+    def basis(self, sample: NDArray[np.int_]) -> tuple[NDArray[np.int_], Array]:
+        """As that of `TrunkSpline`, without the coefficients at the ends."""
+        index, weight = super().basis(sample)
+        inside = (index >= _AT_REST) & (index < self._all - _AT_REST)
+        return np.where(inside, index - _AT_REST, 0), weight * inside

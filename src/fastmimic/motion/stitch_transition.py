@@ -19,7 +19,7 @@ from fastmimic.motion.retarget_feet import plant_feet
 from fastmimic.motion.retarget_measure import feet_in_world
 from fastmimic.motion.retarget_pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
 from fastmimic.motion.retarget_reach import Reach, footholds
-from fastmimic.motion.retarget_spline import TrunkSpline
+from fastmimic.motion.retarget_spline import InnerSpline
 from fastmimic.motion.stitch_layout import Layout, Span
 from fastmimic.motion.stitch_switch import Cycle
 from fastmimic.robot import Robot
@@ -34,8 +34,6 @@ _EVENNESS: Final = (0.1, 0.4, 1.6, 6.4)
 swing of steady speed also reaches less far ahead before it lands."""
 _LOWERING_SHARE: Final = 0.3
 """Of a transition, in which the trunk goes down and comes up again."""
-_AT_REST: Final = 3
-"""Coefficients of a cubic B-spline that fix position, velocity and acceleration at an end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +129,7 @@ def make_transition(
             feet[keep, leg] = raw_w[part][keep, leg]
         return feet
 
-    spline = _InnerSpline(window.end - window.start, rate_hz, config.balance.hz)
+    spline = InnerSpline(window.end - window.start, rate_hz, config.balance.hz)
     sample = np.arange(0, window.end - window.start, max(1, round(config.balance.sample_s * rate_hz)))
     standing = contact[part]
     first = planted(held(local), None)
@@ -257,21 +255,6 @@ def _plan(layout: Layout, index: int, contact: NDArray[np.bool_], own: tuple[Cyc
         inside.append([s for s, _ in seen])
         kept.append([at for _, at in seen])
     return _Plan(window, tuple(rebuilt), inside, kept)
-
-
-class _InnerSpline(TrunkSpline):
-    """Deviations that vanish, with velocity and acceleration, at both ends."""
-
-    def __init__(self, n: int, rate_hz: float, hz: float) -> None:
-        super().__init__(n, rate_hz, periodic=False, hz=hz)
-        self._all = self.size
-        self.size = max(1, self._all - 2 * _AT_REST)
-
-    def basis(self, sample: NDArray[np.int_]) -> tuple[NDArray[np.int_], Array]:
-        """As that of `TrunkSpline`, without the coefficients at the ends."""
-        index, weight = super().basis(sample)
-        inside = (index >= _AT_REST) & (index < self._all - _AT_REST)
-        return np.where(inside, index - _AT_REST, 0), weight * inside
 
 
 def _motion(pose: Pose, track: Track, contact: NDArray[np.bool_], rate_hz: float) -> Motion:

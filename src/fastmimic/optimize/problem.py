@@ -12,7 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
@@ -48,7 +48,8 @@ class Objective:
     """How a candidate is scored: mean reward of an episode minus the penalty for lost swing clearance.
 
     Attributes:
-        duration_s: length of the episode, s; one and a half cycles if it would not hold one.
+        duration_s: length of the episode, s; one and a half cycles if it would not hold one, and the whole of a motion
+            that does not repeat.
         clearance_floor: share of the demonstration's clearance below which a foot is penalised. Above the share
             that a result must reach, because the clearance realised varies from step to step.
         clearance_weight: penalty for each foot and each unit of the share missing.
@@ -230,7 +231,8 @@ class Problem(ABC):
 
 
 class ImitationProblem(Problem):
-    """Parameters of a cyclic motion's DMPs, scored in episodes of its repeated cycle."""
+    """Parameters of a motion's DMPs, scored in episodes of its repeated cycle, or of the whole of what does not
+    repeat."""
 
     def __init__(
         self,
@@ -259,12 +261,15 @@ class ImitationProblem(Problem):
             ConfigError: fewer than one worker, or no such group.
         """
         objective = objective if objective is not None else Objective()
+        self._repeats = demonstration.cycle is not None
+        if not self._repeats:
+            objective = replace(objective, duration_s=(demonstration.n_samples - 1) / demonstration.rate_hz)
         parameters = parameters_of_group(group, dmp)
         super().__init__(robot, demonstration, parameters, objective=objective, config=config, workers=workers)
         self._start = np.array(begun_at(parameters, moved or {}))
         self.dmp = dmp
         self._steps = max(1, math.ceil(self.objective.duration_s * self.config.rate_hz - 1e-9))
-        if self._steps < demonstration.n_samples:  # what no episode reaches would be optimised blindly
+        if self._repeats and self._steps < demonstration.n_samples:  # what no episode reaches is optimised blindly
             self._steps = math.ceil(_CYCLES * demonstration.n_samples)
         self._clearance = swing_clearance(demonstration, robot.foot_radius)
         self._base = reference_table(dmp.motion(), robot)
@@ -299,7 +304,11 @@ class ImitationProblem(Problem):
         tables["joint_pos"] = feet.joint_pos
         tables["joint_vel"] = feet.joint_vel
         v = feet.joint_vel
-        tables["joint_acc"] = (np.roll(v, -1, axis=1) - np.roll(v, 1, axis=1)) * (0.5 * self.config.rate_hz)
+        tables["joint_acc"] = (
+            (np.roll(v, -1, axis=1) - np.roll(v, 1, axis=1)) * (0.5 * self.config.rate_hz)
+            if self._repeats
+            else np.gradient(v, 1.0 / self.config.rate_hz, axis=1)
+        )
         return tables
 
     def score(self, rollout: Rollout) -> Array:
@@ -307,7 +316,10 @@ class ImitationProblem(Problem):
         return rollout.reward - clearance_penalty(self.objective, rollout, self._clearance)
 
     def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
-        """The first episode from the start, the others at a random phase and perturbed."""
+        """The first episode from the start, the others perturbed and at a random phase; all of them from the start,
+        and whole, where the motion ends."""
+        if not self._repeats:
+            return perturbed_start(episodes, 1, rng), self.steps
         steps = round(duration_s * self.config.rate_hz)
         return perturbed_start(episodes, self.demonstration.n_samples, rng), steps
 

@@ -200,11 +200,12 @@ def make_problem(
     n_basis: int = N_BASIS,
     moved: Mapping[str, float] | None = None,
 ) -> Problem:
-    """The problem of optimising a motion: of its cycle or, if it is stitched, of its segments from where they are.
+    """The problem of optimising a motion: of its cycle, of the whole of what does not repeat or, if it is stitched, of
+    its segments from where they are.
 
     Raises:
         ConfigError: no such group of parameters, or a stitched motion is to begin like another one.
-        MotionError: the motion neither repeats nor is a stitched one.
+        MotionError: DMPs cannot be fitted to the motion.
     """
     demonstration = motion.target
     if demonstration.cycle is None and demonstration.parts:

@@ -1,9 +1,10 @@
-"""Rhythmic movement primitives: fit a cyclic motion, reconstruct it, modulate it."""
+"""Dynamic movement primitives, rhythmic and discrete: fit a motion, reconstruct it, modulate it."""
 
 from fastmimic.primitive.coordinates import FOOT_Z, NAMES
+from fastmimic.primitive.discrete import DiscreteDmp
 from fastmimic.primitive.integrator import DmpIntegrator
 from fastmimic.primitive.motion_dmp import MotionDmp
 from fastmimic.primitive.reach import FootTable
 from fastmimic.primitive.rhythmic import RhythmicDmp
 
-__all__ = ["FOOT_Z", "NAMES", "DmpIntegrator", "FootTable", "MotionDmp", "RhythmicDmp"]
+__all__ = ["FOOT_Z", "NAMES", "DiscreteDmp", "DmpIntegrator", "FootTable", "MotionDmp", "RhythmicDmp"]

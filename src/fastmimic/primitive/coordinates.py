@@ -1,6 +1,7 @@
-"""The 24 coordinates of a motion that are fitted: root pose, root velocity and feet, each periodic.
+"""The 24 coordinates of a motion that are fitted: root pose, root velocity and feet, each periodic if the motion is.
 
-Planar root motion is taken relative to the constant-twist motion of the cycle, in its moving frame. Roll and
+Planar root motion is taken relative to the constant-twist motion of the cycle, in its moving frame; that of a motion
+that does not repeat relative to where it begins. Roll and
 pitch are the ZYX Euler angles that go with that heading, R = Rz(yaw) Ry(pitch) Rx(roll): smooth as long as
 the trunk does not point straight up or down. Feet are in the body frame and need no preparation.
 """
@@ -43,19 +44,13 @@ def phases(n_samples: int) -> Array:
 
 
 def twist_of(motion: Motion) -> PlanarTwist:
-    """The constant-twist motion of a cyclic motion, from its first sample.
-
-    Raises:
-        MotionError: the motion has no cycle.
-    """
-    if motion.cycle is None:
-        raise MotionError(f"motion '{motion.name}' is not cyclic: rhythmic DMPs need one period and its 'cycle'")
+    """The constant-twist motion of a cyclic motion, from its first sample; one that rests there for others."""
     origin = np.array([*motion.root_pos_w[0, :2], yaw_from_quat(motion.root_quat_wxyz[0])])
-    return PlanarTwist.from_cycle(origin, motion.cycle)
+    return PlanarTwist.from_cycle(origin, np.zeros(3) if motion.cycle is None else motion.cycle)
 
 
 def to_coordinates(motion: Motion, twist: PlanarTwist) -> Array:
-    """The 24 periodic coordinates (t, 24) of a motion, in the order of `NAMES`.
+    """The 24 coordinates (t, 24) of a motion, in the order of `NAMES`.
 
     Raises:
         MotionError: the trunk points nearly straight up or down.
@@ -67,7 +62,7 @@ def to_coordinates(motion: Motion, twist: PlanarTwist) -> Array:
         sample = int(np.argmax(np.abs(pitch)))
         raise MotionError(
             f"motion '{motion.name}' pitches to {np.degrees(pitch[sample]):.0f}° at sample {sample};"
-            f" rhythmic DMPs need it within ±{np.degrees(_MAX_PITCH):.0f}°"
+            f" DMPs need it within ±{np.degrees(_MAX_PITCH):.0f}°"
         )
     out = np.empty((motion.n_samples, len(NAMES)))
     out[:, 0:2] = rotate_planar(-heading, motion.root_pos_w[:, :2] - origin)

@@ -1,4 +1,4 @@
-"""The 24 rhythmic DMPs of a motion, and the motions that they make."""
+"""The 24 DMPs of a motion, rhythmic or discrete, and the motions that they make."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,6 +19,7 @@ from fastmimic.primitive.coordinates import (
     to_coordinates,
     twist_of,
 )
+from fastmimic.primitive.discrete import Course, DiscreteDmp
 from fastmimic.primitive.reach import FootTable, foot_table
 from fastmimic.primitive.rhythmic import N_BASIS, RhythmicDmp
 from fastmimic.primitive.twist import PlanarTwist
@@ -29,35 +30,43 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class MotionDmp:
-    """Rhythmic DMPs fitted to a cyclic motion: root pose 6, root velocity 6, feet in the body frame 12.
+    """DMPs fitted to a motion: root pose 6, root velocity 6, feet in the body frame 12.
+
+    Rhythmic ones where the motion is a cycle, discrete ones where it does not repeat. There g is where a dimension
+    comes to rest and a scales what it does on the way; how it begins is not modulated.
 
     Attributes:
         fitted: the motion they were fitted to.
         robot: whose legs carry the feet.
-        rhythmic: the DMPs, dimensions in the order of `names`.
-        twist: the planar motion of a cycle, removed before fitting and put back afterwards.
+        primitive: the DMPs, dimensions in the order of `names`.
+        twist: the planar motion of a cycle, removed before fitting and put back afterwards; none without a cycle.
         fit_rms: root-mean-square fit error of each group of dimensions, in the unit that its name ends with.
     """
 
     fitted: Motion
     robot: Robot
-    rhythmic: RhythmicDmp
+    primitive: RhythmicDmp | DiscreteDmp
     twist: PlanarTwist
     fit_rms: dict[str, float]
 
     @classmethod
     def fit(cls, motion: Motion, robot: Robot, n_basis: int = N_BASIS) -> "MotionDmp":
-        """Fits the 24 DMPs of a cyclic motion.
+        """Fits the 24 DMPs of a motion.
 
         Raises:
-            MotionError: the motion is not cyclic, or its trunk points straight up or down.
+            MotionError: its trunk points straight up or down, or it does not repeat and is very long.
         """
         twist = twist_of(motion)
         samples = to_coordinates(motion, twist)
-        rhythmic = RhythmicDmp.fit(samples, motion.period_s, n_basis)
-        error = rhythmic.position(phases(motion.n_samples)) - samples
+        primitive: RhythmicDmp | DiscreteDmp
+        if motion.cycle is not None:
+            primitive = RhythmicDmp.fit(samples, motion.period_s, n_basis)
+            error = primitive.position(phases(motion.n_samples)) - samples
+        else:
+            primitive = DiscreteDmp.fit(samples, motion.period_s - motion.dt, n_basis)
+            error = primitive.position(motion.n_samples) - samples
         rms = {name: float(np.sqrt(np.mean(error[:, group] ** 2))) for name, group in GROUPS.items()}
-        return cls(motion, robot, rhythmic, twist, rms)
+        return cls(motion, robot, primitive, twist, rms)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -66,8 +75,8 @@ class MotionDmp:
 
     @property
     def goal(self) -> Array:
-        """(24,) fitted baselines g, a copy: m, rad, m/s, rad/s."""
-        return self.rhythmic.goal.copy()
+        """(24,) fitted baselines g, or goals, a copy: m, rad, m/s, rad/s."""
+        return self.primitive.goal.copy()
 
     @property
     def amplitude(self) -> Array:
@@ -92,7 +101,7 @@ class MotionDmp:
         what it is to be scored against.
 
         Args:
-            goal: (24,) baselines g; None keeps the fitted ones.
+            goal: (24,) baselines or goals g; None keeps the fitted ones.
             amplitude: (24,) amplitudes a; None is 1.
 
         Raises:
@@ -100,9 +109,9 @@ class MotionDmp:
         """
         goal = _parameters("goal", self.goal if goal is None else goal, (len(NAMES),))
         amplitude = _parameters("amplitude", self.amplitude if amplitude is None else amplitude, (len(NAMES),))
-        y = goal + amplitude * self._shape
+        y = self._course(goal, amplitude)
         position, quat, lin_vel, ang_vel = self._root(y)
-        table = foot_table(self.robot, y[None, :, FEET].reshape(1, -1, 4, 3), self.fitted.rate_hz)
+        table = self._foot_table(y[None, :, FEET])
         return Motion(
             rate_hz=self.fitted.rate_hz,
             root_pos_w=position,
@@ -134,8 +143,7 @@ class MotionDmp:
         n = len(np.atleast_2d(goal))
         goal = _parameters("goal", goal, (n, len(NAMES)))[:, None, FEET]
         amplitude = _parameters("amplitude", amplitude, (n, len(NAMES)))[:, None, FEET]
-        feet = goal + amplitude * self._shape[:, FEET]
-        return foot_table(self.robot, feet.reshape(n, -1, 4, 3), self.fitted.rate_hz)
+        return self._foot_table(self._course(goal, amplitude, FEET))
 
     def root(self, goal: Array, amplitude: Array) -> tuple[Array, Array, Array, Array]:
         """The root of a candidate: world position (t, 3), quaternion (t, 4), linear and angular velocity (t, 3), SI.
@@ -149,7 +157,7 @@ class MotionDmp:
         """
         goal = _parameters("goal", goal, (len(NAMES),))
         amplitude = _parameters("amplitude", amplitude, (len(NAMES),))
-        return self._root(goal + amplitude * self._shape)
+        return self._root(self._course(goal, amplitude))
 
     def _root(self, y: Array) -> tuple[Array, Array, Array, Array]:
         position, quat, lin_vel, ang_vel = root_from_coordinates(y, self.twist, self.fitted.period_s)
@@ -157,21 +165,36 @@ class MotionDmp:
             quat = -quat
         return position, quat, lin_vel, ang_vel
 
+    def _foot_table(self, feet: Array) -> FootTable:
+        """Of feet (n, t, 12) in the body frame, m."""
+        periodic = self.fitted.cycle is not None
+        return foot_table(self.robot, feet.reshape(len(feet), -1, 4, 3), self.fitted.rate_hz, periodic)
+
+    def _course(self, goal: Array, amplitude: Array, dimensions: slice = slice(None)) -> Array:
+        """Some of the dimensions (..., t, d) modulated by (..., 1 or t, d)."""
+        if isinstance(self._linear, Course):
+            rest, pull, shape = self._linear
+            return rest[:, dimensions] + pull * goal + amplitude * shape[:, dimensions]
+        return goal + amplitude * self._linear[:, dimensions]
+
     @cached_property
-    def _shape(self) -> Array:
-        """s (t, 24) at the fitted motion's samples."""
-        return self.rhythmic.shape(phases(self.fitted.n_samples))
+    def _linear(self) -> Array | Course:
+        """What the fitted motion's samples are linear in: s (t, 24) of a cycle."""
+        if isinstance(self.primitive, DiscreteDmp):
+            return self.primitive.course(self.fitted.n_samples)
+        return self.primitive.shape(phases(self.fitted.n_samples))
 
     def _record(self, goal: Array, amplitude: Array, table: FootTable) -> dict[str, Any]:
         return {
-            "n_basis": self.rhythmic.n_basis,
-            "basis_width_min_max": [float(self.rhythmic.widths.min()), float(self.rhythmic.widths.max())],
-            "alpha": self.rhythmic.alpha,
+            **({} if self.fitted.cycle is not None else {"primitive": "discrete"}),
+            "n_basis": self.primitive.n_basis,
+            "basis_width_min_max": [float(self.primitive.widths.min()), float(self.primitive.widths.max())],
+            "alpha": self.primitive.alpha,
             "fit_rms": dict(self.fit_rms),
             "names": list(NAMES),
             "goal": goal.tolist(),
             "amplitude": amplitude.tolist(),
-            "fitted_goal": self.rhythmic.goal.tolist(),
+            "fitted_goal": self.primitive.goal.tolist(),
             "foot_samples_out_of_reach": table.n_shifted[0].tolist(),
             "foot_shift_to_reach_m": table.shift_m[0].tolist(),
         }

@@ -13,12 +13,12 @@ Array = NDArray[np.float64]
 
 
 class FootTable(NamedTuple):
-    """Feet and joints of n cycles of t samples.
+    """Feet and joints of n courses of t samples.
 
     Attributes:
         foot_pos_b: (n, t, 4, 3) feet that the legs reach, body frame, m.
         joint_pos: (n, t, 12) within the joints' ranges, rad.
-        joint_vel: (n, t, 12) periodic central differences of `joint_pos`, rad/s.
+        joint_vel: (n, t, 12) central differences of `joint_pos`, rad/s; periodic if the motion is.
         shift_m: (n, 4) how far the farthest-moved sample of each foot had to be moved to be reached, m.
         n_shifted: (n, 4) samples of each foot that had to be moved (by more than 0.01 mm).
     """
@@ -30,8 +30,8 @@ class FootTable(NamedTuple):
     n_shifted: NDArray[np.int64]
 
 
-def foot_table(robot: Robot, foot_pos_b: Array, rate_hz: float) -> FootTable:
-    """Joints of n periodic cycles of foot positions, all in one compiled call.
+def foot_table(robot: Robot, foot_pos_b: Array, rate_hz: float, periodic: bool = True) -> FootTable:
+    """Joints of n courses of foot positions, all in one compiled call.
 
     A foot out of reach (leg too short, or the knee at its limit) is replaced by the nearest one on the same
     line from the hip; if abduction or hip hit their limits, by the one that the limited joints give.
@@ -40,6 +40,7 @@ def foot_table(robot: Robot, foot_pos_b: Array, rate_hz: float) -> FootTable:
         robot: the robot.
         foot_pos_b: (n, t, 4, 3) wanted feet, body frame, m.
         rate_hz: samples a second.
+        periodic: whether sample t repeats sample 0.
     """
     feet = np.array(foot_pos_b, dtype=np.float64, order="C")
     n, t = feet.shape[:2]
@@ -47,7 +48,10 @@ def foot_table(robot: Robot, foot_pos_b: Array, rate_hz: float) -> FootTable:
     shift, count = np.zeros((n, 4)), np.zeros((n, 4), dtype=np.int64)
     limits = np.stack([robot.joint_lower, robot.joint_upper])
     _reach(robot.geometry.rows, limits, feet, joint_pos, shift, count)
-    _differentiate(joint_pos, rate_hz, joint_vel)
+    if periodic:
+        _differentiate(joint_pos, rate_hz, joint_vel)
+    else:
+        joint_vel[:] = np.gradient(joint_pos, 1.0 / rate_hz, axis=1)
     return FootTable(feet, joint_pos, joint_vel, shift, count)
 
 

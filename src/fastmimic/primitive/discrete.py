@@ -1,0 +1,252 @@
+"""The discrete dynamic movement primitive (Ijspeert et al. 2013, section 2.1.1), for several dimensions at once.
+
+With the canonical phase x, which decays from 1 over the duration T of the fitted motion,
+
+    τ ż = α (β (g − y) − z) + a f(x),   τ ẏ = z,   T ẋ = −αₓ x,
+    f(x) = x Σ ψᵢ wᵢ / Σ ψᵢ,            ψᵢ = exp(−hᵢ (x − cᵢ)²),   β = α/4,   αₓ = α/3.
+
+The forcing dies out with x, so that whatever g and a are, y comes to rest at g, and stays there. It starts where the
+fitted motion starts, with its velocity, whatever g and a are. Two things are not as in the original. It multiplies f
+by g − y₀; a foot's height ends where it began, and what is scaled by nothing, or by noise of either sign, has no size:
+the amplitude a stands by itself, as in the rhythmic primitive. And τ = T there, here T or 1 s, whichever is less: an
+animal's ten seconds are many movements, and g and a would have come to bear only after the first of them.
+
+The system is linear in g and a: y = rest + pull g + a s, each computed once; nothing has to be integrated again.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.errors import ConfigError, MotionError
+from fastmimic.jit import kernel
+from fastmimic.primitive.fixed_order import product, solve_positive_definite
+from fastmimic.primitive.rhythmic import ALPHA, N_BASIS
+
+Array = NDArray[np.float64]
+
+MAX_S: Final = 30.0
+"""Of a motion; the fit takes memory and time with the square of it."""
+MAX_TAU_S: Final = 1.0
+"""The largest τ, s."""
+RIDGE: Final = 1e-8
+"""Weight of the regularisation, as that of the rhythmic primitive."""
+_FUNCTIONS_PER_S: Final = 40.0
+"""At least: the knots of retargeted swings lie 25 ms apart."""
+_ROWS_PER_FUNCTION: Final = 5
+"""Samples for each function that the fit looks at; more of them say nothing new."""
+_CHUNK: Final = 256
+_STEPS_PER_FUNCTION: Final = 2
+"""Of integration, at least."""
+_NODES: Final = 0.5 + np.array([-np.sqrt(0.15), 0.0, np.sqrt(0.15)])
+_NODE_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18.0
+"""Gauss–Legendre on [0, 1]."""
+
+
+class Course(NamedTuple):
+    """A discrete primitive at t samples: y = rest + pull g + a shape.
+
+    Attributes:
+        rest: (t, d) what start and starting velocity alone bring about, about 0.
+        pull: (t, 1) how far the spring has come, 0 at the start, about 1 at the end.
+        shape: (t, d) what the forcing adds at a = 1.
+    """
+
+    rest: Array
+    pull: Array
+    shape: Array
+
+
+@dataclass(frozen=True, eq=False)
+class DiscreteDmp:
+    """Discrete DMPs of `d` dimensions that share a phase.
+
+    Attributes:
+        weights: (d, n_basis) weights w of the forcing term: the style, fixed once fitted.
+        start: (d,) y₀.
+        start_rate: (d,) ẏ₀ T: what y would change by in the whole duration at its starting velocity.
+        goal: (d,) where the fitted motion ends.
+        duration_s: T, from the first sample to the last, s.
+        alpha: stiffness α of the spring.
+    """
+
+    weights: Array
+    start: Array
+    start_rate: Array
+    goal: Array
+    duration_s: float
+    alpha: float = ALPHA
+
+    @classmethod
+    def fit(
+        cls,
+        samples: Array,
+        duration_s: float,
+        n_basis: int = N_BASIS,
+        ridge: float = RIDGE,
+        alpha: float = ALPHA,
+    ) -> "DiscreteDmp":
+        """Fits a movement by regularised least squares on the movement itself.
+
+        As in the rhythmic primitive the error that matters is minimised, since y is linear in w; the usual regression
+        on f needs second derivatives, which corners at touch-down spoil. Start, starting velocity and goal are the
+        samples' own.
+
+        Args:
+            samples: (t, d) from start to end, evenly spaced.
+            duration_s: T, from the first to the last of them, s.
+            n_basis: basis functions per dimension; a long motion gets more, one each 25 ms.
+            ridge: weight of the regularisation, without unit.
+            alpha: stiffness α.
+
+        Raises:
+            MotionError: fewer than 4 samples, a value that is not finite, or longer than `MAX_S`.
+            ConfigError: a duration, α, ridge or number of functions that is not positive.
+        """
+        settings = {"duration_s": duration_s, "n_basis": n_basis, "ridge": ridge, "alpha": alpha}
+        for name, value in settings.items():
+            if not (np.isfinite(value) and value > 0):
+                raise ConfigError(f"{name} must be positive, found {value}")
+        y = np.array(samples, dtype=np.float64)
+        if y.ndim != 2 or len(y) < 4:
+            raise MotionError(f"a discrete DMP needs at least 4 samples, found shape {y.shape}")
+        if not np.all(np.isfinite(y)):
+            raise MotionError(f"sample {int(np.argwhere(~np.isfinite(y))[0][0])} of the motion is not finite")
+        if duration_s > MAX_S:
+            raise MotionError(
+                f"a motion that does not repeat lasts {MAX_S:g} s at most, found {duration_s:.1f} s; choose a part"
+                " (--frames)"
+            )
+        n = max(n_basis, int(np.ceil(_FUNCTIONS_PER_S * duration_s)))
+        start_rate = (len(y) - 1) * (-1.5 * y[0] + 2.0 * y[1] - 0.5 * y[2])
+        spring = _spring(alpha, duration_s)
+        rest, pull = _unforced(y[0], start_rate, len(y), spring)
+        left = y - rest - pull * y[-1]
+        every = max(1, len(y) // (_ROWS_PER_FUNCTION * n))
+        rows = np.unique(np.append(np.arange(0, len(y), every), len(y) - 1))
+        centres = _centres(n, alpha)
+        response = _response(None, centres, len(y), spring, alpha / 3)[rows]
+        gain = spring**2 + (0.5 * n) ** 2  # a motion's forcing grows with the square of its frequency
+        normal = product(response.T, response) / len(rows) + ridge / (n * gain**2) * np.eye(n)
+        forces = solve_positive_definite(normal, product(response.T, left[rows]) / len(rows))
+        weights = (forces / centres[:, None]).T / (duration_s / min(duration_s, MAX_TAU_S)) ** 2
+        return cls(weights, y[0], start_rate, y[-1], float(duration_s), alpha)
+
+    @property
+    def n_dims(self) -> int:
+        return self.weights.shape[0]
+
+    @property
+    def n_basis(self) -> int:
+        return self.weights.shape[1]
+
+    @property
+    def decay(self) -> float:
+        """αₓ: at the end 1/4000 of x is left."""
+        return self.alpha / 3
+
+    @property
+    def tau_s(self) -> float:
+        """τ, s."""
+        return min(self.duration_s, MAX_TAU_S)
+
+    @cached_property
+    def centres(self) -> Array:
+        """(n_basis,) centres c of the basis functions, in x, evenly spaced in time."""
+        return _centres(self.n_basis, self.alpha)
+
+    @cached_property
+    def widths(self) -> Array:
+        """(n_basis,) widths h of the basis functions."""
+        return _widths(self.centres)
+
+    def forcing(self, phase: Array | float) -> Array:
+        """f at canonical phases x (...) → (..., d)."""
+        x = np.asarray(phase, dtype=np.float64)
+        return x[..., None] * product(_basis(x, self.centres), self.weights.T)
+
+    def course(self, n_samples: int) -> Course:
+        """The primitive at so many samples (at least 2), from its start to its end."""
+        spring = _spring(self.alpha, self.duration_s)
+        rest, pull = _unforced(self.start, self.start_rate, n_samples, spring)
+        weights = self.weights.T * (self.duration_s / self.tau_s) ** 2  # time is in units of T here
+        return Course(rest, pull, _response(weights, self.centres, n_samples, spring, self.decay))
+
+    def position(self, n_samples: int, goal: Array | None = None, amplitude: Array | float = 1.0) -> Array:
+        """y (t, d) at so many samples from start to end; `goal` and `amplitude` (d,) modulate it."""
+        rest, pull, shape = self.course(n_samples)
+        return rest + pull * (self.goal if goal is None else goal) + amplitude * shape
+
+
+def _spring(alpha: float, duration_s: float) -> float:
+    """c of the double pole at −c (since β = α/4), per duration."""
+    return alpha / 2 * max(1.0, duration_s / MAX_TAU_S)
+
+
+def _centres(n: int, alpha: float) -> Array:
+    return np.exp(-alpha / 3 * np.arange(n) / max(n - 1, 1))
+
+
+def _widths(centres: Array) -> Array:
+    """h (n,): 1/√(2h) is the distance to the next function."""
+    if len(centres) == 1:
+        return np.ones(1)
+    gap = centres[:-1] - centres[1:]
+    return 0.5 * np.append(gap, gap[-1]) ** -2.0
+
+
+def _basis(x: Array, centres: Array) -> Array:
+    """ψᵢ/Σψ at phases (...) → (..., n). Where the phase has run past the last function, that one remains."""
+    exponent = -_widths(centres) * (x[..., None] - centres) ** 2
+    psi = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
+    return psi / psi.sum(axis=-1, keepdims=True)
+
+
+def _unforced(start: Array, rate: Array, n_samples: int, c: float) -> tuple[Array, Array]:
+    """`rest` (t, d) and `pull` (t, 1) of a course: the critically damped spring by itself, its pole at −`c`."""
+    s = np.linspace(0.0, 1.0, n_samples)[:, None]
+    fading = np.exp(-c * s)
+    return fading * ((1 + c * s) * start + s * rate), 1 - fading * (1 + c * s)
+
+
+def _response(weights: Array | None, centres: Array, n_samples: int, c: float, decay: float) -> Array:
+    """What the forcing of weights (n, d) brings about from rest, (t, d); without weights that of each function by
+    itself, with weight 1/c, (t, n).
+
+    The spring, its pole at −`c`, is advanced exactly and the forcing by quadrature.
+    """
+    n = len(centres)
+    finer = max(1, int(np.ceil(_STEPS_PER_FUNCTION * n / (n_samples - 1))))
+    steps = finer * (n_samples - 1)
+    out = np.zeros((steps + 1, n if weights is None else weights.shape[1]))
+    rate = np.zeros(out.shape[1])
+    for first in range(0, steps, _CHUNK):
+        last = min(first + _CHUNK, steps)
+        x = np.exp(-decay * (np.arange(first, last)[:, None] + _NODES) / steps)
+        basis = _basis(x, centres)
+        forcing = x[..., None] * (basis / centres if weights is None else product(basis, weights))
+        _advance(forcing, 1.0 / steps, c, _NODES, _NODE_WEIGHTS, rate, out[first : last + 1])
+    return out[::finer]
+
+
+@kernel
+def _advance(
+    forcing: Array, delta: float, c: float, nodes: Array, node_weights: Array, rate: Array, out: Array
+) -> None:
+    """Rows 1 … k of `out` (k + 1, d) from row 0, with `rate` (d,) = τ ẏ, under forcing (k, 3, d)."""
+    decay = np.exp(-c * delta)
+    for i in range(forcing.shape[0]):
+        for j in range(forcing.shape[2]):
+            y, z = out[i, j], rate[j]
+            following = decay * ((1 + c * delta) * y + delta * z)
+            moving = decay * (-(c**2) * delta * y + (1 - c * delta) * z)
+            for q in range(forcing.shape[1]):
+                left = delta * (1 - nodes[q])
+                push = delta * node_weights[q] * np.exp(-c * left) * forcing[i, q, j]
+                following += left * push
+                moving += (1 - c * left) * push
+            out[i + 1, j] = following
+            rate[j] = moving
