@@ -19,6 +19,7 @@ from fastmimic.library.mending import mend, rerun
 from fastmimic.library.pieces import survey
 from fastmimic.library.records import COLUMNS, load_record
 from fastmimic.motion.export import export_motion
+from fastmimic.motion.motion import Motion
 from fastmimic.pipeline import evaluate, load_motion
 from fastmimic.robot import load_robot
 from library.conftest import RECIPE, contents, of
@@ -324,6 +325,21 @@ def test_long_takes_are_cut(data_folder: Path, tmp_path: Path) -> None:
     assert done.jobs >= 2
     assert all(row["first_frame"] < row["end_frame"] for row in done.rows)
     assert all("CC BY-NC" in row["licence"] for row in done.rows)
+
+
+def test_movement_that_does_not_repeat_is_asked_for(data_folder: Path, tmp_path: Path) -> None:
+    take = find_sources(data_folder / "dog_keypoints" / "dog_walk00_joint_pos.txt")
+    cycles, all_of_it = survey(take[0], 0.5), survey(take[0], 0.5, discrete=True)
+    once = [piece for piece in all_of_it.pieces if not piece.repeats]
+    assert set(cycles.pieces) < set(all_of_it.pieces)
+    assert {piece.gait for piece in once} == {"discrete"}
+    shortest = min(once, key=lambda piece: piece.period_s)
+    job = Job(shortest, "a1", "", 0, replace(RECIPE, iterations=1), tmp_path)
+    (tmp_path / "library.json").write_text("{}")
+    record = perform(job, lambda share: None)
+    assert record["reason"] is None
+    assert record["repeats"] is False
+    assert Motion.load(tmp_path / record["motion_file"]).cycle is None
 
 
 def test_warm_starts_are_of_the_nearest(built: Path, tmp_path: Path) -> None:

@@ -60,6 +60,8 @@ class Build:
     """Do not try it in PyBullet, even if that is installed."""
     confidence: Annotated[float, arg(metavar="SHARE")] = 0.5
     """From which a cycle found in a take is imitated."""
+    discrete: bool = False
+    """Also imitate movement in takes that does not repeat, such as turns, starts and stops, each done once."""
     warm_start: Annotated[Path | None, arg(metavar="LIBRARY")] = None
     """Begin each search like the most similar motion of a library that is finished."""
     exclude: Annotated[tuple[str, ...], arg(metavar="PATTERN ...")] = ()
@@ -118,7 +120,7 @@ class Build:
             second_simulator=not self.no_second_simulator and _second_simulator(self.robots),
         )
         warm = None if self.warm_start is None else Library.open(self.warm_start)
-        return Building(sources, recipe, self.robots, self.seeds, self.confidence, warm)
+        return Building(sources, recipe, self.robots, self.seeds, self.confidence, self.discrete, warm)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -341,8 +341,8 @@ def paper_config() -> ControllerConfig:
 
 
 def robust_config() -> ControllerConfig:
-    """Ours for a robot that is not the one of the model: the trunk turns over standing feet, and forces keep within what
-    the floor has in any direction. In the simulator of the optimisation it is within 0.005 of ours."""
+    """Ours for a robot that is not the model: the trunk turns over standing feet, and forces keep within what the floor
+    has in any direction. In the simulator of the optimisation it is within 0.005 of ours."""
     return ControllerConfig(name="robust", stance=StanceConfig(standing_inertia=True, friction_sides=8))
 
 

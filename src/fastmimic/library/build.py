@@ -37,6 +37,7 @@ class Building:
         robots: built-in names, or paths of MJCFs.
         seeds: searches for each piece and robot, with CMA-ES seeds 0 to seeds − 1.
         confidence: from which a cycle found in a take counts.
+        discrete: whether movement in takes that does not repeat is imitated, too.
         warm: a library whose results searches begin from; None to begin from the unmodulated motion.
     """
 
@@ -45,6 +46,7 @@ class Building:
     robots: Sequence[str]
     seeds: int = 1
     confidence: float = CONFIDENCE
+    discrete: bool = False
     warm: Library | None = None
 
     def __post_init__(self) -> None:
@@ -196,7 +198,7 @@ def _look(building: Building, library: Library, executor: Executor, tell: Callab
     sources = list(building.sources)
     found: dict[int, Survey] = {}
     tell(Step("looking", 0, len(sources), 0.0))
-    looking = partial(_survey, confidence=building.confidence)
+    looking = partial(_survey, confidence=building.confidence, discrete=building.discrete)
     with closing(executor.run(looking, sources)) as outcomes:
         for outcome in outcomes:
             if isinstance(outcome.error, OutputError):
@@ -219,8 +221,8 @@ def _supersede(library: Library, sources: Sequence[Source]) -> None:
             remove_survey(library.path, old)
 
 
-def _survey(source: Source, report: Report, *, confidence: float) -> Survey:
-    return survey(source, confidence)
+def _survey(source: Source, report: Report, *, confidence: float, discrete: bool) -> Survey:
+    return survey(source, confidence, discrete)
 
 
 def _make(jobs: Sequence[Job], library: Library, executor: Executor, tell: Callable[[Step], None]) -> int:

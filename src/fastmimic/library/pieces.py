@@ -18,7 +18,8 @@ from fastmimic.motion.clip import Clip
 from fastmimic.motion.formats import detect_format
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.retarget import is_one_cycle
-from fastmimic.motion.segment import Segment, SegmentConfig, as_one_cycle, find_segments
+from fastmimic.motion.segment import DISCRETE, Segment, SegmentConfig, as_one_cycle, find_segments
+from fastmimic.primitive.discrete import MAX_S
 
 SOURCES: Final = "sources"
 WHOLE: Final = "whole"
@@ -36,6 +37,7 @@ class Piece:
         digest: of its content: 16 hexadecimal digits.
         gait, footfall: as in `fastmimic.motion.segment.Segment`; `WHOLE` where nothing was looked for.
         confidence: likewise; 1 where nothing was looked for.
+        repeats: whether it is taken for a cycle.
         period_s, speed_m_s, yaw_rate_rad_s: in the animal's size, or the robot's if it is its motion.
         robot: whose motion it is already, if it is one; None for an animal's.
         licence, credit: of the recording; None where nobody says.
@@ -48,6 +50,7 @@ class Piece:
     gait: str
     footfall: str | None
     confidence: float
+    repeats: bool
     period_s: float
     speed_m_s: float
     yaw_rate_rad_s: float
@@ -83,8 +86,7 @@ class Piece:
             piece: Clip | Motion = whole
         else:
             cut = whole if self.frames is None or self.source.frames is not None else whole.cut(*self.frames)
-            cycle = True if self.gait != WHOLE else cut.is_cycle
-            piece = replace(cut, is_cycle=cycle, meta={**cut.meta, "name": self.name})
+            piece = replace(cut, is_cycle=self.repeats, meta={**cut.meta, "name": self.name})
         if digest_of(piece) != self.digest:
             raise ClipError(f"{self.source}: has changed since it was looked through; build again")
         return piece
@@ -113,20 +115,22 @@ class Survey:
         return said if said is None or said.startswith(self.source.place) else f"{self.source}: {said}"
 
 
-def survey(source: Source, confidence: float) -> Survey:
+def survey(source: Source, confidence: float, discrete: bool = False) -> Survey:
     """Looks through a source; what is wrong with it is part of the result.
 
     Args:
         source: the source.
         confidence: from which a cycle found in a take counts.
+        discrete: whether movement in a take that does not repeat is imitated, too.
     """
     try:
         opened = _open(source)
         if isinstance(opened, Motion):
             return Survey(source, (_of_motion(source, opened),))
         if source.frames is not None:
-            return Survey(source, (_piece(source, opened, source.frames, as_one_cycle(opened), looked=False),))
-        return _of_take(source, opened, confidence)
+            found = replace(as_one_cycle(opened), gait=WHOLE, confidence=1.0)
+            return Survey(source, (_piece(source, opened, source.frames, found, repeats=is_one_cycle(opened)),))
+        return _of_take(source, opened, confidence, discrete)
     except Exception as error:  # noqa: BLE001 - one source's defect, of which there may be a thousand others
         return Survey(source, failed=reason_of(error))
 
@@ -165,6 +169,7 @@ def _of_motion(source: Source, motion: Motion) -> Piece:
         gait=WHOLE,
         footfall=None,
         confidence=1.0,
+        repeats=motion.cycle is not None,
         period_s=motion.period_s,
         speed_m_s=float(np.linalg.norm(motion.root_lin_vel_w[:, :2], axis=1).mean()),
         yaw_rate_rad_s=float(motion.root_ang_vel_w[:, 2].mean()),
@@ -174,36 +179,44 @@ def _of_motion(source: Source, motion: Motion) -> Piece:
     )
 
 
-def _of_take(source: Source, take: Clip, confidence: float) -> Survey:
-    """The cycles of a take; or the whole of a short clip, if it is one cycle by what it says or by its ends."""
-    segments = [segment for segment in find_segments(take) if segment.cycle is not None]
-    found = []
-    for segment in segments:
-        assert segment.cycle is not None
-        if segment.confidence >= confidence:
-            cut = take if segment.cycle == (0, take.n_frames) else take.cut(*segment.cycle)
-            found.append(_piece(source, cut, segment.cycle, segment, looked=True))
-    if not found and take.n_frames <= SegmentConfig().longest_s * take.rate_hz and is_one_cycle(take):
-        whole = as_one_cycle(take)
-        found.append(_piece(source, take, (0, take.n_frames), replace(whole, confidence=1.0), looked=True))
+def _of_take(source: Source, take: Clip, confidence: float, discrete: bool) -> Survey:
+    """What of a take is to be imitated; or the whole of a short clip, if it is one cycle by what it says or by its
+    ends."""
+    segments = find_segments(take)
+    cycles = [(segment, segment.cycle) for segment in segments if segment.cycle is not None]
+    found = [
+        _piece(source, take.cut(*frames), frames, segment, repeats=True)
+        for segment, frames in cycles
+        if segment.confidence >= confidence
+    ]
+    short = take.n_frames <= SegmentConfig().longest_s * take.rate_hz
+    if not found and short and is_one_cycle(take):
+        segment = replace(as_one_cycle(take), confidence=1.0)
+        found.append(_piece(source, take, (0, take.n_frames), segment, repeats=True))
+    elif discrete:
+        for segment in segments:
+            frames = (segment.start, segment.end)
+            if segment.gait == DISCRETE and segment.end - segment.start <= MAX_S * take.rate_hz:
+                found.append(_piece(source, take.cut(*frames), frames, segment, repeats=False))
     if found:
         return Survey(source, tuple(found))
-    doubtful = f"{len(segments)} cycles, none with a confidence of {confidence:g}"
-    return Survey(source, skipped=f"{take.n_frames} frames hold {doubtful if segments else 'nothing that repeats'}")
+    doubtful = f"{len(cycles)} cycles, none with a confidence of {confidence:g}"
+    return Survey(source, skipped=f"{take.n_frames} frames hold {doubtful if cycles else 'nothing that repeats'}")
 
 
-def _piece(source: Source, cut: Clip, frames: tuple[int, int], segment: Segment, *, looked: bool) -> Piece:
-    """A part of a clip; `looked` is whether it was found there as a cycle."""
+def _piece(source: Source, cut: Clip, frames: tuple[int, int], segment: Segment, *, repeats: bool) -> Piece:
+    """A part of a clip."""
     whole = frames == (0, cut.n_frames) and source.frames is None
     name = source.name if whole else f"{source.name}-{frames[0]}-{frames[1]}"
     return Piece(
         name=name,
         source=source,
         frames=None if whole else frames,
-        digest=digest_of(replace(cut, is_cycle=True) if looked else cut),
-        gait=segment.gait if looked else WHOLE,
+        digest=digest_of(replace(cut, is_cycle=repeats)),
+        gait=segment.gait,
         footfall=segment.footfall,
-        confidence=round(segment.confidence, 4) if looked else 1.0,
+        confidence=round(segment.confidence, 4),
+        repeats=repeats,
         period_s=cut.n_frames / cut.rate_hz,
         speed_m_s=segment.speed_m_s,
         yaw_rate_rad_s=segment.yaw_rate_rad_s,

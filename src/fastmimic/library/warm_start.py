@@ -65,7 +65,7 @@ class Neighbours:
             piece: the piece.
             robot: its name, or the path of its MJCF.
         """
-        rows = self.best.get(robot, ())
+        rows = self.best.get(robot, ()) if piece.repeats else ()
         near = min(rows, key=lambda row: (distance(piece, self.pieces[row["piece"]]), row["id"]), default=None)
         if near is None or distance(piece, self.pieces[near["piece"]]) > FARTHEST:
             return None
