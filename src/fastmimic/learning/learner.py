@@ -260,7 +260,6 @@ class Learner:
             num_mini_batches=s.minibatches,
             learning_rate=s.learning_rate,
             desired_kl=s.desired_kl,
-            use_clipped_value_loss=False,  # returns reach 20, and the clip would hold values to 0.2 an update
             gamma=s.discount,
             lam=s.trace,
             entropy_coef=s.entropy,
