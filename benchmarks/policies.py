@@ -19,16 +19,15 @@ from pathlib import Path
 from marked import put
 
 from fastmimic.cli import main as fastmimic
-from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS
+from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, RUNS
 from fastmimic.experiments.cost import (
-    Course,
     cost_table,
     paper_cost,
     read_evaluations,
     search_courses,
     training_course,
 )
-from fastmimic.experiments.runs import slug
+from fastmimic.experiments.runs import MOTION, Run, slug
 from fastmimic.experiments.transfer import STAGES, all_trials, transfer_table
 from fastmimic.learning.training_folder import EVALUATIONS
 from fastmimic.report.comparison_folder import ENVIRONMENT
@@ -81,23 +80,27 @@ def transfer(args: argparse.Namespace, trained: list[Path]) -> str:
     others = args.transfers
     if others is None:
         others = args.out / "transfer" / "model-based"
-        given = ["--methods", *SEARCHED, "--iterations", str(args.iterations), "--out", str(others)]
-        run("transfer", *args.motions, *given, *(["--resume"] if others.is_dir() else []))
+        found = [searches(args) / RUNS / Run(motion, "mbc-dmp", "", 0).folder / MOTION for motion in args.motions]
+        given = [*map(str, found), "--methods", *SEARCHED, "--out", str(others)]
+        run("transfer", *given, *(["--resume"] if others.is_dir() else []))
     stages = {stage.name for stage in STAGES}
     rows += [row for row in all_trials(others) if row["motion"] in args.motions and row["stage"] in stages]
     rows.sort(key=lambda row: args.motions.index(row["motion"]))
     return transfer_table(rows, 0)
 
 
-def searches(args: argparse.Namespace) -> list[Course]:
-    """The searches that the trainings are put beside, and the same motions without any."""
-    folder = args.searches
-    if folder is None:
-        folder = args.out / "searches"
+def searches(args: argparse.Namespace) -> Path:
+    """The comparison of the searches that the trainings are put beside, and of the same motions without any."""
+    return args.searches if args.searches is not None else args.out / "searches"
+
+
+def search(args: argparse.Namespace) -> None:
+    """What of the comparison is not done yet, unless it is one that was given."""
+    folder = searches(args)
+    if args.searches is None:
         given = ["--methods", *SEARCHED, "--seeds", str(args.seeds), "--iterations", str(args.iterations)]
         resume = ["--resume"] if (folder / ENVIRONMENT).is_file() else []
         run("compare", "--motions", *args.motions, *given, "--out", str(folder), *resume)
-    return [course for method in SEARCHED for course in search_courses(folder, method, args.motions)]
 
 
 def main() -> None:
@@ -124,7 +127,9 @@ def main() -> None:
     trained = [folder for folder in places if steps_done(folder)]
     if not trained:
         sys.exit(f"{args.out} holds no training yet")
-    courses = [*(training_course(folder) for folder in trained), *searches(args)]
+    search(args)
+    courses = [training_course(folder) for folder in trained]
+    courses += [course for method in SEARCHED for course in search_courses(searches(args), method, args.motions)]
     save(cost_figure(courses, paper_cost(courses), "Learning beside optimising, a1"), args.out / FIGURE)
     tables = {"policies": cost_table(courses), "policies-transfer": transfer(args, trained)}
     for name, text in tables.items():
