@@ -1,14 +1,16 @@
 """What a learned policy costs beside an optimised motion: the tables and the figure of docs/learning.md.
 
     python benchmarks/policies.py [--builtin | --motions dog:trot …] [--steps 1_000_000] [--seeds 1] [--slice 100_000]
-                                  [--searches FOLDER] [--transfers FOLDER] [--out runs/policies] [--write]
+                                  [--searches FOLDER …] [--transfers FOLDER …] [--trainings FOLDER …]
+                                  [--out runs/policies] [--report] [--write]
 
 Trains a policy for each motion and runs its transfer, by `fastmimic train` and `fastmimic transfer` in `--out`. The
 motions learn in turn, a slice of steps each, so that they have had about the same number of steps whenever it is
-stopped; the same command goes on, also for more steps. `--searches` is the folder of a `fastmimic compare` with the
-methods mbc and mbc-dmp, `--transfers` that of a `fastmimic transfer` with them; both are only read, and without them
-`--out` gets its own. Motions of the dog need `fastmimic data fetch`, or FASTMIMIC_DATA. `--report` trains nothing more.
-`--write` puts the tables between the markers in docs/learning.md, and the figure next to it.
+stopped; the same command goes on, also for more steps. `--searches` are folders of `fastmimic compare` with the
+methods mbc and mbc-dmp, `--transfers` those of `fastmimic transfer` with them; they are only read, and without them
+`--out` gets its own. `--trainings` are reported as well. Motions of the dog need `fastmimic data fetch`, or
+FASTMIMIC_DATA. `--report` trains nothing more. `--write` puts the tables between the markers in docs/learning.md, and
+the figure next to it.
 """
 
 import argparse
@@ -78,29 +80,25 @@ def transfer(args: argparse.Namespace, trained: list[Path]) -> str:
         run("transfer", course.row["motion"], *policy, "--out", str(out), *(["--resume"] if out.is_dir() else []))
         rows += all_trials(out)
     others = args.transfers
-    if others is None:
-        others = args.out / "transfer" / "model-based"
-        found = [searches(args) / RUNS / Run(motion, "mbc-dmp", "", 0).folder / MOTION for motion in args.motions]
-        given = [*map(str, found), "--methods", *SEARCHED, "--out", str(others)]
-        run("transfer", *given, *(["--resume"] if others.is_dir() else []))
+    if not others:
+        others = [args.out / "transfer" / "model-based"]
+        found = [args.searches[0] / RUNS / Run(motion, "mbc-dmp", "", 0).folder / MOTION for motion in args.motions]
+        given = [*map(str, found), "--methods", *SEARCHED, "--out", str(others[0])]
+        run("transfer", *given, *(["--resume"] if others[0].is_dir() else []))
     stages = {stage.name for stage in STAGES}
-    rows += [row for row in all_trials(others) if row["motion"] in args.motions and row["stage"] in stages]
+    known = [row for folder in others for row in all_trials(folder)]
+    rows += [row for row in known if row["motion"] in args.motions and row["stage"] in stages]
     rows.sort(key=lambda row: args.motions.index(row["motion"]))
     return transfer_table(rows, 0)
 
 
-def searches(args: argparse.Namespace) -> Path:
+def search(args: argparse.Namespace) -> Path:
     """The comparison of the searches that the trainings are put beside, and of the same motions without any."""
-    return args.searches if args.searches is not None else args.out / "searches"
-
-
-def search(args: argparse.Namespace) -> None:
-    """What of the comparison is not done yet, unless it is one that was given."""
-    folder = searches(args)
-    if args.searches is None:
-        given = ["--methods", *SEARCHED, "--seeds", str(args.seeds), "--iterations", str(args.iterations)]
-        resume = ["--resume"] if (folder / ENVIRONMENT).is_file() else []
-        run("compare", "--motions", *args.motions, *given, "--out", str(folder), *resume)
+    folder: Path = args.out / "searches"
+    given = ["--methods", *SEARCHED, "--seeds", str(args.seeds), "--iterations", str(args.iterations)]
+    resume = ["--resume"] if (folder / ENVIRONMENT).is_file() else []
+    run("compare", "--motions", *args.motions, *given, "--out", str(folder), *resume)
+    return folder
 
 
 def main() -> None:
@@ -113,8 +111,9 @@ def main() -> None:
     parser.add_argument("--evaluate-every", type=int, default=50_000)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--iterations", type=int, default=200, help="of the searches, where they are run")
-    parser.add_argument("--searches", type=Path, help="a comparison with mbc and mbc-dmp")
-    parser.add_argument("--transfers", type=Path, help="a transfer with mbc and mbc-dmp")
+    parser.add_argument("--searches", nargs="+", type=Path, help="comparisons with mbc and mbc-dmp")
+    parser.add_argument("--transfers", nargs="+", type=Path, help="transfers with mbc and mbc-dmp")
+    parser.add_argument("--trainings", nargs="+", type=Path, default=[], help="trained elsewhere, reported as well")
     parser.add_argument("--out", type=Path, default=Path("runs/policies"))
     parser.add_argument("--report", action="store_true", help="of what is trained by now; train nothing more")
     parser.add_argument("--write", action="store_true", help="put tables and figure into docs/")
@@ -124,12 +123,15 @@ def main() -> None:
     if not args.report:
         train(args)
     places = [policy_folder(args.out, motion, seed) for motion in args.motions for seed in range(args.seeds)]
-    trained = [folder for folder in places if steps_done(folder)]
+    trained = [folder for folder in [*places, *args.trainings] if steps_done(folder)]
     if not trained:
         sys.exit(f"{args.out} holds no training yet")
-    search(args)
     courses = [training_course(folder) for folder in trained]
-    courses += [course for method in SEARCHED for course in search_courses(searches(args), method, args.motions)]
+    args.motions = list(dict.fromkeys([*args.motions, *(course.row["motion"] for course in courses)]))
+    args.searches = args.searches or [search(args)]
+    for folder in args.searches:
+        courses += [course for method in SEARCHED for course in search_courses(folder, method, args.motions)]
+    courses.sort(key=lambda course: args.motions.index(course.row["motion"]))
     save(cost_figure(courses, paper_cost(courses), "Learning beside optimising, a1"), args.out / FIGURE)
     tables = {"policies": cost_table(courses), "policies-transfer": transfer(args, trained)}
     for name, text in tables.items():

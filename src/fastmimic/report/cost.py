@@ -26,6 +26,7 @@ _MOTIONS: Final[tuple[tuple[Any, str], ...]] = (  # dash pattern and marker
     ((0, (5, 1.6)), "s"),
     ((0, (1.5, 1.2)), "^"),
     ((0, (6, 1.5, 1.5, 1.5)), "D"),
+    ((0, (1, 2.5)), "v"),
 )
 _MARKERS: Final = 5
 """Of a curve of many points."""
