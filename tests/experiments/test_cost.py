@@ -129,6 +129,10 @@ def test_the_figure_has_both_panels_over_the_same_rewards(courses: list[Course])
         assert axes.get_xscale() == "log"
         assert drawn["#009e73"].get_xdata()[-1] == pytest.approx(learning)
         assert drawn["#0072b2"].get_xdata()[-1] == pytest.approx(search)
+    figure.draw_without_rendering()
+    legend = figure.legends[0].get_window_extent()
+    assert legend.x0 > figure.bbox.x0
+    assert legend.x1 < figure.bbox.x1
     both = figure.axes[0].lines, figure.axes[1].lines
     means = [next(line for line in lines if line.get_color() == "#0072b2").get_ydata() for lines in both]
     assert np.asarray(means[0]) == pytest.approx([0.505, 0.505, 0.905, 0.905])

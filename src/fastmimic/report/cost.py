@@ -1,6 +1,7 @@
 """The figure of what a reward costs: learning and searching on the same axes."""
 
 from collections.abc import Callable, Sequence
+from itertools import zip_longest
 from typing import Any, Final
 
 import numpy as np
@@ -71,12 +72,14 @@ def cost_figure(courses: Sequence[Course], paper: tuple[float, float], title: st
         axes.set_ylim(0, 1.02)
         tidy(axes, f"{name}: reward against {label.split(',')[0].split(' (')[0]}", label)
     grid[0].set_ylabel("reward (0 to 1)", fontsize=9, color=MUTED)
-    handles = [Line2D([], [], color=_COLORS[name], linewidth=2.4, label=_LABELS[name]) for name in methods]
-    handles += [
+    colors = [Line2D([], [], color=_COLORS[name], linewidth=2.4, label=_LABELS[name]) for name in methods]
+    lines = [
         Line2D([], [], color=INK, linestyle=dashes, linewidth=1.4, marker=marker, markersize=4, label=motion)
         for motion, (dashes, marker) in styles.items()
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8.5, frameon=False)
+    none = Line2D([], [], linestyle="", label=" ")
+    rows = [handle for column in zip_longest(colors, lines, fillvalue=none) for handle in column]
+    figure.legend(handles=rows, loc="outside lower center", ncols=len(rows) // 2, fontsize=8.5, frameon=False)
     return figure
 
 
