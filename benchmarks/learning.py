@@ -19,7 +19,8 @@ import numpy as np
 
 import fastmimic as fm
 from fastmimic.learning.config import FRAME_SIZE, HISTORY, IMU_SIZE
-from fastmimic.learning.episodes import Episodes, _Shard
+from fastmimic.learning.episodes import Episodes
+from fastmimic.learning.shard import Shard
 from fastmimic.machine import available_cores
 
 WARM_UP = 3
@@ -28,7 +29,7 @@ WARM_UP = 3
 class Replay:
     """Physics alone, of some of the robots: the last policy step's motor commands again."""
 
-    def __init__(self, shard: _Shard) -> None:
+    def __init__(self, shard: Shard) -> None:
         self.simulation = shard.simulation
         self.course: list[tuple[np.ndarray, np.ndarray]] = []
         self.before = self.simulation.batch.state.copy()

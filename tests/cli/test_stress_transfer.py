@@ -39,7 +39,7 @@ def test_evaluate_in_the_second_simulator(run: Run) -> None:
         (("stress", "trot", "--disturbances", "wind"), "unknown disturbance 'wind'"),
         (("stress", "trot", "--methods", "magic"), "unknown method 'magic'"),
         (("stress", "trot", "--episodes", "0"), "episodes must be at least 1, found 0"),
-        (("stress", "trot", "--resume"), "runs/stress holds nothing to resume"),
+        (("stress", "trot", "--resume"), "runs/stress holds no experiment to resume"),
         (("transfer", "trot", "--trials", "0"), "trials must be at least 1, found 0"),
         (("transfer", "trot", "trot"), "two of the motions have one name"),
         (("transfer", "trot", "--robot", "go1"), "description of a1, none of 'go1'"),
@@ -76,7 +76,7 @@ class TestStress:
 
         assert "--resume goes on" in run("stress", "trot", "--methods", "mbc", *SWEPT, *TINY).error
         other = run("stress", "trot", "--methods", "mbc", *SWEPT, "--episodes", "3", "--duration", "0.4", "--resume")
-        assert "results of other settings (episodes 2)" in other.error
+        assert "an experiment of other settings (episodes 2)" in other.error
 
         kept = (out / "sweeps" / "mbc-payload.json").stat().st_mtime_ns
         done = run("stress", "trot", "--methods", "mbc", "raibert", *SWEPT, *TINY, "--resume")

@@ -46,7 +46,7 @@ def weights(policy: Policy) -> np.ndarray:
 def test_the_reward_rises(robot: Robot, motion: Motion) -> None:
     """In 6000 steps; episodes are short, so that all parts of them are met alike from the beginning."""
     settings = TrainingSettings(
-        robots=32, horizon=16, hidden=(64,), discount=0.9, desired_kl=0.05, minibatches=2, episode_s=0.5
+        robots=32, horizon=16, hidden=(64,), discount=0.9, epochs=5, desired_kl=0.05, minibatches=2, episode_s=0.5
     )
     learner = Learner(robot, motion, settings)
     rewards = [learner.iterate().reward for _ in range(12)]

@@ -40,7 +40,7 @@ class Train(MotionOptions):
     """Actions of all robots together. Asking for more later goes on with --resume."""
     seed: int = 0
     """Of weights, actions and episodes."""
-    robots: int = 256
+    robots: int = 64
     """Simulated at once."""
     hidden: tuple[int, ...] = (512, 256)
     """Widths of the policy's hidden layers."""

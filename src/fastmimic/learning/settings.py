@@ -33,13 +33,13 @@ class TrainingSettings:
     """
 
     seed: int = 0
-    robots: int = 256
-    horizon: int = 24
+    robots: int = 64
+    horizon: int = 32
     hidden: tuple[int, ...] = (512, 256)
-    epochs: int = 5
+    epochs: int = 10
     minibatches: int = 4
     learning_rate: float = 1e-3
-    desired_kl: float = 0.02
+    desired_kl: float = 0.04
     discount: float = 0.95
     trace: float = 0.95
     entropy: float = 0.0

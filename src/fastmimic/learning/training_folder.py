@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from fastmimic.errors import CheckpointError, ConfigError, OutputError
-from fastmimic.files import check_folder, replace_file
+from fastmimic.errors import CheckpointError
+from fastmimic.files import check_folder, check_resumable, read_section, remove_file, replace_file
 from fastmimic.learning.policy import POLICY_FILE
 
 CONFIG: Final = "config.json"
@@ -41,10 +41,7 @@ class TrainingFolder:
         """Removes an earlier training: its own files, and nothing else."""
         events = self.path / EVENTS
         for file in (*(self.path / name for name in _FILES), *events.glob("events.out.tfevents.*")):
-            try:
-                file.unlink(missing_ok=True)
-            except OSError as error:
-                raise OutputError(f"{file}: cannot be replaced ({error.strerror or error})") from None
+            remove_file(file)
         if events.is_dir() and not any(events.iterdir()):
             events.rmdir()
 
@@ -90,36 +87,14 @@ def open_training(path: Path, same: Mapping[str, Any], *, resume: bool, overwrit
         ConfigError: both `resume` and `overwrite`.
         OutputError: the folder holds another training, or something else, or cannot be written to.
     """
-    if resume and overwrite:
-        raise ConfigError("--resume goes on with a training and --overwrite replaces it: give one of them")
     folder = TrainingFolder(path)
     found = [name for name in _FILES if (path / name).exists()]
-    earlier = _record(path / CONFIG)
-    if found and earlier is None:
-        raise OutputError(f"{path} holds {', '.join(found)} of something else; choose another --out")
-    if resume:
-        if earlier is None or not folder.begun:
-            raise OutputError(f"{path} holds no training to resume; leave out --resume to start one")
-        differ = [name for name, value in same.items() if earlier.get(name) != value]
-        if differ:
-            old = ", ".join(f"{name.replace('_', '-')} {earlier.get(name)}" for name in differ)
-            raise OutputError(
-                f"{path} holds a training of other settings ({old}); --resume it with these, or choose another --out"
-            )
-    elif folder.begun and not overwrite:  # without a checkpoint nothing is lost
-        raise OutputError(
-            f"{path} holds a training; --resume goes on with it, --overwrite replaces it, or choose another --out"
-        )
+    earlier = read_section(path / CONFIG, "training")
+    check_resumable(
+        path, "a training", found, earlier, same, resume=resume, overwrite=overwrite, begun=folder.begun
+    )  # without a checkpoint nothing is lost
     check_folder(path)
     return folder
-
-
-def _record(path: Path) -> dict[str, Any] | None:
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))["training"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return record if isinstance(record, dict) else None
 
 
 class Stopwatch:

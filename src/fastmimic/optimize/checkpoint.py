@@ -62,9 +62,14 @@ class Checkpoint:
     @staticmethod
     def iterations(path: str | Path) -> int:
         """How many iterations a checkpoint holds, of whatever problem; raises `CheckpointError` if it is damaged."""
+        return len(Checkpoint.scores_of(path))
+
+    @staticmethod
+    def scores_of(path: str | Path) -> Array:
+        """The scores (i, p) in a checkpoint, of whatever problem; raises `CheckpointError` if it is damaged."""
         try:
             with np.load(path, allow_pickle=False) as file:
-                return len(file["scores"])
+                return np.asarray(file["scores"], np.float64)
         except _UNREADABLE as error:
             raise CheckpointError(f"{path}: damaged checkpoint ({error}); leave out --resume to start anew") from None
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from fastmimic.errors import ConfigError, OutputError
+from fastmimic.errors import OutputError
 from fastmimic.experiments.ablations import ABLATED, ABLATIONS
 from fastmimic.experiments.compare import MOTIONS, RUNS
 from fastmimic.experiments.runs import RUN_FILES, TRACKING, Row, Run, run_of
 from fastmimic.experiments.tables import ablation_table, comparison_table, summaries, to_csv
-from fastmimic.files import check_folder, replace_file
+from fastmimic.files import check_folder, check_resumable, read_section, remove_file, replace_file
 from fastmimic.methods import ALL_METHODS, method_named
 from fastmimic.report.run_folder import write_json
 
@@ -156,7 +156,7 @@ class ComparisonFolder:
 
     def _remove(self, *names: str) -> None:
         for name in names:
-            _unlink(self.path / name)
+            remove_file(self.path / name)
 
     def clear(self) -> None:
         """Removes an earlier comparison: its own files, and nothing else."""
@@ -165,11 +165,11 @@ class ComparisonFolder:
         folders = [folder for folder in runs.iterdir() if folder.is_dir()] if runs.is_dir() else []
         for folder in folders:
             for name in RUN_FILES:
-                _unlink(folder / name)
+                remove_file(folder / name)
             _remove_empty(folder)
         motions = self.path / MOTIONS
         for file in motions.glob("*.npz"):
-            _unlink(file)
+            remove_file(file)
         for folder in (runs, motions):
             _remove_empty(folder)
 
@@ -191,17 +191,10 @@ def open_comparison(
         ConfigError: both `resume` and `overwrite`.
         OutputError: the folder holds another comparison, or something else, or cannot be written to.
     """
-    if resume and overwrite:
-        raise ConfigError("--resume goes on with a comparison and --overwrite replaces it: give one of them")
     folder = ComparisonFolder(path)
     found = [name for name in (ENVIRONMENT, *WRITTEN, RUNS, MOTIONS) if (path / name).exists()]
-    earlier = _settings_of(path / ENVIRONMENT)
-    if found and earlier is None:
-        raise OutputError(f"{path} holds {', '.join(found)} of something else; choose another --out")
-    if earlier is not None and not overwrite:
-        _check_same(path, earlier, settings, resume)
-    if resume and earlier is None:
-        raise OutputError(f"{path} holds no comparison to resume; leave out --resume to start one")
+    earlier = read_section(path / ENVIRONMENT, "settings")
+    check_resumable(path, "a comparison", found, earlier, settings, resume=resume, overwrite=overwrite)
     created = [p for p in (path, *path.parents) if not p.exists()]
     check_folder(path)
     try:
@@ -212,34 +205,6 @@ def open_comparison(
             for made in created:
                 _remove_empty(made)
         raise
-
-
-def _check_same(path: Path, earlier: Mapping[str, Any], settings: Mapping[str, Any], resume: bool) -> None:
-    if not resume:
-        raise OutputError(
-            f"{path} holds a comparison; --resume goes on with it, --overwrite replaces it, or choose another --out"
-        )
-    differ = [name for name, value in settings.items() if earlier.get(name) != value]
-    if differ:
-        old = ", ".join(f"{name.replace('_', '-')} {earlier.get(name)}" for name in differ)
-        raise OutputError(
-            f"{path} holds a comparison of other settings ({old}); --resume it with these, or choose another --out"
-        )
-
-
-def _settings_of(path: Path) -> dict[str, Any] | None:
-    try:
-        settings = json.loads(path.read_text(encoding="utf-8"))["settings"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return settings if isinstance(settings, dict) else None
-
-
-def _unlink(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be replaced ({error.strerror or error})") from None
 
 
 def _remove_empty(path: Path) -> None:

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from fastmimic.errors import ConfigError, OutputError
 from fastmimic.experiments.entrants import MOTIONS
-from fastmimic.files import check_folder, replace_file
+from fastmimic.files import check_folder, check_resumable, remove_file, replace_file
 from fastmimic.report.run_folder import write_json
 
 ENVIRONMENT: Final = "environment.json"
@@ -45,17 +44,10 @@ class ResultFolder:
             ConfigError: both `resume` and `overwrite`.
             OutputError: the folder holds results of other settings, or something else, or cannot be written to.
         """
-        if resume and overwrite:
-            raise ConfigError("--resume goes on with what is there and --overwrite replaces it: give one of them")
         path = self.path
         found = [name for name in (ENVIRONMENT, *self.written, self.parts, MOTIONS) if (path / name).exists()]
         earlier = self._earlier()
-        if found and earlier is None:
-            raise OutputError(f"{path} holds {', '.join(found)} of something else; choose another --out")
-        if earlier is not None and not overwrite:
-            self._check_same(earlier, resume)
-        if resume and earlier is None:
-            raise OutputError(f"{path} holds nothing to resume; leave out --resume to start")
+        check_resumable(path, "an experiment", found, earlier, self.settings, resume=resume, overwrite=overwrite)
         check_folder(path)
         if overwrite:
             self._clear()
@@ -72,19 +64,6 @@ class ResultFolder:
         """The table as it was written."""
         return (self.path / TABLE).read_text(encoding="utf-8")
 
-    def _check_same(self, earlier: Mapping[str, Any], resume: bool) -> None:
-        if not resume:
-            raise OutputError(
-                f"{self.path} holds results; --resume goes on with them, --overwrite replaces them, or choose another"
-                " --out"
-            )
-        differ = [name for name, value in self.settings.items() if earlier.get(name) != value]
-        if differ:
-            old = ", ".join(f"{name.replace('_', '-')} {earlier.get(name)}" for name in differ)
-            raise OutputError(
-                f"{self.path} holds results of other settings ({old}); --resume with these, or choose another --out"
-            )
-
     def _earlier(self) -> dict[str, Any] | None:
         try:
             found = json.loads((self.path / ENVIRONMENT).read_text(encoding="utf-8"))
@@ -97,7 +76,4 @@ class ResultFolder:
         files = [self.path / name for name in (*self.written, ENVIRONMENT)]
         files += [*(self.path / self.parts).glob("*.json"), *(self.path / MOTIONS).glob("*.npz")]
         for file in files:
-            try:
-                file.unlink(missing_ok=True)
-            except OSError as error:
-                raise OutputError(f"{file}: cannot be replaced ({error.strerror or error})") from None
+            remove_file(file)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.errors import CheckpointError, ConfigError, OutputError
-from fastmimic.files import check_folder, replace_file
+from fastmimic.files import check_folder, remove_file, replace_file
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 
 if TYPE_CHECKING:
@@ -119,10 +119,7 @@ class RunFolder:
 
     def _remove(self, *names: str) -> None:
         for name in names:
-            try:
-                (self.path / name).unlink(missing_ok=True)
-            except OSError as error:
-                raise OutputError(f"{self.path / name}: cannot be replaced ({error.strerror or error})") from None
+            remove_file(self.path / name)
 
 
 @contextmanager
