@@ -19,7 +19,7 @@ SPEED_M_S: Final = 0.4
 YAW_RAD_S: Final = 0.6
 OTHER_FOOTFALL: Final = 1.0
 """By which two pieces are one apart: the logarithm of the period, speed, turning; and what another footfall counts."""
-FARTHEST: Final = 3.0
+FARTHEST: Final = 6.0
 """From which the nearest piece is no help."""
 
 
