@@ -176,9 +176,9 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("how", ["--overwrite", "--resume"])
-@pytest.mark.parametrize("bad", [("--motions", "trto"), ("--motions", "trot", "once.npz", "--methods", "mbc-dmp")])
+@pytest.mark.parametrize("bad", [("--motions", "trto"), ("--motions", "trot", "other.npz", "--methods", "mbc-dmp")])
 def test_what_is_refused_leaves_the_folder_as_it_was(bad: tuple[str, ...], how: str, run: Run, in_folder: Path) -> None:
-    replace(load_motion("trot"), cycle=None).save(in_folder / "once.npz")
+    load_motion("trot", "go2").save(in_folder / "other.npz")
     command = ("compare", *TINY, "--workers", "1", "--out", "run")
     assert run(*command, "--motions", "trot", "--methods", "mbc").status == 0
     before = contents(in_folder / "run")

@@ -269,7 +269,7 @@ def test_what_is_of_another_robot_leaves_the_index(mine: Path) -> None:
 
 def test_the_index_of_a_running_build_is_written_once(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     others = iter(range(5))
-    monkeypatch.setattr(Library, "_names", lambda self: {next(others)})
+    monkeypatch.setattr(Library, "_state", lambda self: {next(others)})
     assert len(Library.open(mine).write_index(settled=False)) == 2
     assert next(others) == 1
 
