@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fastmimic.errors import OutputError
 from fastmimic.experiments.compare import RUNS
 from fastmimic.experiments.runs import Row, finished_row
-from fastmimic.experiments.tables import NONE, Summary, summaries
+from fastmimic.experiments.tables import NONE, Summary, spread, summaries
 from fastmimic.methods import RL, method_named
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 from fastmimic.optimize.checkpoint import Checkpoint
@@ -173,7 +173,7 @@ def _line(s: Summary) -> list[str]:
     return [
         *(f"`{s.motion}`", s.label, f"{len(s.rows)}", f"{CONTROL_RATE_HZ * simulated / 1e6:.2f}"),
         *(_whole(simulated), _whole(s.mean("cpu_s")), _whole(s.mean("wall_s"))),
-        *(f"**{_spread(s, 'reward')}**", _spread(s, "reward_perturbed")),
+        *(f"**{spread(s, 'reward')}**", spread(s, "reward_perturbed")),
         *(f"{sum(bool(row['fell']) for row in s.rows)} of {len(s.rows)}", perturbed),
     ]
 
@@ -195,8 +195,3 @@ def _trained(found: Sequence[Summary]) -> list[str]:
 
 def _whole(value: float | None) -> str:
     return NONE if value is None else f"{value:,.0f}"
-
-
-def _spread(s: Summary, column: str) -> str:
-    mean, std = s.mean(column), s.std(column)
-    return NONE if mean is None else f"{mean:.3f}" if std is None else f"{mean:.3f} ± {std:.3f}"

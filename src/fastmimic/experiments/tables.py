@@ -125,7 +125,7 @@ def ablation_table(rows: Sequence[Row], expected: int) -> str:
         change = NONE if not s.variant or reward is None or base is None else f"{reward - base:+.3f}"
         body.append(
             [
-                *(f"`{s.motion}`", s.variant or f"{ABLATED}, as it is", _spread(s, "reward"), change),
+                *(f"`{s.motion}`", s.variant or f"{ABLATED}, as it is", spread(s, "reward"), change),
                 *(_spread_of_episodes(s), _count(s, "fell"), _percent(s.mean("fell_perturbed"))),
                 *(_number(s.mean("reward_before")), _percent(_least(s)), _number(s.mean("style_distance"), 2)),
                 _number(s.mean("style_distance_realised"), 2),
@@ -138,7 +138,7 @@ def ablation_table(rows: Sequence[Row], expected: int) -> str:
 
 def _line(s: Summary) -> list[str]:
     return [
-        *(f"`{s.motion}`", s.label, f"**{_spread(s, 'reward')}**", _spread_of_episodes(s), _count(s, "fell")),
+        *(f"`{s.motion}`", s.label, f"**{spread(s, 'reward')}**", _spread_of_episodes(s), _count(s, "fell")),
         *(_percent(s.mean("fell_perturbed")), _percent(_least(s)), _number(s.mean("style_distance"), 2)),
         *(_number(s.mean("style_distance_realised"), 2), _number(s.mean("drift_m_per_s"), 2)),
         *(_number(s.mean("early_contacts_per_s"), 1), _number(_times(s.mean("stance_slip_m"), 1e3), 1)),
@@ -188,7 +188,8 @@ def _markdown(header: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]
     return [f"| {' | '.join(line)} |" for line in (header, ["---"] * len(header), *body)]
 
 
-def _spread(s: Summary, column: str) -> str:
+def spread(s: Summary, column: str) -> str:
+    """A column's mean over the seeds, with its deviation if there are several."""
     mean, std = s.mean(column), s.std(column)
     if mean is None:
         return NONE
