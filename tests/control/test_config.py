@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 
+from control.bodies import body
 from fastmimic.control.config import (
     CONFIGS,
     ControllerConfig,
@@ -17,7 +18,9 @@ from fastmimic.control.config import (
     pack_config,
     paper_config,
 )
+from fastmimic.conventions import GRAVITY
 from fastmimic.errors import ConfigError
+from fastmimic.robot import load_robot
 
 
 @pytest.mark.parametrize("name", sorted(CONFIGS))
@@ -75,16 +78,31 @@ def test_nonsense_is_refused_by_name(changes: dict[str, object], message: str) -
 
 def test_forces_are_multiples_of_the_weight() -> None:
     """One set for all robots: a robot twice as heavy is pushed and felt twice as hard."""
-    light, heavy = (pack_config(default_config(), weight)[0] for weight in (100.0, 200.0))
+    light, heavy = (pack_config(default_config(), body(mass))[0] for mass in (10.0, 20.0))
     for name in ("contact_threshold", "release_threshold", "min_force", "max_force"):
         assert heavy[name] == 2 * light[name]
-    assert light["max_force"] == 100.0 * default_config().stance.max_force
+    assert light["max_force"] == 10.0 * GRAVITY * default_config().stance.max_force
+
+
+def test_the_a1_gets_the_numbers_as_they_are() -> None:
+    packed, config = pack_config(default_config(), load_robot("a1"))[0], default_config()
+    assert packed["r_weight"] == config.stance.force_weight
+    assert packed["stance_kp"] == config.stance.joint_stiffness
+    assert packed["swing_kd"] == config.swing.joint_damping
+
+
+def test_a_heavier_robot_is_as_stiff_for_what_it_has_to_move() -> None:
+    """R f² stays what it is relative to ẍ², and legs keep their frequency and damping."""
+    one, other = (pack_config(default_config(), body(mass, inertia))[0] for mass, inertia in ((10, 0.03), (30, 0.12)))
+    assert other["r_weight"] * 9 == pytest.approx(one["r_weight"], rel=1e-12)
+    for name in ("stance_kp", "stance_kd", "swing_kp", "swing_kd"):
+        assert other[name] == pytest.approx(4 * one[name], rel=1e-12)
 
 
 def test_kernels_get_what_was_set() -> None:
     stance = StanceConfig(position_gain=(1, 2, 3, 4, 5, 6), velocity_gain=(7, 8, 9, 10, 11, 12), friction=0.7)
     swing = SwingConfig(velocity_feedback=(0.04, 0.05))
-    packed = pack_config(ControllerConfig(rate_hz=250.0, stance=stance, swing=swing), 100.0)[0]
+    packed = pack_config(ControllerConfig(rate_hz=250.0, stance=stance, swing=swing), body(10.0))[0]
     assert packed["dt"] == 0.004
     np.testing.assert_array_equal(packed["kp"], [1, 2, 3, 4, 5, 6])
     np.testing.assert_array_equal(packed["kd"], [7, 8, 9, 10, 11, 12])
@@ -95,7 +113,7 @@ def test_kernels_get_what_was_set() -> None:
 def test_every_parameter_reaches_the_kernels() -> None:
     """A setting that is accepted and ignored is worse than none."""
     config = default_config()
-    packed = pack_config(config, 100.0).tobytes()
+    packed = pack_config(config, body(10.0)).tobytes()
     for part in ("gait", "stance", "horizon", "swing"):
         settings = getattr(config, part)
         for field in dataclasses.fields(settings):
@@ -118,4 +136,4 @@ def test_every_parameter_reaches_the_kernels() -> None:
                     else 1.01 * value + 1e-4
                 )
             other = dataclasses.replace(config, **{part: dataclasses.replace(settings, **{field.name: changed})})
-            assert pack_config(other, 100.0).tobytes() != packed, f"{part}.{field.name}"
+            assert pack_config(other, body(10.0)).tobytes() != packed, f"{part}.{field.name}"

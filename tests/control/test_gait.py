@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from control.bodies import body
 from fastmimic.control.config import ControllerConfig, GaitConfig, pack_config
 from fastmimic.control.gait import plan_leg
 from fastmimic.control.state import MEMORY
+from fastmimic.conventions import GRAVITY
 
 WEIGHT = 100.0  # N
 LOADED, FREE, BETWEEN = 30.0, 0.0, 5.0  # N, about the thresholds of 10 N and 2 N
@@ -27,7 +29,7 @@ class Leg:
     INDEX = 2
 
     def __init__(self, stance: bool, settings: GaitConfig = SETTINGS) -> None:
-        self.config = pack_config(ControllerConfig(rate_hz=1 / DT, gait=settings), WEIGHT)
+        self.config = pack_config(ControllerConfig(rate_hz=1 / DT, gait=settings), body(WEIGHT / GRAVITY))
         self.memory = np.zeros(1, MEMORY)
         self.memory["stance"][0, self.INDEX] = stance
         self.memory["since_switch"][0, self.INDEX] = 1e3

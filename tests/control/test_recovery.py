@@ -35,7 +35,7 @@ class Walk:
     """One clock, and a robot that is where and as fast as it is told, relative to its reference's start."""
 
     def __init__(self, robot: Robot, motion: Motion, config: ControllerConfig) -> None:
-        self.config = pack_config(config, 1.0)
+        self.config = pack_config(config, robot)
         self.tables = reference_table(motion, robot)[None]
         self.clocks, self.seen = make_clocks(motion, 1), np.zeros(1, OBSERVATION)
 

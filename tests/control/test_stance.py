@@ -6,7 +6,8 @@ import daqp
 import numpy as np
 import pytest
 
-from fastmimic.control.config import ControllerConfig, StanceConfig, pack_config
+from control.bodies import body
+from fastmimic.control.config import REFERENCE_MASS, ControllerConfig, StanceConfig, pack_config
 from fastmimic.control.daqp import make_workspace
 from fastmimic.control.stance import (
     _HOLD_STEPS,
@@ -35,7 +36,7 @@ class Stance:
     """The QP of one robot, with everything around it at hand."""
 
     def __init__(self, arms: np.ndarray | None = None, stance: StanceConfig = STANCE) -> None:
-        self.config = pack_config(ControllerConfig(stance=stance), WEIGHT)
+        self.config = pack_config(ControllerConfig(stance=stance), body(MASS))
         self.stance = stance
         self.arms = np.array(arms if arms is not None else square(0.2, 0.13, 0.27))
         self.memory = np.zeros(1, MEMORY)
@@ -74,7 +75,7 @@ class Stance:
         """The same problem written down as a whole: 12 forces leg by leg, every condition a row."""
         unit = [self.acceleration(f.reshape(4, 3)) - self.acceleration(np.zeros((4, 3))) for f in np.eye(12)]
         a, q = np.array(unit).T, np.diag(self.stance.acceleration_weight)
-        hessian = 2 * (a.T @ q @ a + self.stance.force_weight * np.eye(12))
+        hessian = 2 * (a.T @ q @ a + float(self.config["r_weight"][0]) * np.eye(12))
         gradient = -2 * a.T @ q @ (desired - self.acceleration(np.zeros((4, 3))))
         rows, lower, upper = [], [], []
         for leg in range(4):
@@ -174,10 +175,10 @@ def test_no_allowed_forces_are_cheaper() -> None:
 
 
 def test_standing_still_carries_the_weight_in_equal_parts() -> None:
-    """Up to the price of force: R makes each newton cost, which takes R m²/(4 q) = 0.12 % off the weight here."""
+    """Up to the price of force: R makes each newton cost, which takes R m²/(4 q) = 0.13 % off any weight."""
     case = Stance()
     case.solve(STILL, (0, 1, 2, 3))
-    share = 1 / (1 + STANCE.force_weight * MASS**2 / (4 * STANCE.acceleration_weight[2]))
+    share = 1 / (1 + STANCE.force_weight * REFERENCE_MASS**2 / (4 * STANCE.acceleration_weight[2]))
     np.testing.assert_allclose(case.force, np.tile([0, 0, share * WEIGHT / 4], (4, 1)), atol=1e-6)
     assert share > 0.998
 

@@ -1,6 +1,7 @@
 """Closed-loop episodes: how they begin and end, what they are scored against, and that their figures agree."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 from fastmimic.rotations import quat_rotate, rotate_planar, yaw_from_quat
+from robot.mjcf import a1_tree, heavier, write
 
 STEPS = 600  # a bit over two periods
 
@@ -52,6 +54,18 @@ def start(motion: Motion) -> Start:
 @pytest.fixture(scope="module")
 def logged(loop: ClosedLoop, start: Start) -> Rollout:
     return loop.run(None, start, STEPS, log=True)
+
+
+def test_a_denser_robot_with_stronger_motors_moves_as_the_original(tmp_path: Path) -> None:
+    """Its physics are the same but for the unit of force; so must its controller's be."""
+    rollouts = []
+    for times in (1.0, 8.0):
+        robot = load_robot(write(heavier(a1_tree(), times), tmp_path / f"{times:g}.xml"))
+        rollouts.append(run_episodes(robot, gait(robot, (0.4, 0.0), 0.2), duration_s=1.0))
+    one, other = rollouts
+    assert not one.fell[0]
+    assert one.reward[0] > 0.8
+    np.testing.assert_allclose(other.reward, one.reward, rtol=0, atol=1e-3)
 
 
 def thrown(n: int, who: int = 0) -> Start:

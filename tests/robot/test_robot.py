@@ -10,6 +10,8 @@ import pytest
 
 from fastmimic.conventions import LEGS
 from fastmimic.errors import RobotError
+from fastmimic.motion.catalogue import open_clip
+from fastmimic.motion.retarget import retarget
 from fastmimic.robot import ROBOT_NAMES, load_robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 from robot.mjcf import (
@@ -166,6 +168,8 @@ def test_a_robot_with_meshes_beside_its_file_can_be_simulated(tmp_path: Path) ->
     ElementTree.SubElement(find(tree, "body", "trunk"), "geom", shell)
     robot = load_robot(write(tree, tmp_path / "meshes.xml"))
     assert Simulated(robot).model.nmesh == 1
+    assert robot.model().nmesh == 1
+    assert retarget(open_clip("walk"), robot)[0].n_samples > 0
 
 
 def test_degrees_are_read_as_degrees(tmp_path: Path) -> None:

@@ -1,19 +1,25 @@
 """The controller's parameters: one set for all motions and all robots.
 
-Gains act on accelerations and angles, so they do not depend on the robot's mass or size; forces and thresholds
-are given as multiples of the robot's weight.
+Gains of the trunk act on accelerations and angles, so they do not depend on the robot's mass or size; forces and
+thresholds are given as multiples of the robot's weight. What is left has the values of an A1 and becomes another
+robot's by two ratios: R by that of the masses squared, as a force moves a heavy trunk less; gains of joints by that of
+what the joints have to move, so that legs answer with the same frequency and damping.
 """
 
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.conventions import GRAVITY
 from fastmimic.errors import ConfigError, did_you_mean
 from fastmimic.jit import record_dtype
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
 
 Vector6 = tuple[float, float, float, float, float, float]
 Vector3 = tuple[float, float, float]
@@ -24,6 +30,10 @@ FOOTHOLDS: Final = ("reference", "raibert")
 FORCES: Final = ("instant", "horizon")
 MAX_HORIZON_STEPS: Final = 20
 FRICTION_SIDES: Final = (4, 8)
+REFERENCE_MASS: Final = 12.453000000000001
+"""Of the robot whose values R and the gains of joints have, kg: an A1's to the last bit, so that nothing is rounded."""
+REFERENCE_JOINT_INERTIA: Final = 0.037411360960741595
+"""The mean of its `joint_inertia`, kg·m²."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +73,7 @@ class StanceConfig:
             forces move the whole robot along the reference; not in the paper, whose legs weigh nothing.
         acceleration_limit: bound on each component of ẍ_des, m/s² and rad/s².
         acceleration_weight: diagonal of Q.
-        force_weight: diagonal of R, 1/N² relative to Q.
+        force_weight: diagonal of R, 1/N² relative to Q, for a robot as heavy as an A1; see the head of this file.
         friction: μ that the controller assumes.
         friction_sides: of the pyramid that stands for each foot's cone of friction: 4, whose edges lie √2 as far out as
             its sides, or 8, whose edges lie 1.08 as far out.
@@ -72,7 +82,8 @@ class StanceConfig:
         min_force, max_force: of each standing foot, multiples of the weight.
         adaptation: low-gain joint feedback towards where the foot will be: "full" with the turning of the body,
             "paper" without it (eq. 2), "off".
-        joint_stiffness, joint_damping: of that feedback, N·m/rad and N·m·s/rad.
+        joint_stiffness, joint_damping: of that feedback, N·m/rad and N·m·s/rad, for an A1's legs; see the head of
+            this file.
         leg_dynamics: add the torques that carry and accelerate the leg itself.
     """
 
@@ -133,7 +144,7 @@ class SwingConfig:
         velocity_feedback: K in x and y, s. In x the standing feet can hold the body back or push it on; in y, on two
             feet, only the next step can.
         position_feedback: the same for the base's position error, a fraction of it; 0 in the paper.
-        joint_stiffness, joint_damping: N·m/rad and N·m·s/rad.
+        joint_stiffness, joint_damping: N·m/rad and N·m·s/rad, for an A1's legs; see the head of this file.
         leg_dynamics: feed-forward of the leg's inverse dynamics along the reference.
         level: follow the reference foot relative to gravity and the ground (1) or to the trunk as it happens to be
             inclined (0); the paper's form is 0.
@@ -421,13 +432,10 @@ _DTYPE = record_dtype(
 )
 
 
-def pack_config(config: ControllerConfig, weight: float) -> NDArray[Any]:
-    """The configuration as a structured array of one record, for the kernels.
-
-    Args:
-        config: the parameters.
-        weight: the robot's weight, N.
-    """
+def pack_config(config: ControllerConfig, robot: "Robot") -> NDArray[Any]:
+    """The configuration for a robot, as a structured array of one record, for the kernels."""
+    weight = robot.mass * GRAVITY
+    stiffer = float(np.mean(robot.joint_inertia)) / REFERENCE_JOINT_INERTIA
     gait, stance, swing, horizon = config.gait, config.stance, config.swing, config.horizon
     record = np.zeros(1, _DTYPE)
     record["dt"] = 1.0 / config.rate_hz
@@ -445,7 +453,7 @@ def pack_config(config: ControllerConfig, weight: float) -> NDArray[Any]:
     record["leg_momentum"] = float(stance.leg_momentum)
     record["acceleration_limit"] = stance.acceleration_limit
     record["q_weight"] = stance.acceleration_weight
-    record["r_weight"] = stance.force_weight
+    record["r_weight"] = stance.force_weight * (REFERENCE_MASS / robot.mass) ** 2
     record["mu"] = stance.friction
     record["friction_sides"] = stance.friction_sides
     record["standing_inertia"] = stance.standing_inertia
@@ -459,13 +467,13 @@ def pack_config(config: ControllerConfig, weight: float) -> NDArray[Any]:
     record["horizon_position_weight"] = horizon.position_weight
     record["horizon_velocity_weight"] = horizon.velocity_weight
     record["horizon_force_weight"] = horizon.force_weight
-    record["stance_kp"] = stance.joint_stiffness
-    record["stance_kd"] = stance.joint_damping
+    record["stance_kp"] = stance.joint_stiffness * stiffer
+    record["stance_kd"] = stance.joint_damping * stiffer
     record["stance_dynamics"] = float(stance.leg_dynamics)
     record["velocity_feedback"] = swing.velocity_feedback
     record["position_feedback"] = swing.position_feedback
-    record["swing_kp"] = swing.joint_stiffness
-    record["swing_kd"] = swing.joint_damping
+    record["swing_kp"] = swing.joint_stiffness * stiffer
+    record["swing_kd"] = swing.joint_damping * stiffer
     record["swing_dynamics"] = float(swing.leg_dynamics)
     record["level"] = swing.level
     record["blend_time"] = swing.liftoff_blend_time

@@ -442,7 +442,7 @@ class Controller:
         self.memory = np.zeros(n, MEMORY)
         self.command = np.zeros(n, COMMAND)
         self._model = pack_model(robot)
-        self._config = pack_config(self.config, robot.mass * GRAVITY)
+        self._config = pack_config(self.config, robot)
         self._qp = make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS)
         self._scratch = np.zeros(1, SCRATCH)
         self.plan = np.zeros(n, PLAN)

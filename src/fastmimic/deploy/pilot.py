@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.control.controller import Controller
 from fastmimic.control.state import COMMAND, OBSERVATION
-from fastmimic.conventions import GRAVITY
 from fastmimic.deploy.itinerary import Follower, Itinerary
 from fastmimic.deploy.safety import Guard, NotingGuard, Violation
 from fastmimic.estimation.config import EstimatorConfig
@@ -117,7 +116,7 @@ class Pilot:
         self._failed = self.controller.memory["failed_in_a_row"]
         self.estimator = Estimator(robot, 1, config.rate_hz, estimator)
         recovers = config.recovery.enabled and policy is None
-        self.follower = Follower(itinerary, pack_config(config, robot.mass * GRAVITY) if recovers else None)
+        self.follower = Follower(itinerary, pack_config(config, robot) if recovers else None)
         self._path, _ = rising_path(robot, itinerary.stand)
         self._stiffness, self._damping = standing_gains(robot)
         self._reach = _height(robot, itinerary.stand)

@@ -184,7 +184,7 @@ def _vertical_need(
     """(t,) vertical force of the ground that moves the unloaded robot as the log says, by inverse dynamics, N."""
     import mujoco
 
-    model = mujoco.MjModel.from_xml_string(robot.xml)
+    model = robot.model()
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     data = mujoco.MjData(model)
     joints = [model.joint(name).id for name in robot.joint_names]

@@ -229,8 +229,7 @@ class ClosedLoop:
         self._tallies = np.zeros(n, TALLY)
         self._work = np.zeros((2, 3, 3))
         self._dt = 1.0 / config.rate_hz
-        weight = robot.mass * GRAVITY
-        self._recovery = pack_config(config, weight) if config.recovery.enabled else None
+        self._recovery = pack_config(config, robot) if config.recovery.enabled else None
         self._threshold = config.gait.contact_threshold * robot.mass * GRAVITY
 
     def run(

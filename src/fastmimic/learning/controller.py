@@ -10,7 +10,6 @@ from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.control.gait import plan_leg
 from fastmimic.control.reference import stack_tables
 from fastmimic.control.state import COMMAND, MEMORY
-from fastmimic.conventions import GRAVITY
 from fastmimic.errors import PolicyError
 from fastmimic.imitation.rollout import MakeController
 from fastmimic.jit import kernel
@@ -83,7 +82,7 @@ class PolicyController:
         self.tables = stack_tables([motion], robot)
         self.memory = np.zeros(n, MEMORY)
         self.command = np.zeros(n, COMMAND)
-        self._config = pack_config(config, robot.mass * GRAVITY)
+        self._config = pack_config(config, robot)
         self._settings = pack_settings(policy.config, robot)
         self._network = policy.network()
         self._senses = make_senses(n)

@@ -46,7 +46,7 @@ def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> Dem
     """Inverse dynamics of the whole robot, legs included: the wrench that the ground has to give."""
     import mujoco
 
-    model = mujoco.MjModel.from_xml_string(robot.xml)
+    model = robot.model()
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     data = mujoco.MjData(model)
     joints = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in robot.joint_names]

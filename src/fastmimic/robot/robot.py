@@ -35,6 +35,8 @@ class Robot:
         torque_limit: (12,) N·m.
         joint_speed_limit: (12,) rad/s.
         armature: (12,) reflected rotor inertia, kg·m².
+        joint_inertia: (12,) that each joint moves by itself, with all joints at zero and the trunk held: the diagonal
+            of the joint-space inertia, rotors included, kg·m².
         home_joint_pos: (12,) rad.
         home_height: base height in the home pose, m.
         trunk_mass, trunk_com_b: of the body that carries the legs.
@@ -62,6 +64,7 @@ class Robot:
     torque_limit: Array
     joint_speed_limit: Array
     armature: Array
+    joint_inertia: Array
     home_joint_pos: Array
     home_height: float
     trunk_mass: float
@@ -81,6 +84,18 @@ class Robot:
         """
         assert self.base_spec is not None
         return self.base_spec.copy()
+
+    def model(self) -> "mujoco.MjModel":
+        """A compiled model of the robot alone, without ground or gains.
+
+        Of `xml`, by which results are told apart everywhere; but of the specification if `xml` refers to files, such
+        as meshes, since it does not say where they are.
+        """
+        import mujoco
+
+        if ' file="' in self.xml:
+            return self.spec().compile()
+        return mujoco.MjModel.from_xml_string(self.xml)
 
     @property
     def thigh_length(self) -> float:
