@@ -56,6 +56,10 @@ class WorkerError(FastMimicError):
     """A job whose process or machine died each time that it was begun."""
 
 
+class ClusterError(FastMimicError):
+    """A cluster that jobs cannot be run on any more, whichever they are."""
+
+
 class LibraryError(FastMimicError):
     """A motion library that is damaged, or of other settings than those asked for."""
 

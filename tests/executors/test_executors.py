@@ -1,14 +1,16 @@
 """Every executor does the same: all jobs, whatever becomes of single ones."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from executors.work import do
-from fastmimic.errors import ClipError, ConfigError, WorkerError
+from fastmimic.errors import ClipError, ClusterError, ConfigError, WorkerError
 from fastmimic.executors import Executor, Outcome, make_executor
+from fastmimic.executors.local import LocalExecutor
+from fastmimic.executors.ray_cluster import _result
 
 TESTS = str(Path(__file__).parents[1])
 
@@ -56,6 +58,11 @@ def test_one_worker_works_in_this_process() -> None:
     assert told == [(0, 0.5), (1, 0.5)]
 
 
+def test_one_worker_in_a_process_of_its_own(tmp_path: Path) -> None:
+    found = by_job(LocalExecutor(1, in_process=False).run(do, [1, tmp_path / "once"]))
+    assert (found[0].result, found[1].result) == (2, "done the second time")
+
+
 @pytest.mark.parametrize(
     ("name", "options", "said"),
     [
@@ -73,6 +80,74 @@ def test_a_machine_that_lacks_the_package() -> None:
     pytest.importorskip("ray")  # whose processes do not find this file's neighbours of themselves
     with pytest.raises(ConfigError, match=r"cannot import what it is to do .*No module named 'executors'"):
         by_job(make_executor("ray", workers=1).run(do, [1]))
+
+
+def _lost(name: str) -> Exception:
+    """As Ray raises it."""
+    from ray import exceptions
+
+    kind = getattr(exceptions, name)
+    if name in ("ObjectLostError", "OwnerDiedError"):
+        return kind("ab12", None, "")  # type: ignore[no-any-return]
+    return kind() if name in ("WorkerCrashedError", "LocalRayletDiedError") else kind("as Ray says\nand more")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("WorkerCrashedError", "its process died 4 times"),
+        ("OutOfMemoryError", "its machine ran out of memory"),
+        ("NodeDiedError", "its machine was lost 4 times"),
+        ("OutOfDiskError", "disk is full"),
+        ("ObjectLostError", "its result was lost"),
+        ("OwnerDiedError", "its result was lost"),
+        ("TaskUnschedulableError", "no machine of the cluster can run it"),
+        ("PendingCallsLimitExceeded", "Ray lost it: as Ray says"),
+    ],
+)
+def test_a_job_that_is_lost_says_how(name: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    ray = pytest.importorskip("ray")
+    monkeypatch.setattr(ray, "get", _raising(_lost(name)))
+    result, error = _result(ray, "a job's")
+    assert result is None
+    assert isinstance(error, WorkerError)
+    assert said in str(error)
+    assert "died" not in str(error) or name == "WorkerCrashedError"
+    assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("LocalRayletDiedError", "the Ray cluster is gone"),
+        ("RaySystemError", "the Ray cluster is gone"),
+        ("RpcError", r"gone, or fails \(as Ray says\)"),
+        ("ConnectionError", r"gone, or fails \(refused\)"),
+        ("RuntimeEnvSetupError", "cannot set up the environment of a job"),
+    ],
+)
+def test_what_no_job_can_be_run_after_is_raised(name: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    ray = pytest.importorskip("ray")
+    error = ConnectionError("refused") if name == "ConnectionError" else _lost(name)
+    monkeypatch.setattr(ray, "get", _raising(error))
+    with pytest.raises(ClusterError, match=said):
+        _result(ray, "a job's")
+
+
+def test_a_jobs_own_broken_connection_is_its_defect(monkeypatch: pytest.MonkeyPatch) -> None:
+    ray = pytest.importorskip("ray")
+    cause = ConnectionError("refused")
+    raised = ray.exceptions.RayTaskError("do", "Traceback", cause, "ray::do", 1, "127.0.0.1")
+    monkeypatch.setattr(ray, "get", _raising(raised.as_instanceof_cause()))
+    with pytest.raises(ConnectionError):  # not a ClusterError
+        _result(ray, "a job's")
+
+
+def _raising(error: Exception) -> Callable[[object], None]:
+    def get(reference: object) -> None:
+        raise error
+
+    return get
 
 
 @pytest.mark.parametrize(

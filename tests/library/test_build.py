@@ -1,8 +1,10 @@
 """A library is built once, whatever happens meanwhile, and says what it is made of."""
 
 import errno
+import importlib
 import json
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,8 +41,6 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def mine(built: Path, tmp_path: Path) -> Path:
     """A copy of it, to be changed."""
-    import shutil
-
     return Path(shutil.copytree(built, tmp_path / "mine"))
 
 
@@ -107,6 +107,125 @@ def test_what_is_torn_is_noticed_and_done_again(harm: str, mine: Path) -> None:
     assert check(Library.open(mine)).sound
 
 
+def test_a_build_reads_no_motion_that_is_as_it_was_when_it_was_read_last(
+    mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fastmimic.library import records
+
+    read: list[str] = []
+    whole = records.sha256
+    monkeypatch.setattr(records, "sha256", lambda path: read.append(path.name) or whole(path))
+    for path in (mine / "records").iterdir():
+        path.touch()
+    assert build(of("trot", "pace"), mine, HERE).done == 0
+    assert len(read) == 2
+    assert build(of("trot", "pace"), mine, HERE).done == 0
+    assert len(read) == 2
+    assert check(Library.open(mine)).sound
+    assert len(read) == 4
+    motion = next((mine / "motions").glob("trot*"))
+    then = motion.stat()
+    motion.write_bytes(motion.read_bytes()[:-1] + b"x")
+    os.utime(motion, ns=(then.st_atime_ns, then.st_mtime_ns))  # lost without a trace
+    assert build(of("trot", "pace"), mine, HERE).done == 0
+    assert len(check(Library.open(mine)).damaged) == 1
+    (mine / "work" / "seen.json").write_text("{")
+    assert build(of("trot", "pace"), mine, HERE).done == 1
+
+
+def test_a_build_looks_through_no_source_that_is_as_it_was(
+    clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = importlib.import_module("fastmimic.library.build")
+    shutil.copytree(clips, tmp_path / "clips")
+    looked: list[str] = []
+    whole = module.survey
+    monkeypatch.setattr(module, "survey", lambda source, *a: looked.append(source.name) or whole(source, *a))
+
+    def again(confidence: float = 0.5, update: bool = False) -> list[str]:
+        looked.clear()
+        sources = find_sources(tmp_path / "clips")
+        build(Building(sources, RECIPE, ("a1",), confidence=confidence), tmp_path / "lib", HERE, update=update)
+        return looked
+
+    assert again() == ["pace", "torn", "trot"]
+    assert again() == ["torn"]  # what failed is tried again
+    assert again(confidence=0.4) == ["pace", "torn", "trot"]
+    (tmp_path / "clips" / "trot.txt").touch()
+    assert again(confidence=0.4) == ["torn", "trot"]
+    assert again(confidence=0.4, update=True) == ["pace", "torn", "trot"]
+
+
+def test_what_is_gone_from_a_folder_leaves_the_index(clips: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(clips, tmp_path / "clips").resolve()
+
+    def built(place: Path) -> list[str]:
+        sources = find_sources(place, exclude=["torn*"] if len(made) else [])
+        folders = [place] if place.is_dir() else []
+        library = build(Building(sources, RECIPE, ("a1",), folders=folders), tmp_path / "lib", HERE).library
+        problems = [survey.source.name for survey in library.surveys() if survey.problem]
+        return [row["name"] for row in library.index()] + problems
+
+    made: list[str] = []
+    made = built(folder)
+    assert made == ["pace", "trot", "torn"]
+    (folder / "trot.txt").unlink()
+    assert built(folder / "below") == ["pace", "trot", "torn"]  # nothing is said of other folders
+    assert built(folder) == ["pace"]
+    (old,) = Library.open(tmp_path / "lib").gathered().superseded
+    assert (old.name, old.why) == ("trot", "its source has changed or is gone")
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"pieces": [1]}'])
+def test_a_damaged_file_about_a_source_or_robot_takes_nothing_else_with_it(text: str, mine: Path) -> None:
+    library, before = Library.open(mine), contents(mine)
+    rows = library.index()
+    for kind in ("sources", "robots"):
+        next((mine / kind).iterdir()).write_text(text)
+    assert Library.open(mine).find("trot") == [row for row in rows if row["name"] == "trot"]
+    assert len(library.surveys()) == 1
+    health = check(library)
+    assert [line.split("/")[0] for line in health.damaged] == ["robots", "sources"]
+    assert all("the next build" in line for line in health.damaged)
+    assert health.foreign == ()
+    assert mend(library)[1] == 0
+    assert [row["id"] for row in library.index()] == [row["id"] for row in rows]
+    assert build(of("trot", "pace"), mine, HERE).done == 0
+    assert check(library).sound
+    assert library.index() == rows
+    assert contents(mine) == before
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"format_version": 1, "recipe": {}, "digest": "0"}'])
+def test_a_damaged_recipe_is_written_anew_by_the_next_build_like_it(text: str, mine: Path) -> None:
+    rows = Library.open(mine).index()
+    (mine / "library.json").write_text(text)
+    library = Library.open(mine)
+    assert library.index() == rows
+    assert len(check(library).damaged) == 1
+    with pytest.raises(LibraryError, match="cannot be read"):
+        build(replace(of("trot"), recipe=replace(RECIPE, iterations=5)), mine, HERE)
+    assert build(of("trot", "pace"), mine, HERE).done == 0
+    assert check(Library.open(mine)).sound
+
+
+def test_a_record_of_another_kind_is_none(mine: Path) -> None:
+    path = next((mine / "records").iterdir())
+    path.write_text(json.dumps({**json.loads(path.read_text()), "reward": "high"}))
+    assert check(Library.open(mine)).damaged == (f"records/{path.name}: not a whole record",)
+    assert build(of("trot", "pace"), mine, HERE).done == 1
+
+
+def test_what_a_killed_builder_has_left_is_removed(mine: Path) -> None:
+    left = [".index.parquet.x", "records/.a.json.x", "sources/.a.json.x", "motions/.a.npz.x"]
+    for name in left:
+        (mine / name).write_text("half")
+    (mine / ".gitignore").write_text("work/")
+    health, removed = mend(Library.open(mine))
+    assert (sorted(health.foreign), removed) == (sorted(left), 4)
+    assert (mine / ".gitignore").exists()
+
+
 def test_a_torn_checkpoint_is_begun_anew(mine: Path) -> None:
     before = contents(mine)
     for path in mine.glob("records/*.json"):
@@ -131,7 +250,7 @@ def test_a_longer_search_goes_on_from_the_shorter_one(mine: Path, monkeypatch: p
     assert [row["iterations"] for row in again.rows] == [5]  # the pace is of the old recipe
     health = check(Library.open(mine))
     assert len(health.foreign) == 4  # the old records, and their motions
-    assert mend(Library.open(mine), health) == 4
+    assert mend(Library.open(mine)) == (health, 4)
     assert check(Library.open(mine)).foreign == ()
 
 
@@ -259,9 +378,10 @@ def test_a_controllers_file_is_told_by_its_content(tmp_path: Path, monkeypatch: 
 
 def test_what_is_of_another_robot_leaves_the_index(mine: Path) -> None:
     library = Library.open(mine)
-    assert len(library.write_index()) == 2
+    assert library.write_index().table.num_rows == 2
     library.save_robot("a1", "another")
-    assert library.write_index() == []
+    assert library.write_index().table.num_rows == 0
+    assert {old.why for old in library.gathered().superseded} == {"its robot has changed"}
     assert len(check(library).foreign) == 4
     assert build(of("trot", "pace"), mine, HERE).done == 0
     assert len(library.index()) == 2
@@ -270,7 +390,7 @@ def test_what_is_of_another_robot_leaves_the_index(mine: Path) -> None:
 def test_the_index_of_a_running_build_is_written_once(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     others = iter(range(5))
     monkeypatch.setattr(Library, "_state", lambda self: {next(others)})
-    assert len(Library.open(mine).write_index(settled=False)) == 2
+    assert Library.open(mine).write_index(settled=False).table.num_rows == 2
     assert next(others) == 1
 
 
@@ -350,6 +470,23 @@ def test_warm_starts_are_of_the_nearest(built: Path, tmp_path: Path) -> None:
     assert done.rows[0]["reward"] >= rows["pace"]["reward"] - 1e-3
 
 
+def test_of_several_starts_the_one_of_the_last_build_counts(built: Path, mine: Path) -> None:
+    def starts(building: Building) -> list[str | None]:
+        return [row["warm_start"] for row in build(building, mine, HERE).rows if row["name"] == "pace"]
+
+    cold = {row["name"]: row["id"] for row in Library.open(mine).index()}
+    warm = replace(of("pace"), warm=Library.open(built))
+    assert starts(warm) == [cold["pace"]]
+    (old,) = Library.open(mine).gathered().superseded
+    (row,) = Library.open(mine).find("pace")
+    assert (old.id, old.why) == (cold["pace"], f"begun otherwise; instead of it there is {row['id']}")
+    assert starts(of("pace")) == [None]
+    assert starts(warm) == [cold["pace"]]
+    health, removed = mend(Library.open(mine))
+    assert removed == len(health.foreign) == 2  # the record, and its motion
+    assert {row["name"] for row in Library.open(mine).index()} == {"pace", "trot"}
+
+
 def test_a_rerun_notices_another_reward(mine: Path) -> None:
     library = Library.open(mine)
     assert rerun(library, 5) == ([], 2)
@@ -377,7 +514,9 @@ def test_lists(tmp_path: Path) -> None:
     assert [source.place for source in find_sources(tmp_path / "sheet.csv")] == ["trot"]
     found = find_sources(tmp_path / "clips.csv", licence="given")
     assert [(s.frames, s.licence) for s in found] == [((10, 20), "mine"), (None, "given")]
-    assert find_sources("dog:trot")[0].place == "dog:trot"
+    (tmp_path / "wrong.list").write_text("tort\n")
+    assert find_sources(tmp_path / "wrong.list")[0].place == "tort"  # said by the build, which does the others
+    assert find_sources("trot")[0].place == "trot"
 
 
 @pytest.mark.parametrize(
@@ -404,9 +543,8 @@ def test_folders_without_clips(tmp_path: Path) -> None:
         Library.open(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["", "{}", '{"format_version": 9, "recipe": {}}'])
-def test_a_library_that_cannot_be_read(text: str, mine: Path) -> None:
-    (mine / "library.json").write_text(text)
+def test_a_library_of_another_format(mine: Path) -> None:
+    (mine / "library.json").write_text('{"format_version": 9, "recipe": {}}')
     with pytest.raises(LibraryError, match=r"library\.json"):
         Library.open(mine)
 
@@ -420,5 +558,5 @@ def test_an_index_that_is_damaged_is_made_anew(harm: str, mine: Path) -> None:
         Library.open(mine).index()
     health = check(Library.open(mine))
     assert health.outdated
-    mend(Library.open(mine), health)
+    mend(Library.open(mine))
     assert Library.open(mine).index() == rows

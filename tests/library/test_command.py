@@ -48,9 +48,11 @@ def test_one_corrupt_clip_does_not_stop_the_others(run: Run, in_folder: Path) ->
     done = run("library", "build", "clips.list", "--out", "lib", *HERE)
     assert done.status == 3
     assert "1 records: 1 A" in done.out
-    failed = [line for line in done.err.splitlines() if line.startswith("failed: ")]
-    assert failed
-    assert all(line.count("broken.txt") == 1 for line in failed)
+    failed = [line for line in (done.err + done.out).splitlines() if "broken.txt" in line]
+    assert len(failed) == 1
+    assert failed[0].startswith("failed: ")
+    assert failed[0].count("broken.txt") == 1
+    assert "1 failed: 'fastmimic library list lib --grade failed' says which, and why" in done.out
     assert "broken.txt" in run("library", "list", "lib").out
 
 
@@ -63,6 +65,43 @@ def test_list_and_show(library: Path, run: Run) -> None:
     shown = json.loads(run("library", "show", library, rows[0]["id"][:6], "--json").out)["motions"]
     assert shown == rows
     assert f"id {'':20} {rows[0]['id']}".split() == run("library", "show", library, "trot").out.splitlines()[0].split()
+
+
+def test_records_that_are_superseded_or_of_another_version_are_told_of(library: Path, run: Run, tmp_path: Path) -> None:
+    mine = Path(shutil.copytree(library, tmp_path / "mine"))
+    rows = {row["name"]: row for row in Library.open(mine).index()}
+    path = mine / "records" / f"{rows['trot']['id']}.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "fastmimic_version": "0.0.1"}))
+    other = {**json.loads(path.read_text()), "id": "0" * 16, "recipe": "another"}
+    (mine / "records" / f"{other['id']}.json").write_text(json.dumps(other))
+    Library.open(mine).write_index()
+    listed = run("library", "list", mine).out
+    assert "made by several versions of FastMimic (1 by 0.0.1, 1 by " in listed
+    assert "1 more records are not in the index: 'list --superseded' says why" in listed
+    assert "00000000  trot  a1     0     made otherwise" in run("library", "list", mine, "--superseded").out
+    (said,) = json.loads(run("library", "list", mine, "--superseded", "--json").out)["superseded"]
+    assert said == {"id": other["id"], "name": "trot", "robot": "a1", "seed": 0, "why": "made otherwise"}
+    assert run("library", "verify", mine, "--mend").status == 0
+    assert "more records" not in run("library", "list", mine).out
+
+
+def test_list_and_show_say_what_is_damaged_and_go_on(library: Path, run: Run, tmp_path: Path) -> None:
+    mine = Path(shutil.copytree(library, tmp_path / "mine"))
+    (mine / "library.json").write_text("{")
+    torn = next((mine / "sources").iterdir())
+    torn.write_text("{")
+    listed = run("library", "list", mine)
+    assert listed.status == 0
+    assert listed.out == run("library", "list", library).out
+    damaged = [line.split(": ")[:2] for line in listed.err.splitlines()]
+    assert damaged == [["damaged", "library.json"], ["damaged", f"sources/{torn.name}"]]
+    assert run("library", "show", mine, "trot").status == 0
+    verified = run("library", "verify", mine)
+    assert verified.status == 3
+    assert f"damaged: sources/{torn.name}: cannot be read" in verified.out
+    assert run("library", "verify", mine, "--mend").status == 3
+    assert run("library", "build", "trot", "pace", "--out", mine, *HERE).out.startswith("2 motions, 0 of them made now")
+    assert run("library", "verify", mine).status == 0
 
 
 def test_export(library: Path, run: Run, in_folder: Path) -> None:
@@ -99,6 +138,15 @@ def test_verify(library: Path, run: Run, tmp_path: Path) -> None:
     [
         (["build", "--out", "x"], "name folders, lists, clips or motions"),
         (["build", "trot"], "--out"),
+        (
+            ["build", "trot", "tort", "--out", "x"],
+            "'tort' is neither the name of a motion nor a file; did you mean 'trot'",
+        ),
+        (["build", "trot", "dog:trto", "--out", "x"], "did you mean 'dog:trot'"),
+        (["build", "trot", "dog:trot", "--out", "x"], "run 'fastmimic data fetch'"),
+        (["build", "trot", "none.list", "--out", "x"], "no such list"),
+        (["build", "trot", "--out", "x", "--robots", "a1", "none.xml"], "none.xml"),
+        (["build", "trot", "--out", "x", "--executor", "ray", "--address", "127.0.0.1:9"], "no Ray cluster at"),
         (["build", "trot", "--out", "x", "--seeds", "0"], "seeds must be at least 1"),
         (["build", "trot", "--out", "x", "--iterations", "0"], "iterations must be at least 1"),
         (["build", "trot", "--out", "x", "--robots", "a2"], "unknown robot 'a2'"),

@@ -4,7 +4,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -16,10 +16,25 @@ from fastmimic.errors import ConfigError, FastMimicError, did_you_mean
 
 if TYPE_CHECKING:
     from fastmimic.library.build import Building, Step
-    from fastmimic.library.folder import Row
+    from fastmimic.library.folder import Library, Row
 
 EXIT_SOME_FAILED: Final = 3
 """Everything else was done."""
+_LISTED: Final = (
+    "id",
+    "name",
+    "robot",
+    "seed",
+    "gait",
+    "footfall",
+    "grade",
+    "kept",
+    "best",
+    "reward",
+    "reward_robots",
+    "lacks",
+)
+"""The columns that a list shows, or is chosen by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,13 +105,14 @@ class Build:
         with _progress(said) as progress:
             built = build(building, self.out, executor, update=self.update, progress=progress)
         put(f"{built.jobs} motions, {built.done} of them made now")
-        _summary(built.rows)
-        for line in built.failures:
-            note(f"failed: {line}")
+        _summary(built.library)
         for line in built.left_out:
             note(f"left out: {line}")
+        failed = len(built.failures)
+        if failed:
+            put(f"{failed} failed: 'fastmimic library list {self.out} --grade failed' says which, and why")
         put(f"library in {self.out}")
-        return EXIT_SOME_FAILED if built.failures else 0
+        return EXIT_SOME_FAILED if failed else 0
 
     def _building(self) -> "Building":
         from fastmimic.library import Building, Library, Recipe, find_sources
@@ -120,7 +136,8 @@ class Build:
             second_simulator=not self.no_second_simulator and _second_simulator(self.robots),
         )
         warm = None if self.warm_start is None else Library.open(self.warm_start)
-        return Building(sources, recipe, self.robots, self.seeds, self.confidence, self.discrete, warm)
+        folders = [path.resolve() for place in self.sources if (path := Path(place)).is_dir()]
+        return Building(sources, recipe, self.robots, self.seeds, self.confidence, self.discrete, warm, folders)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,6 +181,9 @@ class ListMotions(_Choice):
 
     library: Annotated[Positional[Path], arg(metavar="LIBRARY")]
     """Its folder."""
+    superseded: bool = False
+    """Instead, the records that do not belong to the library any more, and why: of another recipe, of a source or a
+    robot that has changed, or with another one in their place that began otherwise."""
     json: bool = False
     """Print one JSON object with all columns instead of a table."""
 
@@ -172,8 +192,9 @@ class ListMotions(_Choice):
         from fastmimic.library import Library
 
         library = Library.open(self.library)
-        rows = library.index()
-        chosen = self.chosen(rows)
+        if self.superseded:
+            return self._superseded(library)
+        chosen = self.chosen(library.index(() if self.json else _LISTED))
         if self.json:
             put(json.dumps({"motions": chosen}))
             return 0
@@ -181,10 +202,23 @@ class ListMotions(_Choice):
         lines = [head, *(_line(row) for row in chosen)]
         for line in table(lines, right=(6, 7)):
             put(line)
-        _summary(rows)
-        for survey in library.surveys():
-            if survey.problem is not None:
-                put(survey.problem)
+        _summary(library)
+        plan = library.plan()
+        for line in plan.problems:
+            put(line)
+        for line in plan.unreadable:
+            note(f"damaged: {line}")
+        return 0
+
+    def _superseded(self, library: "Library") -> int:
+        found = library.gathered().superseded
+        if self.json:
+            put(json.dumps({"superseded": [asdict(old) for old in found]}))
+            return 0
+        lines = [(old.id[:8], old.name, old.robot, str(old.seed), old.why) for old in found]
+        for line in table([("id", "name", "robot", "seed", "why"), *lines]):
+            put(line)
+        put(f"{len(found)} records superseded; 'fastmimic library verify {library.path} --mend' removes them")
         return 0
 
 
@@ -235,10 +269,11 @@ class Export(_Choice):
         """Writes them; returns the exit status."""
         from fastmimic.files import check_folder
         from fastmimic.library import Library
-        from fastmimic.library.exporting import export_library
+        from fastmimic.library.exporting import NEEDED, export_library
 
         library = Library.open(self.library)
-        chosen = [row for row in self.chosen(library.index()) if row["motion_file"] is not None]
+        columns = (*NEEDED, "kept", "best")
+        chosen = [row for row in self.chosen(library.index(columns)) if row["motion_file"] is not None]
         if not self.grade:
             chosen = [row for row in chosen if row["kept"]]
         if not chosen:
@@ -264,8 +299,8 @@ class Verify:
     rerun: Annotated[int, arg(metavar="INT")] = 0
     """Run so many motions' nominal episodes again, drawn at random, and compare them with what is recorded."""
     mend: bool = False
-    """Write the index anew, and remove damaged records, which the next build makes again, and files of no record. Not
-    while a build runs there."""
+    """Write the index anew, and remove damaged records, which the next build makes again, and files of no record.
+    Refused while a build runs there."""
 
     def run(self) -> int:
         """Does it; returns the exit status."""
@@ -276,8 +311,12 @@ class Verify:
         if self.rerun < 0:
             raise ConfigError(f"--rerun must not be negative, found {self.rerun}")
         library = Library.open(self.library)
+        removed = 0
         with count_progress("reading") as progress:
-            health = check(library, progress)
+            if self.mend:
+                health, removed = mend(library, progress)
+            else:
+                health = check(library, progress)
         put(f"{health.records} records, {len(health.damaged)} damaged, {len(health.foreign)} files of none")
         for line in health.damaged:
             put(f"damaged: {line}")
@@ -291,8 +330,8 @@ class Verify:
             for line in differing:
                 put(f"differs: {line}")
         if self.mend:
-            put(f"removed {mend(library, health)} files; index of {len(library.index())} records written")
-            return EXIT_SOME_FAILED if differing else 0
+            put(f"removed {removed} files; index of {len(library.index(('id',)))} records written")
+            return EXIT_SOME_FAILED if differing or health.unreadable else 0
         return 0 if health.sound and not differing else EXIT_SOME_FAILED
 
 
@@ -333,7 +372,9 @@ def _second_simulator(robots: Sequence[str]) -> bool:
 def _progress(said: str) -> "Iterator[Callable[[Step], None]]":
     """Says what is built once it begins; then a bar on a terminal, and in any case a line for each motion that is
     finished and each source that fails; and how to go on, if it was stopped."""
+    from fastmimic.library.build import describe_failure
     from fastmimic.library.grades import grade
+    from fastmimic.library.records import FAILED
 
     begun = False
     with slow_start() as started, share_progress("building") as bar:
@@ -345,10 +386,12 @@ def _progress(said: str) -> "Iterator[Callable[[Step], None]]":
                 begun = True
             if step.survey is not None and step.survey.failed is not None:
                 note(f"failed: {step.survey.problem}")
-            if step.record is not None:
+            if step.record is not None and step.record["status"] == FAILED:
+                note(f"failed: {describe_failure(step.record)}")
+            elif step.record is not None:
                 started()
                 r = step.record
-                what = grade(r)[0] if r["reward"] is None else f"reward {r['reward']:.3f}, {grade(r)[0]}"
+                what = f"reward {r['reward']:.3f}, {grade(r)[0]}"
                 note(f"{step.done}/{step.total} {r['name']} on {r['robot']} seed {r['seed']}: {what}")
             if bar is not None:
                 bar(step.share, f"{step.what} {step.done}/{step.total}")
@@ -361,12 +404,21 @@ def _progress(said: str) -> "Iterator[Callable[[Step], None]]":
             raise
 
 
-def _summary(rows: "Sequence[Row]") -> None:
+def _summary(library: "Library") -> None:
+    """How many of which grade, of which versions if there are several, and how many records besides."""
     from fastmimic.library.grades import FAILURE, GRADES, REJECTED
 
+    rows = library.index(("id", "grade", "fastmimic_version"))
     counted = Counter(row["grade"] for row in rows)
     said = ", ".join(f"{counted[name]} {name}" for name in (*GRADES, REJECTED, FAILURE) if counted[name])
     put(f"{len(rows)} records: {said}" if rows else "no records")
+    versions = Counter(row["fastmimic_version"] for row in rows if row["fastmimic_version"] is not None)
+    if len(versions) > 1:
+        made = ", ".join(f"{count} by {version}" for version, count in sorted(versions.items()))
+        put(f"made by several versions of FastMimic ({made}): 'verify --rerun' tells whether figures still hold")
+    others = library.record_ids().difference(row["id"] for row in rows)
+    if others:
+        put(f"{len(others)} more records are not in the index: 'list --superseded' says why")
 
 
 def _line(row: "Row") -> tuple[str, ...]:

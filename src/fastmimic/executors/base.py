@@ -22,7 +22,7 @@ class Outcome:
     Attributes:
         index: of the job, from 0.
         result: what the function returned; None if it raised.
-        error: what it raised, or a `WorkerError` if its process died every time; None without.
+        error: what it raised, or a `WorkerError` if its process or machine was lost every time; None without.
     """
 
     index: int
@@ -49,6 +49,9 @@ class Executor(Protocol):
             work: the function.
             jobs: what it is called with, one after another; anything that can be pickled.
             progress: called with a job's index and the share of it that is done, where the executor is told.
+
+        Raises:
+            ClusterError: no job can be run there any more.
         """
 
 

@@ -18,7 +18,8 @@ def make_executor(name: str, *, workers: int | None = None, address: str | None 
         address: of a running Ray cluster.
 
     Raises:
-        ConfigError: an unknown name, fewer than one worker, an address for another than Ray, or Ray is not installed.
+        ConfigError: an unknown name, fewer than one worker, an address for another than Ray or at which nobody
+            answers, or Ray is not installed.
     """
     if name not in EXECUTORS:
         raise ConfigError(f"unknown executor '{name}'; there are {', '.join(EXECUTORS)}{did_you_mean(name, EXECUTORS)}")

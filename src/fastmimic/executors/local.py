@@ -26,10 +26,12 @@ _ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREAD
 class LocalExecutor:
     """Processes on this machine."""
 
-    def __init__(self, workers: int | None = None) -> None:
+    def __init__(self, workers: int | None = None, *, in_process: bool = True) -> None:
         """
         Args:
-            workers: processes; one for each core if None. One runs the jobs one after another in this process.
+            workers: processes; one for each core if None.
+            in_process: whether a single one is this process itself, which runs the jobs one after another; otherwise
+                it is one of its own, too, which may die and is begun again.
 
         Raises:
             ConfigError: fewer than one.
@@ -37,6 +39,7 @@ class LocalExecutor:
         if workers is not None and workers < 1:
             raise ConfigError(f"workers must be at least 1, found {workers}")
         self._workers = workers if workers is not None else available_cores()
+        self._in_process = in_process
 
     @property
     def workers(self) -> int:
@@ -47,7 +50,7 @@ class LocalExecutor:
         self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
     ) -> Generator[Outcome, None, None]:
         """As `Executor.run`."""
-        if self._workers == 1:
+        if self._workers == 1 and self._in_process:
             return _here(work, jobs, progress)
         return _spread(work, jobs, self._workers, progress)
 

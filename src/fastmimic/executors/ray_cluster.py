@@ -7,10 +7,11 @@ in common is the installed package and, for jobs that read and write files, thos
 import logging
 import os
 import socket
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any, Final
 
-from fastmimic.errors import ConfigError, FastMimicError, WorkerError
+from fastmimic.errors import ClusterError, ConfigError, FastMimicError, WorkerError
 from fastmimic.executors.base import ATTEMPTS, Outcome, Work, attempt
 from fastmimic.machine import available_cores
 
@@ -19,6 +20,17 @@ _POLL_S: Final = 1.0
 _REACHED_S: Final = 5.0
 _NOT_IMPORTED: Final = "failed to import on the worker"  # as Ray says it
 _NO_MODULE: Final = "No module named"
+_LOST: Final = {
+    "WorkerCrashedError": f"its process died {ATTEMPTS} times; python-core-worker-*.log among Ray's logs may say why",
+    "OutOfMemoryError": "Ray stopped it, as its machine ran out of memory; fewer jobs on a machine leave more to each",
+    "NodeDiedError": f"its machine was lost {ATTEMPTS} times",
+    "OutOfDiskError": "its machine's disk is full",
+    "ObjectStoreFullError": "Ray's memory for results is full on its machine",
+    "ObjectLostError": "its result was lost with the machine that had it",
+    "TaskCancelledError": "somebody cancelled it",
+    "TaskUnschedulableError": "no machine of the cluster can run it",
+}
+"""What Ray's exceptions say of a job that was begun as often as it may be."""
 
 
 def require_ray() -> Any:
@@ -42,11 +54,13 @@ class RayExecutor:
             workers: cores of the one started here, all if None; of a running cluster, how many jobs at a time at most.
 
         Raises:
-            ConfigError: fewer than one worker, or Ray is not installed.
+            ConfigError: fewer than one worker, nobody answers at the address, or Ray is not installed.
         """
         if workers is not None and workers < 1:
             raise ConfigError(f"workers must be at least 1, found {workers}")
         require_ray()
+        if address is not None:
+            _check_reachable(address)
         self._address, self._limit = address, workers
 
     @property
@@ -69,12 +83,15 @@ class RayExecutor:
         running: dict[Any, int] = {}
         try:
             while True:
-                # asked for each time: machines come and go
-                while len(running) < _AHEAD * max(1, self.workers) and (following := next(waiting, None)) is not None:
-                    running[task.remote(work, following[1])] = following[0]
-                if not running:
-                    return
-                done, _ = ray.wait(list(running), timeout=_POLL_S)
+                with _cluster_there(ray):
+                    # asked for each time: machines come and go
+                    while (
+                        len(running) < _AHEAD * max(1, self.workers) and (next_one := next(waiting, None)) is not None
+                    ):
+                        running[task.remote(work, next_one[1])] = next_one[0]
+                    if not running:
+                        return
+                    done, _ = ray.wait(list(running), timeout=_POLL_S)
                 for reference in done:
                     index = running.pop(reference)
                     outcome = Outcome(index, *_result(ray, reference))
@@ -82,14 +99,13 @@ class RayExecutor:
                         progress(index, 1.0)
                     yield outcome
         finally:
-            for reference in running:
-                ray.cancel(reference, force=True)
+            with suppress(ray.exceptions.RayError, ConnectionError):  # there may be no cluster any more
+                for reference in running:
+                    ray.cancel(reference, force=True)
             if own:
                 ray.shutdown()
 
     def _connect(self, ray: Any) -> None:
-        if self._address is not None:
-            _check_reachable(self._address)
         quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
         try:
             if self._address is None:
@@ -101,10 +117,7 @@ class RayExecutor:
             where = (
                 f"no Ray cluster at '{self._address}'" if self._address is not None else "Ray cannot be started here"
             )
-            said = str(error).strip().splitlines()
-            raise ConfigError(
-                f"{where}: {said[0] if said else type(error).__name__}; 'ray status' shows a running one"
-            ) from None
+            raise ConfigError(f"{where}: {_first_line(error)}; 'ray status' shows a running one") from None
 
 
 def _check_reachable(address: str) -> None:
@@ -126,7 +139,8 @@ def _work(work: Work, job: Any) -> tuple[Any, FastMimicError | None]:
 
 def _result(ray: Any, reference: Any) -> tuple[Any, FastMimicError | None]:
     try:
-        result, error = ray.get(reference)
+        with _cluster_there(ray):
+            result, error = ray.get(reference)
     except ray.exceptions.RayTaskError as raised:
         cause = str(raised.cause)
         if _NOT_IMPORTED in cause or _NO_MODULE in cause:
@@ -135,7 +149,48 @@ def _result(ray: Any, reference: Any) -> tuple[Any, FastMimicError | None]:
                 f"a machine of the cluster cannot import what it is to do ({why}); install the same FastMimic on all"
             ) from None
         raise raised.as_instanceof_cause() from None
-    except ray.exceptions.RayError as died:
-        said = str(died).strip().splitlines()
-        return None, WorkerError(f"its process died {ATTEMPTS} times: {said[0] if said else type(died).__name__}")
+    except ray.exceptions.RayError as lost:
+        return None, WorkerError(_reason(ray, lost))
     return result, error
+
+
+@contextmanager
+def _cluster_there(ray: Any) -> Iterator[None]:
+    """Raises `ClusterError` for what is no single job's trouble."""
+    kinds = ray.exceptions
+    gone: tuple[type[Exception], ...] = (
+        *_kinds(ray, "LocalRayletDiedError", "RaySystemError", "RpcError"),
+        ConnectionError,
+    )
+    try:
+        yield
+    except kinds.RuntimeEnvSetupError as error:
+        raise ClusterError(
+            f"a machine of the cluster cannot set up the environment of a job: {_first_line(error)}"
+        ) from None
+    except _kinds(ray, "AuthenticationError") as error:
+        raise ClusterError(f"the Ray cluster does not let us in: {_first_line(error)}") from None
+    except gone as error:
+        if isinstance(error, kinds.RayTaskError):  # a job's own ConnectionError
+            raise
+        raise ClusterError(
+            f"the Ray cluster is gone, or fails ({_first_line(error)}); 'ray status' shows a running one"
+        ) from None
+
+
+def _reason(ray: Any, lost: Exception) -> str:
+    """Why a job has no result, in one line."""
+    for name, said in _LOST.items():
+        if isinstance(lost, _kinds(ray, name)):
+            return said
+    return f"Ray lost it: {_first_line(lost)}"
+
+
+def _kinds(ray: Any, *names: str) -> tuple[type[Exception], ...]:
+    """Ray's exceptions of those names, of which not every release has all."""
+    return tuple(getattr(ray.exceptions, name) for name in names if hasattr(ray.exceptions, name))
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0].strip().rstrip(".") if lines else type(error).__name__

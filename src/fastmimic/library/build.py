@@ -1,24 +1,30 @@
 """Building a library: look through the sources, do the jobs that are not done, write the index."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from random import Random
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.errors import ConfigError, LibraryError, OutputError, WorkerError
 from fastmimic.executors import Executor, Report
-from fastmimic.files import check_folder
-from fastmimic.library.folder import Library, Row, require_pyarrow
+from fastmimic.library.folder import DamagedError, Library, Row
+from fastmimic.library.index import Gathered, require_pyarrow
 from fastmimic.library.jobs import Job, give_up, now, perform, robot_digest
-from fastmimic.library.pieces import Survey, remove_survey, save_survey, survey
+from fastmimic.library.lock import building as locked
+from fastmimic.library.pieces import Survey, look_of, remove_survey, save_survey, survey
+from fastmimic.library.plan import OTHER_START
 from fastmimic.library.recipe import Recipe
-from fastmimic.library.records import FAILED, Record, load_record
+from fastmimic.library.records import FAILED, Record, load_record, save_record
+from fastmimic.library.seen import Seen
 from fastmimic.library.sources import Source
 from fastmimic.library.warm_start import Neighbours
-from fastmimic.robot import load_robot
+from fastmimic.robot import Robot, load_robot
+
+if TYPE_CHECKING:
+    import pyarrow
 
 CONFIDENCE: Final = 0.5
 INDEX_EVERY: Final = 200
@@ -39,6 +45,8 @@ class Building:
         confidence: from which a cycle found in a take counts.
         discrete: whether movement in takes that does not repeat is imitated, too.
         warm: a library whose results searches begin from; None to begin from the unmodulated motion.
+        folders: that the sources were found in, by their whole paths: what was found in files that are not there any
+            more is forgotten.
     """
 
     sources: Sequence[Source]
@@ -48,6 +56,7 @@ class Building:
     confidence: float = CONFIDENCE
     discrete: bool = False
     warm: Library | None = None
+    folders: Sequence[Path] = ()
 
     def __post_init__(self) -> None:
         if not self.robots:
@@ -84,7 +93,7 @@ class Built:
 
     Attributes:
         library: the library.
-        rows: of its index.
+        table: its index, as Arrow has it.
         surveys: of the sources that were asked for.
         ids: of the records of the jobs that they make.
         done: how many of them were done now; the others were there.
@@ -92,7 +101,7 @@ class Built:
     """
 
     library: Library
-    rows: list[Row]
+    table: "pyarrow.Table"
     surveys: list[Survey]
     ids: frozenset[str]
     done: int
@@ -103,12 +112,18 @@ class Built:
         """How many jobs the sources make."""
         return len(self.ids)
 
-    @property
+    @cached_property
+    def rows(self) -> list[Row]:
+        """Those of the index, with what other builds have made."""
+        rows: list[Row] = self.table.to_pylist()
+        return rows
+
+    @cached_property
     def failures(self) -> list[str]:
         """What of this build could not be done, a line each: source or motion, and why."""
         found = [survey.problem for survey in self.surveys if survey.failed is not None and survey.problem is not None]
-        rows = [row for row in self.rows if row["id"] in self.ids and row["status"] == FAILED]
-        return found + [f"{row['name']} on {row['robot']} seed {row['seed']}: {row['reason']}" for row in rows]
+        rows = self.table.select(["id", "status", "name", "robot", "seed", "reason"]).to_pylist()
+        return found + [describe_failure(row) for row in rows if row["id"] in self.ids and row["status"] == FAILED]
 
 
 def build(
@@ -125,11 +140,13 @@ def build(
         building: what.
         out: its folder; with a cluster, one that all machines see under the same path, as the sources.
         executor: where.
-        update: whether a library of another recipe may be made anew; its motions stay in the folder until removed.
+        update: whether a library of another recipe may be made anew; its motions stay in the folder until removed. All
+            sources are looked through again, too.
         progress: called with every step.
 
     Raises:
-        LibraryError: the folder holds a library of another recipe, or Arrow is not installed.
+        LibraryError: the folder holds a library of another recipe, or one that is being mended, or Arrow is not
+            installed.
         ConfigError: there is no such robot.
         OutputError: the folder cannot be written to, such as a full disk. What is finished is kept.
         KeyboardInterrupt: Ctrl-C; likewise.
@@ -139,12 +156,26 @@ def build(
     library = Library(Path(out).resolve())
     robots = {name: load_robot(name) for name in dict.fromkeys(building.robots)}
     neighbours = None if building.warm is None else Neighbours.of(building.warm)
+    with locked(library.path):
+        return _build(building, library, robots, neighbours, executor, update, began, progress)
+
+
+def _build(
+    building: Building,
+    library: Library,
+    robots: Mapping[str, Robot],
+    neighbours: Neighbours | None,
+    executor: Executor,
+    update: bool,
+    began: str,
+    progress: Callable[[Step], None] | None,
+) -> Built:
     _begin(library, building.recipe, update)
     digests = {name: robot_digest(robot) for name, robot in robots.items()}
     for name, digest in digests.items():
         library.save_robot(_place(name), digest)
     tell = progress if progress is not None else lambda step: None
-    surveys = _look(building, library, executor, tell)
+    surveys = _look(building, library, executor, tell, again=update)
     jobs = [
         Job(piece, _place(name), digests[name], seed, building.recipe, library.path, began=began)
         for survey in surveys
@@ -156,33 +187,54 @@ def build(
     if neighbours is not None:
         jobs = [replace(job, warm=neighbours.nearest(job.piece, job.robot)) for job in jobs]
     jobs = list({job.id: job for job in jobs}.values())
+    seen = Seen(library.path)
     try:
-        done = _make(jobs, library, executor, tell)
+        done = _make(jobs, library, seen, executor, tell)
     except BaseException:
         library.write_index(settled=False)
+        seen.save()
         raise
-    rows = library.write_index()
+    ids = frozenset(job.id for job in jobs)
+    table = _settle(library, ids).table
+    seen.save()
     names = {robot.name for robot in robots.values()}
     others = [p for s in surveys for p in s.pieces if p.robot is not None and p.robot not in names]
     left_out = [f"{piece.source}: already a motion of the {piece.robot}" for piece in others]
-    return Built(library, rows, surveys, frozenset(job.id for job in jobs), done, left_out)
+    return Built(library, table, surveys, ids, done, left_out)
+
+
+def describe_failure(record: Mapping[str, Any]) -> str:
+    """Of which motion, and why."""
+    return f"{record['name']} on {record['robot']} seed {record['seed']}: {record['reason']}"
+
+
+def _settle(library: Library, ids: frozenset[str]) -> Gathered:
+    """Writes the index of a build that ends. Records of its own that others, which began otherwise, have come after
+    become the last ones."""
+    found = library.write_index()
+    earlier = [old.id for old in found.superseded if old.id in ids and old.why.startswith(OTHER_START)]
+    for record in filter(None, (load_record(library.path, identity) for identity in earlier)):
+        save_record(library.path, record | {"finished": now()})
+    return library.write_index() if earlier else found
 
 
 def _begin(library: Library, recipe: Recipe, update: bool) -> None:
+    there, was = None, {}
     try:
         there = library.recipe_digest()
         was = library.settings()
+    except DamagedError:
+        if not (update or library.holds(recipe.digest)):
+            raise
     except LibraryError:
         if not update:
             raise
-        there, was = None, {}
     if there is not None and there != recipe.digest and not update:
         said = ", ".join(f"{name} was {was[name]}" for name, value in asdict(recipe).items() if was[name] != value)
         raise LibraryError(
             f"{library.path}: holds a library made otherwise ({said or 'another controller'}); --update makes it anew,"
             " or choose another --out"
         )
-    check_folder(library.path)
     if there != recipe.digest:
         library.save_recipe(recipe)
 
@@ -193,31 +245,47 @@ def _place(robot: str) -> str:
     return str(path.resolve()) if path.is_file() else robot.lower()
 
 
-def _look(building: Building, library: Library, executor: Executor, tell: Callable[[Step], None]) -> list[Survey]:
-    """Looks through all sources; what is found is kept in the library, and returned in the order of the sources."""
+def _look(
+    building: Building, library: Library, executor: Executor, tell: Callable[[Step], None], *, again: bool
+) -> list[Survey]:
+    """Looks through the sources, but for those that are as they were; what is found is kept in the library, and
+    returned in the order of the sources."""
     sources = list(building.sources)
+    known = {survey.source: survey for survey in library.surveys()}
     found: dict[int, Survey] = {}
-    tell(Step("looking", 0, len(sources), 0.0))
+    for i, source in enumerate(sources):
+        old = None if again else known.get(source)
+        if old is None or old.looked is None:
+            continue
+        if old.looked == look_of(source, building.confidence, building.discrete):
+            found[i] = old
+    missing = [i for i in range(len(sources)) if i not in found]
+    tell(Step("looking", len(found), len(sources), len(found) / len(sources) if sources else 1.0))
     looking = partial(_survey, confidence=building.confidence, discrete=building.discrete)
-    with closing(executor.run(looking, sources)) as outcomes:
+    with closing(executor.run(looking, [sources[i] for i in missing])) as outcomes:
         for outcome in outcomes:
             if isinstance(outcome.error, OutputError):
                 raise outcome.error
-            source = sources[outcome.index]
-            found[outcome.index] = outcome.result or Survey(source, failed=str(outcome.error))
-            save_survey(library.path, found[outcome.index])
-            share = len(found) / len(sources)
-            tell(Step("looking", len(found), len(sources), share, survey=found[outcome.index]))
-    _supersede(library, sources)
+            at = missing[outcome.index]
+            found[at] = outcome.result or Survey(sources[at], failed=str(outcome.error))
+            save_survey(library.path, found[at])
+            tell(Step("looking", len(found), len(sources), len(found) / len(sources), survey=found[at]))
+    _forget(library, building, known.values())
     return [found[i] for i in range(len(sources))]
 
 
-def _supersede(library: Library, sources: Sequence[Source]) -> None:
+def _forget(library: Library, building: Building, known: Iterable[Survey]) -> None:
     """Forgets what was found in the same parts of the same files when they were read otherwise: at another rate, with
-    another licence."""
+    another licence. Of the folders that are built of, also what is not there any more, and what could not be read and
+    is not asked for any more."""
+    sources = building.sources
     keys, parts = {source.key for source in sources}, {(source.place, source.frames) for source in sources}
-    for old in library.surveys():
-        if (old.source.place, old.source.frames) in parts and old.source.key not in keys:
+    for old in known:
+        if old.source.key in keys:
+            continue
+        place = Path(old.source.place)
+        within = any(place.is_relative_to(folder) for folder in building.folders)
+        if (old.source.place, old.source.frames) in parts or (within and (old.failed or not place.exists())):
             remove_survey(library.path, old)
 
 
@@ -225,18 +293,20 @@ def _survey(source: Source, report: Report, *, confidence: float, discrete: bool
     return survey(source, confidence, discrete)
 
 
-def _make(jobs: Sequence[Job], library: Library, executor: Executor, tell: Callable[[Step], None]) -> int:
+def _make(jobs: Sequence[Job], library: Library, seen: Seen, executor: Executor, tell: Callable[[Step], None]) -> int:
     """Does the jobs whose record is not there; how many."""
-    missing = [job for job in jobs if not _finished(job)]
+    missing = [job for job in jobs if not seen.finished(job.id, job.motion_file)]
     # builders that share a folder begin at different ends, and each leaves out what another has done meanwhile
     Random().shuffle(missing)
     total, done = len(jobs), len(jobs) - len(missing)
-    shares: dict[int, float] = {}
+    begun: dict[int, float] = {}  # the share that is done of each that runs
+    over: set[int] = set()
     tell(Step("making", done, total, done / total if total else 1.0))
 
     def progress(index: int, share: float) -> None:
-        shares[index] = share
-        tell(Step("making", done, total, (total - len(missing) + sum(shares.values())) / total))
+        if index not in over:  # it may have been told late
+            begun[index] = share
+        tell(Step("making", done, total, (done + sum(begun.values())) / total))
 
     since, every = 0, INDEX_EVERY
     with closing(executor.run(perform, missing, progress)) as outcomes:
@@ -249,15 +319,13 @@ def _make(jobs: Sequence[Job], library: Library, executor: Executor, tell: Calla
             else:
                 record = outcome.result
             done, since = done + 1, since + 1
-            shares[outcome.index] = 1.0
-            share = (total - len(missing) + sum(shares.values())) / total
-            tell(Step("making", done, total, share, record=record))
+            over.add(outcome.index)
+            begun.pop(outcome.index, None)
+            if record["status"] != FAILED:
+                seen.add(job.id, job.motion_file)
+            tell(Step("making", done, total, (done + sum(begun.values())) / total, record=record))
             if since >= every:
-                every = max(INDEX_EVERY, round(INDEX_SHARE * len(library.write_index(settled=False))))
-                since = 0
+                found = library.write_index(settled=False)
+                seen.save()
+                every, since = max(INDEX_EVERY, round(INDEX_SHARE * found.table.num_rows)), 0
     return len(missing)
-
-
-def _finished(job: Job) -> bool:
-    record = load_record(job.folder, job.id)
-    return record is not None and record["status"] != FAILED

@@ -17,6 +17,8 @@ _COLUMNS: Final = (
     *("file", "name", "robot", "seed", "gait", "footfall", "grade", "reward", "period_s", "speed_m_s"),
     *("yaw_rate_rad_s", "source", "licence", "credit", "id"),
 )
+NEEDED: Final = (*_COLUMNS[1:], "robot_file", "motion_file", "lacks")
+"""Columns of the index that an export is made of."""
 
 
 def export_library(
@@ -32,7 +34,7 @@ def export_library(
 
     Args:
         library: the library.
-        rows: of its index, each with a motion.
+        rows: of its index, each with a motion; `NEEDED` of their columns.
         folder: where to.
         form: one of `fastmimic.motion.export.EXPORTS`.
         fps: frames a second.

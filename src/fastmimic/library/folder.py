@@ -13,18 +13,19 @@ folder, and what one of them was killed over is done again by the next. The inde
 builder ends; it is never the only place of anything.
 """
 
-import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.errors import LibraryError, did_you_mean
 from fastmimic.files import replace_file
-from fastmimic.library.grades import KEPT, grade, rank
-from fastmimic.library.pieces import Piece, Survey, load_surveys
+from fastmimic.library.index import GRADED, Gathered, gather, require_pyarrow
+from fastmimic.library.pieces import SOURCES, Piece, Survey, load_surveys
+from fastmimic.library.plan import ROBOTS, Plan, load_robots, save_robot
 from fastmimic.library.recipe import Recipe
 from fastmimic.library.records import COLUMNS, COSTS, MOTIONS, RECORDS, Record, damage, read_record
 from fastmimic.motion.motion import Motion
@@ -34,28 +35,13 @@ if TYPE_CHECKING:
 
 SETTINGS: Final = "library.json"
 INDEX: Final = "index.parquet"
-ROBOTS: Final = "robots"
 FORMAT_VERSION: Final = 1
 
 Row = dict[str, Any]
 
-GRADED: Final = {"grade": str, "lacks": str, "kept": bool, "best": bool}
-"""What a row of the index has besides the record: its grade, what it lacks for a better one, whether it is kept, and
-whether it is the best of its piece and robot."""
 
-
-def robot_of(record: Mapping[str, Any]) -> str:
-    """Which robot a record is about: its name, or its file."""
-    return str(record["robot_file"] or record["robot"])
-
-
-def require_pyarrow() -> Any:
-    """Arrow's module for Parquet; raises `LibraryError` with what to do if it is not installed."""
-    try:
-        import pyarrow.parquet
-    except ImportError:
-        raise LibraryError("a library's index needs Arrow: pip install 'fastmimic[library]'") from None
-    return pyarrow.parquet
+class DamagedError(LibraryError):
+    """A library whose recipe cannot be read."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +56,7 @@ class Library:
 
     @classmethod
     def open(cls, path: str | Path) -> "Library":
-        """An existing one.
+        """An existing one. What of it is damaged, `plan` tells.
 
         Raises:
             LibraryError: there is none, or it is of another format.
@@ -78,7 +64,8 @@ class Library:
         library = cls(Path(path))
         if not (library.path / SETTINGS).is_file():
             raise LibraryError(f"{path}: no library there; 'fastmimic library build SOURCES --out {path}' makes one")
-        library.recipe_digest()  # the format is checked
+        with suppress(DamagedError):
+            library.recipe_digest()  # the format is checked
         return library
 
     def recipe(self) -> Recipe | None:
@@ -119,7 +106,7 @@ class Library:
         except FileNotFoundError:
             return None
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise LibraryError(f"{path}: cannot be read ({error}); build with --update to write it anew") from None
+            raise DamagedError(f"{path}: cannot be read ({error}); the next build like it mends it") from None
         return said
 
     def save_recipe(self, recipe: Recipe) -> None:
@@ -129,74 +116,44 @@ class Library:
         )
         replace_file(self.path / SETTINGS, lambda file: file.write(text.encode()))
 
-    def robots(self) -> dict[str, str]:
-        """The digests of its robots' descriptions when they were last built for, by name or file.
-
-        Raises:
-            LibraryError: a file cannot be read.
-        """
-        found = {}
-        for path in (self.path / ROBOTS).glob("*.json"):
-            try:
-                said = json.loads(path.read_text(encoding="utf-8"))
-                found[str(said["robot"])] = str(said["digest"])
-            except (OSError, ValueError, TypeError, KeyError) as error:
-                raise LibraryError(f"{path}: cannot be read ({error}); remove it and build again") from None
-        return found
-
     def save_robot(self, robot: str, digest: str) -> None:
         """Keeps the digest of a robot's description; raises `OutputError` if it cannot."""
-        text = json.dumps({"robot": robot, "digest": digest}, indent=1)
-        key = hashlib.sha256(robot.encode()).hexdigest()[:12]
-        replace_file(self.path / ROBOTS / f"{key}.json", lambda file: file.write(text.encode()))
+        save_robot(self.path, robot, digest)
 
     def surveys(self) -> list[Survey]:
-        """What was found in its sources; raises `LibraryError`."""
-        return load_surveys(self.path)
+        """What was found in its sources, but for those whose file is damaged."""
+        return load_surveys(self.path)[0]
 
-    def records(self) -> Iterator[Record]:
-        """The records that belong to it now: of its recipe, its robots, and pieces that its sources have.
-
-        A record of an earlier recipe, or of a source or a robot that has changed, stays in the folder and is nobody's.
-        What a record says of its piece is as the source has it now: the same content may be found elsewhere, or under
-        another licence.
-
-        Raises:
-            LibraryError: what it is made of cannot be read.
-        """
-        recipe = self.recipe_digest()
-        robots = self.robots()
+    def plan(self) -> Plan:
+        """What it is to hold; raises `LibraryError` if it is of another format."""
+        surveys, sources = load_surveys(self.path)
+        robots, unreadable = load_robots(self.path)
+        try:
+            recipe = self.recipe_digest()
+        except DamagedError as error:
+            recipe, unreadable = None, [str(error).removeprefix(f"{self.path}/"), *unreadable]
         pieces: dict[str, list[Piece]] = {}
-        for survey in self.surveys():
+        for survey in surveys:
             for piece in survey.pieces:
                 pieces.setdefault(piece.digest, []).append(piece)
-        for path in sorted((self.path / RECORDS).glob("*.json")):
-            record = read_record(path)
-            if record is None or record["recipe"] != recipe or record["piece"] not in pieces:
-                continue
-            if robots.get(robot_of(record), record["robot_digest"]) != record["robot_digest"]:
-                continue
-            there = pieces[record["piece"]]
-            own = (piece for piece in there if (piece.source.place, piece.name) == (record["source"], record["name"]))
-            yield record | next(own, there[0]).described
+        problems = tuple(survey.problem for survey in surveys if survey.problem is not None)
+        return Plan(recipe, robots, pieces, (*unreadable, *sources), not sources, problems)
 
-    def graded(self) -> list[Row]:
-        """The rows of the index, by name, robot and seed."""
-        rows = []
-        for record in self.records():
-            reached, lacks = grade(record)
-            rows.append({**record, "grade": reached, "lacks": lacks or None, "kept": reached in KEPT, "best": False})
-        best: dict[tuple[str, str], Row] = {}
-        for row in rows:
-            key = (row["piece"], robot_of(row))
-            if key not in best or rank(row) > rank(best[key]):
-                best[key] = row
-        for row in best.values():
-            row["best"] = row["kept"]
-        return sorted(rows, key=lambda row: (row["name"], row["robot"], row["seed"], row["id"]))
+    def record_ids(self) -> set[str]:
+        """Of all records that are there, whether they belong to it or not."""
+        return {path.stem for path in (self.path / RECORDS).glob("*.json")}
 
-    def write_index(self, *, settled: bool = True) -> list[Row]:
-        """Makes the index of what is there; its rows.
+    def holds(self, recipe: str) -> bool:
+        """Whether any of its records is of the recipe with that digest, or it has none."""
+        paths = list((self.path / RECORDS).glob("*.json"))
+        return not paths or any(record is not None and record["recipe"] == recipe for record in map(read_record, paths))
+
+    def gathered(self) -> Gathered:
+        """All its records, those that belong to it and those that do not any more."""
+        return gather(self.path, self.plan())
+
+    def write_index(self, *, settled: bool = True) -> Gathered:
+        """Makes the index of what is there; that.
 
         Args:
             settled: whether to make it again until no other builder has finished anything meanwhile: for one that ends,
@@ -209,33 +166,40 @@ class Library:
         parquet = require_pyarrow()
         while True:
             there = self._state()
-            rows = self.graded()
-            table = _table(rows)
-            replace_file(self.path / INDEX, lambda file, table=table: parquet.write_table(table, file))  # type: ignore[misc]
+            found = self.gathered()
+            replace_file(self.path / INDEX, partial(parquet.write_table, found.table))
             if not settled or self._state() == there:
-                return rows
+                return found
 
-    def index(self) -> list[Row]:
+    def index(self, columns: Sequence[str] = ()) -> list[Row]:
         """The rows of the index.
+
+        Args:
+            columns: those that are wanted; all if empty, which are many for a large library.
 
         Raises:
             LibraryError: there is none, or it is damaged.
         """
+        rows: list[Row] = self.index_table(columns).to_pylist()
+        return rows
+
+    def index_table(self, columns: Sequence[str] = ()) -> "pyarrow.Table":
+        """The same as Arrow's table; raises as `index`."""
         parquet = require_pyarrow()
         path = self.path / INDEX
         if not path.is_file():
             raise LibraryError(f"{path}: no index yet; 'fastmimic library build' makes it when it ends")
         try:
-            table = parquet.read_table(path)
+            there = parquet.read_schema(path).names
+            table = parquet.read_table(path, columns=[name for name in columns if name in there] or None)
         except (OSError, ValueError) as error:
             raise LibraryError(
                 f"{path}: damaged ({str(error).splitlines()[0]}); 'fastmimic library verify --mend' makes it anew"
             ) from None
-        missing = [name for name in (*COLUMNS, *GRADED) if name not in table.column_names]
+        missing = [name for name in (columns or (*COLUMNS, *GRADED)) if name not in table.column_names]
         if missing:
             raise LibraryError(f"{path}: no column '{missing[0]}'; 'fastmimic library verify --mend' makes it anew")
-        rows: list[Row] = table.to_pylist()
-        return rows
+        return table
 
     def find(self, name: str) -> list[Row]:
         """The rows whose id begins with `name`, or whose name it is.
@@ -243,14 +207,17 @@ class Library:
         Raises:
             LibraryError: there are none; the closest names are listed.
         """
-        rows = self.index()
-        found = [row for row in rows if row["name"] == name] or [row for row in rows if row["id"].startswith(name)]
+        table = self.index_table()
+        rows = table.select(["id", "name"]).to_pylist()
+        found = [i for i, row in enumerate(rows) if row["name"] == name]
+        found = found or [i for i, row in enumerate(rows) if row["id"].startswith(name)]
         if not found:
             raise LibraryError(
                 f"{self.path}: no motion '{name}'{did_you_mean(name, {row['name'] for row in rows})}"
                 f" ('fastmimic library list {self.path}')"
             )
-        return found
+        chosen: list[Row] = table.take(found).to_pylist()
+        return chosen
 
     def motion(self, row: Row) -> Motion:
         """The motion of a row.
@@ -279,8 +246,9 @@ class Health:
     Attributes:
         records: how many were looked at.
         damaged: what is wrong, a line each; to build again mends it.
-        useless: the files of what is damaged, relative to the library.
-        foreign: files that belong to no record: of earlier recipes, changed sources, or killed builders.
+        useless: the files of damaged records, relative to the library.
+        foreign: files of no record that belongs to it: of earlier recipes, changed sources, or killed builders.
+        unreadable: the lines of `damaged` about files that say what the library is made of.
         outdated: whether the index is not of these records.
     """
 
@@ -288,6 +256,7 @@ class Health:
     damaged: tuple[str, ...]
     useless: tuple[str, ...]
     foreign: tuple[str, ...]
+    unreadable: tuple[str, ...]
     outdated: bool
 
     @property
@@ -303,55 +272,39 @@ def check(library: Library, progress: Callable[[int, int], None] | None = None) 
         library: the library.
         progress: called with (files done, files in all).
     """
-    paths = sorted((library.path / RECORDS).glob("*.json"))
-    current = {record["id"] for record in library.records()}
-    damaged, useless, known = [], [], set()
-    for i, path in enumerate(paths):
-        record = read_record(path)
-        if record is None:
-            damaged.append(f"{RECORDS}/{path.name}: not a whole record")
-            useless.append(f"{RECORDS}/{path.name}")
-        elif record["id"] in current:
-            known.add(record["motion_file"])
-            wrong = damage(library.path, record)
-            if wrong is not None:
-                damaged.append(f"{record['id']}: {wrong}")
-                useless += [f"{RECORDS}/{path.name}", *([record["motion_file"]] if record["motion_file"] else [])]
+    there = {f"{MOTIONS}/{path.name}" for path in (library.path / MOTIONS).glob("*")}
+    plan = library.plan()
+    found = gather(library.path, plan)
+    damaged = [*plan.unreadable, *(f"{RECORDS}/{name}: not a whole record" for name in found.torn)]
+    useless = [f"{RECORDS}/{name}" for name in found.torn]
+    motions = found.column("motion_file")
+    columns = (found.column(name) for name in ("id", "status", "motion_sha256"))
+    for i, (identity, status, sha, motion) in enumerate(zip(*columns, motions, strict=True)):
+        wrong = damage(library.path, {"motion_file": motion, "motion_sha256": sha, "status": status})
+        if wrong is not None:
+            damaged.append(f"{identity}: {wrong}")
+            useless += [f"{RECORDS}/{identity}.json", *([motion] if motion is not None else [])]
         if progress is not None:
-            progress(i + 1, len(paths))
-    motions = {f"{MOTIONS}/{path.name}" for path in (library.path / MOTIONS).glob("*")}
-    foreign = sorted(motions - known) + sorted(
-        f"{RECORDS}/{path.name}"
-        for path in paths
-        if path.stem not in current and f"{RECORDS}/{path.name}" not in useless
+            progress(i + 1, len(motions))
+    foreign = {*there.difference(motions), *(f"{RECORDS}/{old.id}.json" for old in found.superseded)}
+    foreign |= {
+        str(path.relative_to(library.path))
+        for pattern in (f".{INDEX}.*", f".{SETTINGS}.*", *(f"{name}/.*.json.*" for name in (RECORDS, SOURCES, ROBOTS)))
+        for path in library.path.glob(pattern)  # `fastmimic.files.replace_file` was killed
+    }
+    records = len(motions) + len(found.superseded) + len(found.torn)
+    return Health(
+        records, tuple(damaged), tuple(useless), tuple(sorted(foreign)), plan.unreadable, _outdated(library, found)
     )
-    return Health(len(paths), tuple(damaged), tuple(useless), tuple(foreign), _outdated(library))
 
 
-def _outdated(library: Library) -> bool:
+def _outdated(library: Library, found: Gathered) -> bool:
     try:
-        rows = library.index()
+        return not found.table.equals(library.index_table().select(found.table.column_names))
     except LibraryError:
         return True
-    return [_compared(row) for row in rows] != [_compared(row) for row in library.graded()]
-
-
-def _compared(row: Row) -> Row:
-    return {name: row[name] for name in (*COLUMNS, *GRADED)}
 
 
 def reproducible(record: Record) -> Record:
     """The part of a record that is the same whenever, wherever and by whomever it is made."""
     return {name: value for name, value in record.items() if name not in COSTS}
-
-
-def _table(rows: Sequence[Row]) -> "pyarrow.Table":
-    import pyarrow
-
-    types = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_()}
-    columns = {**COLUMNS, **GRADED}
-    schema = pyarrow.schema([(name, types[kind]) for name, kind in columns.items()])
-    converted = [
-        {name: None if row[name] is None else kind(row[name]) for name, kind in columns.items()} for row in rows
-    ]
-    return pyarrow.Table.from_pylist(converted, schema=schema)

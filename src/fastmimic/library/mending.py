@@ -7,14 +7,15 @@ import numpy as np
 from fastmimic.control.config import controller_config
 from fastmimic.errors import MotionError, OutputError, RobotError
 from fastmimic.imitation.rollout import run_episodes
-from fastmimic.library.folder import Health, Library
+from fastmimic.library.folder import Health, Library, check
+from fastmimic.library.lock import mending
 from fastmimic.library.pieces import reason_of
-from fastmimic.library.records import MOTIONS, RECORDS
 from fastmimic.methods import method_named
 from fastmimic.pipeline import default_duration
 from fastmimic.robot import load_robot
 
 _DRAW_SEED = 0
+_COLUMNS = ("id", "name", "robot", "robot_file", "method", "motion_file", "reward", "lacks")
 
 
 def rerun(library: Library, count: int, progress: Callable[[int, int], None] | None = None) -> tuple[list[str], int]:
@@ -36,7 +37,7 @@ def rerun(library: Library, count: int, progress: Callable[[int, int], None] | N
     recipe = library.recipe()
     assert recipe is not None, "an open library has one"
     controller = controller_config(recipe.config)
-    rows = [row for row in library.index() if row["motion_file"] is not None]
+    rows = [row for row in library.index(_COLUMNS) if row["motion_file"] is not None]
     drawn = np.random.default_rng(_DRAW_SEED).permutation(len(rows))[:count]
     found = []
     for i, at in enumerate(drawn):
@@ -58,21 +59,30 @@ def rerun(library: Library, count: int, progress: Callable[[int, int], None] | N
     return found, len(drawn)
 
 
-def mend(library: Library, health: Health) -> int:
-    """Removes what is damaged and what belongs to no record, and writes the index; how many files it removed.
+def mend(library: Library, progress: Callable[[int, int], None] | None = None) -> tuple[Health, int]:
+    """Removes what is damaged and what belongs to no record, and writes the index.
+
+    Args:
+        library: the library.
+        progress: as of `fastmimic.library.folder.check`.
+
+    Returns:
+        What was found before, and how many files were removed.
 
     Raises:
+        LibraryError: a build runs there: what it has begun looks like what belongs to no record.
         OutputError: a file cannot be removed.
     """
     removed = 0
-    for name in sorted({*health.useless, *health.foreign}):
-        assert name.startswith((RECORDS, MOTIONS)), "nothing else is looked at"
-        try:
-            (library.path / name).unlink()
-            removed += 1
-        except FileNotFoundError:
-            continue
-        except OSError as error:
-            raise OutputError(f"{library.path / name}: cannot be removed ({error.strerror or error})") from None
-    library.write_index()
-    return removed
+    with mending(library.path):
+        health = check(library, progress)
+        for name in sorted({*health.useless, *health.foreign}):
+            try:
+                (library.path / name).unlink()
+                removed += 1
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                raise OutputError(f"{library.path / name}: cannot be removed ({error.strerror or error})") from None
+        library.write_index()
+    return health, removed

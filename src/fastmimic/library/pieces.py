@@ -10,7 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from fastmimic.errors import ClipError, FastMimicError, LibraryError, OutputError
+from fastmimic import __version__
+from fastmimic.errors import ClipError, FastMimicError, OutputError
 from fastmimic.files import replace_file
 from fastmimic.library.sources import Source
 from fastmimic.motion.catalogue import open_clip
@@ -92,6 +93,14 @@ class Piece:
         return piece
 
 
+_KINDS: Final = {
+    **dict.fromkeys(("name", "digest", "gait"), str),
+    **dict.fromkeys(("footfall", "robot", "licence", "credit"), str | None),
+    **dict.fromkeys(("confidence", "period_s", "speed_m_s", "yaw_rate_rad_s"), int | float),
+    "repeats": bool,
+}
+
+
 @dataclass(frozen=True)
 class Survey:
     """What was found in a source.
@@ -101,12 +110,14 @@ class Survey:
         pieces: to be imitated.
         skipped: why there are none; None if there are.
         failed: why it cannot be read; None if it can.
+        looked: when what looked at it as it was then (see `look_of`); None if that cannot be told.
     """
 
     source: Source
     pieces: tuple[Piece, ...] = ()
     skipped: str | None = None
     failed: str | None = None
+    looked: str | None = None
 
     @property
     def problem(self) -> str | None:
@@ -124,15 +135,38 @@ def survey(source: Source, confidence: float, discrete: bool = False) -> Survey:
         discrete: whether movement in a take that does not repeat is imitated, too.
     """
     try:
-        opened = _open(source)
-        if isinstance(opened, Motion):
-            return Survey(source, (_of_motion(source, opened),))
-        if source.frames is not None:
-            found = replace(as_one_cycle(opened), gait=WHOLE, confidence=1.0)
-            return Survey(source, (_piece(source, opened, source.frames, found, repeats=is_one_cycle(opened)),))
-        return _of_take(source, opened, confidence, discrete)
+        looked = look_of(source, confidence, discrete)
+        return replace(_found(source, confidence, discrete), looked=looked)
     except Exception as error:  # noqa: BLE001 - one source's defect, of which there may be a thousand others
         return Survey(source, failed=reason_of(error))
+
+
+def look_of(source: Source, confidence: float, discrete: bool) -> str | None:
+    """What a survey depends on, with a file told by its size and time: one that says the same need not be made again.
+
+    Args:
+        source, confidence, discrete: as of `survey`.
+
+    Returns:
+        In words; None for a name, of which it cannot be told.
+    """
+    files = [source.place, *([] if source.point_map is None else [source.point_map])]
+    try:
+        states = [Path(place).stat() for place in files]
+    except OSError:
+        return None
+    said = ", ".join(f"{state.st_size} bytes of {state.st_mtime_ns}" for state in states)
+    return f"{said}, confidence {confidence}, discrete {discrete}, fastmimic {__version__}"
+
+
+def _found(source: Source, confidence: float, discrete: bool) -> Survey:
+    opened = _open(source)
+    if isinstance(opened, Motion):
+        return Survey(source, (_of_motion(source, opened),))
+    if source.frames is not None:
+        found = replace(as_one_cycle(opened), gait=WHOLE, confidence=1.0)
+        return Survey(source, (_piece(source, opened, source.frames, found, repeats=is_one_cycle(opened)),))
+    return _of_take(source, opened, confidence, discrete)
 
 
 def reason_of(error: Exception) -> str:
@@ -257,26 +291,31 @@ def remove_survey(folder: Path, found: Survey) -> None:
         raise OutputError(f"{path}: cannot be removed ({error.strerror or error})") from None
 
 
-def load_surveys(folder: Path) -> list[Survey]:
-    """What was found in all sources of a library, by their names.
-
-    Raises:
-        LibraryError: a file cannot be read.
-    """
-    found = [_load(path) for path in sorted((folder / SOURCES).glob("*.json"))]
-    return sorted(found, key=lambda survey: (survey.source.name, survey.source.key))
+def load_surveys(folder: Path) -> tuple[list[Survey], list[str]]:
+    """What was found in the sources of a library, by their names; and the files that cannot be read, a line each."""
+    found, unreadable = [], []
+    for path in sorted((folder / SOURCES).glob("*.json")):
+        try:
+            found.append(_load(path))
+        except FileNotFoundError:  # another builder has forgotten it meanwhile
+            continue
+        except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
+            unreadable.append(f"{SOURCES}/{path.name}: cannot be read ({error}); the next build of its source mends it")
+    return sorted(found, key=lambda survey: (survey.source.name, survey.source.key)), unreadable
 
 
 def _load(path: Path) -> Survey:
-    try:
-        said: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        pieces = tuple(
-            Piece(**{**piece, "source": _source(piece["source"]), "frames": _pair(piece["frames"])})
-            for piece in said["pieces"]
-        )
-        return Survey(_source(said["source"]), pieces, said["skipped"], said["failed"])
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise LibraryError(f"{path}: cannot be read ({error}); remove it and build again") from None
+    said: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    source = _source(said["source"])
+    pieces = tuple(_whole({**piece, "source": source, "frames": _pair(piece["frames"])}) for piece in said["pieces"])
+    return Survey(source, pieces, said["skipped"], said["failed"], said.get("looked"))
+
+
+def _whole(said: dict[str, Any]) -> Piece:
+    for name, kind in _KINDS.items():
+        if not isinstance(said[name], kind):
+            raise TypeError(f"'{name}' is {said[name]!r}")
+    return Piece(**said)
 
 
 def _source(said: dict[str, Any]) -> Source:

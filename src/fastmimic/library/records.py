@@ -86,6 +86,8 @@ COSTS: Final = {"wall_s": float, "cpu_s": float, "finished": str}
 
 COLUMNS: Final = {**IDENTITY, **FIGURES, **COSTS}
 """Name → type. A record has a value or None in each."""
+_KINDS: Final[dict[type, Any]] = {str: str, int: int, float: (int, float), bool: (bool, int, float)}  # as JSON has them
+_NEEDED: Final = ("name", "piece", "robot", "robot_digest", "seed", "recipe", "status")
 
 
 def empty() -> Record:
@@ -124,9 +126,10 @@ def read_record(path: Path) -> Record | None:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    if not isinstance(found, dict) or set(found) != set(COLUMNS) or found["id"] != path.stem:
+    if not isinstance(found, dict) or found.keys() != COLUMNS.keys() or found["id"] != path.stem:
         return None
-    return found
+    whole = all(value is None or isinstance(value, _KINDS[COLUMNS[name]]) for name, value in found.items())
+    return found if whole and all(found[name] is not None for name in _NEEDED) else None
 
 
 def damage(folder: Path, record: Mapping[str, Any]) -> str | None:

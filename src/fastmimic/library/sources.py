@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fastmimic.errors import LibraryError
+from fastmimic.motion.catalogue import check_name
 
 SUFFIXES: Final = (".txt", ".csv", ".bvh", ".json", ".npz")
 """Files of a folder that may be clips; what they are is told by their content."""
@@ -76,6 +77,7 @@ def find_sources(
 
     Raises:
         LibraryError: nothing is there, or a line of the list that cannot be read.
+        ClipError: `place` is no motion's name, or its recording is not fetched. What a list names is not looked at yet.
     """
     path = Path(place)
     if path.is_dir():
@@ -87,6 +89,8 @@ def find_sources(
         return _of_list(path, licence, credit)
     if not path.exists() and (path.suffix or "/" in str(place)):
         raise LibraryError(f"{place}: no such file or folder")
+    if not path.exists():
+        check_name(str(place))
     return [Source(str(path.resolve()) if path.is_file() else str(place), licence=licence, credit=credit)]
 
 
