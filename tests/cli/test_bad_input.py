@@ -30,6 +30,14 @@ def truncated_motion(folder: Path) -> Path:
     return path
 
 
+def policy(folder: Path) -> Path:
+    """A file with a version as motions have it, and otherwise none of their arrays."""
+    np.savez(
+        path := folder / "policy.npz", format_version=np.int64(1), meta_json=np.str_("{}"), weight0=np.zeros((2, 2))
+    )
+    return path
+
+
 KEYPOINTS = keypoint_text(12)
 FILES = {
     "missing": (lambda folder: folder / "none.txt", "none.txt: no such file"),
@@ -40,6 +48,7 @@ FILES = {
     "nan": (write("nan.txt", KEYPOINTS.replace("0.37000", "nan", 1)), "line 1"),
     "one frame": (write("one.txt", KEYPOINTS.splitlines()[0]), "frame"),
     "truncated json": (write("cut.json", '{"Frames": [[1, 2'), "cut.json"),
+    "other npz": (policy, "not a FastMimic motion: array"),
     "truncated npz": (truncated_motion, "not a readable .npz motion"),
 }
 

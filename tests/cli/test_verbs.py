@@ -285,6 +285,15 @@ def test_the_verbs_take_what_a_motion_was_optimised_with(
     ]
 
 
+def test_render_tells_the_sizes_that_it_takes(run: Run) -> None:
+    from fastmimic.report.encoding import GIF_SIZE
+    from fastmimic.report.quality import HIGH, PREVIEW
+
+    said = " ".join(run("render", "--help").out.replace("│", " ").split())
+    sizes = [f"{w}x{h}" for w, h in (PREVIEW.size, HIGH.size, GIF_SIZE)]
+    assert f"by default {sizes[0]}, of high quality {sizes[1]}, of a GIF {sizes[2]}" in said
+
+
 def test_render_without_opengl_is_an_error(run: Run, monkeypatch: pytest.MonkeyPatch, in_folder: Path) -> None:
     monkeypatch.setenv("MUJOCO_GL", "disable")
     done = run("render", "trot", "--kinematic", "--duration", "0.2", "--out", "trot.mp4")

@@ -191,7 +191,9 @@ def test_goes_without_what_is_missing(
     assert ids >= stays | {"notes"}
 
 
-@pytest.mark.parametrize("damage", ["no such folder", "empty", "unfinished", "metrics", "two with --out", "ending"])
+@pytest.mark.parametrize(
+    "damage", ["no such folder", "empty", "unfinished", "policy", "metrics", "two with --out", "ending"]
+)
 def test_one_line_for_what_cannot_be(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: str
 ) -> None:
@@ -203,6 +205,9 @@ def test_one_line_for_what_cannot_be(
         arguments += [str(tmp_path / "empty")]
     elif damage == "unfinished":
         (run / "metrics.json").unlink()
+    elif damage == "policy":
+        (run / "metrics.json").unlink()
+        (run / "policy.npz").write_bytes(b"a policy")
     elif damage == "metrics":
         (run / "metrics.json").write_text('{"motion": "trot"}')
     elif damage == "two with --out":
@@ -214,7 +219,23 @@ def test_one_line_for_what_cannot_be(
     error = capsys.readouterr().err
     assert error.startswith("fastmimic: error: ")
     assert error.count("\n") == 1
+    assert ("'fastmimic evaluate MOTION --policy" in error) == (damage == "policy")
     assert not list(tmp_path.rglob("*.html"))
+
+
+def test_of_a_motion_done_once_no_cycle_and_no_drift_is_told(run: Path, page: Parsed, tmp_path: Path) -> None:
+    drift = [key for key, *_ in page.metrics if key == "drift_m_per_s.after"]
+    assert len(drift) == 2  # large, and in the table
+    assert "One loop a cycle" in (html := make_report(run).html)
+    assert "Drift is what" not in html
+    folder = tmp_path / "once"
+    once = ["--frames", "0:40", "--discrete", "--no-optimize", "--no-video", "--out", str(folder)]
+    assert main(["imitate", "trot", *once]) == 0
+    html = make_report(folder).html
+    assert "One loop a cycle" not in html
+    assert "From the first posture to the last" in html
+    assert "the motion is done once" in html
+    assert [key for key, *_ in Parsed(html).metrics if key == "drift_m_per_s.before"] == ["drift_m_per_s.before"]
 
 
 def test_without_viser_one_line_says_what_to_install(

@@ -246,6 +246,7 @@ def test_a_push_changes_the_velocity(a1: Robot, library: Library) -> None:
 def test_payload_and_friction_reach_the_simulation(a1: Robot, library: Library) -> None:
     session = LiveSession(a1, library)
     session.run(0.5)
+    assert session.snapshot().measured.all()  # each foot carries a quarter of the weight
     session.world.set_payload(3.0)
     session.world.set_friction(0.3)
     session.run(1.5)

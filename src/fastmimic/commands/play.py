@@ -1,18 +1,14 @@
 """`fastmimic play`: the robot live in the browser, steered by hand."""
 
-import sys
-import threading
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from fastmimic.commands.console import note, put, slow_start
-
-if TYPE_CHECKING:
-    from fastmimic.viewer.play import PlayPage
+from fastmimic.commands.console import slow_start
+from fastmimic.commands.serving import serve
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,21 +59,10 @@ class Play:
                 library = Library(robot, motions, executor=executor, source=name)
                 session = LiveSession(robot, library, method=self.method, config=config)
             try:
-                return self._serve(PlayPage(session, f"{robot.name}, live", self.port))
+                with PlayPage(session, f"{robot.name}, live", self.port) as page:
+                    return serve(page, ", ".join(library.names), self.port)
             finally:
                 executor.shutdown(wait=False, cancel_futures=True)
-
-    def _serve(self, page: "PlayPage") -> int:
-        with page:
-            if page.server.get_port() != self.port:
-                note(f"port {self.port} is taken; listening on {page.server.get_port()} instead")
-            put(f"{', '.join(page.session.library.names)}: open {page.url} in a browser; Ctrl-C ends it")
-            sys.stdout.flush()
-            try:
-                page.run(threading.Event())
-            except KeyboardInterrupt:
-                note("closed")
-        return 0
 
 
 def _behind_the_scenes() -> None:

@@ -43,7 +43,7 @@ class Render(MotionOptions):
     config: Annotated[str | None, arg(metavar="default|robust|paper|FILE")] = None
     """The controller's parameters; by default those with which the motion was optimised, or "default"."""
     size: Annotated[str | None, arg(metavar="WxH")] = None
-    """Width and height, pixels; by default 960x540, of high quality 1280x720, of a GIF 640x360."""
+    """Width and height, pixels; by default 800x450, of high quality 1280x720, of a GIF 640x360."""
     frame_rate: Annotated[float | None, arg(metavar="HZ")] = None
     """Frames a second of the video; by default 30, or a GIF's 20."""
     slow_motion: Annotated[float, arg(metavar="FACTOR")] = 1.0

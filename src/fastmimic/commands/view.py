@@ -2,16 +2,15 @@
 
 import dataclasses
 import json
-import sys
-import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from fastmimic.commands.console import note, put, slow_start
+from fastmimic.commands.console import slow_start
 from fastmimic.commands.options import MotionOptions, check_duration
+from fastmimic.commands.serving import serve
 from fastmimic.errors import ConfigError, MotionError
 
 if TYPE_CHECKING:
@@ -62,15 +61,7 @@ class View(MotionOptions):
         command = self._of_run(Path(self.motion)) if run else self
         robot, shown, heading, animal = command._prepare(run=run)
         with Viewer(robot, shown, heading, self.port, animal) as viewer:
-            if viewer.server.get_port() != self.port:
-                note(f"port {self.port} is taken; listening on {viewer.server.get_port()} instead")
-            put(f"{heading}: open {viewer.url} in a browser; Ctrl-C ends it")
-            sys.stdout.flush()
-            try:
-                viewer.run(threading.Event())
-            except KeyboardInterrupt:
-                note("closed")
-        return 0
+            return serve(viewer, heading, self.port)
 
     def _check_combination(self) -> None:
         if self.kinematic:

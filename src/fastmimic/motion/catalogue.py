@@ -150,6 +150,18 @@ def open_clip(
     return replace(clip, is_cycle=False) if discrete else clip
 
 
+def check_name(name: str, folder: str | Path | None = None) -> None:
+    """Makes sure that `open_clip` knows a motion of that name, and has its recording; reads nothing.
+
+    Raises:
+        ClipError: it does not (lists the closest), or the data is not fetched.
+    """
+    if name not in motion_names():
+        raise _unknown(name)
+    if name in RECORDED:
+        _recording(name, folder)
+
+
 def _opened(
     name_or_path: str | Path,
     robot: "Robot | None",
@@ -177,9 +189,7 @@ def _opened(
         return _recorded(name, fps, up, scale, frames, folder)
     path = Path(name_or_path)
     if not os.path.exists(path) and not _looks_like_path(name):
-        names = motion_names()
-        hint = did_you_mean(name, names) or f"; the names are {', '.join(names)}"
-        raise ClipError(f"'{name}' is neither the name of a motion nor a file{hint}")
+        raise _unknown(name)
     clip = read_clip(path, robot=robot, fps=fps, up=up, scale=scale, frames=frames, point_map=point_map)
     dataset = dataset_of(path)
     if dataset is None:
@@ -213,12 +223,7 @@ def _recorded(
     folder: str | Path | None,
 ) -> Clip:
     motion = RECORDED[name]
-    path = find_file(motion.dataset, motion.file, folder)
-    if path is None:
-        raise ClipError(
-            f"'{name}' needs {motion.dataset}/{motion.file}, which is not in {data_folder(folder)}:"
-            " run 'fastmimic data fetch', or set FASTMIMIC_DATA to a folder that has it"
-        )
+    path = _recording(name, folder)
     clip = read_clip(path, fps=fps, up=up, scale=scale, frames=motion.frames)
     dataset = next(d for d in DATASETS if d.name == motion.dataset)
     assumed = list(clip.meta["assumed"])
@@ -233,6 +238,23 @@ def _recorded(
     }
     clip = replace(clip, is_cycle=True, meta=clip.meta | provenance)
     return clip if frames is None else _cut(name, clip, frames)
+
+
+def _recording(name: str, folder: str | Path | None) -> Path:
+    motion = RECORDED[name]
+    path = find_file(motion.dataset, motion.file, folder)
+    if path is None:
+        raise ClipError(
+            f"'{name}' needs {motion.dataset}/{motion.file}, which is not in {data_folder(folder)}:"
+            " run 'fastmimic data fetch', or set FASTMIMIC_DATA to a folder that has it"
+        )
+    return path
+
+
+def _unknown(name: str) -> ClipError:
+    names = motion_names()
+    hint = did_you_mean(name, names) or f"; the names are {', '.join(names)}"
+    return ClipError(f"'{name}' is neither the name of a motion nor a file{hint}")
 
 
 def _cut(name: str, clip: Clip, frames: tuple[int, int]) -> Clip:

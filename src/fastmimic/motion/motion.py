@@ -169,7 +169,7 @@ class Motion:
                 demonstration = _from_arrays({k[n:]: v for k, v in arrays.items() if k.startswith(_DEMONSTRATION)})
             return _from_arrays(arrays, demonstration)
         except KeyError as error:
-            raise MotionError(f"{path}: array {error} is missing") from None
+            raise MotionError(f"{path}: not a FastMimic motion: array {error} is missing") from None
         except (MotionError, ValueError, TypeError) as error:
             raise MotionError(f"{path}: {error}") from None
 

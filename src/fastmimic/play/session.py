@@ -140,7 +140,9 @@ class LiveSession:
         self._enter(self.library.entry(name))
         self.goal = name
         self._following = self._entry
-        self._threshold = self._given.gait.contact_threshold * robot.mass * GRAVITY
+        gait, weight = self._given.gait, robot.mass * GRAVITY
+        self._threshold = gait.contact_threshold * weight  # of an early contact
+        self._loaded = gait.release_threshold * weight
         self.reset()
 
     # what is asked for
@@ -279,7 +281,7 @@ class LiveSession:
             force=force,
             asked=asked if up else np.zeros((4, 3)),
             wanted=truth["contact"].astype(bool),
-            measured=force[:, 2] > self._threshold,
+            measured=force[:, 2] > self._loaded,
             stance=memory["stance"].astype(bool),
             terms=terms,
             reward=float(terms @ np.array(WEIGHTS)),

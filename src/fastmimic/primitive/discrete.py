@@ -21,10 +21,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import ConfigError, MotionError
+from fastmimic.errors import MotionError
 from fastmimic.jit import kernel
 from fastmimic.primitive.fixed_order import product, solve_positive_definite
 from fastmimic.primitive.rhythmic import ALPHA, N_BASIS
+from fastmimic.primitive.samples import checked_samples
 
 Array = NDArray[np.float64]
 
@@ -106,15 +107,7 @@ class DiscreteDmp:
             MotionError: fewer than 4 samples, a value that is not finite, or longer than `MAX_S`.
             ConfigError: a duration, α, ridge or number of functions that is not positive.
         """
-        settings = {"duration_s": duration_s, "n_basis": n_basis, "ridge": ridge, "alpha": alpha}
-        for name, value in settings.items():
-            if not (np.isfinite(value) and value > 0):
-                raise ConfigError(f"{name} must be positive, found {value}")
-        y = np.array(samples, dtype=np.float64)
-        if y.ndim != 2 or len(y) < 4:
-            raise MotionError(f"a discrete DMP needs at least 4 samples, found shape {y.shape}")
-        if not np.all(np.isfinite(y)):
-            raise MotionError(f"sample {int(np.argwhere(~np.isfinite(y))[0][0])} of the motion is not finite")
+        y = checked_samples(samples, "the motion", duration_s=duration_s, n_basis=n_basis, ridge=ridge, alpha=alpha)
         if duration_s > MAX_S:
             raise MotionError(
                 f"a motion that does not repeat lasts {MAX_S:g} s at most, found {duration_s:.1f} s; choose a part"

@@ -17,9 +17,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import ConfigError, MotionError
 from fastmimic.primitive.fixed_order import product, solve_positive_definite
 from fastmimic.primitive.placement import basis_widths, normalised_basis, place_basis
+from fastmimic.primitive.samples import checked_samples
 
 Array = NDArray[np.float64]
 
@@ -75,15 +75,7 @@ class RhythmicDmp:
             MotionError: fewer than 4 samples, or a value that is not finite.
             ConfigError: a period, α, ridge or number of functions that is not positive.
         """
-        settings = {"period_s": period_s, "n_basis": n_basis, "ridge": ridge, "alpha": alpha}
-        for name, value in settings.items():
-            if not (np.isfinite(value) and value > 0):
-                raise ConfigError(f"{name} must be positive, found {value}")
-        y = np.asarray(samples, dtype=np.float64)
-        if y.ndim != 2 or len(y) < 4:
-            raise MotionError(f"a rhythmic DMP needs one cycle of at least 4 samples, found shape {y.shape}")
-        if not np.all(np.isfinite(y)):
-            raise MotionError(f"sample {int(np.argwhere(~np.isfinite(y))[0][0])} of the cycle is not finite")
+        y = checked_samples(samples, "the cycle", period_s=period_s, n_basis=n_basis, ridge=ridge, alpha=alpha)
         goal = y.mean(axis=0)
         centres = place_basis(y, n_basis)
         weights = np.empty_like(centres)

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from fastmimic.deploy.files import RESULT as DEPLOYMENT
 from fastmimic.errors import ConfigError, FastMimicError, OutputError
+from fastmimic.experiments.runs import POLICY
 from fastmimic.files import replace_file
 from fastmimic.methods import ALL_METHODS
 from fastmimic.report import html_episodes, html_limits, html_search
@@ -61,6 +62,10 @@ def kind_of(folder: str | Path) -> str:
         return "results" if "experiment" in _environment(path) else "comparison"
     if not path.is_dir():
         raise ConfigError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}; give the folder of a run")
+    if (path / POLICY).is_file():
+        raise ConfigError(
+            f"{path}: a policy of 'train' has no report; 'fastmimic evaluate MOTION --policy {path / POLICY}' scores it"
+        )
     if (path / CONFIG).is_file():
         raise ConfigError(f"{path}: the run is not finished ({METRICS} is missing); 'imitate --resume' may finish it")
     raise ConfigError(
@@ -183,7 +188,8 @@ def _summary(run: RunData) -> str:
     name = f"{method.label}, {method.summary}" if method is not None else str(m.get("method", "unknown method"))
     parts = [escape(name), f"{escape(str(m.get('config', '')))} controller", f"episodes of {m['duration_s']:g} s"]
     if m.get("iterations"):
-        parts.append(f"{m['iterations']} iterations, seed {m.get('seed')}")
+        plural = "" if m["iterations"] == 1 else "s"
+        parts.append(f"{m['iterations']} iteration{plural}, seed {m.get('seed')}")
     return "; ".join(parts) + (". The search was interrupted." if m.get("interrupted") else ".")
 
 

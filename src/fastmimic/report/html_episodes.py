@@ -105,8 +105,8 @@ def paths(e: Episodes) -> Figure:
     return Figure(
         "paths",
         f"Feet from the side: every foot is lifted at least {arrow(least, 0)} % as high as in the demonstration",
-        "One loop a cycle. What the animal's step looks like is its shape; a motion that is only shuffled is flat. The"
-        " scales of x and z differ.",
+        f"{'From the first posture to the last' if e.done_once else 'One loop a cycle'}. What the animal's step looks"
+        " like is its shape; a motion that is only shuffled is flat. The scales of x and z differ.",
         panels,
         4,
         (DEMONSTRATION, *keys(e)),

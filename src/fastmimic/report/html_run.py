@@ -67,6 +67,12 @@ class Episodes:
     after: Rollout | None
     differences: tuple[str, ...]
 
+    @property
+    def done_once(self) -> bool:
+        """Whether the motion has no cycle at whose start the reference is synchronised with the robot."""
+        target = self.motion.target
+        return target.cycle is None and len(target.cycle_starts) == 1
+
 
 @dataclass(frozen=True, eq=False)
 class RunData:

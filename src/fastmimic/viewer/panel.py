@@ -70,9 +70,9 @@ class Panel:
         """Brings slider and charts to a row."""
         clock = self._viewer.clock
         self._time.value = min(row / clock.rate_hz, self._time.max)
-        self._cycle.content = (
-            f'<div style="font-size:12px;padding:0 10px">cycle {clock.cycle + 1} of {len(clock.cycle_starts)}</div>'
-        )
+        cycles = len(clock.cycle_starts)
+        text = f"cycle {clock.cycle + 1} of {cycles}" if cycles > 1 else "one pass"
+        self._cycle.content = f'<div style="font-size:12px;padding:0 10px">{text}</div>'
         for i, scene in enumerate(self._viewer.robots):
             take = scene.take
             at = take.clamp(row)

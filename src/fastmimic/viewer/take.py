@@ -37,7 +37,8 @@ class Take:
         feet: (t, 4, 3) centres of the robot's feet, world, m.
         reference_feet: (t, 4, 3) of the demonstration's; None without one.
         wanted: (t, 4) whether the schedule wants the foot on the ground.
-        measured: (t, 4) whether the foot is loaded; None without physics.
+        measured: (t, 4) whether the foot is loaded: by more than what the gait planner takes for free; None without
+            physics.
         stance: (t, 4) the gait planner's leg states; None without physics.
         force: (t, 4, 3) the ground's force on each foot, world, N; None without physics.
         asked: (t, 4, 3) what the controller asked for, world, N; None without physics.
@@ -132,7 +133,7 @@ def rollout_take(
         feet=world_feet(robot, pose),
         reference_feet=world_feet(robot, reference),
         wanted=log.wanted[episode],
-        measured=force[..., 2] > config.gait.contact_threshold * weight,
+        measured=force[..., 2] > config.gait.release_threshold * weight,
         stance=log.stance[episode],
         force=force,
         asked=asked,

@@ -1,0 +1,35 @@
+"""A page in the browser, until Ctrl-C."""
+
+import sys
+import threading
+from typing import TYPE_CHECKING, Protocol
+
+from fastmimic.commands.console import note, put
+
+if TYPE_CHECKING:
+    import viser
+
+
+class Page(Protocol):
+    """What `view` and `play` show."""
+
+    server: "viser.ViserServer"
+
+    @property
+    def url(self) -> str: ...
+
+    def run(self, stop: threading.Event) -> None: ...
+
+
+def serve(page: Page, what: str, port: int) -> int:
+    """Says where the page is, and which port it took if not `port`; returns the exit status."""
+    taken = page.server.get_port()
+    if taken != port:
+        note(f"port {port} is taken; listening on {taken} instead")
+    put(f"{what}: open {page.url} in a browser; Ctrl-C ends it")
+    sys.stdout.flush()
+    try:
+        page.run(threading.Event())
+    except KeyboardInterrupt:
+        note("closed")
+    return 0
