@@ -12,7 +12,7 @@ import pytest
 from fastmimic.executors import make_executor
 from fastmimic.library import Library, build
 from fastmimic.library.build import Step
-from fastmimic.library.folder import check
+from fastmimic.library.mending import mend
 from library.conftest import of, same
 
 MOTIONS = ("trot", "pace", "walk", "side-step", "turn", "bound", "spin", "backward-trot")
@@ -65,7 +65,9 @@ def test_a_worker_and_a_node_that_are_killed_cost_nothing_but_time(cluster: Any,
     assert (built.jobs, built.done) == (8, 8)
     assert len(recorded) == 8
     assert set(recorded.values()) == {1}
-    assert check(Library.open(tmp_path / "cluster")).sound
+    health, _ = mend(Library.open(tmp_path / "cluster"))
+    assert health.sound
+    assert all(Path(name).name.startswith(".") for name in health.foreign), "more than what was cut off while written"
 
     build(of(*MOTIONS), tmp_path / "here", make_executor("local", workers=2))
     same(tmp_path / "cluster", tmp_path / "here")
