@@ -143,11 +143,11 @@ def test_a_jobs_own_broken_connection_is_its_defect(monkeypatch: pytest.MonkeyPa
         _result(ray, "a job's")
 
 
-def _raising(error: Exception) -> Callable[[object], None]:
-    def get(reference: object) -> None:
+def _raising(error: Exception) -> Callable[..., None]:
+    def call(*_: object, **__: object) -> None:
         raise error
 
-    return get
+    return call
 
 
 @pytest.mark.parametrize(
@@ -158,3 +158,11 @@ def test_a_cluster_that_is_not_there(address: str, said: str) -> None:
     pytest.importorskip("ray")
     with pytest.raises(ConfigError, match=said):
         by_job(make_executor("ray", address=address).run(do, [1]))
+
+
+def test_a_cluster_that_only_ray_finds_is_looked_for_before_anything_is_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+    ray = pytest.importorskip("ray")
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    monkeypatch.setattr(ray, "init", _raising(ConnectionError("none runs here")))
+    with pytest.raises(ConfigError, match="no Ray cluster at 'auto': none runs here"):
+        make_executor("ray", address="auto")

@@ -158,7 +158,7 @@ def test_somebody_elses_robot_works_whatever_its_names_order_and_lengths(tmp_pat
 def test_a_robot_with_meshes_beside_its_file_can_be_simulated(tmp_path: Path) -> None:
     tree = a1_tree()
     (tmp_path / "assets").mkdir()
-    corners = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\n"
+    corners = "v 0 0 0\nv .125 0 0\nv 0 .125 0\nv 0 0 .125\n"
     (tmp_path / "assets" / "shell.obj").write_text(corners + "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
     compiler = tree.find("compiler")
     assert compiler is not None
@@ -170,6 +170,13 @@ def test_a_robot_with_meshes_beside_its_file_can_be_simulated(tmp_path: Path) ->
     assert Simulated(robot).model.nmesh == 1
     assert robot.model().nmesh == 1
     assert retarget(open_clip("walk"), robot)[0].n_samples > 0
+
+    assert load_robot(tmp_path / "meshes.xml").content == robot.content
+    text = (tmp_path / "assets" / "shell.obj").read_text()
+    (tmp_path / "assets" / "shell.obj").write_text(text.replace(".125", ".25"))
+    longer = load_robot(tmp_path / "meshes.xml")
+    assert longer.xml == robot.xml
+    assert longer.content != robot.content
 
 
 def test_degrees_are_read_as_degrees(tmp_path: Path) -> None:

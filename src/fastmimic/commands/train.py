@@ -130,7 +130,7 @@ def _identity(
     import hashlib
     import json
 
-    content = hashlib.sha256(robot.xml.encode())
+    content = hashlib.sha256(robot.content)
     for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "contact"):
         content.update(getattr(motion, name).tobytes())
     plain: dict[str, Any] = json.loads(json.dumps(settings.as_dict()))

@@ -58,10 +58,13 @@ class RayExecutor:
         """
         if workers is not None and workers < 1:
             raise ConfigError(f"workers must be at least 1, found {workers}")
-        require_ray()
+        ray = require_ray()
         if address is not None:
             _check_reachable(address)
         self._address, self._limit = address, workers
+        if address == "auto" and not ray.is_initialized():  # which only Ray can tell: now, before work is begun
+            self._connect(ray)
+            ray.shutdown()
 
     @property
     def workers(self) -> int:

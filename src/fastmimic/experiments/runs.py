@@ -114,7 +114,7 @@ def digest(run: Run, settings: Settings, robot: Robot, demonstration: Motion, po
         demonstration: the run's.
         policy: of a learned method.
     """
-    found = hashlib.sha256(robot.xml.encode())
+    found = hashlib.sha256(robot.content)
     for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "contact"):
         found.update(getattr(demonstration, name).tobytes())
     method = method_named(run.method)

@@ -15,7 +15,6 @@ from fastmimic.library.index import Gathered, require_pyarrow
 from fastmimic.library.jobs import Job, give_up, now, perform, robot_digest
 from fastmimic.library.lock import building as locked
 from fastmimic.library.pieces import Survey, look_of, remove_survey, save_survey, survey
-from fastmimic.library.plan import OTHER_START
 from fastmimic.library.recipe import Recipe
 from fastmimic.library.records import FAILED, Record, load_record, save_record
 from fastmimic.library.seen import Seen
@@ -212,7 +211,7 @@ def _settle(library: Library, ids: frozenset[str]) -> Gathered:
     """Writes the index of a build that ends. Records of its own that others, which began otherwise, have come after
     become the last ones."""
     found = library.write_index()
-    earlier = [old.id for old in found.superseded if old.id in ids and old.why.startswith(OTHER_START)]
+    earlier = [old.id for old in found.superseded if old.id in ids and old.instead is not None]
     for record in filter(None, (load_record(library.path, identity) for identity in earlier)):
         save_record(library.path, record | {"finished": now()})
     return library.write_index() if earlier else found

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.errors import LibraryError
 from fastmimic.library.grades import KEPT, grade, rank
-from fastmimic.library.plan import OTHER_START, Plan, Search, Superseded, robot_of, search_of
+from fastmimic.library.plan import Plan, Search, Superseded, robot_of, search_of
 from fastmimic.library.records import COLUMNS, RECORDS, read_record
 
 if TYPE_CHECKING:
@@ -95,8 +95,9 @@ def gather(folder: Path, plan: Plan) -> Gathered:
     for i, brief in enumerate(briefs):
         if (instead := last[brief.search]) != i:
             name, _, seed, identity = brief.order
-            why = f"{OTHER_START} {briefs[instead].order[3]}"
-            superseded.append(Superseded(identity, name, brief.search[1], seed, why))
+            later = briefs[instead].order[3]
+            why = f"begun otherwise; instead of it there is {later}"
+            superseded.append(Superseded(identity, name, brief.search[1], seed, why, later))
     best: dict[tuple[str, str], int] = {}
     for i in sorted(last.values()):  # by id
         there = best.setdefault(briefs[i].search[:2], i)

@@ -107,9 +107,9 @@ class Job:
             "recipe": self.recipe.digest,
         }
 
-    def _content(self, recipe: str) -> str:
+    def _content(self, recipe: str) -> bytes:
         warm = None if self.warm is None else self.warm.of
-        return repr((self.piece.digest, self.robot_digest, self.seed, recipe, warm))
+        return repr((self.piece.digest, self.robot_digest, self.seed, recipe, warm)).encode()
 
 
 def now() -> str:
@@ -119,11 +119,11 @@ def now() -> str:
 
 def robot_digest(robot: "Robot") -> str:
     """16 hexadecimal digits of a robot's description."""
-    return _digest(robot.xml)
+    return _digest(robot.content)
 
 
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def perform(job: Job, report: Report) -> Record:

@@ -23,7 +23,6 @@ ROBOTS: Final = "robots"
 OTHER_RECIPE: Final = "made otherwise"
 OTHER_SOURCE: Final = "its source has changed or is gone"
 OTHER_ROBOT: Final = "its robot has changed"
-OTHER_START: Final = "begun otherwise; instead of it there is"
 
 
 @dataclass(frozen=True)
@@ -33,6 +32,7 @@ class Superseded:
     Attributes:
         id, name, robot, seed: of the record.
         why: in words.
+        instead: the record of the same search that was begun later; None if that is not why.
     """
 
     id: str
@@ -40,6 +40,7 @@ class Superseded:
     robot: str
     seed: int
     why: str
+    instead: str | None = None
 
 
 @dataclass(frozen=True, eq=False)

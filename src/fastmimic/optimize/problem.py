@@ -161,7 +161,7 @@ class Problem(ABC):
         digest = hashlib.sha256()
         digest.update(self.tables(self.initial[None]).tobytes())
         digest.update(reference_table(self.demonstration, self.robot).tobytes())
-        digest.update(self.robot.xml.encode())
+        digest.update(self.robot.content)
         settings = {
             "config": self.config.as_dict(),
             "objective": self.objective.as_dict(),

@@ -93,9 +93,23 @@ class Robot:
         """
         import mujoco
 
-        if ' file="' in self.xml:
+        if self._has_files:
             return self.spec().compile()
         return mujoco.MjModel.from_xml_string(self.xml)
+
+    @cached_property
+    def content(self) -> bytes:
+        """All that the robot is, for digests: `xml`, and what has become of the meshes whose files it only names."""
+        if not self._has_files:
+            return self.xml.encode()
+        model = self.model()
+        shapes = (model.mesh_vert, model.mesh_face, model.geom_pos, model.geom_quat, model.geom_size)
+        bodies = (model.body_mass, model.body_ipos, model.body_iquat, model.body_inertia)
+        return b"".join([self.xml.encode(), *(array.tobytes() for array in (*shapes, *bodies))])
+
+    @property
+    def _has_files(self) -> bool:
+        return ' file="' in self.xml
 
     @property
     def thigh_length(self) -> float:
