@@ -68,6 +68,32 @@ def test_a_denser_robot_with_stronger_motors_moves_as_the_original(tmp_path: Pat
     np.testing.assert_allclose(other.reward, one.reward, rtol=0, atol=1e-3)
 
 
+def test_what_the_joints_lose_is_made_up_for(tmp_path: Path) -> None:
+    tree = a1_tree()
+    for joint in tree.iter("joint"):
+        joint.attrib.update(damping="0.3", frictionloss="1.0")
+    known = load_robot(write(tree, tmp_path / "stiff.xml"))
+    np.testing.assert_array_equal(known.joint_damping, 0.3)
+    np.testing.assert_array_equal(known.joint_friction, 1.0)
+    unknown = dataclasses.replace(known, joint_damping=np.zeros(12), joint_friction=np.zeros(12))
+    motion = gait(known, (0.4, 0.0), 0.2)
+    easy, with_it, without = (
+        run_episodes(robot, motion, duration_s=1.0).reward[0] for robot in (load_robot("a1"), known, unknown)
+    )
+    assert easy - with_it < (easy - without) / 3
+
+
+def test_feet_are_points(tmp_path: Path) -> None:
+    """Resistance to rolling, of which a vendor's file may have much, takes a foot's hold away in an elliptic cone."""
+    tree, motion = a1_tree(), gait(load_robot("a1"), (0.4, 0.0), 0.2)
+    (foot,) = (geom for geom in tree.iter("geom") if geom.get("type") == "sphere")  # of the class of all four
+    foot.attrib.update(condim="6", friction="0.8 0.02 0.01")
+    robot = load_robot(write(tree, tmp_path / "rolling.xml"))
+    assert set(robot.model().geom_condim[[robot.model().geom(name).id for name in robot.foot_geoms]]) == {6}
+    rolling = run_episodes(robot, motion, duration_s=1.0)
+    np.testing.assert_array_equal(rolling.reward, run_episodes(load_robot("a1"), motion, duration_s=1.0).reward)
+
+
 def thrown(n: int, who: int = 0) -> Start:
     """n starts, one with so much sideways speed that it is a metre off within 0.2 s whatever the controller does."""
     start = nominal_start(n)

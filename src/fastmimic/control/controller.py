@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+DRY_FRICTION_FROM: Final = 0.5
+"""rad/s; at less, it is made up for in part, so that torques do not jump where joints turn round."""
 
 SCRATCH: Final = record_dtype(
     [
@@ -156,6 +158,7 @@ def _control_robot(
             swing_leg(config, model, obs, ref, memory, command, scratch, leg, height_error)
         _leg_dynamics(config, model, obs, memory, command, scratch, leg)
         for j in range(3 * leg, 3 * leg + 3):
+            _make_up_for_losses(model, command, j)
             _keep_within_limits(config, model, command, j)
 
 
@@ -328,6 +331,16 @@ def _relative_to_feet(
     if total > 0:
         error[0] += config.foothold_share * (ex / total - error[0])
         error[1] += config.foothold_share * (ey / total - error[1])
+
+
+@inlined
+def _make_up_for_losses(model: Any, command: Any, j: int) -> None:
+    """Adds the torque that joint j loses to viscous and dry friction at the velocity that it is to have."""
+    velocity = command.joint_vel[j]
+    if model.joint_damping[j] > 0.0:
+        command.torque[j] += model.joint_damping[j] * velocity
+    if model.joint_friction[j] > 0.0:
+        command.torque[j] += model.joint_friction[j] * np.tanh(velocity / DRY_FRICTION_FROM)
 
 
 @inlined

@@ -65,6 +65,8 @@ MODEL: Final = record_dtype(
         ("link_com", "f8", (4, 3, 3)),
         ("link_inertia", "f8", (4, 3, 3, 3)),
         ("armature", "f8", (12,)),
+        ("joint_damping", "f8", (12,)),
+        ("joint_friction", "f8", (12,)),
         ("lower", "f8", (12,)),
         ("upper", "f8", (12,)),
         ("torque_limit", "f8", (12,)),
@@ -85,6 +87,8 @@ def pack_model(robot: "Robot") -> NDArray[Any]:
     record["link_com"] = robot.link_com
     record["link_inertia"] = robot.link_inertia
     record["armature"] = robot.armature
+    record["joint_damping"] = robot.joint_damping
+    record["joint_friction"] = robot.joint_friction
     record["lower"] = robot.joint_lower
     record["upper"] = robot.joint_upper
     record["torque_limit"] = robot.torque_limit

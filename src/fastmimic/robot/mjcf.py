@@ -70,6 +70,8 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
         torque_limit=_torque_limits(model, joints, where),
         joint_speed_limit=np.tile(speed, 4),
         armature=model.dof_armature[model.jnt_dofadr[joints]].copy(),
+        joint_damping=model.dof_damping[model.jnt_dofadr[joints]].copy(),
+        joint_friction=model.dof_frictionloss[model.jnt_dofadr[joints]].copy(),
         joint_inertia=model.dof_M0[model.jnt_dofadr[joints]].copy(),
         home_joint_pos=home[model.jnt_qposadr[joints]].copy(),
         home_height=float(home[2]),

@@ -35,6 +35,7 @@ class Robot:
         torque_limit: (12,) N·m.
         joint_speed_limit: (12,) rad/s.
         armature: (12,) reflected rotor inertia, kg·m².
+        joint_damping, joint_friction: (12,) what the joints lose: viscous, N·m·s/rad, and dry, N·m.
         joint_inertia: (12,) that each joint moves by itself, with all joints at zero and the trunk held: the diagonal
             of the joint-space inertia, rotors included, kg·m².
         home_joint_pos: (12,) rad.
@@ -64,6 +65,8 @@ class Robot:
     torque_limit: Array
     joint_speed_limit: Array
     armature: Array
+    joint_damping: Array
+    joint_friction: Array
     joint_inertia: Array
     home_joint_pos: Array
     home_height: float

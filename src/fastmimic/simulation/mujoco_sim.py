@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 FLOOR: Final = "fastmimic_floor"
 DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
 GROUND_FRICTION: Final = 0.8
+SLIDING: Final = 3  # MuJoCo's condim: a normal force and friction against slipping
 
 
 class HeightField(NamedTuple):
@@ -39,7 +40,9 @@ def build_model(
     """The robot on a floor, with motors that take stiffness and damping, and sensors for the ground's force on each
     foot.
 
-    Only the floor collides with the robot; its links do not collide with each other.
+    Only the floor collides with the robot; its links do not collide with each other. Feet are points: they neither
+    resist rolling nor turning on the spot, whatever the file says. With friction of several kinds in one elliptic cone,
+    a foot that rolls over its sphere at a calf's rate would have little left against slipping.
 
     Args:
         robot: the robot.
@@ -53,6 +56,8 @@ def build_model(
     for geom in spec.geoms:
         collides = geom.contype or geom.conaffinity
         geom.contype, geom.conaffinity = 0, int(bool(collides))
+        if geom.name in robot.foot_geoms:
+            geom.condim = SLIDING
     spec.worldbody.add_geom(
         name=FLOOR,
         friction=[GROUND_FRICTION, 0.005, 0.0001],
