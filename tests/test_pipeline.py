@@ -76,7 +76,7 @@ class TestLoadMotion:
             load_motion(motion, robot, speed=1.0, scale=2.0, duty=None)
 
     def test_a_motion_of_another_robot_is_refused(self, motion: Motion) -> None:
-        with pytest.raises(MotionError, match="'synthetic' is for robot 'a1', not for 'go1'; retarget its clip anew"):
+        with pytest.raises(MotionError, match="'synthetic' is for robot 'a1', not for 'go1': give that robot"):
             load_motion(motion, "go1")
 
     def test_an_unknown_name_is_refused_with_the_closest_ones(self) -> None:

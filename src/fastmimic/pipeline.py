@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.control.config import ControllerConfig, controller_config
-from fastmimic.errors import ConfigError, MotionError
+from fastmimic.errors import ConfigError
 from fastmimic.identification.log import RunLog
 from fastmimic.imitation.observer import EstimationErrors
 from fastmimic.imitation.reward import TERMS
@@ -224,9 +224,7 @@ def load_motion(source: str | Path | Clip | Motion, robot: Robot | str = "a1", *
         raise ConfigError(
             f"{', '.join(sorted(given))} cannot be applied to '{motion.name}': it is already a robot motion"
         )
-    of = motion.meta.get("robot")
-    if of is not None and of != robot.name:
-        raise MotionError(f"motion '{motion.name}' is for robot '{of}', not for '{robot.name}'; retarget its clip anew")
+    motion.check_robot(robot.name)
     return motion
 
 

@@ -5,6 +5,7 @@ import pty
 import signal
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,8 @@ from fastmimic.deploy.sim import SimDriver
 from fastmimic.deploy.stopping import StopSwitch
 from fastmimic.errors import ConfigError, DriverError
 from fastmimic.estimation.reading import READING
-from fastmimic.robot import Robot
+from fastmimic.robot import Robot, load_robot
+from robot.mjcf import a1_tree, heavier, write
 
 
 def following(pilot: Pilot) -> bool:
@@ -365,11 +367,20 @@ def test_commands_are_cut_to_what_the_robot_can(a1: Robot) -> None:
 
 
 class TestLimits:
-    def test_a_file_and_options_that_go_before_it(self, tmp_path) -> None:
+    def test_a_file_and_options_that_go_before_it(self, a1: Robot, tmp_path: Path) -> None:
         path = tmp_path / "limits.toml"
         path.write_text("tilt = 0.4\nqp_failures = 3\n")
-        found = read_limits(path, ["tilt=0.5", "stale_s=0.03"])
+        found = read_limits(a1, path, ["tilt=0.5", "stale_s=0.03"])
         assert found == SafetyLimits(tilt=0.5, qp_failures=3, stale_s=0.03)
+
+    def test_gains_are_in_the_units_of_each_robot(self, a1: Robot, tmp_path: Path) -> None:
+        heavy = load_robot(write(heavier(a1_tree(), 8.0), tmp_path / "heavy.xml"))
+        assert SafetyLimits.of(a1) == SafetyLimits()
+        limits = SafetyLimits.of(heavy)
+        assert limits.damping == pytest.approx(8.0 * SafetyLimits().damping)
+        assert limits.stiffness_most == pytest.approx(8.0 * SafetyLimits().stiffness_most)
+        assert limits.tilt == SafetyLimits().tilt
+        assert read_limits(heavy, None, ["damping=4"]).damping == 4.0
 
     @pytest.mark.parametrize(
         ("settings", "said"),
@@ -384,15 +395,15 @@ class TestLimits:
             (["qp_failures=2.5"], "whole number"),
         ],
     )
-    def test_what_they_cannot_be(self, settings: list[str], said: str) -> None:
+    def test_what_they_cannot_be(self, settings: list[str], said: str, a1: Robot) -> None:
         with pytest.raises(ConfigError, match=said):
-            read_limits(None, settings)
+            read_limits(a1, None, settings)
 
-    def test_a_file_that_is_none(self, tmp_path) -> None:
+    def test_a_file_that_is_none(self, a1: Robot, tmp_path: Path) -> None:
         path = tmp_path / "limits.toml"
         path.write_text("tilt: 0.5")
         with pytest.raises(ConfigError, match=r"limits\.toml: cannot be read as TOML"):
-            read_limits(path)
+            read_limits(a1, path)
 
 
 def test_the_simulated_robot_counts_what_it_is_sent(a1: Robot) -> None:

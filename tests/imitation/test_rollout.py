@@ -434,7 +434,7 @@ class TestSwingClearance:
 
 class TestRefused:
     def test_a_motion_for_another_robot(self, motion: Motion) -> None:
-        with pytest.raises(ConfigError, match="'synthetic' is for robot 'a1', not for 'go1'"):
+        with pytest.raises(MotionError, match="'synthetic' is for robot 'a1', not for 'go1'"):
             ClosedLoop(load_robot("go1"), motion, 1)
 
     def test_a_motion_at_another_rate(self, robot: Robot, motion: Motion) -> None:

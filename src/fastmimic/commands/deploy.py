@@ -97,8 +97,8 @@ class Deploy(MotionOptions):
 
         check_driver(self.driver)
         self._check(SIM)
-        limits = read_limits(self.limits, self.limit)
         robot, motion = self._load()
+        limits = read_limits(robot, self.limits, self.limit)
         policy = None if self.policy is None else policy_controller(self.policy, robot, motion)
         folder, log = self._places(robot, motion)
         with open_deployment(folder):

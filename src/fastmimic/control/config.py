@@ -432,10 +432,15 @@ _DTYPE = record_dtype(
 )
 
 
+def stiffness_ratio(robot: "Robot") -> float:
+    """By which gains of joints are multiplied for a robot: what its joints have to move over what an A1's have to."""
+    return float(np.mean(robot.joint_inertia)) / REFERENCE_JOINT_INERTIA
+
+
 def pack_config(config: ControllerConfig, robot: "Robot") -> NDArray[Any]:
     """The configuration for a robot, as a structured array of one record, for the kernels."""
     weight = robot.mass * GRAVITY
-    stiffer = float(np.mean(robot.joint_inertia)) / REFERENCE_JOINT_INERTIA
+    stiffer = stiffness_ratio(robot)
     gait, stance, swing, horizon = config.gait, config.stance, config.swing, config.horizon
     record = np.zeros(1, _DTYPE)
     record["dt"] = 1.0 / config.rate_hz

@@ -144,7 +144,7 @@ def deploy(
     if policy is not None:
         motion = motion.target
     ending, seconds = _ending(motion, cycles, duration_s, endless)
-    limits = limits if limits is not None else SafetyLimits()
+    limits = limits if limits is not None else SafetyLimits.of(robot)
     rate_hz = config.rate_hz
     guard = (NotingGuard if dry_run else Guard)(robot, limits, rate_hz)
     itinerary = itinerary if itinerary is not None else make_itinerary(robot, motion, config)

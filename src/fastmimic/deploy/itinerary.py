@@ -230,9 +230,7 @@ class _End(NamedTuple):
 
 def _ends(robot: "Robot", motion: Motion, rate_hz: float) -> tuple[_End, _End]:
     """The cyclic motions with which a motion begins and ends."""
-    of = motion.meta.get("robot")
-    if of is not None and of != robot.name:
-        raise MotionError(f"motion '{motion.name}' is for robot '{of}', not for '{robot.name}'; retarget its clip anew")
+    motion.check_robot(robot.name)
     if abs(motion.rate_hz - rate_hz) > 1e-9:
         raise MotionError(
             f"motion '{motion.name}' has {motion.rate_hz:g} samples a second and the controller runs at {rate_hz:g} Hz;"

@@ -6,9 +6,13 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
+from fastmimic.control.config import stiffness_ratio
 from fastmimic.errors import ConfigError, did_you_mean
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,8 @@ class SafetyLimits:
             speeds and torques beyond the robot's are.
         damping: of the joints after a violation, N·m·s/rad.
         damping_s: for which it is commanded, s.
+
+    By default all are an A1's; `SafetyLimits.of` gives those of a robot.
     """
 
     joint_margin: float = 0.1
@@ -70,12 +76,19 @@ class SafetyLimits:
         if self.tilt > math.pi / 2:
             raise ConfigError(f"safety limit tilt must be at most {math.pi / 2:.2f} rad, found {self.tilt:g}")
 
+    @classmethod
+    def of(cls, robot: "Robot") -> "SafetyLimits":
+        """Those of a robot: gains in proportion to what its joints have to move, as the controller's."""
+        ratio, an_a1 = stiffness_ratio(robot), cls()
+        gains = {name: ratio * getattr(an_a1, name) for name in ("stiffness_most", "damping_most", "damping")}
+        return dataclasses.replace(an_a1, **gains)
+
 
 NAMES: Final = tuple(field.name for field in dataclasses.fields(SafetyLimits))
 
 
-def read_limits(file: str | Path | None = None, settings: Sequence[str] = ()) -> SafetyLimits:
-    """Limits out of a TOML file and of texts `name=value`, which go before the file's.
+def read_limits(robot: "Robot", file: str | Path | None = None, settings: Sequence[str] = ()) -> SafetyLimits:
+    """A robot's limits, but for those in a TOML file, and in texts `name=value`, which go before the file's.
 
     Raises:
         ConfigError: a file that cannot be read, a name that is none, or a value out of its range.
@@ -97,7 +110,7 @@ def read_limits(file: str | Path | None = None, settings: Sequence[str] = ()) ->
             raise ConfigError(f"a limit is given as NAME=VALUE, such as tilt=0.5; found '{text}'")
         found |= _whole({name.strip(): number}, "--limit")
     try:
-        return SafetyLimits(**found)
+        return dataclasses.replace(SafetyLimits.of(robot), **found)
     except ConfigError as error:
         raise ConfigError(f"{file}: {error}" if file is not None and not settings else str(error)) from None
 

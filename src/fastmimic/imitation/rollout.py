@@ -202,14 +202,13 @@ class ClosedLoop:
     ) -> None:
         """
         Raises:
-            ConfigError: the motion is for another robot or another rate.
+            MotionError: the motion is for another robot.
+            ConfigError: it is for another rate.
             FastMimicError: as `controller`, which makes another controller than the model-based one.
         """
         config = config if config is not None else default_config()
         self.conditions = conditions if conditions is not None else Conditions()
-        of = demonstration.meta.get("robot")
-        if of is not None and of != robot.name:
-            raise ConfigError(f"motion '{demonstration.name}' is for robot '{of}', not for '{robot.name}'")
+        demonstration.check_robot(robot.name)
         self.robot = robot
         self.demonstration = demonstration
         self.n = n

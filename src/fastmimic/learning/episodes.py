@@ -97,13 +97,12 @@ class Episodes:
             randomize: in what the robots and their grounds differ.
 
         Raises:
-            ConfigError: the motion is for another robot or rate, or a number out of its range.
+            MotionError: the motion is for another robot.
+            ConfigError: it is for another rate, or a number is out of its range.
         """
         config = config if config is not None else PolicyConfig()
         demonstration = motion.target
-        of = demonstration.meta.get("robot")
-        if of is not None and of != robot.name:
-            raise ConfigError(f"motion '{demonstration.name}' is for robot '{of}', not for '{robot.name}'")
+        demonstration.check_robot(robot.name)
         if abs(demonstration.rate_hz - config.control_rate_hz) > 1e-9:
             raise ConfigError(
                 f"motion '{demonstration.name}' has {demonstration.rate_hz:g} samples a second and joint targets go out"

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.conventions import JOINT_NAMES
-from fastmimic.errors import ConfigError, MotionError, did_you_mean
+from fastmimic.errors import ConfigError, did_you_mean
 from fastmimic.files import replace_file
 from fastmimic.motion.motion import Motion
 from fastmimic.rotations import quat_continuous, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
@@ -95,9 +95,7 @@ def export_motion(
     """
     if form not in EXPORTS:
         raise ConfigError(f"unknown format '{form}'; there are {', '.join(EXPORTS)}{did_you_mean(form, EXPORTS)}")
-    of = motion.meta.get("robot")
-    if of is not None and of != robot.name:
-        raise MotionError(f"motion '{motion.name}' is for robot '{of}', not for '{robot.name}'")
+    motion.check_robot(robot.name)
     looping = form == "deepmimic" and motion.cycle is not None and duration_s is None
     frames = sample(motion, fps, duration_s, looping=looping)
     if form == "mjlab":

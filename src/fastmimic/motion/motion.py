@@ -132,6 +132,15 @@ class Motion:
         """The motion that this one is scored against: its demonstration, or itself."""
         return self.demonstration if self.demonstration is not None else self
 
+    def check_robot(self, name: str) -> None:
+        """Raises `MotionError` if it is the motion of another robot than the one of that name."""
+        of = self.meta.get("robot")
+        if of is not None and of != name:
+            raise MotionError(
+                f"motion '{self.name}' is for robot '{of}', not for '{name}': give that robot (by its MJCF, if it is"
+                " your own), or retarget its clip"
+            )
+
     def save(self, path: str | Path) -> None:
         """Writes an `.npz` without pickles; an existing file is replaced only once the new one is whole.
 

@@ -131,9 +131,7 @@ def _check(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int] | None
     for motion in motions:
         if motion.cycle is None:
             raise MotionError(f"motion '{motion.name}' does not repeat; only cyclic motions can be stitched")
-        of = motion.meta.get("robot")
-        if of is not None and of != robot.name:
-            raise MotionError(f"motion '{motion.name}' is for robot '{of}', not for '{robot.name}'")
+        motion.check_robot(robot.name)
         if abs(motion.rate_hz - motions[0].rate_hz) > 1e-9:
             raise MotionError(
                 f"motion '{motion.name}' has {motion.rate_hz:g} samples a second and '{motions[0].name}'"

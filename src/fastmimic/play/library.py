@@ -184,9 +184,7 @@ def _entry(name: str, motion: Motion, robot: Robot, rate_hz: float) -> Entry:
         raise MotionError(f"motion '{name}' does not repeat; only cyclic motions can be played")
     if abs(motion.rate_hz - rate_hz) > 1e-9:
         raise MotionError(f"motion '{name}' has {motion.rate_hz:g} samples a second; expected {rate_hz:g}")
-    of = motion.meta.get("robot")
-    if of is not None and of != robot.name:
-        raise MotionError(f"motion '{name}' is for robot '{of}', not for '{robot.name}'")
+    motion.check_robot(robot.name)
     course = course_of(motion, robot)
     demonstration = course if motion.demonstration is None else course_of(motion.demonstration, robot)
     return Entry(name, motion, course, demonstration, limits_of(course, motion.joint_vel, robot))
