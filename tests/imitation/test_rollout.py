@@ -1,6 +1,7 @@
 """Closed-loop episodes: how they begin and end, what they are scored against, and that their figures agree."""
 
 import dataclasses
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from control.motions import gait, standing, turned
 from fastmimic.control.config import default_config
 from fastmimic.control.reference import reference_table
+from fastmimic.conventions import LEGS
 from fastmimic.errors import ConfigError, MotionError
 from fastmimic.imitation.reward import TERMS, WEIGHTS
 from fastmimic.imitation.rollout import (
@@ -26,7 +28,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 from fastmimic.rotations import quat_rotate, rotate_planar, yaw_from_quat
-from robot.mjcf import a1_tree, heavier, write
+from robot.mjcf import a1_tree, find, heavier, write
 
 STEPS = 600  # a bit over two periods
 
@@ -84,10 +86,13 @@ def test_what_the_joints_lose_is_made_up_for(tmp_path: Path) -> None:
 
 
 def test_feet_are_points(tmp_path: Path) -> None:
-    """Resistance to rolling, of which a vendor's file may have much, takes a foot's hold away in an elliptic cone."""
+    """Vendors' files have feet that resist rolling, that sink in, and shells that reach below them."""
     tree, motion = a1_tree(), gait(load_robot("a1"), (0.4, 0.0), 0.2)
     (foot,) = (geom for geom in tree.iter("geom") if geom.get("type") == "sphere")  # of the class of all four
-    foot.attrib.update(condim="6", friction="0.8 0.02 0.01")
+    foot.attrib.update(condim="6", friction="0.8 0.02 0.01", solimp="0.015 1 0.03", margin="0.001")
+    for leg in LEGS:
+        shell = {"type": "capsule", "size": "0.015", "fromto": "0 0 -0.1 0 0 -0.21"}
+        ElementTree.SubElement(find(tree, "body", f"{leg}_calf"), "geom", shell)
     robot = load_robot(write(tree, tmp_path / "rolling.xml"))
     assert set(robot.model().geom_condim[[robot.model().geom(name).id for name in robot.foot_geoms]]) == {6}
     rolling = run_episodes(robot, motion, duration_s=1.0)

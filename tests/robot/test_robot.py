@@ -179,6 +179,17 @@ def test_a_robot_with_meshes_beside_its_file_can_be_simulated(tmp_path: Path) ->
     assert longer.content != robot.content
 
 
+def test_joints_that_turn_without_end_have_a_range_that_is_said(tmp_path: Path) -> None:
+    tree = a1_tree()
+    for name in ("FL_hip", "FR_knee"):
+        find(tree, "joint", name).set("limited", "false")
+    robot, a1 = load_robot(write(tree, tmp_path / "endless.xml")), load_robot("a1")
+    assert robot.assumed == ("no range of FR_knee, FL_hip in the model: ±3.14 rad assumed",)
+    np.testing.assert_array_equal(robot.joint_upper[[2, 4]], np.pi)
+    np.testing.assert_array_equal(np.delete(robot.joint_lower, [2, 4]), np.delete(a1.joint_lower, [2, 4]))
+    np.testing.assert_array_equal(robot.knee_sign, a1.knee_sign)
+
+
 def test_degrees_are_read_as_degrees(tmp_path: Path) -> None:
     tree = a1_tree()
     compiler = tree.find("compiler")
@@ -239,6 +250,7 @@ def two_right_fore_legs(tree: ElementTree.Element) -> None:
 
 def no_range(tree: ElementTree.Element) -> None:
     find(tree, "joint", "RL_hip").set("limited", "false")
+    drop(tree, "keyframe")
 
 
 def no_torque(tree: ElementTree.Element) -> None:
@@ -266,7 +278,7 @@ def reference_angle(tree: ElementTree.Element) -> None:
         (reversed_axis, r"hip joint 'RR_hip' turns about \[.*-1\.0.*\]; expected"),
         (uneven_chains, r"leg at body 'F[RL]_hip' is not a chain of three links"),
         (two_right_fore_legs, r"expected one leg front right, front left, .* hips at .*\[0\.05, -0\.047\]"),
-        (no_range, r"joint 'RL_hip' has no range"),
+        (no_range, r"joint 'RL_hip' has no range, and no keyframe"),
         (no_torque, r"joint 'FR_knee' has no torque limit; give its actuator a forcerange"),
         (no_foot, r"leg at body 'RR_hip' has no colliding sphere on its last link"),
         (reference_angle, r"joint 'FR_hip' has a reference angle"),

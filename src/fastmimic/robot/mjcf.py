@@ -51,7 +51,8 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
     links = [[_composite(model, int(b)) for b in row] for row in bodies]
     trunk_link = _composite(model, trunk)
     com_b, inertia_b = _whole_body(model, data, trunk)
-    speed, assumed = _speed_limit(model)
+    speed, speed_assumed = _speed_limit(model)
+    lower, upper, range_assumed = _ranges(model, joints)
     return Robot(
         name=model.names[: model.names.index(b"\0")].decode() or Path(where).stem,
         xml=xml,
@@ -65,8 +66,8 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
         hip_shift=np.array([leg.hip_shift for leg in legs]),
         knee_sign=np.array([leg.knee_sign for leg in legs]),
         foot_radius=legs[0].foot_radius,
-        joint_lower=model.jnt_range[joints, 0].copy(),
-        joint_upper=model.jnt_range[joints, 1].copy(),
+        joint_lower=lower,
+        joint_upper=upper,
         torque_limit=_torque_limits(model, joints, where),
         joint_speed_limit=np.tile(speed, 4),
         armature=model.dof_armature[model.jnt_dofadr[joints]].copy(),
@@ -82,7 +83,7 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
         link_inertia=np.array([[link[2] for link in row] for row in links]),
         joint_names=tuple(model.joint(j).name for j in joints),
         foot_geoms=tuple(model.geom(leg.foot).name for leg in legs),
-        assumed=assumed,
+        assumed=(*range_assumed, *speed_assumed),
         base_spec=spec,
     )
 
@@ -170,15 +171,18 @@ def _leg(model: "mujoco.MjModel", trunk: int, root: int, where: str) -> _Leg:
                 f"{where}: {role} joint '{model.joint(joint).name}' turns about {np.round(axis, 3).tolist()};"
                 f" expected {list(_AXES[role])} (x forward, y left) when all joints are at zero"
             )
-        if not model.jnt_limited[joint]:
-            raise RobotError(f"{where}: joint '{model.joint(joint).name}' has no range")
+        if not (model.jnt_limited[joint] or model.nkey):
+            raise RobotError(
+                f"{where}: joint '{model.joint(joint).name}' has no range, and no keyframe shows how it is bent"
+            )
         if model.qpos0[model.jnt_qposadr[joint]] != 0:
             raise RobotError(f"{where}: joint '{model.joint(joint).name}' has a reference angle; expected ref=0")
     anchors = [data.xanchor[j] - data.xpos[trunk] for j in joints]
     foot = _foot_geom(model, data, chain[-1], label, where)
     foot_pos = data.geom_xpos[foot] - data.xpos[trunk]
     to_hip, thigh, calf = anchors[1] - anchors[0], anchors[2] - anchors[1], foot_pos - anchors[2]
-    middle = float(np.mean(model.jnt_range[joints[2]]))
+    knee = joints[2]
+    bent = np.mean(model.jnt_range[knee]) if model.jnt_limited[knee] else _home(model)[model.jnt_qposadr[knee]]
     angle = np.arctan2(calf[0], -calf[2]) - np.arctan2(thigh[0], -thigh[2])
     return _Leg(
         joints=(joints[0], joints[1], joints[2]),
@@ -187,7 +191,7 @@ def _leg(model: "mujoco.MjModel", trunk: int, root: int, where: str) -> _Leg:
         lateral=float(to_hip[1] + thigh[1] + calf[1]),
         thigh=thigh.copy(),
         calf=calf.copy(),
-        knee_sign=1.0 if middle - angle > 0 else -1.0,
+        knee_sign=1.0 if bent - angle > 0 else -1.0,
         foot=foot,
         foot_radius=float(model.geom_size[foot, 0]),
     )
@@ -307,6 +311,15 @@ def _in_leg_plane(com: Array, legs: list[_Leg]) -> Array:
         of_leg[1, 1] -= leg.thigh[1] + leg.calf[1]
         of_leg[2, 1] -= leg.calf[1]
     return com
+
+
+def _ranges(model: "mujoco.MjModel", joints: list[int]) -> tuple[Array, Array, tuple[str, ...]]:
+    """Lower and upper (12,) rad, and what was assumed of joints that turn without end."""
+    lower, upper = model.jnt_range[joints].T.copy()
+    free = np.flatnonzero(~model.jnt_limited[joints].astype(bool))
+    lower[free], upper[free] = -np.pi, np.pi
+    names = ", ".join(model.joint(joints[i]).name for i in free)
+    return lower, upper, (f"no range of {names} in the model: ±3.14 rad assumed",) if names else ()
 
 
 def _speed_limit(model: "mujoco.MjModel") -> tuple[Array, tuple[str, ...]]:

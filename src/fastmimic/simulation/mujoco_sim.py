@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 FLOOR: Final = "fastmimic_floor"
 DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
 GROUND_FRICTION: Final = 0.8
+FOOT_FIRST: Final = 0.3
+STANDING_LEANS_DEG: Final = (-60.0, -30.0, 0.0, 30.0, 60.0)
 SLIDING: Final = 3  # MuJoCo's condim: a normal force and friction against slipping
 
 
@@ -40,9 +42,11 @@ def build_model(
     """The robot on a floor, with motors that take stiffness and damping, and sensors for the ground's force on each
     foot.
 
-    Only the floor collides with the robot; its links do not collide with each other. Feet are points: they neither
-    resist rolling nor turning on the spot, whatever the file says. With friction of several kinds in one elliptic cone,
-    a foot that rolls over its sphere at a calf's rate would have little left against slipping.
+    Only the floor collides with the robot; its links do not collide with each other. Feet are hard points with the
+    file's sliding friction. What else it may say of their contacts is left out, as a controller cannot count on such
+    feet: resistance to rolling, since with friction of several kinds in one elliptic cone a foot that rolls over its
+    sphere at a calf's rate has little left against slipping; and softness, in which it sinks by up to its radius.
+    Geoms of the last link that would touch the ground before a standing foot collide with nothing.
 
     Args:
         robot: the robot.
@@ -57,7 +61,8 @@ def build_model(
         collides = geom.contype or geom.conaffinity
         geom.contype, geom.conaffinity = 0, int(bool(collides))
         if geom.name in robot.foot_geoms:
-            geom.condim = SLIDING
+            geom.condim, geom.margin, geom.gap = SLIDING, 0.0, 0.0
+            geom.solref, geom.solimp = mujoco.MjSpec().default.geom.solref, mujoco.MjSpec().default.geom.solimp
     spec.worldbody.add_geom(
         name=FLOOR,
         friction=[GROUND_FRICTION, 0.005, 0.0001],
@@ -95,7 +100,41 @@ def build_model(
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     # a simulation that has exploded must be seen as such, not be put back into the default pose without a word
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    return spec.compile()
+    model = spec.compile()
+    for geom in _before_feet(model, robot):
+        model.geom_conaffinity[geom] = 0
+    return model
+
+
+def _before_feet(model: mujoco.MjModel, robot: "Robot") -> list[int]:
+    """Geoms on the feet's links that are as low as the foot, but for a share of its radius, in postures in which it
+    stands."""
+    data = mujoco.MjData(model)
+    joints = [model.joint(name).qposadr[0] for name in robot.joint_names]
+    free = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE][0]
+    points = np.zeros(6)
+    found = set()
+    for leg, name in enumerate(robot.foot_geoms):
+        foot = model.geom(name).id
+        link = model.body_weldid[model.geom_bodyid[foot]]
+        others = [
+            g
+            for g in np.flatnonzero(model.body_weldid[model.geom_bodyid] == link)
+            if g != foot and model.geom_conaffinity[g]
+        ]
+        calf = robot.calf_vector[leg]
+        for lean in np.radians(STANDING_LEANS_DEG) if others else ():
+            # the trunk is turned about y so that the calf leans by that, in the pose in which all joints are at zero
+            pitch = np.arctan2(calf[0], -calf[2]) + lean
+            data.qpos[joints] = 0.0
+            data.qpos[free : free + 7] = 0.0, 0.0, 1.0, np.cos(pitch / 2), 0.0, np.sin(pitch / 2), 0.0
+            mujoco.mj_kinematics(model, data)
+            data.qpos[free + 2] -= data.geom_xpos[foot, 2] - robot.foot_radius
+            mujoco.mj_kinematics(model, data)
+            least = FOOT_FIRST * robot.foot_radius
+            floor = model.geom(FLOOR).id
+            found |= {g for g in others if mujoco.mj_geomDistance(model, data, floor, g, 1.0, points) < least}
+    return sorted(found)
 
 
 def _floor_shape(spec: mujoco.MjSpec, ground: HeightField | None) -> dict[str, Any]:
