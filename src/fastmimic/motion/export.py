@@ -200,8 +200,9 @@ def _deepmimic(frames: Frames, robot: str, looping: bool) -> str:
 
 
 def _mjlab(frames: Frames, robot: "Robot") -> bytes:
-    arrays: dict[str, Any] = {"fps": np.array([frames.fps]), "joint_pos": frames.joint_pos}
-    arrays |= {"joint_vel": frames.joint_vel, **body_states(frames, robot)}
+    sign = robot.joint_sign
+    arrays: dict[str, Any] = {"fps": np.array([frames.fps]), "joint_pos": sign * frames.joint_pos}
+    arrays |= {"joint_vel": sign * frames.joint_vel, **body_states(frames, robot)}
     arrays |= {"joint_names": np.array(robot.joint_names)}
     plain = {k: v.astype(np.float32) if v.dtype == np.float64 and k != "fps" else v for k, v in arrays.items()}
     out = io.BytesIO()

@@ -38,7 +38,12 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
     except (ValueError, RuntimeError) as error:
         raise RobotError(f"{where}: MuJoCo cannot compile this model ({one_line(error)})") from None
     trunk = _trunk(model, where)
-    legs = [_leg(model, trunk, hip, where) for hip in _leg_roots(model, trunk, where)]
+    roots = _leg_roots(model, trunk, where)
+    reversed_joints = [joint for root in roots for joint in _reversed(model, trunk, root, where)]
+    if reversed_joints:
+        _turn_round(spec, model, reversed_joints)
+        model, xml = spec.compile(), spec.to_xml()
+    legs = [_leg(model, trunk, root, where) for root in roots]
     order = _order(model, legs, where)
     legs = [legs[i] for i in order]
 
@@ -82,6 +87,7 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
         link_com=_in_leg_plane(np.array([[link[1] for link in row] for row in links]), legs),
         link_inertia=np.array([[link[2] for link in row] for row in links]),
         joint_names=tuple(model.joint(j).name for j in joints),
+        joint_sign=np.where(np.isin(joints, reversed_joints), -1.0, 1.0),
         foot_geoms=tuple(model.geom(leg.foot).name for leg in legs),
         assumed=(*range_assumed, *speed_assumed),
         base_spec=spec,
@@ -145,9 +151,8 @@ def _moving_parent(model: "mujoco.MjModel", body: int) -> int:
     return parent
 
 
-def _leg(model: "mujoco.MjModel", trunk: int, root: int, where: str) -> _Leg:
-    import mujoco
-
+def _chain(model: "mujoco.MjModel", root: int, where: str) -> list[int]:
+    """The three bodies of a leg."""
     chain = [root]
     while True:
         children = [b for b in range(model.nbody) if model.body_jntnum[b] and _moving_parent(model, b) == chain[-1]]
@@ -156,21 +161,65 @@ def _leg(model: "mujoco.MjModel", trunk: int, root: int, where: str) -> _Leg:
         chain.append(children[0])
         if len(children) > 1 or len(chain) > 3:
             break
-    label = f"the leg at body '{model.body(root).name}'"
     if len(chain) != 3 or any(model.body_jntnum[b] != 1 for b in chain):
-        raise RobotError(f"{where}: {label} is not a chain of three links with one joint each")
-    data = mujoco.MjData(model)  # all joints at zero
+        raise RobotError(f"{where}: {_label(model, root)} is not a chain of three links with one joint each")
+    return chain
+
+
+def _label(model: "mujoco.MjModel", root: int) -> str:
+    return f"the leg at body '{model.body(root).name}'"
+
+
+def _at_zero(model: "mujoco.MjModel", trunk: int) -> "mujoco.MjData":
+    """The model with all joints at zero and the trunk upright."""
+    import mujoco
+
+    data = mujoco.MjData(model)
     data.qpos[:] = 0
     data.qpos[model.jnt_qposadr[model.body_jntadr[trunk]] + 3] = 1
     mujoco.mj_kinematics(model, data)
-    joints = tuple(int(model.body_jntadr[b]) for b in chain)
+    return data
+
+
+def _reversed(model: "mujoco.MjModel", trunk: int, root: int, where: str) -> list[int]:
+    """The joints of a leg that turn about the opposite of the common axis.
+
+    Raises:
+        RobotError: one turns about another axis.
+    """
+    data, found = _at_zero(model, trunk), []
+    joints = (int(model.body_jntadr[b]) for b in _chain(model, root, where))
     for joint, role in zip(joints, JOINTS_PER_LEG, strict=True):
-        axis = data.xaxis[joint]
-        if np.max(np.abs(axis - _AXES[role])) > _AXIS_TOLERANCE:
+        axis, common = data.xaxis[joint], np.array(_AXES[role])
+        if np.max(np.abs(axis + common)) <= _AXIS_TOLERANCE:
+            found.append(joint)
+        elif np.max(np.abs(axis - common)) > _AXIS_TOLERANCE:
             raise RobotError(
                 f"{where}: {role} joint '{model.joint(joint).name}' turns about {np.round(axis, 3).tolist()};"
-                f" expected {list(_AXES[role])} (x forward, y left) when all joints are at zero"
+                f" expected {list(_AXES[role])} (x forward, y left), or its opposite, when all joints are at zero"
             )
+    return found
+
+
+def _turn_round(spec: "mujoco.MjSpec", model: "mujoco.MjModel", joints: list[int]) -> None:
+    """Has joints, by their ids, turn about the opposite axes: the same robot with other signs."""
+    for joint in spec.joints:
+        if joint.id in joints:
+            joint.axis = -np.array(joint.axis)
+            joint.range = -np.array(joint.range)[::-1]
+            joint.actfrcrange = -np.array(joint.actfrcrange)[::-1]
+    for key in spec.keys:
+        pose = np.array(key.qpos)
+        if pose.size < model.nq:
+            continue
+        pose[model.jnt_qposadr[joints]] *= -1.0
+        key.qpos = pose
+
+
+def _leg(model: "mujoco.MjModel", trunk: int, root: int, where: str) -> _Leg:
+    chain, label, data = _chain(model, root, where), _label(model, root), _at_zero(model, trunk)
+    joints = tuple(int(model.body_jntadr[b]) for b in chain)
+    for joint in joints:
         if not (model.jnt_limited[joint] or model.nkey):
             raise RobotError(
                 f"{where}: joint '{model.joint(joint).name}' has no range, and no keyframe shows how it is bent"

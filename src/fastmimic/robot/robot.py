@@ -44,6 +44,8 @@ class Robot:
         link_mass: (4, 3); link_com: (4, 3, 3) and link_inertia: (4, 3, 3, 3) in each link's frame, those of
             thigh and calf moved along their joint axis into the leg's plane (`lateral_offset`).
         joint_names, foot_geoms: names of the model's elements in the common order.
+        joint_sign: (12,) −1 where a joint of that name turns about the opposite axis in the file that was read. `xml`
+            and `base_spec` have the common axes.
         assumed: what the model does not say and was assumed, as sentences.
         base_spec: the specification that all this was read from; see `spec()`.
     """
@@ -77,6 +79,7 @@ class Robot:
     link_inertia: Array
     joint_names: tuple[str, ...]
     foot_geoms: tuple[str, ...]
+    joint_sign: Array
     assumed: tuple[str, ...] = ()
     base_spec: "mujoco.MjSpec | None" = field(default=None, repr=False)
 

@@ -113,12 +113,12 @@ def _before_feet(model: mujoco.MjModel, robot: "Robot") -> list[int]:
     joints = [model.joint(name).qposadr[0] for name in robot.joint_names]
     free = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE][0]
     points = np.zeros(6)
-    found = set()
+    found: set[int] = set()
     for leg, name in enumerate(robot.foot_geoms):
         foot = model.geom(name).id
         link = model.body_weldid[model.geom_bodyid[foot]]
         others = [
-            g
+            int(g)
             for g in np.flatnonzero(model.body_weldid[model.geom_bodyid] == link)
             if g != foot and model.geom_conaffinity[g]
         ]
