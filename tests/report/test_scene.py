@@ -75,6 +75,19 @@ def test_decoration_casts_no_shadow_but_hidden_collision_geometry_does_not_repla
     assert not shown[stage.model.geom("robot/trunk").id]
 
 
+def test_of_a_robot_that_has_only_collision_shapes_these_are_shown(a1: Robot, tmp_path: Path) -> None:
+    spec = a1.spec()
+    for geom in spec.geoms:
+        geom.group = 3
+    spec.compile()
+    (tmp_path / "hidden.xml").write_text(spec.to_xml())
+    stage = build_stage(load_robot(tmp_path / "hidden.xml"), ghost=True, width=64, height=48, floor=FLOOR)
+    shown = np.flatnonzero(stage.casts_shadow)
+    assert len(shown) > 12
+    assert set(stage.model.geom_group[shown]) == {0}
+    assert np.count_nonzero(stage.model.geom_group == GHOST_GROUP) == len(shown)
+
+
 def test_tiles_are_as_large_as_asked_for_and_cover_the_ground_once(a1: Robot) -> None:
     model = (stage := build_stage(a1, ghost=False, width=64, height=48, floor=FLOOR, tile=0.4)).model
     areas, columns = [], []

@@ -253,10 +253,13 @@ def _find(model: "mujoco.MjModel", robot: "Robot", prefix: str) -> tuple[NDArray
 
     joints = [model.joint(prefix + name).id for name in robot.joint_names]
     root = model.body_rootid[model.jnt_bodyid[joints[0]]]
+    geoms = model.body_rootid[model.geom_bodyid] == root
+    if not _seen(model, geoms).any():  # a model that has only what collides
+        model.geom_group[geoms & _solid(model)] = 0
     free = np.flatnonzero((model.jnt_type == mujoco.mjtJoint.mjJNT_FREE) & (model.jnt_bodyid == root))[0]
     first = int(model.jnt_qposadr[free])
     qpos = np.concatenate([np.arange(first, first + 7), model.jnt_qposadr[joints]]).astype(np.int64)
-    return qpos, model.body_rootid[model.geom_bodyid] == root
+    return qpos, geoms
 
 
 def _main_geoms(model: "mujoco.MjModel", geoms: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -265,9 +268,18 @@ def _main_geoms(model: "mujoco.MjModel", geoms: NDArray[np.bool_]) -> NDArray[np
     Those that collide, if they are meant to be seen: decoration only costs time. Otherwise all that are
     seen, as in models whose collision geometry is hidden behind meshes.
     """
-    seen = geoms & (model.geom_group <= 2) & (model.geom_rgba[:, 3] > 0)
-    solid = seen & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))
+    seen = _seen(model, geoms)
+    solid = seen & _solid(model)
     return solid if solid.any() else seen
+
+
+def _seen(model: "mujoco.MjModel", geoms: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    return geoms & (model.geom_group <= 2) & (model.geom_rgba[:, 3] > 0)
+
+
+def _solid(model: "mujoco.MjModel") -> NDArray[np.bool_]:
+    solid: NDArray[np.bool_] = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return solid
 
 
 def _make_ghost(model: "mujoco.MjModel", geoms: NDArray[np.bool_]) -> None:

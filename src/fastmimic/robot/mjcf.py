@@ -230,8 +230,7 @@ def _leg(model: "mujoco.MjModel", trunk: int, root: int, where: str) -> _Leg:
     foot = _foot_geom(model, data, chain[-1], label, where)
     foot_pos = data.geom_xpos[foot] - data.xpos[trunk]
     to_hip, thigh, calf = anchors[1] - anchors[0], anchors[2] - anchors[1], foot_pos - anchors[2]
-    knee = joints[2]
-    bent = np.mean(model.jnt_range[knee]) if model.jnt_limited[knee] else _home(model)[model.jnt_qposadr[knee]]
+    bent = _home(model)[model.jnt_qposadr[joints[2]]]
     angle = np.arctan2(calf[0], -calf[2]) - np.arctan2(thigh[0], -thigh[2])
     return _Leg(
         joints=(joints[0], joints[1], joints[2]),
@@ -276,6 +275,7 @@ def _order(model: "mujoco.MjModel", legs: list[_Leg], where: str) -> list[int]:
 
 
 def _home(model: "mujoco.MjModel") -> Array:
+    """The keyframe `home`, or the only one; else the middle of the joints' ranges."""
     for key in range(model.nkey):
         if model.key(key).name == "home" or model.nkey == 1:
             return np.array(model.key_qpos[key])
