@@ -12,7 +12,7 @@ from fastmimic.conventions import GRAVITY
 from fastmimic.errors import ConfigError
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
-from fastmimic.simulation.mujoco_sim import FLOOR, MujocoSimulation, build_model
+from fastmimic.simulation.mujoco_sim import FLOOR, HeightField, MujocoSimulation, build_model
 from robot.mjcf import a1_tree, drop, find, random_joints, random_quat, remove, write
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -371,6 +371,19 @@ class TestUsersOwnRobots:
         assert model.opt.timestep == 1e-3
         np.testing.assert_array_equal(model.actuator_forcerange[:, 1], robot.torque_limit)
         np.testing.assert_allclose(model.opt.gravity, [0, 0, -GRAVITY])
+
+    def test_a_shell_below_a_foot_collides_with_nothing_on_any_ground(self, robot: Robot, tmp_path: Path) -> None:
+        tree = a1_tree()
+        calf = find(tree, "body", "RL_calf")
+        for name, end in (("boot", "-0.21"), ("shin", "-0.15")):
+            shape = {"type": "capsule", "size": "0.015", "fromto": f"0 0 -0.1 0 0 {end}"}
+            ElementTree.SubElement(calf, "geom", {"name": name, **shape})
+        booted = load_robot(write(tree, tmp_path / "boot.xml"))
+        uneven = HeightField(np.random.default_rng(0).uniform(0.0, 0.04, (8, 8)), 2.0)
+        for ground in (None, uneven):
+            model, plain = build_model(booted, ground=ground), build_model(robot, ground=ground)
+            collide = {model.geom(g).name for g in np.flatnonzero(model.geom_conaffinity)}
+            assert collide == {plain.geom(g).name for g in np.flatnonzero(plain.geom_conaffinity)} | {"shin"}
 
     def test_gravity_is_the_earths_whatever_the_file_says(self, tmp_path: Path) -> None:
         tree = a1_tree()

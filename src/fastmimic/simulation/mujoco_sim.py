@@ -25,7 +25,9 @@ FLOOR: Final = "fastmimic_floor"
 DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
 GROUND_FRICTION: Final = 0.8
 FOOT_FIRST: Final = 0.3
+"""Of the foot's radius: how much higher than the foot the rest of its link has to be while it stands."""
 STANDING_LEANS_DEG: Final = (-60.0, -30.0, 0.0, 30.0, 60.0)
+"""Of the calf from the vertical, while a foot stands."""
 SLIDING: Final = 3  # MuJoCo's condim: a normal force and friction against slipping
 
 
@@ -53,7 +55,7 @@ def build_model(
         physics_rate_hz: Hz.
         ground: what the floor is if it is not flat.
     """
-    spec = robot.spec()
+    spec, plain = robot.spec(), mujoco.MjSpec().default.geom
     for group in (spec.actuators, spec.sensors, spec.keys):
         for element in list(group):
             spec.delete(element)
@@ -62,7 +64,7 @@ def build_model(
         geom.contype, geom.conaffinity = 0, int(bool(collides))
         if geom.name in robot.foot_geoms:
             geom.condim, geom.margin, geom.gap = SLIDING, 0.0, 0.0
-            geom.solref, geom.solimp = mujoco.MjSpec().default.geom.solref, mujoco.MjSpec().default.geom.solimp
+            geom.solref, geom.solimp = plain.solref, plain.solimp
     spec.worldbody.add_geom(
         name=FLOOR,
         friction=[GROUND_FRICTION, 0.005, 0.0001],
@@ -101,39 +103,37 @@ def build_model(
     # a simulation that has exploded must be seen as such, not be put back into the default pose without a word
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     model = spec.compile()
-    for geom in _before_feet(model, robot):
-        model.geom_conaffinity[geom] = 0
+    if ground is None:
+        model.geom_conaffinity[_before_feet(model, robot)] = 0
+    else:
+        model.geom_conaffinity[:] = build_model(robot).geom_conaffinity  # there the floor is level
     return model
 
 
 def _before_feet(model: mujoco.MjModel, robot: "Robot") -> list[int]:
     """Geoms on the feet's links that are as low as the foot, but for a share of its radius, in postures in which it
-    stands."""
-    data = mujoco.MjData(model)
+    stands on a level floor."""
+    data, points, floor = mujoco.MjData(model), np.zeros(6), model.geom(FLOOR).id
     joints = [model.joint(name).qposadr[0] for name in robot.joint_names]
     free = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE][0]
-    points = np.zeros(6)
+    links = model.body_weldid[model.geom_bodyid]
     found: set[int] = set()
-    for leg, name in enumerate(robot.foot_geoms):
-        foot = model.geom(name).id
-        link = model.body_weldid[model.geom_bodyid[foot]]
-        others = [
-            int(g)
-            for g in np.flatnonzero(model.body_weldid[model.geom_bodyid] == link)
-            if g != foot and model.geom_conaffinity[g]
-        ]
-        calf = robot.calf_vector[leg]
-        for lean in np.radians(STANDING_LEANS_DEG) if others else ():
-            # the trunk is turned about y so that the calf leans by that, in the pose in which all joints are at zero
+    for foot_name, calf in zip(robot.foot_geoms, robot.calf_vector, strict=True):
+        foot = model.geom(foot_name).id
+        others = [int(g) for g in np.flatnonzero((links == links[foot]) & (model.geom_conaffinity != 0)) if g != foot]
+        for lean in np.radians(STANDING_LEANS_DEG):
+            # all joints at zero, and the trunk turned about y so that the calf leans by that
             pitch = np.arctan2(calf[0], -calf[2]) + lean
             data.qpos[joints] = 0.0
             data.qpos[free : free + 7] = 0.0, 0.0, 1.0, np.cos(pitch / 2), 0.0, np.sin(pitch / 2), 0.0
             mujoco.mj_kinematics(model, data)
             data.qpos[free + 2] -= data.geom_xpos[foot, 2] - robot.foot_radius
             mujoco.mj_kinematics(model, data)
-            least = FOOT_FIRST * robot.foot_radius
-            floor = model.geom(FLOOR).id
-            found |= {g for g in others if mujoco.mj_geomDistance(model, data, floor, g, 1.0, points) < least}
+            found |= {
+                g
+                for g in others
+                if mujoco.mj_geomDistance(model, data, floor, g, 1.0, points) < FOOT_FIRST * robot.foot_radius
+            }
     return sorted(found)
 
 
