@@ -6,7 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fastmimic.errors import ConfigError
+from fastmimic.errors import ConfigError, MotionError
 from fastmimic.imitation.rollout import JOINT_NOISE, VELOCITY_NOISE, ClosedLoop, Start
 from fastmimic.learning.config import PolicyConfig
 from fastmimic.learning.controller import controlled_by
@@ -171,7 +171,7 @@ def test_ranges_that_cannot_be_are_refused(text: str, message: str) -> None:
 def test_what_does_not_fit_is_refused(robot: Robot, motion: Motion) -> None:
     with pytest.raises(ConfigError, match="robots must be at least 1"):
         Episodes(robot, motion, 0)
-    with pytest.raises(ConfigError, match="for robot 'a1', not for 'go1'"):
+    with pytest.raises(MotionError, match="for robot 'a1', not for 'go1'"):
         Episodes(load_robot("go1"), motion, 1)
     with pytest.raises(ConfigError, match="expected \\(1, 12\\)"):
         Episodes(robot, motion, 1).step(np.zeros((2, 12)))

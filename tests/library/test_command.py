@@ -80,7 +80,14 @@ def test_records_that_are_superseded_or_of_another_version_are_told_of(library: 
     assert "1 more records are not in the index: 'list --superseded' says why" in listed
     assert "00000000  trot  a1     0     made otherwise" in run("library", "list", mine, "--superseded").out
     (said,) = json.loads(run("library", "list", mine, "--superseded", "--json").out)["superseded"]
-    assert said == {"id": other["id"], "name": "trot", "robot": "a1", "seed": 0, "why": "made otherwise"}
+    assert said == {
+        "id": other["id"],
+        "name": "trot",
+        "robot": "a1",
+        "seed": 0,
+        "why": "made otherwise",
+        "instead": None,
+    }
     assert run("library", "verify", mine, "--mend").status == 0
     assert "more records" not in run("library", "list", mine).out
 

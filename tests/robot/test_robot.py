@@ -176,7 +176,6 @@ def test_a_robot_with_meshes_beside_its_file_can_be_simulated(tmp_path: Path) ->
     text = (tmp_path / "assets" / "shell.obj").read_text()
     (tmp_path / "assets" / "shell.obj").write_text(text.replace(".125", ".25"))
     longer = load_robot(tmp_path / "meshes.xml")
-    assert longer.xml == robot.xml
     assert longer.content != robot.content
 
 

@@ -1,5 +1,6 @@
 """Reading a `Robot` from MuJoCo's description: legs are recognised by the geometry of the model, not by names."""
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -91,6 +92,7 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
         foot_geoms=tuple(model.geom(leg.foot).name for leg in legs),
         assumed=(*range_assumed, *speed_assumed),
         base_spec=spec,
+        files_digest=_files_digest(spec),
     )
 
 
@@ -105,6 +107,21 @@ class _Leg:
     knee_sign: float
     foot: int
     foot_radius: float
+
+
+def _files_digest(spec: "mujoco.MjSpec") -> str:
+    """Of the content of the meshes' files; empty if there are none."""
+    names = [mesh.file for mesh in spec.meshes if mesh.file]
+    if not names:
+        return ""
+    folder, found = Path(spec.modelfiledir) / spec.compiler.meshdir, hashlib.sha256()
+    for name in names:
+        found.update(name.encode())
+        try:
+            found.update((folder / name).read_bytes())
+        except OSError:  # MuJoCo has found it somewhere, as one of its own resources
+            continue
+    return found.hexdigest()
 
 
 def _name_spheres(spec: "mujoco.MjSpec") -> None:

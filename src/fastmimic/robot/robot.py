@@ -1,8 +1,9 @@
 """`Robot`: what the controller knows about a quadruped. Nothing about a particular robot is written in code."""
 
+import re
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
     from fastmimic.robot.kinematics import LegGeometry
 
 Array = NDArray[np.float64]
+
+_ROUNDED_ZERO: Final = re.compile(r"-?\d(\.\d+)?e-(1[2-9]|[2-9]\d)\b|(?<![\d.])-0(?![\d.])")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +51,7 @@ class Robot:
             and `base_spec` have the common axes.
         assumed: what the model does not say and was assumed, as sentences.
         base_spec: the specification that all this was read from; see `spec()`.
+        files_digest: of the content of the model's meshes that are files; empty if there are none.
     """
 
     name: str
@@ -82,6 +86,7 @@ class Robot:
     joint_sign: Array
     assumed: tuple[str, ...] = ()
     base_spec: "mujoco.MjSpec | None" = field(default=None, repr=False)
+    files_digest: str = ""
 
     def spec(self) -> "mujoco.MjSpec":
         """A fresh copy of the robot's MuJoCo specification, to build a scene from.
@@ -99,23 +104,19 @@ class Robot:
         """
         import mujoco
 
-        if self._has_files:
+        if ' file="' in self.xml:
             return self.spec().compile()
         return mujoco.MjModel.from_xml_string(self.xml)
 
-    @cached_property
-    def content(self) -> bytes:
-        """All that the robot is, for digests: `xml`, and what has become of the meshes whose files it only names."""
-        if not self._has_files:
-            return self.xml.encode()
-        model = self.model()
-        shapes = (model.mesh_vert, model.mesh_face, model.geom_pos, model.geom_quat, model.geom_size)
-        bodies = (model.body_mass, model.body_ipos, model.body_iquat, model.body_inertia)
-        return b"".join([self.xml.encode(), *(array.tobytes() for array in (*shapes, *bodies))])
-
     @property
-    def _has_files(self) -> bool:
-        return ' file="' in self.xml
+    def content(self) -> bytes:
+        """All that the robot is, for digests: `xml`, and the digest of the meshes whose files it only names.
+
+        Where those are meshes, MuJoCo writes of their places what rounding has left of a zero; that does not count.
+        """
+        if not self.files_digest:
+            return self.xml.encode()
+        return (_ROUNDED_ZERO.sub("0", self.xml) + self.files_digest).encode()
 
     @property
     def thigh_length(self) -> float:
