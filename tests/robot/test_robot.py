@@ -3,6 +3,7 @@
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -177,6 +178,17 @@ def test_a_robot_with_meshes_beside_its_file_can_be_simulated(tmp_path: Path) ->
     (tmp_path / "assets" / "shell.obj").write_text(text.replace(".125", ".25"))
     longer = load_robot(tmp_path / "meshes.xml")
     assert longer.content != robot.content
+
+
+def test_what_rounding_leaves_of_a_meshs_place_is_not_its_robots_content() -> None:
+    def content(place: str, files: str = "of its meshes") -> bytes:
+        return replace(load_robot("a1"), xml=f'<geom{place} type="mesh"/>', files_digest=files).content
+
+    same = ["", ' pos="0 0 0"', ' pos="-2.63678e-16 -0 1e-17"', ' pos="0 0 0" quat="1 -2e-18 0 0"']
+    assert len({content(place) for place in same}) == 1
+    assert content(' pos="1e-05 0 0"') != content("")
+    assert content("", "of others") != content("")
+    assert load_robot("a1").content == load_robot("a1").xml.encode()
 
 
 def test_joints_that_turn_without_end_have_a_range_that_is_said(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_NOWHERE: Final = re.compile(r' (pos="0 0 0"|quat="1 0 0 0")')
 _ROUNDED_ZERO: Final = re.compile(r"-?\d(\.\d+)?e-(1[2-9]|[2-9]\d)\b|(?<![\d.])-0(?![\d.])")
 
 
@@ -116,7 +117,7 @@ class Robot:
         """
         if not self.files_digest:
             return self.xml.encode()
-        return (_ROUNDED_ZERO.sub("0", self.xml) + self.files_digest).encode()
+        return (_NOWHERE.sub("", _ROUNDED_ZERO.sub("0", self.xml)) + self.files_digest).encode()
 
     @property
     def thigh_length(self) -> float:
