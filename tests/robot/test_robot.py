@@ -220,6 +220,7 @@ def test_joints_that_turn_the_other_way_are_turned_round(tmp_path: Path) -> None
         at = 7 + [joint.get("name") for joint in tree.iter("joint") if joint.get("name")].index(name)
         pose[at] = -pose[at]
     key.set("qpos", " ".join(map(str, pose)))
+    find(tree, "joint", "FL_knee").attrib.update(stiffness="5", springref="1.5")
     robot, a1 = load_robot(write(tree, tmp_path / "other.xml")), load_robot("a1")
     assert [name for name, sign in zip(robot.joint_names, robot.joint_sign, strict=True) if sign < 0] == [
         "FR_abduction",
@@ -228,6 +229,7 @@ def test_joints_that_turn_the_other_way_are_turned_round(tmp_path: Path) -> None
     ]
     np.testing.assert_allclose(robot.home_joint_pos, a1.home_joint_pos)
     np.testing.assert_array_equal(robot.knee_sign, a1.knee_sign)
+    assert robot.model().joint("FL_knee").qpos_spring == [-1.5]
     assert (robot.joint_lower[0], robot.joint_upper[0]) == (-1.0, 0.6)
     assert (robot.joint_lower[5], robot.joint_upper[5]) == (-2.6, -0.9)
     q = random_joints(a1, np.random.default_rng(0))

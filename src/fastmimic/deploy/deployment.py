@@ -126,7 +126,7 @@ def deploy(
         estimator: its parameters.
         itinerary: of this motion and controller, if it was made before.
         cycles, duration_s, endless: how many cycles, or how long, or until a person ends it; 10 s if none is given.
-        limits: of safety.
+        limits: of safety; `SafetyLimits.of` the robot if None.
         clock: the computer's if None. A simulated robot has to have the same.
         switch: a person's hand; keys and signals if None.
         dry_run: compute everything and send nothing.

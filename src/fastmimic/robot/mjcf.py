@@ -40,11 +40,12 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
         raise RobotError(f"{where}: MuJoCo cannot compile this model ({one_line(error)})") from None
     trunk = _trunk(model, where)
     roots = _leg_roots(model, trunk, where)
-    reversed_joints = [joint for root in roots for joint in _reversed(model, trunk, root, where)]
+    at_zero = _at_zero(model, trunk)
+    reversed_joints = [joint for root in roots for joint in _reversed(model, at_zero, root, where)]
     if reversed_joints:
         _turn_round(spec, model, reversed_joints)
-        model, xml = spec.compile(), spec.to_xml()
-    legs = [_leg(model, trunk, root, where) for root in roots]
+        model, xml = spec.compile(), spec.to_xml()  # with all joints at zero, it is where it was
+    legs = [_leg(model, at_zero, trunk, root, where) for root in roots]
     order = _order(model, legs, where)
     legs = [legs[i] for i in order]
 
@@ -198,16 +199,16 @@ def _at_zero(model: "mujoco.MjModel", trunk: int) -> "mujoco.MjData":
     return data
 
 
-def _reversed(model: "mujoco.MjModel", trunk: int, root: int, where: str) -> list[int]:
+def _reversed(model: "mujoco.MjModel", at_zero: "mujoco.MjData", root: int, where: str) -> list[int]:
     """The joints of a leg that turn about the opposite of the common axis.
 
     Raises:
         RobotError: one turns about another axis.
     """
-    data, found = _at_zero(model, trunk), []
+    found = []
     joints = (int(model.body_jntadr[b]) for b in _chain(model, root, where))
     for joint, role in zip(joints, JOINTS_PER_LEG, strict=True):
-        axis, common = data.xaxis[joint], np.array(_AXES[role])
+        axis, common = at_zero.xaxis[joint], np.array(_AXES[role])
         if np.max(np.abs(axis + common)) <= _AXIS_TOLERANCE:
             found.append(joint)
         elif np.max(np.abs(axis - common)) > _AXIS_TOLERANCE:
@@ -224,6 +225,7 @@ def _turn_round(spec: "mujoco.MjSpec", model: "mujoco.MjModel", joints: list[int
         if joint.id in joints:
             joint.axis = -np.array(joint.axis)
             joint.range = -np.array(joint.range)[::-1]
+            joint.springref = -joint.springref
             joint.actfrcrange = -np.array(joint.actfrcrange)[::-1]
     for key in spec.keys:
         pose = np.array(key.qpos)
@@ -233,8 +235,9 @@ def _turn_round(spec: "mujoco.MjSpec", model: "mujoco.MjModel", joints: list[int
         key.qpos = pose
 
 
-def _leg(model: "mujoco.MjModel", trunk: int, root: int, where: str) -> _Leg:
-    chain, label, data = _chain(model, root, where), _label(model, root), _at_zero(model, trunk)
+def _leg(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int, root: int, where: str) -> _Leg:
+    """A leg, from where its parts are with all joints at zero."""
+    chain, label = _chain(model, root, where), _label(model, root)
     joints = tuple(int(model.body_jntadr[b]) for b in chain)
     for joint in joints:
         if not (model.jnt_limited[joint] or model.nkey):
