@@ -26,9 +26,9 @@ def serve(page: Page, what: str, port: int) -> int:
     taken = page.server.get_port()
     if taken != port:
         note(f"port {port} is taken; listening on {taken} instead")
-    put(f"{what}: open {page.url} in a browser; Ctrl-C ends it")
-    sys.stdout.flush()
     try:
+        put(f"{what}: open {page.url} in a browser; Ctrl-C ends it")
+        sys.stdout.flush()
         page.run(threading.Event())
     except KeyboardInterrupt:
         note("closed")
