@@ -20,10 +20,10 @@ from pathlib import Path
 from marked import put
 
 import fastmimic as fm
+from fastmimic.base.machine import available_cores
 from fastmimic.cli import main as fastmimic
 from fastmimic.experiments.compare import Plan, compare
 from fastmimic.experiments.runs import Settings
-from fastmimic.machine import available_cores
 from fastmimic.report.comparison_folder import ENVIRONMENT
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

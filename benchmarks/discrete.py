@@ -22,15 +22,15 @@ import numpy as np
 from marked import put
 
 import fastmimic as fm
-from fastmimic.files import replace_file
-from fastmimic.imitation.feasibility import demands, describe_fall, reasons
-from fastmimic.motion.catalogue import open_clip
-from fastmimic.motion.data import data_folder
-from fastmimic.motion.retarget import retarget
-from fastmimic.motion.segment import DISCRETE, find_segments
+from fastmimic.base.files import replace_file
+from fastmimic.clips.catalogue import open_clip
+from fastmimic.clips.data import data_folder
+from fastmimic.clips.segment import DISCRETE, find_segments
+from fastmimic.episode.feasibility import demands, describe_fall, reasons
 from fastmimic.primitive import MotionDmp, RhythmicDmp
 from fastmimic.primitive.coordinates import FEET, phases, to_coordinates
 from fastmimic.primitive.discrete import MAX_S
+from fastmimic.retarget.retarget import retarget
 
 TAKES = ("dog_walk00", "dog_walk03", "dog_walk09", "dog_run00", "dog_turn00")
 TURN = "dog_walk09:2404:2450"

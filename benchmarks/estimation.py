@@ -19,13 +19,13 @@ import numpy as np
 from marked import put
 
 import fastmimic as fm
+from fastmimic.base.rotations import rotate_planar, yaw_from_quat
+from fastmimic.episode.observer import EstimationErrors
+from fastmimic.episode.rollout import Rollout, nominal_start, run_episodes
 from fastmimic.estimation.config import EstimatorConfig
-from fastmimic.imitation.observer import EstimationErrors
-from fastmimic.imitation.rollout import Rollout, nominal_start, run_episodes
 from fastmimic.motion.motion import Motion
-from fastmimic.report.style import AFTER, DEMONSTRATION, STANCE, new_figure, save, tidy
+from fastmimic.render.style import AFTER, DEMONSTRATION, STANCE, new_figure, save, tidy
 from fastmimic.robot import Robot
-from fastmimic.rotations import rotate_planar, yaw_from_quat
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.sensors import SensorConfig, ideal_sensors
 

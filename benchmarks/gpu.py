@@ -24,8 +24,8 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 import fastmimic as fm
-from fastmimic.imitation.rollout import perturbed_start, run_episodes
-from fastmimic.machine import available_cores
+from fastmimic.base.machine import available_cores
+from fastmimic.episode.rollout import perturbed_start, run_episodes
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
 RECORDED = 64

@@ -15,16 +15,16 @@ import numpy as np
 from marked import put
 from matplotlib.figure import Figure
 
+from fastmimic.base.errors import LogError
 from fastmimic.control.config import ControllerConfig, default_config
-from fastmimic.errors import LogError
+from fastmimic.episode.rollout import Rollout, run_episodes, run_log
+from fastmimic.episode.run_log import RunLog
 from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.experiments.transfer import ACTUATORS, trial_starts
 from fastmimic.identification.identify import Identification, identify
-from fastmimic.identification.log import RunLog
-from fastmimic.imitation.rollout import Rollout, run_episodes, run_log
+from fastmimic.imitation.imitate import load_motion
 from fastmimic.motion.motion import Motion
-from fastmimic.pipeline import load_motion
-from fastmimic.report.style import new_figure, save, tidy
+from fastmimic.render.style import new_figure, save, tidy
 from fastmimic.robot import Robot, load_robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance

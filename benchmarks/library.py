@@ -28,16 +28,16 @@ from typing import Any
 import numpy as np
 from marked import put
 
+from fastmimic.clips.data import data_folder
+from fastmimic.dataset import Building, Library, Recipe, Source, build, find_sources
+from fastmimic.dataset.build import Step
+from fastmimic.dataset.jobs import Job, perform, robot_digest
+from fastmimic.dataset.pieces import Survey, look_of, survey
+from fastmimic.dataset.records import DONE, FIGURES, record_file, sha256
+from fastmimic.dataset.warm_start import distance
 from fastmimic.executors import Executor, Report, make_executor
 from fastmimic.executors.local import LocalExecutor
-from fastmimic.library import Building, Library, Recipe, Source, build, find_sources
-from fastmimic.library.build import Step
-from fastmimic.library.jobs import Job, perform, robot_digest
-from fastmimic.library.pieces import Survey, look_of, survey
-from fastmimic.library.records import DONE, FIGURES, record_file, sha256
-from fastmimic.library.warm_start import distance
-from fastmimic.motion.data import data_folder
-from fastmimic.pipeline import imitate, load_motion, versions
+from fastmimic.imitation.imitate import imitate, load_motion, versions
 from fastmimic.robot import load_robot
 
 PAGE = Path(__file__).parents[1] / "docs" / "library.md"

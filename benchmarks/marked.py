@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from fastmimic.files import replace_file
+from fastmimic.base.files import replace_file
 
 
 def put(path: Path, mark: str, text: str) -> None:

@@ -17,9 +17,9 @@ import numpy as np
 from marked import put
 
 import fastmimic as fm
+from fastmimic.base.files import replace_file
+from fastmimic.clips.catalogue import motion_names, open_clip
 from fastmimic.experiments.survey import random_cycles, summary, survey, table
-from fastmimic.files import replace_file
-from fastmimic.motion.catalogue import motion_names, open_clip
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "motions.md"
 

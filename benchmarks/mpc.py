@@ -22,7 +22,7 @@ from rollout import environment
 import fastmimic as fm
 from fastmimic.control.config import ControllerConfig, HorizonConfig, default_config
 from fastmimic.control.daqp import OPTIMAL, solve_qp
-from fastmimic.imitation.rollout import ClosedLoop, perturbed_start
+from fastmimic.episode.rollout import ClosedLoop, perturbed_start
 
 BUILT_IN = ("trot", "pace", "turn", "side-step", "walk")
 RECORDED = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps")
@@ -220,9 +220,9 @@ def measure(seconds: float, per_motion: int, rate_hz: float) -> dict[str, Any]:
             "variables": {"median": float(np.median(variables)), "max": max(variables)},
             **how,
         }
+    from fastmimic.base.conventions import GRAVITY
     from fastmimic.control.daqp import make_workspace
     from fastmimic.control.horizon import MAX_CONSTRAINTS, MAX_VARIABLES
-    from fastmimic.conventions import GRAVITY
 
     workspace = make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS)[0]
     return {

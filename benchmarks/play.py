@@ -17,9 +17,9 @@ from itertools import product
 
 import numpy as np
 
-from fastmimic.play.library import DEFAULTS, IN_PLACE, STAND, Library, load_library_motions
-from fastmimic.play.limits import Limits
 from fastmimic.play.session import LiveSession
+from fastmimic.reference.limits import Limits
+from fastmimic.reference.motion_set import DEFAULTS, IN_PLACE, STAND, Library, load_library_motions
 from fastmimic.robot import Robot, load_robot
 
 VALUES = {

@@ -21,12 +21,12 @@ import numpy as np
 from marked import put
 
 import fastmimic as fm
+from fastmimic.base.files import replace_file
+from fastmimic.episode.rollout import nominal_start, run_episodes, swing_clearance
 from fastmimic.experiments.entrants import Entrant
 from fastmimic.experiments.transfer import LAST, STAGES, TransferSettings, run_trials
-from fastmimic.files import replace_file
-from fastmimic.imitation.rollout import nominal_start, run_episodes, swing_clearance
-from fastmimic.methods import controller_for
-from fastmimic.pipeline import default_duration
+from fastmimic.imitation.imitate import default_duration
+from fastmimic.imitation.methods import controller_for
 
 MOTIONS: Final = ("dog:trot", "anim:side-steps", "dog:pace", "dog:right-turn")
 SEARCHES: Final = {

@@ -13,12 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 import fastmimic as fm
-from fastmimic.motion.catalogue import open_clip
-from fastmimic.report import Track, render_video
-from fastmimic.report.animal import animal_track
-from fastmimic.report.tracks import motion_track, rollout_track
+from fastmimic.base.rotations import quat_from_yaw, quat_multiply, yaw_from_quat
+from fastmimic.clips.catalogue import open_clip
+from fastmimic.render.animal import animal_track
+from fastmimic.render.playback import Track
+from fastmimic.render.tracks import motion_track, rollout_track
+from fastmimic.render.video import render_video
 from fastmimic.robot import load_robot
-from fastmimic.rotations import quat_from_yaw, quat_multiply, yaw_from_quat
 
 SETTLED_CYCLES = 6
 STRAIGHT_RAD = 0.1

@@ -15,10 +15,10 @@ import numpy as np
 from marked import put
 
 from fastmimic.control.config import ControllerConfig, RecoveryConfig, default_config
+from fastmimic.episode.rollout import Start, nominal_start, run_episodes
 from fastmimic.experiments.compare import PAPER_MOTIONS
-from fastmimic.imitation.rollout import Start, nominal_start, run_episodes
+from fastmimic.imitation.imitate import load_motion
 from fastmimic.motion.motion import Motion
-from fastmimic.pipeline import load_motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance

@@ -21,12 +21,12 @@ import numpy as np
 from marked import put
 
 import fastmimic as fm
-from fastmimic.control.reference import planar_turned, reference_table
-from fastmimic.files import replace_file
-from fastmimic.imitation.rollout import ClosedLoop, nominal_start, swing_clearance
-from fastmimic.motion.retarget_balance import BalanceConfig
-from fastmimic.motion.retarget_config import RetargetConfig
-from fastmimic.rotations import yaw_from_quat
+from fastmimic.base.files import replace_file
+from fastmimic.base.rotations import yaw_from_quat
+from fastmimic.episode.rollout import ClosedLoop, nominal_start, swing_clearance
+from fastmimic.reference.table import planar_turned, reference_table
+from fastmimic.retarget.balance import BalanceConfig
+from fastmimic.retarget.config import RetargetConfig
 
 CLAIMED = ("dog:pace", "dog:trot", "dog:right-turn", "anim:side-steps", "trot", "pace", "turn", "side-step")
 REPORTED = (

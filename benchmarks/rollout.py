@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 import fastmimic as fm
-from fastmimic.imitation.rollout import ClosedLoop, nominal_start
-from fastmimic.machine import available_cores
+from fastmimic.base.machine import available_cores
+from fastmimic.episode.rollout import ClosedLoop, nominal_start
 
 REPEATS = 7
 
@@ -129,7 +129,7 @@ def timed(work: Callable[[], Any]) -> float:
 
 def environment() -> dict[str, Any]:
     """What the figures were measured on and with."""
-    from fastmimic.pipeline import versions
+    from fastmimic.imitation.imitate import versions
 
     return {"machine": platform.machine(), "cores": available_cores(), "load_1min": os.getloadavg()[0], **versions()}
 

@@ -21,14 +21,14 @@ from marked import put
 from numpy.typing import NDArray
 
 import fastmimic as fm
-from fastmimic.control.reference import remaining_stance
-from fastmimic.imitation.rollout import perturbed_start
-from fastmimic.imitation.style import style_distance
+from fastmimic.episode.rollout import perturbed_start
+from fastmimic.episode.style import style_distance
 from fastmimic.motion.contacts import stances_of
 from fastmimic.optimize.parameters import FEET_AND_TRUNK
 from fastmimic.optimize.problem import ImitationProblem
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.reach import foot_table
+from fastmimic.reference.table import remaining_stance
 
 Array = NDArray[np.float64]
 

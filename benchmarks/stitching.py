@@ -18,10 +18,10 @@ from typing import Any
 from marked import put
 
 import fastmimic as fm
-from fastmimic.errors import DataError
-from fastmimic.files import replace_file
-from fastmimic.motion.catalogue import describe
-from fastmimic.stitching import PART_POPULATION
+from fastmimic.base.errors import DataError
+from fastmimic.base.files import replace_file
+from fastmimic.clips.catalogue import describe
+from fastmimic.imitation.stitch import PART_POPULATION
 
 COMBOS = (
     "pace+trot",

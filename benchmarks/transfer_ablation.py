@@ -20,14 +20,14 @@ import numpy as np
 from marked import put
 
 import fastmimic as fm
+from fastmimic.base.files import replace_file
 from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.control.inertia import WORK, add_standing_leg
-from fastmimic.control.state import pack_model
+from fastmimic.episode.rollout import run_episodes
 from fastmimic.experiments.transfer import ACTUATORS, FLOOR, trial_starts
-from fastmimic.files import replace_file
-from fastmimic.imitation.rollout import run_episodes
-from fastmimic.pipeline import default_duration
+from fastmimic.imitation.imitate import default_duration
 from fastmimic.robot.kinematics import foot_positions
+from fastmimic.robot.state import pack_model
 from fastmimic.simulation.conditions import Conditions
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "robustness.md"

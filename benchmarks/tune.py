@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 
 import fastmimic as fm
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.machine import available_cores
+from fastmimic.clips.data import data_folder
 from fastmimic.control.config import ControllerConfig, default_config, pack_config
-from fastmimic.conventions import GRAVITY
-from fastmimic.imitation.rollout import ClosedLoop, perturbed_start, swing_clearance
-from fastmimic.machine import available_cores
-from fastmimic.motion.data import data_folder
+from fastmimic.episode.rollout import ClosedLoop, perturbed_start, swing_clearance
 
 EPISODES = 2
 EPISODE_S = 4.0

@@ -17,9 +17,9 @@ import time
 from pathlib import Path
 
 import fastmimic as fm
-from fastmimic.machine import available_cores
-from fastmimic.report import render_video
-from fastmimic.report.tracks import motion_track
+from fastmimic.base.machine import available_cores
+from fastmimic.render.tracks import motion_track
+from fastmimic.render.video import render_video
 
 
 def processor_time() -> float:

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from fastmimic.control.state import COMMAND
 from fastmimic.deploy.dds import Participant, Reader, Writer
 from fastmimic.deploy.go2.crc import crc32
 from fastmimic.deploy.go2.messages import (
@@ -28,6 +27,7 @@ from fastmimic.deploy.go2.messages import (
 )
 from fastmimic.estimation.reading import READING
 from fastmimic.robot import load_robot
+from fastmimic.robot.state import COMMAND
 
 
 def answer(domain: int, ready: Any, stop: Any) -> None:

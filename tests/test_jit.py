@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fastmimic.jit import kernel, record_dtype
+from fastmimic.base.jit import kernel, record_dtype
 
 CALLEE = """
-from fastmimic.jit import inlined
+from fastmimic.base.jit import inlined
 
 @inlined
 def factor(x):
     return {number}.0 * x
 """
 CALLER = """
-from fastmimic.jit import kernel
+from fastmimic.base.jit import kernel
 from callee import factor
 
 @kernel
@@ -27,7 +27,7 @@ def between(x):
     return factor(x)
 """
 TOP = """
-from fastmimic.jit import kernel
+from fastmimic.base.jit import kernel
 from caller import between
 
 @kernel

@@ -16,40 +16,40 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from fastmimic.base.errors import FastMimicError
+    from fastmimic.clips.catalogue import motion_names, open_clip
+    from fastmimic.clips.clip import Clip
     from fastmimic.control.config import ControllerConfig
-    from fastmimic.errors import FastMimicError
-    from fastmimic.motion.catalogue import motion_names, open_clip
-    from fastmimic.motion.clip import Clip
+    from fastmimic.imitation.imitate import Evaluation, Imitation, evaluate, imitate, load_motion
+    from fastmimic.imitation.stitch import Stitching, stitch
     from fastmimic.motion.motion import Motion
-    from fastmimic.motion.retarget import retarget
     from fastmimic.optimize.randomization import Randomization
-    from fastmimic.pipeline import Evaluation, Imitation, evaluate, imitate, load_motion
     from fastmimic.primitive import MotionDmp
+    from fastmimic.retarget.retarget import retarget
     from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
     from fastmimic.simulation.conditions import Conditions
-    from fastmimic.stitching import Stitching, stitch
 
 _WHERE = {
-    "Clip": "fastmimic.motion.clip",
+    "Clip": "fastmimic.clips.clip",
     "Conditions": "fastmimic.simulation.conditions",
     "ControllerConfig": "fastmimic.control.config",
-    "Evaluation": "fastmimic.pipeline",
-    "FastMimicError": "fastmimic.errors",
-    "Imitation": "fastmimic.pipeline",
+    "Evaluation": "fastmimic.imitation.imitate",
+    "FastMimicError": "fastmimic.base.errors",
+    "Imitation": "fastmimic.imitation.imitate",
     "Motion": "fastmimic.motion.motion",
     "MotionDmp": "fastmimic.primitive",
     "ROBOT_NAMES": "fastmimic.robot",
     "Randomization": "fastmimic.optimize.randomization",
     "Robot": "fastmimic.robot",
-    "evaluate": "fastmimic.pipeline",
-    "imitate": "fastmimic.pipeline",
-    "load_motion": "fastmimic.pipeline",
+    "evaluate": "fastmimic.imitation.imitate",
+    "imitate": "fastmimic.imitation.imitate",
+    "load_motion": "fastmimic.imitation.imitate",
     "load_robot": "fastmimic.robot",
-    "motion_names": "fastmimic.motion.catalogue",
-    "open_clip": "fastmimic.motion.catalogue",
-    "retarget": "fastmimic.motion.retarget",
-    "Stitching": "fastmimic.stitching",
-    "stitch": "fastmimic.stitching",
+    "motion_names": "fastmimic.clips.catalogue",
+    "open_clip": "fastmimic.clips.catalogue",
+    "retarget": "fastmimic.retarget.retarget",
+    "Stitching": "fastmimic.imitation.stitch",
+    "stitch": "fastmimic.imitation.stitch",
 }
 
 __all__ = [

@@ -15,8 +15,8 @@ from importlib import import_module
 from typing import Final, NamedTuple, NoReturn, Protocol
 
 from fastmimic import __version__
+from fastmimic.base.errors import FastMimicError
 from fastmimic.commands.console import EXIT_INTERRUPTED
-from fastmimic.errors import FastMimicError
 
 EXIT_ERROR: Final = 2
 EXIT_BROKEN_PIPE: Final = 141  # as a shell reports SIGPIPE

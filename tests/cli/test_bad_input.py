@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cli.running import TINY, Run
-from motion.sample_files import keypoint_text, save_motion
+from clips.sample_files import keypoint_text, save_motion
 
 BIPED = """<mujoco><worldbody><body name="trunk"><freejoint/><geom size=".1" mass="1"/>
 <body name="left"><joint name="left_hip" range="-1 1"/><geom size=".05" mass="1"/></body>

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from cli.running import TINY, Outcome, Run, wait_for_iteration
+from fastmimic.base.conventions import LEGS
 from fastmimic.cli import main
 from fastmimic.commands.imitate import Imitate
-from fastmimic.conventions import LEGS
 from fastmimic.motion.motion import Motion
 
 Start = Callable[..., "subprocess.Popen[str]"]

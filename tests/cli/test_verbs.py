@@ -12,19 +12,19 @@ from pathlib import Path
 import pytest
 
 from cli.running import TINY, Run
+from clips.sample_files import csv_text, keypoint_text, take_text
+from fastmimic.clips.catalogue import RECORDED, open_clip
+from fastmimic.clips.data import Dataset
+from fastmimic.clips.synthesis import GAITS
 from fastmimic.control.config import controller_config
-from fastmimic.methods import METHODS, made_with
-from fastmimic.motion.catalogue import RECORDED, open_clip
-from fastmimic.motion.data import Dataset
+from fastmimic.imitation.imitate import load_motion
+from fastmimic.imitation.methods import METHODS, made_with
 from fastmimic.motion.motion import Motion
-from fastmimic.motion.retarget import retarget
-from fastmimic.motion.synthesis import GAITS
-from fastmimic.pipeline import load_motion
 from fastmimic.primitive import MotionDmp
-from fastmimic.report import Track
-from fastmimic.report.offscreen import NoRendererError, Offscreen
+from fastmimic.render.offscreen import NoRendererError, Offscreen
+from fastmimic.render.playback import Track
+from fastmimic.retarget.retarget import retarget
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
-from motion.sample_files import csv_text, keypoint_text, take_text
 
 EVALUATION_KEYS = {
     *("reward_mean", "reward_std", "components", "fell", "drift_m_per_s"),
@@ -194,7 +194,7 @@ DATASET = Dataset(
 @pytest.fixture
 def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """A server on this machine that has the dataset of one small file."""
-    monkeypatch.setattr("fastmimic.motion.data.DATASETS", (DATASET,))
+    monkeypatch.setattr("fastmimic.clips.data.DATASETS", (DATASET,))
     folder = tmp_path / "served" / DATASET.origin
     folder.mkdir(parents=True)
     (folder / "dog_pace_joint_pos.txt").write_bytes(CONTENT)
@@ -286,8 +286,8 @@ def test_the_verbs_take_what_a_motion_was_optimised_with(
 
 
 def test_render_tells_the_sizes_that_it_takes(run: Run) -> None:
-    from fastmimic.report.encoding import GIF_SIZE
-    from fastmimic.report.quality import HIGH, PREVIEW
+    from fastmimic.render.encoding import GIF_SIZE
+    from fastmimic.render.quality import HIGH, PREVIEW
 
     said = " ".join(run("render", "--help").out.replace("│", " ").split())
     sizes = [f"{w}x{h}" for w, h in (PREVIEW.size, HIGH.size, GIF_SIZE)]

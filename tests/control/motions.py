@@ -4,10 +4,10 @@ import dataclasses
 
 import numpy as np
 
+from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
-from fastmimic.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 
 RATE_HZ = 500.0
 TROT = (0.0, 0.5, 0.5, 0.0)

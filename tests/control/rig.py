@@ -2,13 +2,13 @@
 
 import numpy as np
 
+from fastmimic.base.rotations import quat_from_rotvec, quat_multiply
 from fastmimic.control.config import ControllerConfig
 from fastmimic.control.controller import Controller
-from fastmimic.control.reference import make_clocks, place_clocks
-from fastmimic.control.state import OBSERVATION
 from fastmimic.motion.motion import Motion
+from fastmimic.reference.table import make_clocks, place_clocks
 from fastmimic.robot import Robot
-from fastmimic.rotations import quat_from_rotvec, quat_multiply
+from fastmimic.robot.state import OBSERVATION
 
 
 def on_reference(motion: Motion, samples: np.ndarray) -> np.ndarray:

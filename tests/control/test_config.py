@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from control.bodies import body
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import ConfigError
 from fastmimic.control.config import (
     CONFIGS,
     ControllerConfig,
@@ -18,8 +20,6 @@ from fastmimic.control.config import (
     pack_config,
     paper_config,
 )
-from fastmimic.conventions import GRAVITY
-from fastmimic.errors import ConfigError
 from fastmimic.robot import load_robot
 
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fastmimic.base.errors import ConfigError
 from fastmimic.control.config import LoadConfig, controller_config, default_config, paper_config
 from fastmimic.control.config_file import FORMAT, changed, read_config
 from fastmimic.control.controller import Controller
 from fastmimic.control.load import loaded_robot
-from fastmimic.errors import ConfigError
-from fastmimic.pipeline import load_motion
+from fastmimic.imitation.imitate import load_motion
 from fastmimic.robot import load_robot
 
 

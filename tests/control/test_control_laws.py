@@ -8,17 +8,8 @@ import pytest
 
 from control.motions import gait, standing
 from control.rig import Rig, disturbed, on_reference
-from fastmimic.control.config import (
-    ControllerConfig,
-    SwingConfig,
-    default_config,
-    paper_config,
-)
-from fastmimic.conventions import GRAVITY
-from fastmimic.motion.motion import Motion
-from fastmimic.robot import Robot
-from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
-from fastmimic.rotations import (
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.rotations import (
     matrix_from_quat,
     quat_from_rotvec,
     quat_from_yaw,
@@ -27,6 +18,15 @@ from fastmimic.rotations import (
     quat_rotate_inverse,
     rotate_planar,
 )
+from fastmimic.control.config import (
+    ControllerConfig,
+    SwingConfig,
+    default_config,
+    paper_config,
+)
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
+from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 from robot.mjcf import Simulated
 
 

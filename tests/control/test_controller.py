@@ -7,21 +7,21 @@ import pytest
 
 from control.motions import gait, standing
 from control.rig import Rig, disturbed, on_reference
+from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.base.rotations import (
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate,
+    rotate_planar,
+)
 from fastmimic.control.config import (
     controller_config,
     default_config,
 )
 from fastmimic.control.controller import Controller
 from fastmimic.control.stance import _HOLD_STEPS
-from fastmimic.errors import ConfigError, MotionError
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.rotations import (
-    quat_from_yaw,
-    quat_multiply,
-    quat_rotate,
-    rotate_planar,
-)
 
 FIELDS = ("joint_pos", "joint_vel", "stiffness", "damping", "torque")
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from control.bodies import body
+from fastmimic.base.conventions import GRAVITY
 from fastmimic.control.config import ControllerConfig, GaitConfig, pack_config
 from fastmimic.control.gait import plan_leg
-from fastmimic.control.state import MEMORY
-from fastmimic.conventions import GRAVITY
+from fastmimic.robot.state import MEMORY
 
 WEIGHT = 100.0  # N
 LOADED, FREE, BETWEEN = 30.0, 0.0, 5.0  # N, about the thresholds of 10 N and 2 N

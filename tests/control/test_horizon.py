@@ -8,13 +8,13 @@ from scipy.optimize import nnls
 
 from control.motions import feet_w, gait, standing
 from control.rig import Rig, disturbed, on_reference
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.rotations import quat_from_rotvec, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig, HorizonConfig, StanceConfig, default_config
-from fastmimic.conventions import GRAVITY
-from fastmimic.errors import ConfigError
-from fastmimic.imitation.rollout import nominal_start, run_episodes
+from fastmimic.episode.rollout import nominal_start, run_episodes
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.rotations import quat_from_rotvec, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 
 STEPS, STEP_S = 10, 0.03
 SAMPLES = np.array([0, 30, 77, 140, 249])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from control.bodies import body
+from fastmimic.base.conventions import GRAVITY
 from fastmimic.control.config import REFERENCE_MASS, ControllerConfig, StanceConfig, pack_config
 from fastmimic.control.daqp import make_workspace
 from fastmimic.control.stance import (
@@ -16,8 +17,7 @@ from fastmimic.control.stance import (
     invert_symmetric_3x3,
     stance_forces,
 )
-from fastmimic.control.state import MEMORY
-from fastmimic.conventions import GRAVITY
+from fastmimic.robot.state import MEMORY
 
 MASS = 12.0
 WEIGHT = MASS * GRAVITY

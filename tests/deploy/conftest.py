@@ -5,15 +5,10 @@ import pytest
 from deploy.rig import Rig
 from fastmimic.control.config import default_config
 from fastmimic.deploy.itinerary import Itinerary, make_itinerary
+from fastmimic.imitation.imitate import load_motion
 from fastmimic.motion.motion import Motion
-from fastmimic.pipeline import load_motion
-from fastmimic.play.library import standing
-from fastmimic.robot import Robot, load_robot
-
-
-@pytest.fixture(scope="session")
-def a1() -> Robot:
-    return load_robot("a1")
+from fastmimic.reference.motion_set import standing
+from fastmimic.robot import Robot
 
 
 @pytest.fixture(scope="session")

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fastmimic.control.state import COMMAND
+from fastmimic.base.errors import DriverError
 from fastmimic.deploy.a1 import driver as a1
 from fastmimic.deploy.a1.driver import A1Driver
-from fastmimic.errors import DriverError
-from fastmimic.robot import Robot, load_robot
+from fastmimic.robot import Robot
+from fastmimic.robot.state import COMMAND
 
 MADE: "list[Binding]" = []
 
@@ -40,11 +40,6 @@ class Binding:
 
     def receive_observation(self) -> SimpleNamespace:
         return self.state
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 @pytest.fixture(autouse=True)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from deploy.rig import Rig, once
+from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.control.config import RecoveryConfig, default_config
-from fastmimic.control.state import COMMAND, OBSERVATION
 from fastmimic.deploy.clock import VirtualClock
 from fastmimic.deploy.deployment import Deployment
 from fastmimic.deploy.itinerary import Follower, Itinerary, make_itinerary
@@ -17,12 +17,12 @@ from fastmimic.deploy.pilot import Phase
 from fastmimic.deploy.safety import StopReason
 from fastmimic.deploy.scoring import score_log
 from fastmimic.deploy.sim import SimDriver
-from fastmimic.errors import ConfigError, DriverError
+from fastmimic.imitation.imitate import evaluate, load_motion
 from fastmimic.motion.motion import Motion
-from fastmimic.motion.stitch import stitch_motions
-from fastmimic.pipeline import evaluate, load_motion
 from fastmimic.robot import Robot
+from fastmimic.robot.state import COMMAND, OBSERVATION
 from fastmimic.simulation.conditions import Conditions
+from fastmimic.stitching.join import stitch_motions
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("cyclonedds", reason="CycloneDDS is not installed")
 
 from deploy.dds_domains import free_domain, unicast_ports
-from fastmimic.control.state import COMMAND
+from fastmimic.base.errors import DriverError
 from fastmimic.deploy.dds import MAX_PARTICIPANTS, Message, Participant, Reader, Writer, program
 from fastmimic.deploy.driver import damping_command
 from fastmimic.deploy.go2 import driver as driver_module
@@ -28,9 +28,9 @@ from fastmimic.deploy.go2.messages import (
     LowState,
     StateWire,
 )
-from fastmimic.errors import DriverError
 from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot, load_robot
+from fastmimic.robot.state import COMMAND
 
 
 @pytest.fixture(scope="module")

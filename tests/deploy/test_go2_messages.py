@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fastmimic.control.state import COMMAND
 from fastmimic.deploy.go2.crc import POLYNOMIAL, crc32
 from fastmimic.deploy.go2.messages import (
     FOOT_COUNTS_PER_N,
@@ -22,6 +21,7 @@ from fastmimic.deploy.go2.messages import (
     roll_pitch_yaw,
 )
 from fastmimic.estimation.reading import READING
+from fastmimic.robot.state import COMMAND
 
 pytestmark = pytest.mark.nojit
 

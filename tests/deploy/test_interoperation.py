@@ -21,12 +21,12 @@ import pytest
 pytest.importorskip("cyclonedds", reason="CycloneDDS is not installed")
 
 from deploy.dds_domains import free_domain
-from fastmimic.control.state import COMMAND
 from fastmimic.deploy.dds import configuration
 from fastmimic.deploy.go2.driver import Go2Driver
 from fastmimic.deploy.robot_sim.server import RobotSim, SimSettings
 from fastmimic.deploy.robot_sim.truth import TruthLog
 from fastmimic.robot import load_robot
+from fastmimic.robot.state import COMMAND
 
 HERE = Path(__file__).parent
 VENDOR_TYPES = {"LowCmd_": "832876ceec9737d69f6ed62a3f63", "LowState_": "853a99e23d0daa1610b65c526b40"}

@@ -17,8 +17,8 @@ import pytest
 pytest.importorskip("cyclonedds", reason="CycloneDDS is not installed")
 
 from deploy.dds_domains import free_domain
+from fastmimic.base.errors import ConfigError, DriverError, OutputError
 from fastmimic.cli import main
-from fastmimic.control.state import COMMAND, OBSERVATION
 from fastmimic.deploy.dds import Participant
 from fastmimic.deploy.go2 import services
 from fastmimic.deploy.go2.driver import Go2Driver
@@ -26,8 +26,8 @@ from fastmimic.deploy.robot_sim.body import PHYSICS_RATE_HZ, Body, Start
 from fastmimic.deploy.robot_sim.faults import Faults, FaultyLine
 from fastmimic.deploy.robot_sim.server import RobotSim, SimSettings
 from fastmimic.deploy.robot_sim.truth import TruthLog, load_truth
-from fastmimic.errors import ConfigError, DriverError, OutputError
 from fastmimic.robot import Robot, load_robot
+from fastmimic.robot.state import COMMAND, OBSERVATION
 from fastmimic.simulation.sensors import ideal_sensors
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from deploy.rig import Rig, assert_damped, once
-from fastmimic.control.state import COMMAND
+from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.deploy.deployment import Deployment
 from fastmimic.deploy.driver import LowState
 from fastmimic.deploy.limits import SafetyLimits, read_limits
@@ -21,9 +21,9 @@ from fastmimic.deploy.pilot import Phase, Pilot
 from fastmimic.deploy.safety import Guard, StopReason
 from fastmimic.deploy.sim import SimDriver
 from fastmimic.deploy.stopping import StopSwitch
-from fastmimic.errors import ConfigError, DriverError
 from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot, load_robot
+from fastmimic.robot.state import COMMAND
 from robot.mjcf import a1_tree, heavier, write
 
 

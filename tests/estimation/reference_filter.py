@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fastmimic.conventions import GRAVITY
+from fastmimic.base.conventions import GRAVITY
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions

@@ -7,25 +7,20 @@ import pytest
 
 from control.motions import gait, standing, turned
 from estimation.reference_filter import PlainFilter
-from fastmimic.conventions import GRAVITY
-from fastmimic.errors import ConfigError
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.rotations import matrix_from_quat, quat_from_rotvec, quat_from_yaw, rotvec_from_quat, yaw_from_quat
+from fastmimic.episode.rollout import Rollout, nominal_start, run_episodes
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.estimation.estimator import START, Estimator
 from fastmimic.estimation.reading import READING
-from fastmimic.imitation.rollout import Rollout, nominal_start, run_episodes
-from fastmimic.robot import Robot, load_robot
+from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
-from fastmimic.rotations import matrix_from_quat, quat_from_rotvec, quat_from_yaw, rotvec_from_quat, yaw_from_quat
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.sensors import ideal_sensors
 
 RATE = 500.0
 ALL = np.ones((1, 4), np.int64)
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 def ideal(**changes: float) -> Conditions:

@@ -4,21 +4,16 @@ import numpy as np
 import pytest
 
 from estimation.reference_filter import PlainFilter
-from fastmimic.control.state import OBSERVATION
+from fastmimic.base.rotations import matrix_from_quat
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.estimation.estimator import START, Estimator
 from fastmimic.estimation.kalman import STATES
 from fastmimic.estimation.reading import READING
-from fastmimic.robot import Robot, load_robot
-from fastmimic.rotations import matrix_from_quat
+from fastmimic.robot import Robot
+from fastmimic.robot.state import OBSERVATION
 
 RATE = 500.0
 LOADED = 60.0  # N, well above what counts as contact
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 def dense(state: np.record) -> tuple[np.ndarray, np.ndarray]:

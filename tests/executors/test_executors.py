@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from executors.work import do
-from fastmimic.errors import ClipError, ClusterError, ConfigError, WorkerError
+from fastmimic.base.errors import ClipError, ClusterError, ConfigError, WorkerError
 from fastmimic.executors import Executor, Outcome, make_executor
 from fastmimic.executors.local import LocalExecutor
 from fastmimic.executors.ray_cluster import _result

@@ -5,7 +5,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
-from fastmimic.errors import ClipError
+from fastmimic.base.errors import ClipError
 from fastmimic.executors import Report
 
 

@@ -4,13 +4,6 @@ from collections.abc import Iterator
 
 import pytest
 
-from fastmimic.robot import Robot, load_robot
-
-
-@pytest.fixture(scope="session")
-def robot() -> Robot:
-    return load_robot("a1")
-
 
 @pytest.fixture(scope="module", autouse=True)
 def short_episodes() -> Iterator[None]:

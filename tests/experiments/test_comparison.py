@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.control.config import default_config, paper_config
-from fastmimic.errors import ConfigError, OutputError
+from fastmimic.episode.reward import TERMS, WEIGHTS
+from fastmimic.episode.rollout import perturbed_start, run_episodes
 from fastmimic.experiments.ablations import ABLATIONS, ablation_named, ablations_of
 from fastmimic.experiments.compare import Plan, compare, prepare
 from fastmimic.experiments.runs import Row, Settings, finished_row
 from fastmimic.experiments.schedule import Effort
 from fastmimic.experiments.tables import COLUMNS, ablation_table, comparison_table, summaries
-from fastmimic.imitation.reward import TERMS, WEIGHTS
-from fastmimic.imitation.rollout import perturbed_start, run_episodes
-from fastmimic.methods import METHODS
+from fastmimic.imitation.imitate import evaluate, load_motion
+from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
-from fastmimic.pipeline import evaluate, load_motion
 from fastmimic.report.comparison_folder import ComparisonFolder
 from fastmimic.robot import load_robot
 

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("gymnasium", reason="Gymnasium is not installed: pip install 'fastmimic[rl]'")
 
-from fastmimic.errors import CheckpointError, OutputError, PolicyError
+from fastmimic.base.errors import CheckpointError, OutputError, PolicyError
 from fastmimic.experiments.cost import PAPER_STEPS, Course, cost_table, paper_cost, search_courses, training_course
 from fastmimic.experiments.runs import ROW
 from fastmimic.learning.training import Evaluated, evaluations_csv

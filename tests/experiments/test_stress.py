@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from control.motions import gait
-from fastmimic.errors import ConfigError, OutputError
+from fastmimic.base.errors import ConfigError, OutputError
+from fastmimic.episode.rollout import Start
 from fastmimic.experiments import stress
 from fastmimic.experiments.entrants import Entrant, Search, check_methods, make_entrant
 from fastmimic.experiments.parts import load_part, save_part
@@ -22,9 +23,8 @@ from fastmimic.experiments.stress import (
     to_csv,
     tolerances,
 )
-from fastmimic.imitation.rollout import Start
+from fastmimic.imitation.imitate import evaluate
 from fastmimic.motion.motion import Motion
-from fastmimic.pipeline import evaluate
 from fastmimic.report.stress import stress_figure
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions

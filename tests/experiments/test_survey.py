@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fastmimic.errors import ClipError
+from fastmimic.base.errors import ClipError
+from fastmimic.clips.synthesis import generate
+from fastmimic.episode.feasibility import Reason
 from fastmimic.experiments.survey import Surveyed, random_cycles, summary, survey, table
-from fastmimic.imitation.feasibility import Reason
-from fastmimic.motion.synthesis import generate
 from fastmimic.robot import Robot
 
 

@@ -24,7 +24,7 @@ from fastmimic.experiments.transfer import (
     transferred,
     trial_starts,
 )
-from fastmimic.pipeline import run_episodes
+from fastmimic.imitation.imitate import run_episodes
 from fastmimic.report.transfer import transfer_figure
 from fastmimic.robot import Robot
 

@@ -5,22 +5,17 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fastmimic.control.state import COMMAND, OBSERVATION
-from fastmimic.conventions import GRAVITY
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.episode.run_log import RunLog
 from fastmimic.estimation.reading import READING
-from fastmimic.identification.log import RunLog
-from fastmimic.robot import Robot, load_robot
+from fastmimic.robot import Robot
 from fastmimic.robot.dynamics import leg_torques
 from fastmimic.robot.kinematics import foot_jacobians
+from fastmimic.robot.state import COMMAND, OBSERVATION
 
 STEPS, RATE = 1000, 500.0
 SPEED = 0.4  # m/s
 MakeLog = Callable[..., RunLog]
-
-
-@pytest.fixture(scope="session")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 @pytest.fixture(scope="session")

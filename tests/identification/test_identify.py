@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fastmimic.base.errors import LogError
 from fastmimic.control.config import default_config
 from fastmimic.control.config_file import read_config
-from fastmimic.control.state import OBSERVATION
-from fastmimic.errors import LogError
+from fastmimic.episode.run_log import RunLog
 from fastmimic.identification.forces import ground_forces
 from fastmimic.identification.identify import FRICTION_MARGIN, identify
-from fastmimic.identification.log import RunLog
-from fastmimic.pipeline import evaluate
+from fastmimic.imitation.imitate import evaluate
 from fastmimic.robot import Robot, load_robot
+from fastmimic.robot.state import OBSERVATION
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance
 from identification.conftest import STEPS, MakeLog

@@ -5,12 +5,12 @@ import warnings
 import numpy as np
 import pytest
 
-from fastmimic.errors import ConfigError, FastMimicError
+from fastmimic.base.errors import ConfigError, FastMimicError
 
 gymnasium = pytest.importorskip("gymnasium", reason="Gymnasium is not installed: pip install 'fastmimic[rl]'")
 
 import fastmimic.learning  # noqa: E402, F401  registers the environment
-from fastmimic.imitation.reward import TERMS, WEIGHTS  # noqa: E402
+from fastmimic.episode.reward import TERMS, WEIGHTS  # noqa: E402
 from fastmimic.learning.environment import ImitationEnv, ImitationVectorEnv  # noqa: E402
 
 ENVIRONMENT = "fastmimic/Imitation-v0"

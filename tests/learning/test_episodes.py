@@ -6,23 +6,18 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fastmimic.errors import ConfigError, MotionError
-from fastmimic.imitation.rollout import JOINT_NOISE, VELOCITY_NOISE, ClosedLoop, Start
+from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.episode.rollout import JOINT_NOISE, VELOCITY_NOISE, ClosedLoop, Start
+from fastmimic.imitation.imitate import load_motion
 from fastmimic.learning.config import PolicyConfig
 from fastmimic.learning.controller import controlled_by
 from fastmimic.learning.episodes import Episodes, Outcome
 from fastmimic.learning.randomisation import Randomisation, parse_randomisation
 from fastmimic.motion.motion import Motion
-from fastmimic.pipeline import load_motion
 from fastmimic.robot import Robot, load_robot
 from learning.hand_made import follower
 
 DECIMATION = PolicyConfig().decimation
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,8 @@ import pytest
 from scipy.signal import butter, lfilter
 
 from control.motions import gait
-from fastmimic.control.reference import make_clocks, place_clocks, reference_table
-from fastmimic.control.state import COMMAND, OBSERVATION
-from fastmimic.errors import ConfigError
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.rotations import matrix_from_quat, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.learning.config import (
     FRAME_SIZE,
     FRAMES,
@@ -18,17 +17,13 @@ from fastmimic.learning.config import (
     pack_settings,
 )
 from fastmimic.learning.observation import act, command, make_senses, observe
-from fastmimic.robot import Robot, load_robot
-from fastmimic.rotations import matrix_from_quat, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
+from fastmimic.reference.table import make_clocks, place_clocks, reference_table
+from fastmimic.robot import Robot
+from fastmimic.robot.state import COMMAND, OBSERVATION
 from learning.hand_made import FRAMES_AT
 
 pytestmark = pytest.mark.nojit
 CONFIG = PolicyConfig()
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 def states(robot: Robot, n: int, rng: np.random.Generator) -> np.ndarray:

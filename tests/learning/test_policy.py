@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fastmimic.errors import PolicyError
+from fastmimic.base.errors import PolicyError
+from fastmimic.imitation.imitate import load_motion
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE
 from fastmimic.learning.policy import ACTIVATIONS, Policy
-from fastmimic.pipeline import load_motion
 from fastmimic.robot import load_robot
 from learning.hand_made import follower, random_policy
 

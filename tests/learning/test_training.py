@@ -8,8 +8,9 @@ import pytest
 for library in ("torch", "rsl_rl", "tensorboard", "onnx"):
     pytest.importorskip(library, reason=f"{library} is not installed: pip install 'fastmimic[rl]'")
 
+from fastmimic.base.errors import CheckpointError, ConfigError  # noqa: E402
 from fastmimic.cli import main  # noqa: E402
-from fastmimic.errors import CheckpointError, ConfigError  # noqa: E402
+from fastmimic.imitation.imitate import load_motion  # noqa: E402
 from fastmimic.learning import training  # noqa: E402
 from fastmimic.learning.config import OBSERVATION_SIZE  # noqa: E402
 from fastmimic.learning.learner import Learner  # noqa: E402
@@ -17,15 +18,9 @@ from fastmimic.learning.policy import Policy  # noqa: E402
 from fastmimic.learning.settings import TrainingSettings  # noqa: E402
 from fastmimic.learning.training_folder import TrainingFolder  # noqa: E402
 from fastmimic.motion.motion import Motion  # noqa: E402
-from fastmimic.pipeline import load_motion  # noqa: E402
-from fastmimic.robot import Robot, load_robot  # noqa: E402
+from fastmimic.robot import Robot  # noqa: E402
 
 SMALL = TrainingSettings(robots=6, horizon=8, hidden=(16,), epochs=2, minibatches=2, episode_s=0.5)
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 @pytest.fixture(scope="module")

@@ -8,26 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fastmimic.base.errors import ConfigError, OutputError, PolicyError
 from fastmimic.cli import main
-from fastmimic.errors import ConfigError, OutputError, PolicyError
+from fastmimic.episode.rollout import perturbed_start, run_episodes
 from fastmimic.experiments.compare import Plan, choose_policies, compare, prepare
 from fastmimic.experiments.runs import Row, Settings
 from fastmimic.experiments.tables import comparison_table
-from fastmimic.imitation.rollout import perturbed_start, run_episodes
+from fastmimic.imitation.imitate import evaluate, imitate, load_motion
+from fastmimic.imitation.methods import ALL_METHODS, METHODS
 from fastmimic.learning.controller import controlled_by
-from fastmimic.methods import ALL_METHODS, METHODS
 from fastmimic.motion.motion import Motion
-from fastmimic.pipeline import evaluate, imitate, load_motion
 from fastmimic.report.comparison_folder import ComparisonFolder
-from fastmimic.robot import Robot, load_robot
+from fastmimic.robot import Robot
 from learning.hand_made import follower
 
 TINY = Settings(duration_s=0.6, iterations=2, population=4, evaluation_s=0.8, perturbed_episodes=2)
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 @pytest.fixture(scope="module")

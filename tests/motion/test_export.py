@@ -9,24 +9,19 @@ import numpy as np
 import pytest
 
 from control.motions import gait, turned
+from fastmimic.base.conventions import JOINT_NAMES
+from fastmimic.base.errors import ClipError, ConfigError, MotionError
+from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar
 from fastmimic.cli import main
-from fastmimic.conventions import JOINT_NAMES
-from fastmimic.errors import ClipError, ConfigError, MotionError
-from fastmimic.motion.clip import Clip
+from fastmimic.clips.clip import Clip
+from fastmimic.clips.formats import detect_format, read_clip
+from fastmimic.clips.formats.robot_points import robot_points
 from fastmimic.motion.export import DECIMALS, export_motion, sample
-from fastmimic.motion.formats import detect_format, read_clip
-from fastmimic.motion.formats.robot_points import robot_points
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
-from fastmimic.rotations import quat_from_yaw, quat_multiply, rotate_planar
 
 PRECISION = 0.5 * 10.0**-DECIMALS
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 @pytest.fixture(scope="module")

@@ -9,14 +9,9 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.problem import ImitationProblem, Objective
 from fastmimic.primitive import MotionDmp
-from fastmimic.robot import Robot, load_robot
+from fastmimic.robot import Robot
 
 EPISODE_S = 0.6
-
-
-@pytest.fixture(scope="session")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fastmimic.errors import CheckpointError, OutputError
+from fastmimic.base.errors import CheckpointError, OutputError
 from fastmimic.optimize.checkpoint import FILE_NAME, Checkpoint
 
 IDENTITY = "0123abcd"

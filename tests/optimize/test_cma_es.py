@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fastmimic.errors import CheckpointError, ConfigError, OutputError
-from fastmimic.imitation.rollout import Rollout, Start, nominal_start
+from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
+from fastmimic.episode.rollout import Rollout, Start, nominal_start
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.checkpoint import FILE_NAME, Checkpoint
 from fastmimic.optimize.cma_es import CmaSettings, Optimum, Progress, optimize

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from control.motions import gait
+from fastmimic.base.conventions import LEGS
+from fastmimic.base.errors import ConfigError
 from fastmimic.control.config import default_config
-from fastmimic.control.reference import reference_table
-from fastmimic.conventions import LEGS
-from fastmimic.errors import ConfigError
-from fastmimic.imitation.rollout import Rollout, nominal_start, perturbed_start, run_episodes, swing_clearance
+from fastmimic.episode.rollout import Rollout, nominal_start, perturbed_start, run_episodes, swing_clearance
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import PARAMETER_GROUPS, Parameter
 from fastmimic.optimize.problem import ImitationProblem, Objective
 from fastmimic.optimize.randomization import Randomization
 from fastmimic.primitive import MotionDmp
+from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot, load_robot
 
 GOALS, AMPLITUDES = slice(0, 4), slice(4, 8)

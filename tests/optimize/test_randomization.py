@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fastmimic.control.reference import reference_table
-from fastmimic.errors import CheckpointError, ConfigError
+from fastmimic.base.errors import CheckpointError, ConfigError
 from fastmimic.motion.motion import Motion
-from fastmimic.motion.stitch import stitch_motions
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.cma_es import CmaSettings, Optimum, Progress, optimize
 from fastmimic.optimize.problem import ImitationProblem, Objective
 from fastmimic.optimize.randomization import CRITERIA, HELD_OUT_ROBOTS, OVER, Randomization, randomization
-from fastmimic.optimize.stitching import StitchedProblem
+from fastmimic.optimize.stitched import StitchedProblem
+from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
 from fastmimic.simulation.disturbances import Disturbance
 from fastmimic.simulation.ranges import Range
+from fastmimic.stitching.join import stitch_motions
 from optimize.conftest import EPISODE_S
 from optimize.test_cma_es import KilledError, assert_same, stop_after
 

@@ -8,24 +8,24 @@ import numpy as np
 import pytest
 
 from control.motions import gait
-from fastmimic.control.reference import reference_table
-from fastmimic.errors import ConfigError, MotionError
-from fastmimic.imitation.rollout import nominal_start, run_episodes, swing_clearance
+from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.episode.rollout import nominal_start, run_episodes, swing_clearance
 from fastmimic.motion.motion import Motion
-from fastmimic.motion.stitch import stitch_motions
-from fastmimic.motion.stitch_layout import Layout
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.cma_es import CmaSettings, optimize
 from fastmimic.optimize.parameters import needed_group
 from fastmimic.optimize.problem import ImitationProblem, Problem, clearance_penalty
-from fastmimic.optimize.stitching import (
+from fastmimic.optimize.stitched import (
     StitchedProblem,
     make_problem,
     parameters_of,
     segment_clearance,
 )
 from fastmimic.primitive import MotionDmp
+from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
+from fastmimic.stitching.join import stitch_motions
+from fastmimic.stitching.layout import Layout
 
 LEGS_Z = 8  # parameters of a segment
 

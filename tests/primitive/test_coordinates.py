@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from fastmimic.errors import MotionError
+from fastmimic.base.errors import MotionError
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive.coordinates import NAMES, root_from_coordinates, to_coordinates, twist_of
-from fastmimic.robot import Robot, load_robot
+from fastmimic.robot import Robot
 from primitive.motions import cyclic_motion
 
 CYCLES = {
@@ -19,11 +19,6 @@ CYCLES = {
     "whole turn": (0.2, 0.1, 2 * np.pi),
     "spin": (0.1, -0.1, -5.5),
 }
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 @pytest.mark.parametrize("cycle", CYCLES.values(), ids=CYCLES.keys())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fastmimic.errors import ConfigError, MotionError
+from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.primitive import DiscreteDmp, RhythmicDmp
 
 SHORT, LONG = 0.75, 4.0

@@ -6,22 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fastmimic.errors import MotionError
-from fastmimic.motion.catalogue import RECORDED, open_clip
+from fastmimic.base.errors import MotionError
+from fastmimic.base.rotations import quat_conjugate, quat_multiply, rotvec_from_quat
+from fastmimic.clips.catalogue import RECORDED, open_clip
 from fastmimic.motion.motion import Motion
-from fastmimic.motion.retarget import retarget
 from fastmimic.primitive import FOOT_Z, NAMES, MotionDmp
-from fastmimic.robot import Robot, load_robot
+from fastmimic.retarget.retarget import retarget
+from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
-from fastmimic.rotations import quat_conjugate, quat_multiply, rotvec_from_quat
 from primitive.motions import SWING_HEIGHT, cyclic_motion
 
 MILLIMETRE, TENTH_DEGREE = 1e-3, np.radians(0.1)
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 @pytest.fixture(scope="module")

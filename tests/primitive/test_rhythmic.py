@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fastmimic.errors import ConfigError, MotionError
+from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.primitive import DmpIntegrator, RhythmicDmp
 
 PERIOD = 0.55

@@ -6,15 +6,10 @@ import numpy as np
 import pytest
 from video_files import RATE_HZ
 
-from fastmimic.report import Track
-from fastmimic.report.offscreen import NoRendererError, Offscreen
-from fastmimic.report.scene import build_stage
-from fastmimic.robot import Robot, load_robot
-
-
-@pytest.fixture(scope="session")
-def a1() -> Robot:
-    return load_robot("a1")
+from fastmimic.render.offscreen import NoRendererError, Offscreen
+from fastmimic.render.playback import Track
+from fastmimic.render.scene import build_stage
+from fastmimic.robot import Robot
 
 
 @pytest.fixture(scope="session")

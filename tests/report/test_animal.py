@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fastmimic.motion.catalogue import open_clip
+from fastmimic.clips.catalogue import open_clip
+from fastmimic.clips.skeleton import DOG, KEYPOINTS
+from fastmimic.imitation.imitate import load_motion
 from fastmimic.motion.motion import Motion
-from fastmimic.motion.retarget import choose_scale
-from fastmimic.motion.skeleton import DOG, KEYPOINTS
-from fastmimic.pipeline import load_motion
-from fastmimic.report.animal import animal_track
-from fastmimic.report.tracks import motion_track
+from fastmimic.render.animal import animal_track
+from fastmimic.render.tracks import motion_track
+from fastmimic.retarget.retarget import choose_scale
 from fastmimic.robot import Robot
 
 

@@ -13,9 +13,11 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from fastmimic.errors import OutputError
+from fastmimic.base.errors import OutputError
 from fastmimic.motion.motion import Motion
-from fastmimic.report import convergence_figure, motion_figure, save, tracking_figure
+from fastmimic.render.style import save
+from fastmimic.report.figures import convergence_figure, tracking_figure
+from fastmimic.report.inspection import motion_figure
 from fastmimic.robot import Robot
 
 TIME = np.arange(0, 1.0, 0.01)

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fastmimic.base.errors import ConfigError
 from fastmimic.cli import main
 from fastmimic.commands.report import recorded
-from fastmimic.errors import ConfigError
 from fastmimic.experiments.tables import COLUMNS, to_csv
 from fastmimic.report.run_folder import write_json
 
@@ -145,7 +145,7 @@ def test_every_plot_has_units_and_points(page: Parsed) -> None:
 def test_torque_is_the_motor_law_cut_off() -> None:
     from types import SimpleNamespace
 
-    from fastmimic.control.state import COMMAND, OBSERVATION
+    from fastmimic.robot.state import COMMAND, OBSERVATION
 
     command, seen = np.zeros((1, 3), COMMAND), np.zeros((1, 3), OBSERVATION)
     command["torque"], command["stiffness"], command["damping"] = 1.0, 10.0, 2.0

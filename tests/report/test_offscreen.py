@@ -5,8 +5,8 @@ import sys
 import numpy as np
 import pytest
 
-from fastmimic.report.offscreen import NoRendererError, Offscreen, backends
-from fastmimic.report.scene import build_stage
+from fastmimic.render.offscreen import NoRendererError, Offscreen, backends
+from fastmimic.render.scene import build_stage
 from fastmimic.robot import Robot
 
 

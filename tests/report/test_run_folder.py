@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from fastmimic.errors import CheckpointError, ConfigError, OutputError
-from fastmimic.methods import METHODS
-from fastmimic.pipeline import imitate, load_motion
-from fastmimic.report import Track
+from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
+from fastmimic.imitation.imitate import imitate, load_motion
+from fastmimic.imitation.methods import METHODS
+from fastmimic.render.playback import Track
 from fastmimic.report.run_folder import RunFolder, default_folder, open_run, write_json
 
 CONFIG = {"arguments": {"motion": "trot", "seed": 0}}

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from fastmimic.report.quality import HIGH, PREVIEW
-from fastmimic.report.scene import GHOST_GROUP, build_stage, ghost_rgba
+from fastmimic.render.quality import HIGH, PREVIEW
+from fastmimic.render.scene import GHOST_GROUP, build_stage, ghost_rgba
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 
 FLOOR = np.array([[0.0, 0.0], [5.0, 1.0]])

@@ -3,18 +3,13 @@
 import numpy as np
 import pytest
 
-from fastmimic.motion.catalogue import open_clip
+from fastmimic.base.rotations import quat_rotate, yaw_from_quat
+from fastmimic.clips.catalogue import open_clip
+from fastmimic.imitation.imitate import evaluate
 from fastmimic.motion.motion import Motion
-from fastmimic.motion.retarget import retarget
-from fastmimic.pipeline import evaluate
-from fastmimic.report.tracks import motion_track, realised_feet, rollout_track
-from fastmimic.robot import Robot, load_robot
-from fastmimic.rotations import quat_rotate, yaw_from_quat
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
+from fastmimic.render.tracks import motion_track, realised_feet, rollout_track
+from fastmimic.retarget.retarget import retarget
+from fastmimic.robot import Robot
 
 
 @pytest.fixture(scope="module")

@@ -12,14 +12,15 @@ import pytest
 from PIL import Image
 from video_files import RATE_HZ, read_video, stream_facts
 
-from fastmimic.errors import ConfigError, OutputError
-from fastmimic.motion.catalogue import open_clip
-from fastmimic.motion.skeleton import KEYPOINTS
-from fastmimic.pipeline import load_motion
-from fastmimic.report import AnimalTrack, Track, render_video, video
-from fastmimic.report.animal import animal_track
-from fastmimic.report.offscreen import Offscreen, in_any_thread
-from fastmimic.report.playback import resample
+from fastmimic.base.errors import ConfigError, OutputError
+from fastmimic.clips.catalogue import open_clip
+from fastmimic.clips.skeleton import KEYPOINTS
+from fastmimic.imitation.imitate import load_motion
+from fastmimic.render import video
+from fastmimic.render.animal import animal_track
+from fastmimic.render.offscreen import Offscreen, in_any_thread
+from fastmimic.render.playback import AnimalTrack, Track, resample
+from fastmimic.render.video import render_video
 from fastmimic.robot import Robot
 
 SIZE = (320, 180)
@@ -314,7 +315,7 @@ def test_a_place_that_cannot_be_written_is_one_clear_error(a1: Robot, walk: Walk
 def test_an_encoder_that_fails_is_one_clear_error_and_leaves_nothing(
     a1: Robot, walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fastmimic.report.encoding._encode", lambda *_: ("-c:v", "no_such_codec"))
+    monkeypatch.setattr("fastmimic.render.encoding._encode", lambda *_: ("-c:v", "no_such_codec"))
     with pytest.raises(OutputError, match=r"v\.mp4: the video encoder .*Encoder not found"):
         render_video(a1, [walk(0.1)], tmp_path / "v.mp4", rate_hz=RATE_HZ, size=SIZE)
     assert not list(tmp_path.iterdir())
@@ -376,7 +377,8 @@ def test_no_display_and_mujoco_imported_first_still_draws(tmp_path: Path) -> Non
     script = f"""
 import mujoco, numpy as np
 from fastmimic.robot import load_robot
-from fastmimic.report import Track, render_video
+from fastmimic.render.playback import Track
+from fastmimic.render.video import render_video
 robot = load_robot("a1")
 track = Track(np.array([[0, 0, 0.3]]), np.array([[1.0, 0, 0, 0]]), robot.home_joint_pos[None])
 assert render_video(robot, [track], {str(tmp_path / "v.mp4")!r}, rate_hz=50, size=(64, 48)).frames == 1

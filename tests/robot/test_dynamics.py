@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from fastmimic.conventions import GRAVITY
+from fastmimic.base.conventions import GRAVITY
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.robot.dynamics import leg_torques
 from robot.mjcf import Simulated, a1_tree, find, random_joints, random_quat, write

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fastmimic.conventions import LEGS
-from fastmimic.errors import RobotError
-from fastmimic.motion.catalogue import open_clip
+from fastmimic.base.conventions import LEGS
+from fastmimic.base.errors import RobotError
+from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.export import export_motion
-from fastmimic.motion.retarget import retarget
+from fastmimic.retarget.retarget import retarget
 from fastmimic.robot import ROBOT_NAMES, load_robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 from robot.mjcf import (

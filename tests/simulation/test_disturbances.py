@@ -7,11 +7,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from fastmimic.control.state import COMMAND
-from fastmimic.conventions import GRAVITY
-from fastmimic.errors import ConfigError
-from fastmimic.robot import Robot, load_robot
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import ConfigError
+from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
+from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import DISTURBANCES, Disturbance, driving_limit, make_world, parse_disturbance
 from fastmimic.simulation.mujoco_disturbed import DisturbedMujocoSimulation, loaded
@@ -20,11 +20,6 @@ from fastmimic.simulation.simulators import make_simulation
 from fastmimic.simulation.terrain import rough_ground
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 def hold(n: int, joints: np.ndarray, stiffness: float = 200.0, damping: float = 5.0) -> np.ndarray:

@@ -7,20 +7,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from fastmimic.control.state import COMMAND
-from fastmimic.conventions import GRAVITY
-from fastmimic.errors import ConfigError
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import ConfigError
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
+from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.mujoco_sim import FLOOR, HeightField, MujocoSimulation, build_model
 from robot.mjcf import a1_tree, drop, find, random_joints, random_quat, remove, write
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 def place(

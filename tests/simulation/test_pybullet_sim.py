@@ -8,13 +8,13 @@ import pytest
 pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'fastmimic[pybullet]'")
 
 from control.motions import gait
-from fastmimic.control.state import COMMAND
-from fastmimic.conventions import GRAVITY
-from fastmimic.errors import ConfigError
-from fastmimic.imitation.rollout import nominal_start, run_episodes
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.rotations import matrix_from_quat, quat_conjugate, quat_multiply, rotate_planar, rotvec_from_quat
+from fastmimic.episode.rollout import nominal_start, run_episodes
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
-from fastmimic.rotations import matrix_from_quat, quat_conjugate, quat_multiply, rotate_planar, rotvec_from_quat
+from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance, parse_disturbance
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION, MujocoSimulation
@@ -26,11 +26,6 @@ from robot.mjcf import a1_tree, find, random_joints, random_quat, write
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 MASS = 12.458
 """kg, of Unitree's URDF."""
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 def hold(n: int, joints: np.ndarray, stiffness: float = 200.0, damping: float = 5.0) -> np.ndarray:

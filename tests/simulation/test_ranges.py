@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fastmimic.errors import ConfigError
+from fastmimic.base.errors import ConfigError
 from fastmimic.optimize.randomization import OVER
 from fastmimic.simulation.disturbances import DISTURBANCES, PUSH_TIME_S, make_world
 from fastmimic.simulation.ranges import (

@@ -6,21 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fastmimic.control.state import COMMAND, OBSERVATION
-from fastmimic.conventions import GRAVITY
-from fastmimic.errors import ConfigError
-from fastmimic.robot import Robot, load_robot
-from fastmimic.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotvec_from_quat
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotvec_from_quat
+from fastmimic.robot import Robot
+from fastmimic.robot.state import COMMAND, OBSERVATION
 from fastmimic.simulation.conditions import Conditions, episode_generator
 from fastmimic.simulation.sensors import SensorConfig, Sensors, ideal_sensors
 
 RATE = 500.0
 DT = 1 / RATE
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("a1")
 
 
 def level(n: int, robot: Robot) -> np.ndarray:

@@ -7,19 +7,14 @@ from typing import Any
 import pytest
 
 from fastmimic.control.config import default_config
-from fastmimic.imitation.rollout import Rollout
+from fastmimic.episode.rollout import Rollout
+from fastmimic.imitation.imitate import evaluate, load_motion
 from fastmimic.motion.motion import Motion
-from fastmimic.pipeline import evaluate, load_motion
-from fastmimic.robot import Robot, load_robot
+from fastmimic.robot import Robot
 from fastmimic.viewer.take import Take, rollout_take
 from view.browsing import BROWSERS, SOFTWARE_GL
 
 SECONDS = 1.2
-
-
-@pytest.fixture(scope="session")
-def a1() -> Robot:
-    return load_robot("a1")
 
 
 @pytest.fixture(scope="session")

@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 
 from fastmimic.cli import main
-from fastmimic.play.library import IN_PLACE, STAND
+from fastmimic.play.history import History
 from fastmimic.play.session import LiveSession
+from fastmimic.play.steering import IDLE, read_steering, steering_script
+from fastmimic.reference.motion_set import IN_PLACE, STAND
 from fastmimic.robot import Robot
-from fastmimic.viewer.play_history import History
-from fastmimic.viewer.play_steering import IDLE, read_steering, steering_script
 from fastmimic.viewer.server import HOST
 from view.browsing import PATIENCE_S, errors_of, picture, until
 
@@ -109,7 +109,7 @@ def test_the_command_serves_on_loopback_and_ends_at_ctrl_c() -> None:
 
 @contextmanager
 def served(session: LiveSession, port: int) -> Iterator[Any]:
-    from fastmimic.viewer.play import PlayPage
+    from fastmimic.play.page import PlayPage
 
     with PlayPage(session, "a1, live", port) as page:
         stop = threading.Event()
@@ -194,7 +194,7 @@ def test_a_browser_plays(browser: Any, a1: Robot, monkeypatch: pytest.MonkeyPatc
 
 def test_a_failure_of_the_simulation_ends_the_page(a1: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("viser", reason="the extra 'view' is not installed")
-    from fastmimic.viewer.play import PlayPage
+    from fastmimic.play.page import PlayPage
 
     session = LiveSession(a1, {})
     with PlayPage(session, "a1, live", 8760) as page:
@@ -212,7 +212,7 @@ def test_a_failure_of_the_simulation_ends_the_page(a1: Robot, monkeypatch: pytes
 
 def test_the_view_follows_without_the_sway(a1: Robot) -> None:
     pytest.importorskip("viser", reason="the extra 'view' is not installed")
-    from fastmimic.viewer.play_history import History
+    from fastmimic.play.history import History
 
     session = LiveSession(a1, {})
     history = History(session)

@@ -9,22 +9,22 @@ import mujoco
 import numpy as np
 import pytest
 
-from fastmimic.control.reference import SAMPLE, reference_table
-from fastmimic.conventions import GRAVITY
-from fastmimic.errors import ConfigError, MotionError
-from fastmimic.imitation.rollout import run_episodes
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, rotate_planar, yaw_from_quat
+from fastmimic.episode.rollout import run_episodes
+from fastmimic.imitation.imitate import load_motion
 from fastmimic.motion.motion import Motion
-from fastmimic.pipeline import load_motion
-from fastmimic.play.course import course_of, since_middle
-from fastmimic.play.library import DEFAULTS, IN_PLACE, STAND, Library, load_library_motions
-from fastmimic.play.limits import LIFT, SPEED, TURN_ACCELERATION
 from fastmimic.play.pacing import MOST_BEHIND_S, Pacer
 from fastmimic.play.session import METHODS, RATES, LiveSession
-from fastmimic.play.stream import MODULATION, Stream, make_place
-from fastmimic.play.tempo import make_tempo
 from fastmimic.primitive import FOOT_Z, MotionDmp
+from fastmimic.reference.course import course_of, since_middle
+from fastmimic.reference.limits import LIFT, SPEED, TURN_ACCELERATION
+from fastmimic.reference.motion_set import DEFAULTS, IN_PLACE, STAND, Library, load_library_motions
+from fastmimic.reference.stream import MODULATION, Stream, make_place
+from fastmimic.reference.table import SAMPLE, reference_table
+from fastmimic.reference.tempo import make_tempo
 from fastmimic.robot import Robot
-from fastmimic.rotations import quat_from_yaw, quat_multiply, quat_rotate, rotate_planar, yaw_from_quat
 from fastmimic.viewer.take import world_feet
 
 

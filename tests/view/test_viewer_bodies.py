@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from fastmimic.imitation.rollout import Rollout
-from fastmimic.report.scene import GHOST_GROUP, build_stage, ghost_rgba
+from fastmimic.episode.rollout import Rollout
+from fastmimic.render.scene import GHOST_GROUP, build_stage, ghost_rgba
 from fastmimic.robot import Robot, load_robot
 from fastmimic.simulation.mujoco_sim import build_model
 from fastmimic.viewer.bodies import Puppet, box, revolved, surface

@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 
+from fastmimic.base.rotations import rotate_planar
 from fastmimic.robot import Robot
-from fastmimic.rotations import rotate_planar
 from fastmimic.viewer.charts import gait_strip, leg_table, plot_base, plot_data, plot_series, runs, status_line
 from fastmimic.viewer.marks import (
     TRAIL_POINTS,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from fastmimic.motion.catalogue import open_clip
+from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.viewer.animal import Animal

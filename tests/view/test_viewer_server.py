@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fastmimic.base.errors import ConfigError
 from fastmimic.cli import main
 from fastmimic.commands.view import View
-from fastmimic.errors import ConfigError
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.viewer.server import HOST, free_port

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from fastmimic.conventions import GRAVITY
-from fastmimic.imitation.rollout import Rollout
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.rotations import yaw_from_quat
+from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.rotations import yaw_from_quat
 from fastmimic.viewer.take import Take, cycle_rows, demonstration_samples, held, motion_take
 
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import arg
 
+from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.commands.console import note, put, share_progress
 from fastmimic.commands.options import DEFAULT_ROBOT, check_duration
-from fastmimic.errors import ConfigError, FastMimicError
 
 if TYPE_CHECKING:
     from fastmimic.experiments.compare import Plan, Prepared
@@ -68,8 +68,8 @@ class Compare:
         """Runs it, and writes the folder; returns the exit status."""
         check_duration(self.duration)
         plan = self._plan()
+        from fastmimic.base.machine import available_cores
         from fastmimic.experiments.compare import prepare
-        from fastmimic.machine import available_cores
         from fastmimic.report.comparison_folder import open_comparison
 
         workers = self.workers if self.workers is not None else available_cores()
@@ -100,7 +100,7 @@ class Compare:
     def _plan(self) -> "Plan":
         from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, Plan, choose_policies
         from fastmimic.experiments.runs import EVALUATION_S, Settings
-        from fastmimic.methods import METHODS, RL
+        from fastmimic.imitation.methods import METHODS, RL
         from fastmimic.robot import ROBOT_NAMES
 
         if self.builtin and self.motions is not None:
@@ -137,8 +137,8 @@ def _environment(plan: "Plan", workers: int, kept: "Sequence[Row]") -> dict[str,
     from fastmimic.control.config import controller_config
     from fastmimic.experiments.ablations import ABLATIONS, ablation_named
     from fastmimic.experiments.runs import run_of
-    from fastmimic.methods import ALL_METHODS, method_named
-    from fastmimic.pipeline import versions
+    from fastmimic.imitation.imitate import versions
+    from fastmimic.imitation.methods import ALL_METHODS, method_named
 
     config = controller_config(plan.settings.config)
     runs = [*(run_of(row) for row in kept), *plan.runs]

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Final
 from fastmimic.commands.console import table
 
 if TYPE_CHECKING:
-    from fastmimic.pipeline import Imitation
+    from fastmimic.imitation.imitate import Imitation
 
 NONE: Final = "–"
 MILLIMETRES: Final = ("stance_slip_m", "foot_z_rmse_m", "foot_x_rmse_m")

@@ -6,8 +6,8 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.commands.console import note, put, table
-from fastmimic.errors import ConfigError, did_you_mean
 
 ACTIONS = ("list", "fetch")
 
@@ -34,7 +34,7 @@ class Data:
     def _list(self) -> int:
         if self.datasets or self.base_url:
             raise ConfigError("data list takes no dataset and no --base-url: it lists all that there is")
-        from fastmimic.motion.data import list_datasets
+        from fastmimic.clips.data import list_datasets
 
         found = list_datasets(self.folder)
         rows = [("dataset", "files here", "what it is")]
@@ -46,7 +46,7 @@ class Data:
         return 0
 
     def _fetch(self) -> int:
-        from fastmimic.motion.data import data_folder, fetch
+        from fastmimic.clips.data import data_folder, fetch
 
         begun = set()
 
@@ -62,7 +62,7 @@ class Data:
         return 0
 
     def _put_licence(self, names: list[str] | None) -> None:
-        from fastmimic.motion.data import DATASETS
+        from fastmimic.clips.data import DATASETS
 
         chosen = [d for d in DATASETS if names is None or d.name in names]
         for licence, credit in dict.fromkeys((d.licence, d.credit) for d in chosen):

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.commands.console import EXIT_INTERRUPTED, note, put, slow_start, table
 from fastmimic.commands.options import MotionOptions, check_duration, check_writable, policy_controller
-from fastmimic.errors import ConfigError, DriverError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -131,10 +131,10 @@ class Deploy(MotionOptions):
         """The driver's robot, and the motion for it."""
         from fastmimic.commands.options import DEFAULT_ROBOT, robot_of
         from fastmimic.deploy.drivers import robot_driven
-        from fastmimic.pipeline import load_motion
-        from fastmimic.play.library import standing
+        from fastmimic.imitation.imitate import load_motion
+        from fastmimic.imitation.stitch import motion_source
+        from fastmimic.reference.motion_set import standing
         from fastmimic.robot import load_robot
-        from fastmimic.stitching import motion_source
 
         source = STAND if self.motion == STAND else str(motion_source(self.motion))
         driven, own = robot_driven(self.driver), robot_of(source)
@@ -213,7 +213,7 @@ class Deploy(MotionOptions):
 
     def _write_result(self, found: "Deployment", folder: Path) -> None:
         from fastmimic.deploy.files import RESULT
-        from fastmimic.pipeline import versions
+        from fastmimic.imitation.imitate import versions
         from fastmimic.report.run_folder import write_json
 
         arguments = {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(self).items()}

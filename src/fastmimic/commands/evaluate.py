@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from fastmimic.base.conventions import LEGS
+from fastmimic.base.errors import ConfigError
 from fastmimic.commands.console import put, slow_start, table
 from fastmimic.commands.options import MotionOptions, check_duration, check_writable, policy_controller
-from fastmimic.conventions import LEGS
-from fastmimic.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ class Evaluate(MotionOptions):
             return self._deployed()
         if self.truth is not None:
             raise ConfigError(f"--truth is for the log of a deployment, and {self.motion} is none")
-        from fastmimic.pipeline import evaluate
+        from fastmimic.imitation.imitate import evaluate
         from fastmimic.simulation.conditions import Conditions
         from fastmimic.simulation.disturbances import names_of, parse_disturbance
 

@@ -6,9 +6,9 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.commands.console import note, put
 from fastmimic.commands.options import MotionOptions, check_duration, check_writable
-from fastmimic.errors import ConfigError, did_you_mean
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,8 +10,8 @@ from fastmimic.commands.console import put, table
 from fastmimic.commands.options import check_writable
 
 if TYPE_CHECKING:
+    from fastmimic.episode.run_log import RunLog
     from fastmimic.identification.identify import Identification
-    from fastmimic.identification.log import RunLog
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,8 +36,8 @@ class Identify:
 
     def run(self) -> int:
         """Prints what was identified; returns the exit status."""
+        from fastmimic.base.errors import LogError
         from fastmimic.control.config import controller_config
-        from fastmimic.errors import LogError
         from fastmimic.identification.identify import identify
         from fastmimic.robot import load_robot
 
@@ -63,7 +63,7 @@ class Identify:
 def _run_log(path: Path) -> "RunLog":
     """The log of a run, or what a deployment's log has of the motion itself."""
     from fastmimic.deploy.log import DeploymentLog, is_deployment_log
-    from fastmimic.identification.log import RunLog
+    from fastmimic.episode.run_log import RunLog
 
     return DeploymentLog.load(path).run_log() if is_deployment_log(path) else RunLog.load(path)
 

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import Positional, arg
 
+from fastmimic.base.errors import ConfigError
 from fastmimic.commands.console import note, optimisation_progress
 from fastmimic.commands.options import MotionOptions, RandomizeOptions, check_duration
 from fastmimic.commands.outcome import about, report
-from fastmimic.errors import ConfigError
 
 if TYPE_CHECKING:
+    from fastmimic.imitation.imitate import Imitation
     from fastmimic.motion.motion import Motion
-    from fastmimic.pipeline import Imitation
     from fastmimic.report.run_folder import RunFolder
     from fastmimic.robot import Robot
 
@@ -68,10 +68,10 @@ class Imitate(MotionOptions, RandomizeOptions):
     def run(self) -> int:
         """Runs it, and writes the folder; returns the exit status."""
         check_duration(self.duration)
-        from fastmimic.methods import check_controller, method_named
+        from fastmimic.imitation.methods import check_controller, method_named
         from fastmimic.motion.motion import Motion
         from fastmimic.optimize.parameters import moved_by
-        from fastmimic.report.quality import quality_named
+        from fastmimic.render.quality import quality_named
         from fastmimic.report.run_folder import default_folder, open_run
 
         quality_named(self.quality)
@@ -105,7 +105,7 @@ class Imitate(MotionOptions, RandomizeOptions):
         return report(result, folder, self.iterations, video=None if self.no_video else self.quality)
 
     def _imitate(self, robot: "Robot", motion: "Motion", method: str, folder: "RunFolder") -> "Imitation":
-        from fastmimic.pipeline import imitate
+        from fastmimic.imitation.imitate import imitate
 
         try:
             with optimisation_progress() as progress:
@@ -133,8 +133,8 @@ class Imitate(MotionOptions, RandomizeOptions):
     def _record(self, robot: "Robot", motion: "Motion", method: str) -> dict[str, Any]:
         """Everything that the run depends on, JSON-serialisable."""
         from fastmimic.control.config import controller_config
-        from fastmimic.methods import method_named
-        from fastmimic.pipeline import versions
+        from fastmimic.imitation.imitate import versions
+        from fastmimic.imitation.methods import method_named
 
         arguments = {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(self).items()}
         arguments = self.recorded(arguments)

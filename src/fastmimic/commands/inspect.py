@@ -10,7 +10,7 @@ from fastmimic.commands.console import put
 from fastmimic.commands.options import MotionOptions, check_writable
 
 if TYPE_CHECKING:
-    from fastmimic.motion.clip import Clip
+    from fastmimic.clips.clip import Clip
     from fastmimic.motion.motion import Motion
     from fastmimic.robot import Robot
 
@@ -34,7 +34,8 @@ class Inspect(MotionOptions):
         for line in (*lines, *describe_motion(motion, robot)):
             put(line)
         if figure is not None:
-            from fastmimic.report import motion_figure, save
+            from fastmimic.render.style import save
+            from fastmimic.report.inspection import motion_figure
 
             save(motion_figure(motion, robot), figure)
             put(f"figure in {figure}")
@@ -42,9 +43,9 @@ class Inspect(MotionOptions):
 
     def _read(self) -> "tuple[Robot, Motion, list[str]]":
         """The robot, its motion, and lines about the file that it is from."""
-        from fastmimic.motion.catalogue import motion_names, open_clip
-        from fastmimic.motion.formats import detect_format
-        from fastmimic.motion.retarget import retarget
+        from fastmimic.clips.catalogue import motion_names, open_clip
+        from fastmimic.clips.formats import detect_format
+        from fastmimic.retarget.retarget import retarget
 
         is_file = self.source not in motion_names() and Path(self.source).is_file()
         if is_file and detect_format(self.source) == "npz":
@@ -61,9 +62,9 @@ def describe_motion(motion: "Motion", robot: "Robot") -> list[str]:
     """A robot motion in words: what it is, what it asks of the robot, where it is from."""
     import numpy as np
 
+    from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
     from fastmimic.commands.provenance import assumed, provenance
-    from fastmimic.conventions import JOINTS_PER_LEG, LEGS
-    from fastmimic.imitation.rollout import swing_clearance
+    from fastmimic.episode.rollout import swing_clearance
 
     def legs(values: "np.ndarray", form: str) -> str:
         return ", ".join(f"{leg} {format(v, form)}" for leg, v in zip(LEGS, values, strict=True))
@@ -89,7 +90,7 @@ def describe_motion(motion: "Motion", robot: "Robot") -> list[str]:
 
 
 def _describe_clip(clip: "Clip") -> list[str]:
-    from fastmimic.motion.formats import FORMATS
+    from fastmimic.clips.formats import FORMATS
 
     name = str(clip.meta.get("format", "unknown"))
     cycle = {None: "not said by the source", True: "yes", False: "no"}[clip.is_cycle]
@@ -138,7 +139,7 @@ def _optimised(motion: "Motion") -> list[str]:
 
 def _made_with(motion: "Motion") -> list[str]:
     """The controller with which the motion was optimised; empty if it does not say."""
-    from fastmimic.methods import MADE_WITH, controller_for
+    from fastmimic.imitation.methods import MADE_WITH, controller_for
 
     record = motion.meta.get(MADE_WITH)
     if record is None:

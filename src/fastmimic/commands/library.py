@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, Positional, arg, subcommand
 
+from fastmimic.base.errors import ConfigError, FastMimicError, did_you_mean
 from fastmimic.commands.console import SLOW_START, count_progress, note, put, share_progress, slow_start, table
 from fastmimic.commands.options import DEFAULT_ROBOT
-from fastmimic.errors import ConfigError, FastMimicError, did_you_mean
 
 if TYPE_CHECKING:
-    from fastmimic.library.build import Building, Step
-    from fastmimic.library.folder import Library, Row
+    from fastmimic.dataset.build import Building, Step
+    from fastmimic.dataset.folder import Library, Row
 
 EXIT_SOME_FAILED: Final = 3
 """Everything else was done."""
@@ -96,8 +96,8 @@ class Build:
 
     def run(self) -> int:
         """Builds it; returns the exit status."""
+        from fastmimic.dataset import build
         from fastmimic.executors import make_executor
-        from fastmimic.library import build
 
         building = self._building()
         executor = make_executor(self.executor, workers=self.workers, address=self.address)
@@ -115,7 +115,7 @@ class Build:
         return EXIT_SOME_FAILED if failed else 0
 
     def _building(self) -> "Building":
-        from fastmimic.library import Building, Library, Recipe, find_sources
+        from fastmimic.dataset import Building, Library, Recipe, find_sources
 
         if not self.sources:
             raise ConfigError("of what? name folders, lists, clips or motions")
@@ -155,7 +155,7 @@ class _Choice:
 
     def chosen(self, rows: "Sequence[Row]") -> "list[Row]":
         """Those of the rows that were asked for."""
-        from fastmimic.library.grades import FAILURE, GRADES, REJECTED
+        from fastmimic.dataset.grades import FAILURE, GRADES, REJECTED
 
         known = (*GRADES, REJECTED, FAILURE)
         for name in self.grade:
@@ -189,7 +189,7 @@ class ListMotions(_Choice):
 
     def run(self) -> int:
         """Prints them; returns the exit status."""
-        from fastmimic.library import Library
+        from fastmimic.dataset import Library
 
         library = Library.open(self.library)
         if self.superseded:
@@ -235,7 +235,7 @@ class Show:
 
     def run(self) -> int:
         """Prints it; returns the exit status."""
-        from fastmimic.library import Library
+        from fastmimic.dataset import Library
 
         library = Library.open(self.library)
         rows = library.find(self.motion)
@@ -267,9 +267,9 @@ class Export(_Choice):
 
     def run(self) -> int:
         """Writes them; returns the exit status."""
-        from fastmimic.files import check_folder
-        from fastmimic.library import Library
-        from fastmimic.library.exporting import NEEDED, export_library
+        from fastmimic.base.files import check_folder
+        from fastmimic.dataset import Library
+        from fastmimic.dataset.exporting import NEEDED, export_library
 
         library = Library.open(self.library)
         columns = (*NEEDED, "kept", "best")
@@ -304,9 +304,9 @@ class Verify:
 
     def run(self) -> int:
         """Does it; returns the exit status."""
-        from fastmimic.library import Library
-        from fastmimic.library.folder import check
-        from fastmimic.library.mending import mend, rerun
+        from fastmimic.dataset import Library
+        from fastmimic.dataset.folder import check
+        from fastmimic.dataset.mending import mend, rerun
 
         if self.rerun < 0:
             raise ConfigError(f"--rerun must not be negative, found {self.rerun}")
@@ -372,9 +372,9 @@ def _second_simulator(robots: Sequence[str]) -> bool:
 def _progress(said: str) -> "Iterator[Callable[[Step], None]]":
     """Says what is built once it begins; then a bar on a terminal, and in any case a line for each motion that is
     finished and each source that fails; and how to go on, if it was stopped."""
-    from fastmimic.library.build import describe_failure
-    from fastmimic.library.grades import grade
-    from fastmimic.library.records import FAILED
+    from fastmimic.dataset.build import describe_failure
+    from fastmimic.dataset.grades import grade
+    from fastmimic.dataset.records import FAILED
 
     begun = False
     with slow_start() as started, share_progress("building") as bar:
@@ -406,7 +406,7 @@ def _progress(said: str) -> "Iterator[Callable[[Step], None]]":
 
 def _summary(library: "Library") -> None:
     """How many of which grade, of which versions if there are several, and how many records besides."""
-    from fastmimic.library.grades import FAILURE, GRADES, REJECTED
+    from fastmimic.dataset.grades import FAILURE, GRADES, REJECTED
 
     rows = library.index(("id", "grade", "fastmimic_version"))
     counted = Counter(row["grade"] for row in rows)

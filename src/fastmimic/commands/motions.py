@@ -18,7 +18,7 @@ class Motions:
 
     def run(self) -> int:
         """Prints the list; returns the exit status."""
-        from fastmimic.motion.catalogue import describe
+        from fastmimic.clips.catalogue import describe
 
         rows = describe(self.folder)
         cells = [(r.name, r.speed, "yes" if r.available else "no", r.about, r.source) for r in rows]

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import arg
 
-from fastmimic.errors import ConfigError, OutputError, PolicyError
+from fastmimic.base.errors import ConfigError, OutputError, PolicyError
 
 if TYPE_CHECKING:
+    from fastmimic.episode.rollout import MakeController
     from fastmimic.experiments.entrants import Search
-    from fastmimic.imitation.rollout import MakeController
     from fastmimic.motion.motion import Motion
     from fastmimic.optimize.randomization import Randomization
     from fastmimic.robot import Robot
@@ -64,7 +64,7 @@ class MotionOptions:
 
     def load(self, source: str) -> "tuple[Robot, Motion]":
         """The robot and its motion, retargeted if `source` is a clip."""
-        from fastmimic.pipeline import load_motion
+        from fastmimic.imitation.imitate import load_motion
 
         overrides = self.overrides()
         robot = self.load_robot(source)
@@ -144,7 +144,7 @@ class ExperimentOptions(MotionOptions):
 
 def robot_of(source: str) -> str | None:
     """The built-in robot that a FastMimic `.npz` was made for, if `source` is one."""
-    from fastmimic.motion.formats import detect_format
+    from fastmimic.clips.formats import detect_format
     from fastmimic.motion.motion import Motion
     from fastmimic.robot import ROBOT_NAMES
 
@@ -212,7 +212,7 @@ def check_writable(path: str | Path, *endings: str) -> Path:
     Raises:
         OutputError: another ending than these, a folder, or a place that cannot be written to.
     """
-    from fastmimic.files import check_folder
+    from fastmimic.base.files import check_folder
 
     path = Path(path)
     if path.suffix.lower() not in endings:

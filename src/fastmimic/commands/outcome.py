@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from fastmimic.commands.console import EXIT_INTERRUPTED, count_progress, note, put
 
 if TYPE_CHECKING:
+    from fastmimic.imitation.imitate import Imitation
     from fastmimic.motion.motion import Motion
-    from fastmimic.pipeline import Imitation
     from fastmimic.report.run_folder import RunFolder
     from fastmimic.robot import Robot
 

@@ -39,11 +39,11 @@ class Play:
         free_port(self.port)  # a port that cannot be is no reason to load motions first
         from fastmimic.commands.options import DEFAULT_ROBOT, robot_of
         from fastmimic.control.config import controller_config
-        from fastmimic.play.library import DEFAULTS, Library, load_library_motions, warm_up
+        from fastmimic.imitation.stitch import motion_source
+        from fastmimic.play.page import PlayPage
         from fastmimic.play.session import LiveSession, check_method
+        from fastmimic.reference.motion_set import DEFAULTS, Library, load_library_motions, warm_up
         from fastmimic.robot import load_robot
-        from fastmimic.stitching import motion_source
-        from fastmimic.viewer.play import PlayPage
 
         check_method(self.method)
         config = controller_config(self.config)

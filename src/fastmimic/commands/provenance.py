@@ -8,7 +8,7 @@ if TYPE_CHECKING:
 
 def provenance(motion: "Motion") -> str:
     """One line: name, source, scale, period, licence."""
-    from fastmimic.motion.formats import FORMATS
+    from fastmimic.clips.formats import FORMATS
 
     source, retargeting = _dict(motion, "source"), _dict(motion, "retarget")
     parts = [str(source.get("source", "no source given"))]

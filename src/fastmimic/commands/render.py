@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import Positional, arg
 
+from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.commands.console import count_progress, put, slow_start
 from fastmimic.commands.options import MotionOptions, check_duration, check_writable, parse_size
-from fastmimic.errors import ConfigError, OutputError
 
 if TYPE_CHECKING:
     from fastmimic.motion.motion import Motion
-    from fastmimic.report import Track
+    from fastmimic.render.playback import Track
     from fastmimic.robot import Robot
 
 SECONDS: Final = 5.0
@@ -55,8 +55,8 @@ class Render(MotionOptions):
         """Writes it; returns the exit status."""
         self._check()
         size = None if self.size is None else parse_size(self.size)
-        from fastmimic.report import render_video
-        from fastmimic.report.encoding import ENDINGS
+        from fastmimic.render.encoding import ENDINGS
+        from fastmimic.render.video import render_video
 
         out = check_writable(self.out, *ENDINGS)
         robot, shown = self._tracks()
@@ -86,8 +86,8 @@ class Render(MotionOptions):
 
     def _check(self) -> None:
         """Refuses what cannot be before anything takes long."""
-        from fastmimic.methods import method_named
-        from fastmimic.report.quality import quality_named
+        from fastmimic.imitation.methods import method_named
+        from fastmimic.render.quality import quality_named
 
         if not 1 <= len(self.motions) <= MOST:
             raise ConfigError(f"render takes one to {MOST} motions, found {len(self.motions)}")
@@ -109,8 +109,8 @@ class Render(MotionOptions):
 
     def _tracks(self) -> "tuple[Robot, list[tuple[Track, float]]]":
         """The robot, and a panel with its rate for each motion."""
-        from fastmimic.pipeline import default_duration, load_motion
-        from fastmimic.stitching import motion_source
+        from fastmimic.imitation.imitate import default_duration, load_motion
+        from fastmimic.imitation.stitch import motion_source
 
         sources = [str(motion_source(source)) for source in self.motions]
         robot = self.load_robot(sources[0])
@@ -129,9 +129,9 @@ class Render(MotionOptions):
         return robot, shown
 
     def _simulated(self, motion: "Motion", robot: "Robot", seconds: float, method: str | None) -> "tuple[Track, float]":
-        from fastmimic.methods import METHODS
-        from fastmimic.pipeline import evaluate
-        from fastmimic.report.tracks import rollout_track
+        from fastmimic.imitation.imitate import evaluate
+        from fastmimic.imitation.methods import METHODS
+        from fastmimic.render.tracks import rollout_track
 
         with slow_start():
             found = evaluate(motion, robot, duration_s=seconds, method=method, config=self.config, log=True)
@@ -141,7 +141,7 @@ class Render(MotionOptions):
         return track, found.rollout.log.rate_hz
 
     def _kinematic(self, motion: "Motion", robot: "Robot", seconds: float) -> "tuple[Track, float]":
-        from fastmimic.report.tracks import motion_track
+        from fastmimic.render.tracks import motion_track
 
         ghost = None if motion.demonstration is None else motion_track(motion.demonstration, seconds, "demonstration")
         caption = "as optimised, no physics" if ghost is not None else "as retargeted, no physics"

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
+from fastmimic.base.errors import ConfigError
 from fastmimic.commands.console import note, put, slow_start
 from fastmimic.commands.options import check_writable
-from fastmimic.errors import ConfigError
 
 if TYPE_CHECKING:
     from fastmimic.report.html_run import Episodes

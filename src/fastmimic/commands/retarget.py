@@ -22,9 +22,9 @@ class Retarget(MotionOptions):
     def run(self) -> int:
         """Writes the motion and prints the report; returns the exit status."""
         out = check_writable(self.out, ".npz")
+        from fastmimic.clips.catalogue import open_clip
         from fastmimic.commands.provenance import assumed, provenance
-        from fastmimic.motion.catalogue import open_clip
-        from fastmimic.motion.retarget import retarget
+        from fastmimic.retarget.retarget import retarget
 
         overrides = self.overrides()
         robot = self.load_robot(self.clip)

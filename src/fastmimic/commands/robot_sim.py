@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import arg
 
+from fastmimic.base.errors import ConfigError
 from fastmimic.commands.console import note, put, slow_start
-from fastmimic.errors import ConfigError
 
 if TYPE_CHECKING:
     from fastmimic.deploy.robot_sim.server import RobotSim as Server

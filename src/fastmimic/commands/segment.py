@@ -11,7 +11,7 @@ from fastmimic.commands.console import note, put, table
 from fastmimic.commands.options import check_writable
 
 if TYPE_CHECKING:
-    from fastmimic.motion.segment import Segment
+    from fastmimic.clips.segment import Segment
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,8 +36,8 @@ class SegmentTake:
 
     def run(self) -> int:
         """Prints the segments; returns the exit status."""
-        from fastmimic.motion.catalogue import open_clip
-        from fastmimic.motion.segment import DISCRETE, find_segments
+        from fastmimic.clips.catalogue import open_clip
+        from fastmimic.clips.segment import DISCRETE, find_segments
 
         figure = None if self.figure is None else check_writable(self.figure, ".png", ".pdf", ".svg")
         overrides: dict[str, Any] = {"fps": self.fps, "up": self.up, "point_map": self.point_map}
@@ -59,7 +59,7 @@ class SegmentTake:
                     f"fastmimic imitate {self.take} --frames {once.start}:{once.end} --discrete"
                 )
         if figure is not None:
-            from fastmimic.report import save
+            from fastmimic.render.style import save
             from fastmimic.report.segments import segments_figure
 
             save(segments_figure(clip, segments, Path(self.take).stem), figure)

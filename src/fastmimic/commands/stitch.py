@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import Positional, arg
 
+from fastmimic.base.errors import ConfigError
 from fastmimic.commands.console import note, optimisation_progress, put, table
 from fastmimic.commands.options import DEFAULT_ROBOT, RandomizeOptions, robot_of
 from fastmimic.commands.outcome import report
-from fastmimic.errors import ConfigError
 
 if TYPE_CHECKING:
+    from fastmimic.imitation.stitch import Stitching
     from fastmimic.optimize.cma_es import Progress
     from fastmimic.report.run_folder import RunFolder
     from fastmimic.robot import Robot
-    from fastmimic.stitching import Stitching
 
 RUNS: Final = Path("runs")
 _NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", "quality")
@@ -76,8 +76,8 @@ class Stitch(RandomizeOptions):
                 f"--cycles takes one number, or one for each of the {len(self.motions)} motions; found"
                 f" {len(self.cycles)}"
             )
-        from fastmimic.methods import method_named
-        from fastmimic.report.quality import quality_named
+        from fastmimic.imitation.methods import method_named
+        from fastmimic.render.quality import quality_named
         from fastmimic.report.run_folder import default_folder, open_run
         from fastmimic.robot import load_robot
 
@@ -103,7 +103,7 @@ class Stitch(RandomizeOptions):
         return report(result, folder, self.iterations, video=None if self.no_video else self.quality)
 
     def _stitch(self, robot: "Robot", folder: "RunFolder") -> "Stitching":
-        from fastmimic.stitching import stitch
+        from fastmimic.imitation.stitch import stitch
 
         with ExitStack() as stack:
             bar: Callable[[Progress], None] = _nowhere
@@ -138,7 +138,7 @@ class Stitch(RandomizeOptions):
                 raise
 
     def _robot_of_motions(self) -> str | None:
-        from fastmimic.stitching import motion_source
+        from fastmimic.imitation.stitch import motion_source
 
         sources = [str(motion_source(m)) for m in self.motions]
         return next((of for of in (robot_of(source) for source in sources) if of is not None), None)
@@ -146,7 +146,7 @@ class Stitch(RandomizeOptions):
     @staticmethod
     def _name_of(motion: str) -> str:
         """What the run's folder calls a motion."""
-        from fastmimic.stitching import RUN_MOTION, motion_source
+        from fastmimic.imitation.stitch import RUN_MOTION, motion_source
 
         source = Path(motion_source(motion))
         if source.name == RUN_MOTION:
@@ -156,8 +156,8 @@ class Stitch(RandomizeOptions):
     def _record(self, robot: "Robot") -> dict[str, Any]:
         """Everything that the run depends on, JSON-serialisable."""
         from fastmimic.control.config import controller_config
-        from fastmimic.methods import method_named
-        from fastmimic.pipeline import versions
+        from fastmimic.imitation.imitate import versions
+        from fastmimic.imitation.methods import method_named
 
         arguments = {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(self).items()}
         arguments = self.recorded(arguments)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import Positional, arg
 
+from fastmimic.base.errors import ConfigError
 from fastmimic.commands.console import PLAIN_STEPS, note, put, share_progress
 from fastmimic.commands.options import MotionOptions
-from fastmimic.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -68,10 +68,10 @@ class Train(MotionOptions):
         for name in ("steps", "evaluate_every"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"--{name.replace('_', '-')} must be at least 1, found {getattr(self, name)}")
+        from fastmimic.base.machine import available_cores
         from fastmimic.learning.learner import check_installed, choose_device
         from fastmimic.learning.training import train
         from fastmimic.learning.training_folder import CHECKPOINT, open_training
-        from fastmimic.machine import available_cores
 
         settings = self._settings()
         check_installed()

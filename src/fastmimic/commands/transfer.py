@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import Positional, arg
 
+from fastmimic.base.errors import ConfigError
 from fastmimic.commands.console import FIRST_USE, note, optimisation_progress, put, slow_start
 from fastmimic.commands.options import ExperimentOptions, check_duration, policy_with_digest
-from fastmimic.errors import ConfigError
 
 if TYPE_CHECKING:
+    from fastmimic.episode.rollout import MakeController
     from fastmimic.experiments.transfer import TransferSettings
-    from fastmimic.imitation.rollout import MakeController
     from fastmimic.motion.motion import Motion
     from fastmimic.robot import Robot
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.commands.console import slow_start
 from fastmimic.commands.options import MotionOptions, check_duration
 from fastmimic.commands.serving import serve
-from fastmimic.errors import ConfigError, MotionError
 
 if TYPE_CHECKING:
     from fastmimic.motion.motion import Motion
@@ -72,7 +72,7 @@ class View(MotionOptions):
 
     def _is_run(self) -> bool:
         """Whether the motion is a folder; a name goes before a folder of the same name, as before a file."""
-        from fastmimic.motion.catalogue import motion_names
+        from fastmimic.clips.catalogue import motion_names
 
         return Path(self.motion).is_dir() and self.motion not in motion_names()
 
@@ -104,7 +104,7 @@ class View(MotionOptions):
 
     def _prepare(self, *, run: bool) -> "tuple[Robot, list[list[Take]], str, Animal | None]":
         """The robot, what is shown of it, the heading, and the animal."""
-        from fastmimic.pipeline import EVALUATION_S, default_duration, load_motion
+        from fastmimic.imitation.imitate import EVALUATION_S, default_duration, load_motion
         from fastmimic.viewer.animal import Animal
 
         overrides = self.overrides()
@@ -131,7 +131,7 @@ class View(MotionOptions):
         return robot, shown, f"{motion.name} on {robot.name}", animal
 
     def _open_clip(self, source: str, robot: "Robot", overrides: dict[str, Any]) -> Any:
-        from fastmimic.motion.catalogue import open_clip
+        from fastmimic.clips.catalogue import open_clip
 
         if _is_robot_motion(source):
             raise ConfigError(f"--clip takes an animal's clip; {source} is already a robot motion")
@@ -139,8 +139,8 @@ class View(MotionOptions):
 
     def _takes(self, motion: "Motion", of: "Motion", robot: "Robot", seconds: float, title: str) -> "list[Take]":
         """What one motion is in so many episodes, under the controller of the motion that was given."""
-        from fastmimic.methods import controller_for
-        from fastmimic.pipeline import evaluate
+        from fastmimic.imitation.imitate import evaluate
+        from fastmimic.imitation.methods import controller_for
         from fastmimic.viewer.take import motion_take, rollout_take
 
         if self.kinematic:
@@ -162,6 +162,6 @@ class View(MotionOptions):
 
 
 def _is_robot_motion(source: str) -> bool:
-    from fastmimic.motion.formats import detect_format
+    from fastmimic.clips.formats import detect_format
 
     return Path(source).is_file() and detect_format(source) == "npz"

@@ -5,8 +5,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.vectors import transposed_times
-from fastmimic.jit import inlined
+from fastmimic.base.jit import inlined
+from fastmimic.base.vectors import transposed_times
 from fastmimic.robot.dynamics import cross
 from fastmimic.robot.kinematics import leg_inverse, leg_jacobian
 

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.conventions import GRAVITY
-from fastmimic.errors import ConfigError, did_you_mean
-from fastmimic.jit import record_dtype
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import ConfigError, did_you_mean
+from fastmimic.base.jit import record_dtype
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

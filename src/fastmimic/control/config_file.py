@@ -12,8 +12,8 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
+from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.control.config import CONFIGS, ControllerConfig
-from fastmimic.errors import ConfigError, did_you_mean
 
 FORMAT: Final = "fastmimic controller"
 VERSION: Final = 1

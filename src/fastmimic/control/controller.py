@@ -9,6 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.vectors import heading_vector, quat_to_matrix, rotation_error, times, transposed_times, turn_rows
 from fastmimic.control.adaptation import DAMPING_AFTER_FAILURE, stance_leg
 from fastmimic.control.config import ControllerConfig, default_config, pack_config
 from fastmimic.control.daqp import make_workspace
@@ -19,18 +23,14 @@ from fastmimic.control.horizon import MAX_VARIABLES as HORIZON_VARIABLES
 from fastmimic.control.inertia import WORK as INERTIA_WORK
 from fastmimic.control.inertia import add_standing_leg
 from fastmimic.control.load import loaded_robot
-from fastmimic.control.reference import stack_tables
 from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, invert_symmetric_3x3, stance_forces
-from fastmimic.control.state import COMMAND, MEMORY, pack_model
 from fastmimic.control.stopwatch import seconds_now
 from fastmimic.control.swing import lift_off, swing_leg
-from fastmimic.control.vectors import heading_vector, quat_to_matrix, rotation_error, times, transposed_times, turn_rows
-from fastmimic.conventions import GRAVITY
-from fastmimic.errors import ConfigError
-from fastmimic.jit import inlined, kernel, record_dtype
 from fastmimic.motion.motion import Motion
+from fastmimic.reference.table import stack_tables
 from fastmimic.robot.dynamics import leg_inverse_dynamics, leg_mass_moment
 from fastmimic.robot.kinematics import leg_forward
+from fastmimic.robot.state import COMMAND, MEMORY, pack_model
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

@@ -17,7 +17,7 @@ from numba import config as numba_config
 from numba import objmode, types
 from numpy.typing import NDArray
 
-from fastmimic.jit import depends_on, kernel, record_dtype
+from fastmimic.base.jit import depends_on, kernel, record_dtype
 
 Array = NDArray[np.float64]
 

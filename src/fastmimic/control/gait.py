@@ -7,7 +7,7 @@ while it should swing (early touch-down). Two switches of a leg are at least `mi
 
 from typing import Any
 
-from fastmimic.jit import inlined
+from fastmimic.base.jit import inlined
 
 
 @inlined

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.jit import inlined, kernel, record_dtype
+from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.robot.dynamics import cross
 from fastmimic.robot.kinematics import leg_jacobian
 

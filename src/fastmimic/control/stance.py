@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.jit import inlined, kernel
 from fastmimic.control.daqp import INFINITY, OPTIMAL, solve_qp
-from fastmimic.conventions import GRAVITY
-from fastmimic.jit import inlined, kernel
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from numba import config as numba_config
 from numba import objmode, types
 from numpy.typing import NDArray
 
-from fastmimic.jit import kernel
+from fastmimic.base.jit import kernel
 
 _MONOTONIC: Final = 6 if sys.platform == "darwin" else 1  # CLOCK_MONOTONIC
 

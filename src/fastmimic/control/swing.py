@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.jit import inlined
+from fastmimic.base.jit import inlined
 from fastmimic.robot.kinematics import leg_inverse
 
 Array = NDArray[np.float64]

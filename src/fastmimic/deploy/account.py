@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fastmimic.conventions import JOINT_NAMES, LEGS
+from fastmimic.base.conventions import JOINT_NAMES, LEGS
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.pilot import Phase
 

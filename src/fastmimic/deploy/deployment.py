@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.errors import ConfigError
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.clock import SHORT_SPIN_S, SPIN_S, Clock, RealClock, undisturbed
 from fastmimic.deploy.driver import RobotDriver
@@ -20,10 +21,9 @@ from fastmimic.deploy.pilot import Phase, Pilot
 from fastmimic.deploy.safety import Guard, NotingGuard, StopReason
 from fastmimic.deploy.scoring import figures, score_log, true_states
 from fastmimic.deploy.stopping import StopSwitch
-from fastmimic.errors import ConfigError
+from fastmimic.episode.rollout import MakeController
 from fastmimic.estimation.config import EstimatorConfig
-from fastmimic.imitation.rollout import MakeController
-from fastmimic.methods import check_controller, controller_for
+from fastmimic.imitation.methods import check_controller, controller_for
 
 if TYPE_CHECKING:
     from fastmimic.motion.motion import Motion
@@ -69,7 +69,7 @@ def deployed_config(
 
     Args:
         motion: what is deployed.
-        method, config: as in `fastmimic.pipeline.evaluate`.
+        method, config: as in `fastmimic.imitation.imitate.evaluate`.
         solve_rate_hz: how often a controller that looks ahead plans anew; its own rate, which is that of the loop, if
             None.
         learned: whether there is a policy.
@@ -121,7 +121,7 @@ def deploy(
         motion: a motion that repeats, or a stitched one, which is done once.
         robot: its model.
         driver: not yet open; it is closed in the end.
-        method, config, policy: as in `fastmimic.pipeline.evaluate`.
+        method, config, policy: as in `fastmimic.imitation.imitate.evaluate`.
         solve_rate_hz: of planning ahead; at the loop's rate if None.
         estimator: its parameters.
         itinerary: of this motion and controller, if it was made before.

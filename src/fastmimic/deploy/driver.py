@@ -1,7 +1,7 @@
 """A robot's low-level interface, the same for every robot: read its sensors, write its motors' commands.
 
 Whatever a vendor counts, orders or signs otherwise is converted in that robot's driver and nowhere else: everything on
-this side of it has the project's units, frames and order of joints (`fastmimic.conventions`).
+this side of it has the project's units, frames and order of joints (`fastmimic.base.conventions`).
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.state import COMMAND
+from fastmimic.robot.state import COMMAND
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class RobotDriver(Protocol):
     leaving it closes it.
 
     Errors:
-        `fastmimic.errors.DriverError` from `open` for everything that a user can mend: a missing extra, an interface
+        `DriverError` from `open` for everything that a user can mend: a missing extra, an interface
         that does not exist, a robot of another type, no state within three seconds.
     """
 
@@ -65,7 +65,7 @@ class RobotDriver(Protocol):
         none. States that fail the checks of `Packets.rejected` are counted and never returned."""
 
     def write(self, command: NDArray[Any]) -> None:
-        """Sends (1,) of `fastmimic.control.state.COMMAND` to the motors."""
+        """Sends (1,) of `fastmimic.robot.state.COMMAND` to the motors."""
 
     def close(self) -> None:
         """Disconnects; sends nothing. Closing twice is allowed."""

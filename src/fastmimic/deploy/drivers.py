@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
+from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.deploy.driver import RobotDriver
-from fastmimic.errors import ConfigError, did_you_mean
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

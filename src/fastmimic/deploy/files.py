@@ -5,8 +5,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from fastmimic.errors import OutputError
-from fastmimic.files import check_folder
+from fastmimic.base.errors import OutputError
+from fastmimic.base.files import check_folder
 
 LOG: Final = "log.npz"
 MOTION: Final = "motion.npz"

@@ -13,9 +13,15 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.errors import MotionError
+from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
-from fastmimic.control.recovery import advance_recovering
-from fastmimic.control.reference import (
+from fastmimic.motion.motion import Motion
+from fastmimic.reference.course import course_of
+from fastmimic.reference.motion_set import STAND, Library, standing
+from fastmimic.reference.resync import advance_recovering
+from fastmimic.reference.stream import MODULATION, Stream, make_place
+from fastmimic.reference.table import (
     CLOCK,
     SAMPLE,
     advance_clocks,
@@ -24,14 +30,8 @@ from fastmimic.control.reference import (
     reference_table,
     world_root,
 )
-from fastmimic.errors import MotionError
-from fastmimic.motion.motion import Motion
-from fastmimic.motion.stitch_layout import Layout
-from fastmimic.play.course import course_of
-from fastmimic.play.library import STAND, Library, standing
-from fastmimic.play.stream import MODULATION, Stream, make_place
-from fastmimic.play.transition import Transition
-from fastmimic.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
+from fastmimic.reference.transition import Transition
+from fastmimic.stitching.layout import Layout
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.control.config import stiffness_ratio
-from fastmimic.errors import ConfigError, did_you_mean
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

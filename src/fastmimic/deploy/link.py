@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.errors import ConfigError
 from fastmimic.deploy.driver import LowState, Packets
-from fastmimic.errors import ConfigError
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.state import COMMAND, OBSERVATION
-from fastmimic.errors import DeploymentError, MotionError
+from fastmimic.base.errors import DeploymentError, MotionError
+from fastmimic.base.files import replace_file
+from fastmimic.episode.run_log import RunLog
 from fastmimic.estimation.reading import READING
-from fastmimic.files import replace_file
-from fastmimic.identification.log import RunLog
 from fastmimic.motion.motion import Motion
+from fastmimic.robot.state import COMMAND, OBSERVATION
 
 FORMAT_VERSION: Final = 1
 _MARK: Final = "deployment_version"

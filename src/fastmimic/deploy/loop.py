@@ -6,13 +6,13 @@ from typing import Any, Final
 
 from numpy.typing import NDArray
 
+from fastmimic.base.errors import DriverError
 from fastmimic.deploy.clock import Clock
 from fastmimic.deploy.driver import LowState, Packets, RobotDriver, damping_command
 from fastmimic.deploy.log import Recorder
 from fastmimic.deploy.pilot import Phase, Pilot
 from fastmimic.deploy.safety import Guard, StopReason, Violation
 from fastmimic.deploy.stopping import StopSwitch
-from fastmimic.errors import DriverError
 
 FIRST_STATE_S: Final = 3.0
 _AT_ONCE: Final = 2

@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.rotations import yaw_from_quat
 from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.control.controller import Controller
-from fastmimic.control.state import COMMAND, OBSERVATION
 from fastmimic.deploy.itinerary import Follower, Itinerary
 from fastmimic.deploy.safety import Guard, NotingGuard, Violation
+from fastmimic.episode.rollout import LoopController, MakeController
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.estimation.estimator import START, Estimator
-from fastmimic.imitation.rollout import LoopController, MakeController
-from fastmimic.play.recovery import along, rising_path, smooth, standing_gains
+from fastmimic.reference.getting_up import along, rising_path, smooth, standing_gains
 from fastmimic.robot.kinematics import foot_positions
-from fastmimic.rotations import yaw_from_quat
+from fastmimic.robot.state import COMMAND, OBSERVATION
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.reference import CLOCK, SAMPLE
-from fastmimic.conventions import JOINT_NAMES
+from fastmimic.base.conventions import JOINT_NAMES
+from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.deploy.limits import SafetyLimits
-from fastmimic.jit import inlined, kernel, record_dtype
+from fastmimic.reference.table import CLOCK, SAMPLE
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

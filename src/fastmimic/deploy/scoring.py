@@ -5,16 +5,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import DeploymentError
+from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig, default_config
-from fastmimic.control.reference import advance_clocks, make_clocks, reference_table
-from fastmimic.control.state import MEMORY
-from fastmimic.conventions import GRAVITY
 from fastmimic.deploy.log import DeploymentLog
-from fastmimic.errors import DeploymentError
-from fastmimic.imitation.reward import TALLY, TERMS, score_step
-from fastmimic.imitation.rollout import Rollout, summarised
-from fastmimic.pipeline import Evaluation
-from fastmimic.rotations import rotate_planar, yaw_from_quat
+from fastmimic.episode.reward import TALLY, TERMS, score_step
+from fastmimic.episode.rollout import Rollout, summarised
+from fastmimic.imitation.imitate import Evaluation
+from fastmimic.reference.table import advance_clocks, make_clocks, reference_table
+from fastmimic.robot.state import MEMORY
 from fastmimic.simulation.conditions import Conditions
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def score_log(robot: "Robot", log: DeploymentLog, observation: NDArray[Any] | No
 
 
 def evaluation_of(robot: "Robot", log: DeploymentLog, config: ControllerConfig) -> Evaluation:
-    """A deployment as `fastmimic.pipeline.evaluate` would have it: by the truth if there is one, else by the estimate.
+    """A deployment as `fastmimic.evaluate` would have it: by the truth if there is one, else by the estimate.
 
     Args:
         robot: the robot.

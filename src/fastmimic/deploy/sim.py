@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.state import COMMAND, OBSERVATION
+from fastmimic.base.errors import ConfigError
 from fastmimic.deploy.clock import Clock, VirtualClock
 from fastmimic.deploy.driver import LowState, Packets, RobotDriver, damping_command
 from fastmimic.deploy.link import Link, LinkConfig, Receiver
-from fastmimic.errors import ConfigError
 from fastmimic.estimation.reading import READING
-from fastmimic.play.recovery import rising_path, standing_gains
+from fastmimic.reference.getting_up import rising_path, standing_gains
+from fastmimic.robot.state import COMMAND, OBSERVATION
 from fastmimic.simulation.conditions import Conditions, episode_generator
 from fastmimic.simulation.disturbances import make_world
 from fastmimic.simulation.sensors import Sensors

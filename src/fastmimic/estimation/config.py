@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.conventions import GRAVITY
-from fastmimic.errors import ConfigError
-from fastmimic.jit import record_dtype
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.jit import record_dtype
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from fastmimic.jit import inlined
+from fastmimic.base.jit import inlined
 
 
 @inlined

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.state import OBSERVATION
-from fastmimic.control.vectors import quat_to_matrix, times
-from fastmimic.conventions import GRAVITY
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.vectors import quat_to_matrix, times
 from fastmimic.estimation.config import EstimatorConfig, pack_config
 from fastmimic.estimation.contact import estimate_contact
 from fastmimic.estimation.kalman import (
@@ -19,9 +19,9 @@ from fastmimic.estimation.kalman import (
     update_position,
     update_velocity,
 )
-from fastmimic.jit import inlined, kernel, record_dtype
 from fastmimic.robot.dynamics import cross
 from fastmimic.robot.kinematics import leg_forward, leg_jacobian
+from fastmimic.robot.state import OBSERVATION
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

@@ -14,7 +14,7 @@ A foot in the air is no more than its kinematics, fᵢ = p + R pᵢ(q): it is an
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.jit import inlined
+from fastmimic.base.jit import inlined
 
 Array = NDArray[np.float64]
 

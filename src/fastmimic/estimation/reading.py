@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from fastmimic.jit import record_dtype
+from fastmimic.base.jit import record_dtype
 
 READING: Final = record_dtype(
     [

@@ -4,7 +4,7 @@ from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
-from fastmimic.errors import FastMimicError
+from fastmimic.base.errors import FastMimicError
 
 ATTEMPTS: Final = 4
 """How often a job is begun, in all, whose process or machine dies."""

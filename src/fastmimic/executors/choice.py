@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from fastmimic.errors import ConfigError, did_you_mean
+from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.executors.base import Executor
 from fastmimic.executors.local import LocalExecutor
 

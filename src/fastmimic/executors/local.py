@@ -14,9 +14,9 @@ from typing import Any, Final
 
 from pebble import ProcessExpired, ProcessPool
 
-from fastmimic.errors import ConfigError, FastMimicError, WorkerError
+from fastmimic.base.errors import ConfigError, FastMimicError, WorkerError
+from fastmimic.base.machine import available_cores
 from fastmimic.executors.base import ATTEMPTS, Outcome, Report, Work, attempt
-from fastmimic.machine import available_cores
 
 _POLL_S: Final = 0.5
 _AHEAD: Final = 2  # jobs handed out for each process, so that none waits for the next

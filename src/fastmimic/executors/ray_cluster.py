@@ -11,9 +11,9 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Final
 
-from fastmimic.errors import ClusterError, ConfigError, FastMimicError, WorkerError
+from fastmimic.base.errors import ClusterError, ConfigError, FastMimicError, WorkerError
+from fastmimic.base.machine import available_cores
 from fastmimic.executors.base import ATTEMPTS, Outcome, Work, attempt
-from fastmimic.machine import available_cores
 
 _AHEAD: Final = 2  # jobs handed out for each core, so that none waits for the next
 _POLL_S: Final = 1.0

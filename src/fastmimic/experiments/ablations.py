@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.control.config import ControllerConfig, paper_config
-from fastmimic.errors import ConfigError, did_you_mean
 from fastmimic.primitive.rhythmic import N_BASIS
 
 ABLATED: Final = "mbc-dmp"

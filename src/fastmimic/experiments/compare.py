@@ -5,20 +5,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from fastmimic.base.errors import ConfigError, OutputError, PolicyError
+from fastmimic.clips.catalogue import open_clip
+from fastmimic.clips.formats import detect_format
 from fastmimic.control.config import controller_config
-from fastmimic.errors import ConfigError, OutputError, PolicyError
 from fastmimic.experiments.ablations import ABLATED, ablation_named, ablations_of
 from fastmimic.experiments.runs import POLICY, Row, Run, Settings, digest, finished_row, run_of, slug
 from fastmimic.experiments.schedule import Report, Task, run_all
-from fastmimic.methods import METHODS, RL, method_named
-from fastmimic.motion.catalogue import open_clip
-from fastmimic.motion.formats import detect_format
+from fastmimic.imitation.imitate import load_motion
+from fastmimic.imitation.methods import METHODS, RL, method_named
 from fastmimic.motion.motion import Motion
-from fastmimic.motion.retarget import retarget
-from fastmimic.motion.retarget_config import RetargetConfig
 from fastmimic.optimize.cma_es import CmaSettings
 from fastmimic.optimize.problem import Objective
-from fastmimic.pipeline import load_motion
+from fastmimic.retarget.config import RetargetConfig
+from fastmimic.retarget.retarget import retarget
 from fastmimic.robot import Robot, load_robot
 
 if TYPE_CHECKING:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import OutputError
+from fastmimic.base.errors import OutputError
 from fastmimic.experiments.compare import RUNS
 from fastmimic.experiments.runs import Row, finished_row
 from fastmimic.experiments.tables import NONE, Summary, spread, summaries
-from fastmimic.methods import RL, method_named
+from fastmimic.imitation.methods import RL, method_named
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 from fastmimic.optimize.checkpoint import Checkpoint
 

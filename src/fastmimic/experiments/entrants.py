@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.control.config import ControllerConfig, controller_config
-from fastmimic.errors import ConfigError, OutputError
+from fastmimic.episode.rollout import MakeController
 from fastmimic.experiments.runs import slug
-from fastmimic.imitation.rollout import MakeController
-from fastmimic.methods import MADE_WITH, Method, check_controller, method_named
+from fastmimic.imitation.imitate import imitate
+from fastmimic.imitation.methods import MADE_WITH, Method, check_controller, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, Progress
-from fastmimic.pipeline import imitate
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot
@@ -50,7 +50,7 @@ class Entrant:
     """A method and what it runs.
 
     Attributes:
-        method: one of `fastmimic.methods.ALL_METHODS`.
+        method: one of `fastmimic.imitation.methods.ALL_METHODS`.
         motion: what its controller follows; it carries its demonstration.
         config: the controller's, as the method has it.
         controller: of a trained policy; None for the model-based one.

@@ -4,9 +4,9 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from fastmimic.errors import OutputError
+from fastmimic.base.errors import OutputError
+from fastmimic.base.files import replace_file
 from fastmimic.experiments.runs import Row
-from fastmimic.files import replace_file
 
 
 def save_part(path: Path, rows: Sequence[Row], digest: str) -> None:

@@ -19,19 +19,19 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.errors import OutputError
+from fastmimic.base.files import replace_file
 from fastmimic.control.config import ControllerConfig, controller_config
-from fastmimic.errors import OutputError
+from fastmimic.episode.reward import TERMS
+from fastmimic.episode.rollout import MakeController, Rollout, perturbed_start, run_episodes, swing_clearance
+from fastmimic.episode.style import style_distance
 from fastmimic.experiments.ablations import ablation_named
-from fastmimic.files import replace_file
-from fastmimic.imitation.reward import TERMS
-from fastmimic.imitation.rollout import MakeController, Rollout, perturbed_start, run_episodes, swing_clearance
-from fastmimic.imitation.style import style_distance
-from fastmimic.methods import method_named
+from fastmimic.imitation.imitate import Imitation, default_duration, imitate, versions
+from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 from fastmimic.optimize.cma_es import Progress
 from fastmimic.optimize.problem import Objective
-from fastmimic.pipeline import Imitation, default_duration, imitate, versions
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from fastmimic.executors.local import LocalExecutor
 from fastmimic.experiments.runs import Row, Run, Settings, perform
-from fastmimic.methods import method_named
+from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import VALIDATED, VALIDATION_EPISODES, VALIDATION_S, Progress
 from fastmimic.robot import load_robot

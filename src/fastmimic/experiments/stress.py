@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from fastmimic.errors import ConfigError
+from fastmimic.base.errors import ConfigError
+from fastmimic.episode.rollout import Start, nominal_start, run_episodes
 from fastmimic.experiments.entrants import Entrant
 from fastmimic.experiments.parts import all_parts
 from fastmimic.experiments.runs import Row, slug
-from fastmimic.imitation.rollout import Start, nominal_start, run_episodes
-from fastmimic.methods import ALL_METHODS, method_named
+from fastmimic.imitation.imitate import default_duration
+from fastmimic.imitation.methods import ALL_METHODS, method_named
 from fastmimic.motion.motion import Motion
-from fastmimic.pipeline import default_duration
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import DISTURBANCES, PUSH_TIME_S, Disturbance, disturbance_named, known
 

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fastmimic.errors import ClipError
-from fastmimic.imitation.feasibility import Demands, Fall, Reason, demands, describe_fall, reasons
-from fastmimic.motion.clip import Clip
-from fastmimic.motion.data import data_folder
-from fastmimic.motion.formats import read_clip
-from fastmimic.motion.retarget import retarget
-from fastmimic.motion.retarget_cycle import pose_mismatch
-from fastmimic.motion.retarget_source import extract
-from fastmimic.pipeline import evaluate
+from fastmimic.base.errors import ClipError
+from fastmimic.clips.clip import Clip
+from fastmimic.clips.data import data_folder
+from fastmimic.clips.formats import read_clip
+from fastmimic.episode.feasibility import Demands, Fall, Reason, demands, describe_fall, reasons
+from fastmimic.imitation.imitate import evaluate
+from fastmimic.retarget.cycle import pose_mismatch
+from fastmimic.retarget.retarget import retarget
+from fastmimic.retarget.source import extract
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
+from fastmimic.episode.reward import TERMS
+from fastmimic.episode.rollout import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.experiments.ablations import ABLATED, ablation_named
 from fastmimic.experiments.runs import Row
-from fastmimic.imitation.reward import TERMS
-from fastmimic.imitation.rollout import JOINT_NOISE, VELOCITY_NOISE
-from fastmimic.methods import ALL_METHODS, RL, method_named
+from fastmimic.imitation.methods import ALL_METHODS, RL, method_named
 
 NONE: Final = "–"
 

@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from fastmimic.base.errors import ConfigError, LogError
 from fastmimic.control.config import ControllerConfig
-from fastmimic.errors import ConfigError, LogError
+from fastmimic.episode.rollout import Start, perturbed_start, run_episodes, run_log
 from fastmimic.experiments.entrants import Entrant
 from fastmimic.experiments.parts import all_parts
 from fastmimic.experiments.runs import Row, slug
 from fastmimic.identification.identify import identify
-from fastmimic.imitation.rollout import Start, perturbed_start, run_episodes, run_log
-from fastmimic.methods import ALL_METHODS, method_named
-from fastmimic.pipeline import default_duration
+from fastmimic.imitation.imitate import default_duration
+from fastmimic.imitation.methods import ALL_METHODS, method_named
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance, names_of
 

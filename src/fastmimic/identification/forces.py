@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from fastmimic.conventions import GRAVITY
-from fastmimic.errors import LogError
-from fastmimic.identification.log import RunLog
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import LogError
+from fastmimic.base.rotations import matrix_from_quat
+from fastmimic.episode.run_log import RunLog
 from fastmimic.robot.dynamics import leg_torques
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
-from fastmimic.rotations import matrix_from_quat
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.conventions import GRAVITY
+from fastmimic.base.conventions import GRAVITY
 from fastmimic.identification.forces import GroundForces
 
 if TYPE_CHECKING:

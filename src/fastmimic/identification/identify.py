@@ -5,13 +5,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from fastmimic.base.errors import LogError
+from fastmimic.base.files import replace_file
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.control.config_file import FORMAT, VERSION
-from fastmimic.errors import LogError
-from fastmimic.files import replace_file
+from fastmimic.episode.run_log import RunLog
 from fastmimic.identification.forces import ground_forces
 from fastmimic.identification.friction import Friction, identify_friction
-from fastmimic.identification.log import RunLog
 from fastmimic.identification.payload import Payload, identify_payload
 
 if TYPE_CHECKING:

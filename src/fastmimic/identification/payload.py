@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import LogError
+from fastmimic.base.errors import LogError
 from fastmimic.identification.forces import GroundForces
 from fastmimic.identification.friction import TORQUE_GAIN_ERROR
 

@@ -1,0 +1,1 @@
+"""The main jobs: `imitate`, `evaluate` and `stitch`, and the methods by name."""

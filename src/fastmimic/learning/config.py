@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import ConfigError
-from fastmimic.jit import record_dtype
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.jit import record_dtype
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

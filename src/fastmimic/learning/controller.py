@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.errors import PolicyError
+from fastmimic.base.jit import kernel
 from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.control.gait import plan_leg
-from fastmimic.control.reference import stack_tables
-from fastmimic.control.state import COMMAND, MEMORY
-from fastmimic.errors import PolicyError
-from fastmimic.imitation.rollout import MakeController
-from fastmimic.jit import kernel
+from fastmimic.episode.rollout import MakeController
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, pack_settings
 from fastmimic.learning.observation import act_robot, command_robot, make_senses, observe_robot
 from fastmimic.learning.policy import Policy, infer_robot
+from fastmimic.reference.table import stack_tables
+from fastmimic.robot.state import COMMAND, MEMORY
 
 if TYPE_CHECKING:
     from fastmimic.motion.motion import Motion

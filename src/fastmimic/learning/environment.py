@@ -10,12 +10,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from fastmimic.imitation.reward import TERMS
+from fastmimic.episode.reward import TERMS
+from fastmimic.imitation.imitate import load_motion
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, action_bounds
 from fastmimic.learning.episodes import EPISODE_S, Episodes, Outcome
 from fastmimic.learning.randomisation import parse_randomisation
 from fastmimic.motion.motion import Motion
-from fastmimic.pipeline import load_motion
 from fastmimic.robot import Robot, load_robot
 
 Seen = NDArray[np.float32]

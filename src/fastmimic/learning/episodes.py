@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.reference import reference_table
-from fastmimic.errors import ConfigError
+from fastmimic.base.errors import ConfigError
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig
 from fastmimic.learning.randomisation import Randomisation, random_world
 from fastmimic.learning.shard import Shard
 from fastmimic.learning.starts import DRAWS
+from fastmimic.reference.table import reference_table
 
 if TYPE_CHECKING:
     from fastmimic.motion.motion import Motion
@@ -164,7 +164,7 @@ class Episodes:
 
     @property
     def terms(self) -> Array:
-        """(n, 5) the reward's terms in the order of `fastmimic.imitation.reward.TERMS`, at the last control step."""
+        """(n, 5) the reward's terms in the order of `fastmimic.episode.reward.TERMS`, at the last control step."""
         return np.concatenate([shard.tallies["reward"] for shard in self._shards])
 
     def close(self) -> None:

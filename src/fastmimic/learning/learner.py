@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import ConfigError
+from fastmimic.base.errors import ConfigError
 from fastmimic.learning.config import ACTION_SIZE
 from fastmimic.learning.episodes import Episodes
 from fastmimic.learning.policy import Policy

@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.vectors import quat_to_matrix
-from fastmimic.jit import inlined, kernel, record_dtype
+from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.learning.config import FRAMES, HISTORY, IMU_SIZE
 
 Array = NDArray[np.float64]

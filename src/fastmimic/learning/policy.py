@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import ConfigError, PolicyError
-from fastmimic.files import replace_file
-from fastmimic.jit import inlined, kernel
+from fastmimic.base.errors import ConfigError, PolicyError
+from fastmimic.base.files import replace_file
+from fastmimic.base.jit import inlined, kernel
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig
 
 if TYPE_CHECKING:

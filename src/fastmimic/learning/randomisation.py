@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fastmimic.errors import ConfigError
+from fastmimic.base.errors import ConfigError
 from fastmimic.simulation.disturbances import DISTURBANCES, Disturbance, disturbance_named
 from fastmimic.simulation.ranges import USUAL, Range, check_once, part
 

@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from fastmimic.errors import ConfigError
+from fastmimic.base.errors import ConfigError
 from fastmimic.learning.config import PolicyConfig
 from fastmimic.learning.episodes import EPISODE_S
 from fastmimic.learning.randomisation import Randomisation

@@ -5,16 +5,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.jit import kernel
 from fastmimic.control.config import default_config
-from fastmimic.control.reference import advance_clocks, make_clocks
-from fastmimic.control.state import COMMAND, MEMORY
-from fastmimic.conventions import GRAVITY
-from fastmimic.imitation.reward import TALLY, score_step
-from fastmimic.jit import kernel
+from fastmimic.episode.reward import TALLY, score_step
 from fastmimic.learning.config import PolicyConfig, pack_settings
 from fastmimic.learning.observation import act, command, make_senses, observe
 from fastmimic.learning.randomisation import RandomWorld
 from fastmimic.learning.starts import BODY, COUNT, PLACE, begin_episodes
+from fastmimic.reference.table import advance_clocks, make_clocks
+from fastmimic.robot.state import COMMAND, MEMORY
 from fastmimic.simulation.mujoco_disturbed import DisturbedMujocoSimulation
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
 

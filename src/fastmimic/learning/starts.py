@@ -5,9 +5,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.vectors import quat_to_matrix
-from fastmimic.imitation.rollout import JOINT_NOISE, VELOCITY_NOISE
-from fastmimic.jit import kernel, record_dtype
+from fastmimic.base.jit import kernel, record_dtype
+from fastmimic.base.vectors import quat_to_matrix
+from fastmimic.episode.rollout import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.robot.kinematics import leg_forward
 
 Array = NDArray[np.float64]

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fastmimic.files import replace_file
-from fastmimic.imitation.rollout import perturbed_start, run_episodes
+from fastmimic.base.files import replace_file
+from fastmimic.episode.rollout import perturbed_start, run_episodes
+from fastmimic.imitation.imitate import default_duration, versions
 from fastmimic.learning.controller import controlled_by
 from fastmimic.learning.learner import Iteration, Learner
 from fastmimic.learning.policy import POLICY_FILE, Policy
 from fastmimic.learning.settings import TrainingSettings
 from fastmimic.learning.training_folder import EVALUATIONS, EVENTS, ONNX, Stopwatch, TrainingFolder
-from fastmimic.pipeline import default_duration, versions
 
 if TYPE_CHECKING:
     from fastmimic.motion.motion import Motion

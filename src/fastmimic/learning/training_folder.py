@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from fastmimic.errors import CheckpointError
-from fastmimic.files import check_folder, check_resumable, read_section, remove_file, replace_file
+from fastmimic.base.errors import CheckpointError
+from fastmimic.base.files import check_folder, check_resumable, read_section, remove_file, replace_file
 from fastmimic.learning.policy import POLICY_FILE
 
 CONFIG: Final = "config.json"

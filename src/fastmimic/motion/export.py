@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.conventions import JOINT_NAMES
-from fastmimic.errors import ConfigError, did_you_mean
-from fastmimic.files import replace_file
+from fastmimic.base.conventions import JOINT_NAMES
+from fastmimic.base.errors import ConfigError, did_you_mean
+from fastmimic.base.files import replace_file
+from fastmimic.base.rotations import quat_continuous, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
-from fastmimic.rotations import quat_continuous, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

@@ -10,8 +10,8 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import MotionError
-from fastmimic.files import replace_file
+from fastmimic.base.errors import MotionError
+from fastmimic.base.files import replace_file
 
 FORMAT_VERSION: Final = 1
 
@@ -54,7 +54,7 @@ class Motion:
         cycle: (dx, dy, dyaw) of one period in sample 0's heading frame, m and rad; None if not periodic.
         meta: provenance, JSON-serialisable: `name`, `robot`, `source`, `licence`, `retarget`, `dmp`, `made_with`, ….
         demonstration: the motion that an optimised one is scored against; None for a demonstration itself.
-        parts: of a stitched demonstration, the cyclic motions that it is made of (see `fastmimic.motion.stitch`).
+        parts: of a stitched demonstration, the cyclic motions that it is made of (see `fastmimic.stitching.join`).
     """
 
     rate_hz: float

@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import CheckpointError
-from fastmimic.files import replace_file
+from fastmimic.base.errors import CheckpointError
+from fastmimic.base.files import replace_file
 
 Array = NDArray[np.float64]
 

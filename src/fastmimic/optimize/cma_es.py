@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import CheckpointError, ConfigError
-from fastmimic.imitation.rollout import Rollout, Start, nominal_start
+from fastmimic.base.errors import CheckpointError, ConfigError
+from fastmimic.episode.rollout import Rollout, Start, nominal_start
 from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.optimize.problem import Problem
 from fastmimic.simulation.disturbances import Disturbance

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from fastmimic.conventions import LEGS
-from fastmimic.errors import ConfigError, MotionError, did_you_mean
+from fastmimic.base.conventions import LEGS
+from fastmimic.base.errors import ConfigError, MotionError, did_you_mean
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive import MotionDmp
 

@@ -20,16 +20,16 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.machine import available_cores
 from fastmimic.control.config import ControllerConfig, default_config
-from fastmimic.control.reference import put_root, reference_table
-from fastmimic.errors import ConfigError
-from fastmimic.imitation.rollout import ClosedLoop, Rollout, Start, nominal_start, perturbed_start, swing_clearance
-from fastmimic.machine import available_cores
+from fastmimic.episode.rollout import ClosedLoop, Rollout, Start, nominal_start, perturbed_start, swing_clearance
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FOOT_HEIGHT, Parameter, begun_at, parameters_of_group
 from fastmimic.optimize.randomization import Randomization
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.coordinates import FEET
+from fastmimic.reference.table import put_root, reference_table
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance
 from fastmimic.simulation.ranges import part as part_of

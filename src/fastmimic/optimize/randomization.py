@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import ConfigError, did_you_mean
+from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.simulation.disturbances import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S, Disturbance
 from fastmimic.simulation.ranges import PUSH_WINDOW_S, Range, check_once, draw, parse_range, usual_range
 

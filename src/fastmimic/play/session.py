@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import ConfigError, MotionError, did_you_mean
+from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate_inverse, rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.control.controller import Controller
-from fastmimic.control.reference import CLOCK, SAMPLE
-from fastmimic.conventions import GRAVITY
-from fastmimic.errors import ConfigError, MotionError, did_you_mean
-from fastmimic.imitation.reward import TALLY, WEIGHTS, score_step
-from fastmimic.methods import method_named
+from fastmimic.episode.reward import TALLY, WEIGHTS, score_step
+from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
-from fastmimic.play.library import STAND, Entry, Library
-from fastmimic.play.limits import Limits
-from fastmimic.play.recovery import Phase, Recovery
-from fastmimic.play.stream import MODULATION, Stream, make_place
-from fastmimic.play.transition import Transition
 from fastmimic.play.world import World
-from fastmimic.rotations import quat_from_yaw, quat_multiply, quat_rotate_inverse, rotate_planar, yaw_from_quat
+from fastmimic.reference.getting_up import Phase, Recovery
+from fastmimic.reference.limits import Limits
+from fastmimic.reference.motion_set import STAND, Entry, Library
+from fastmimic.reference.stream import MODULATION, Stream, make_place
+from fastmimic.reference.table import CLOCK, SAMPLE
+from fastmimic.reference.transition import Transition
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import ConfigError
+from fastmimic.base.errors import ConfigError
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
 
 if TYPE_CHECKING:

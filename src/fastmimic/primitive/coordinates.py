@@ -11,11 +11,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.conventions import LEGS
-from fastmimic.errors import MotionError
+from fastmimic.base.conventions import LEGS
+from fastmimic.base.errors import MotionError
+from fastmimic.base.rotations import quat_continuous, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive.twist import PlanarTwist
-from fastmimic.rotations import quat_continuous, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 
 Array = NDArray[np.float64]
 

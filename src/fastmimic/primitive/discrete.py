@@ -21,8 +21,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import MotionError
-from fastmimic.jit import kernel
+from fastmimic.base.errors import MotionError
+from fastmimic.base.jit import kernel
 from fastmimic.primitive.fixed_order import product, solve_positive_definite
 from fastmimic.primitive.rhythmic import ALPHA, N_BASIS
 from fastmimic.primitive.samples import checked_samples

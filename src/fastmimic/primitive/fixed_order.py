@@ -7,7 +7,7 @@ same seed give other results, and a run unable to recognise its own checkpoint.
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.jit import kernel
+from fastmimic.base.jit import kernel
 
 Array = NDArray[np.float64]
 

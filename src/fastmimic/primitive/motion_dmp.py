@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import MotionError, did_you_mean
+from fastmimic.base.errors import MotionError, did_you_mean
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive.coordinates import (
     FEET,

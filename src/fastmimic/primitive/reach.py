@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.jit import inlined, kernel
+from fastmimic.base.jit import inlined, kernel
 from fastmimic.robot.kinematics import leg_forward, leg_inverse
 from fastmimic.robot.robot import Robot
 

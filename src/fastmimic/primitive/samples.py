@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import ConfigError, MotionError
+from fastmimic.base.errors import ConfigError, MotionError
 
 LEAST_SAMPLES = 4
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.rotations import rotate_planar
+from fastmimic.base.rotations import rotate_planar
 
 Array = NDArray[np.float64]
 

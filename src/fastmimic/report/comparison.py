@@ -10,11 +10,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from fastmimic.conventions import LEGS
+from fastmimic.base.conventions import LEGS
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.tables import Summary
-from fastmimic.methods import ALL_METHODS, method_named
-from fastmimic.report.style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, new_figure, tidy
+from fastmimic.imitation.methods import ALL_METHODS, method_named
+from fastmimic.render.style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, new_figure, tidy
 
 Array = NDArray[np.float64]
 

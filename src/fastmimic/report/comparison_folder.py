@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from fastmimic.errors import OutputError
+from fastmimic.base.errors import OutputError
+from fastmimic.base.files import check_folder, check_resumable, read_section, remove_file, replace_file
 from fastmimic.experiments.ablations import ABLATED, ABLATIONS
 from fastmimic.experiments.compare import MOTIONS, RUNS
 from fastmimic.experiments.runs import RUN_FILES, TRACKING, Row, Run, run_of
 from fastmimic.experiments.tables import ablation_table, comparison_table, summaries, to_csv
-from fastmimic.files import check_folder, check_resumable, read_section, remove_file, replace_file
-from fastmimic.methods import ALL_METHODS, method_named
+from fastmimic.imitation.methods import ALL_METHODS, method_named
 from fastmimic.report.run_folder import write_json
 
 if TYPE_CHECKING:
@@ -107,8 +107,8 @@ class ComparisonFolder:
         return "\n".join((self.path / name).read_text(encoding="utf-8") for name in names)
 
     def _write_comparison(self, rows: Sequence[Row], expected: int) -> list[str]:
+        from fastmimic.render.style import save
         from fastmimic.report.comparison import comparison_figure
-        from fastmimic.report.style import save
 
         self._write_text(TABLE, comparison_table(rows, expected))
         found = summaries(rows)
@@ -119,8 +119,8 @@ class ComparisonFolder:
         """Of the paper's method, or of the first one that optimises; nothing if there is none."""
         import numpy as np
 
+        from fastmimic.render.style import save
         from fastmimic.report.comparison import tracking_bars
-        from fastmimic.report.style import save
 
         methods = [row["method"] for row in rows if method_named(row["method"]).optimises]
         if not methods:
@@ -143,8 +143,8 @@ class ComparisonFolder:
         return [TRACKING_FIGURE]
 
     def _write_ablations(self, rows: Sequence[Row], expected: int) -> list[str]:
+        from fastmimic.render.style import save
         from fastmimic.report.comparison import ablation_figure
-        from fastmimic.report.style import save
 
         self._write_text(ABLATION_TABLE, ablation_table(rows, expected))
         title = f"What the parts of {method_named(ABLATED).label} are worth, {rows[0]['robot']}"

@@ -11,8 +11,8 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from fastmimic.experiments.cost import CONTROL_RATE_HZ, Course
-from fastmimic.methods import RL, method_named
-from fastmimic.report.style import INK, MUTED, Line, new_figure, tidy
+from fastmimic.imitation.methods import RL, method_named
+from fastmimic.render.style import INK, MUTED, Line, new_figure, tidy
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
-from fastmimic.conventions import LEGS
-from fastmimic.report.style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, STANCE, new_figure, save, tidy
+from fastmimic.base.conventions import LEGS
+from fastmimic.render.style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, STANCE, new_figure, save, tidy
 
 __all__ = ["convergence_figure", "save", "tracking_figure"]
 

@@ -8,11 +8,11 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
+from fastmimic.base.errors import ConfigError, FastMimicError, OutputError
+from fastmimic.base.files import replace_file
 from fastmimic.deploy.files import RESULT as DEPLOYMENT
-from fastmimic.errors import ConfigError, FastMimicError, OutputError
 from fastmimic.experiments.runs import POLICY
-from fastmimic.files import replace_file
-from fastmimic.methods import ALL_METHODS
+from fastmimic.imitation.methods import ALL_METHODS
 from fastmimic.report import html_episodes, html_limits, html_search
 from fastmimic.report.comparison_folder import ENVIRONMENT
 from fastmimic.report.html_numbers import before_and_after, parameter_table, segments, tiles

@@ -7,12 +7,12 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from fastmimic.errors import ConfigError, FastMimicError
+from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.compare import RUNS
 from fastmimic.experiments.runs import Row, finished_row
 from fastmimic.experiments.tables import summaries
-from fastmimic.methods import method_named
+from fastmimic.imitation.methods import method_named
 from fastmimic.report import html_methods
 from fastmimic.report.comparison_folder import (
     ABLATION_FIGURE,

@@ -8,12 +8,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.conventions import JOINTS_PER_LEG
+from fastmimic.base.conventions import JOINTS_PER_LEG
+from fastmimic.base.errors import ConfigError, DeploymentError
 from fastmimic.deploy.account import account_rows
 from fastmimic.deploy.files import LOG, RESULT
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.pilot import Phase
-from fastmimic.errors import ConfigError, DeploymentError
 from fastmimic.report.html_parts import Figure, Key, Page, Panel, numbers, pairs
 from fastmimic.report.html_traces import LIMIT, curve, greatest, layout_of, level
 

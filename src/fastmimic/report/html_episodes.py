@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from fastmimic.conventions import GRAVITY, LEGS
-from fastmimic.imitation.reward import TERMS, WEIGHTS
-from fastmimic.imitation.rollout import swing_clearance
+from fastmimic.base.conventions import GRAVITY, LEGS
+from fastmimic.episode.reward import TERMS, WEIGHTS
+from fastmimic.episode.rollout import swing_clearance
+from fastmimic.render.tracks import realised_feet
 from fastmimic.report.html_parts import Figure, Key, Panel, numbers
 from fastmimic.report.html_run import Episodes
 from fastmimic.report.html_traces import (
@@ -29,7 +30,6 @@ from fastmimic.report.html_traces import (
     times,
     whole_episode,
 )
-from fastmimic.report.tracks import realised_feet
 
 
 def feet(e: Episodes) -> list[Figure]:

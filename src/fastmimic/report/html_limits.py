@@ -5,8 +5,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.conventions import GRAVITY, JOINTS_PER_LEG, LEGS
-from fastmimic.imitation.rollout import Log
+from fastmimic.base.conventions import GRAVITY, JOINTS_PER_LEG, LEGS
+from fastmimic.episode.rollout import Log
 from fastmimic.report.html_parts import Figure, Key, Panel, numbers
 from fastmimic.report.html_run import Episodes
 from fastmimic.report.html_traces import (

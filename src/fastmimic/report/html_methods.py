@@ -8,7 +8,7 @@ import numpy as np
 
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.tables import Summary
-from fastmimic.methods import ALL_METHODS, method_named
+from fastmimic.imitation.methods import ALL_METHODS, method_named
 from fastmimic.report.html_parts import Figure, Key, Panel, numbers
 from fastmimic.report.html_traces import layout_of
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
-from fastmimic.conventions import LEGS
+from fastmimic.base.conventions import LEGS
 from fastmimic.report.html_parts import NONE, table
 from fastmimic.report.html_run import RunData
 

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic import __version__
-from fastmimic.errors import ConfigError
+from fastmimic.base.errors import ConfigError
 
 NONE: Final = "–"
 _POLICY: Final = (

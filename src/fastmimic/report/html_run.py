@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.control.config import (
     ControllerConfig,
     GaitConfig,
@@ -21,8 +22,7 @@ from fastmimic.control.config import (
     StanceConfig,
     SwingConfig,
 )
-from fastmimic.errors import ConfigError, FastMimicError
-from fastmimic.imitation.rollout import Rollout, run_episodes
+from fastmimic.episode.rollout import Rollout, run_episodes
 from fastmimic.motion.motion import Motion
 from fastmimic.report.run_folder import CONFIG, METRICS, MOTION, VIDEO, RunFolder
 from fastmimic.robot import load_robot

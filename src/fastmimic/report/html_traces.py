@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.imitation.rollout import Log, Rollout
+from fastmimic.episode.rollout import Log, Rollout
 from fastmimic.report.html_parts import Key, numbers
 from fastmimic.report.html_run import Episodes
 

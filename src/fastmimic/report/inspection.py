@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fastmimic.conventions import JOINTS_PER_LEG, LEGS
-from fastmimic.report.style import AFTER, BEFORE, INK, LEG_LINES, LIMIT, MUTED, new_figure, tidy
-from fastmimic.rotations import matrix_from_quat
+from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
+from fastmimic.base.rotations import matrix_from_quat
+from fastmimic.render.style import AFTER, BEFORE, INK, LEG_LINES, LIMIT, MUTED, new_figure, tidy
 
 if TYPE_CHECKING:
     from fastmimic.motion.motion import Motion

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from fastmimic.base.files import check_folder, check_resumable, remove_file, replace_file
 from fastmimic.experiments.entrants import MOTIONS
-from fastmimic.files import check_folder, check_resumable, remove_file, replace_file
 from fastmimic.report.run_folder import write_json
 
 ENVIRONMENT: Final = "environment.json"
@@ -51,7 +51,7 @@ class ResultFolder:
         check_folder(path)
         if overwrite:
             self._clear()
-        from fastmimic.pipeline import versions
+        from fastmimic.imitation.imitate import versions
 
         about = {"experiment": self.experiment, "settings": dict(self.settings), "versions": versions()}
         write_json(path / ENVIRONMENT, about)

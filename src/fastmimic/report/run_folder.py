@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from fastmimic.errors import CheckpointError, ConfigError, OutputError
-from fastmimic.files import check_folder, remove_file, replace_file
+from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
+from fastmimic.base.files import check_folder, remove_file, replace_file
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 
 if TYPE_CHECKING:
-    from fastmimic.imitation.rollout import Rollout
-    from fastmimic.pipeline import Imitation
-    from fastmimic.report import Track
+    from fastmimic.episode.rollout import Rollout
+    from fastmimic.imitation.imitate import Imitation
+    from fastmimic.render.playback import Track
 
 CHECKPOINTS: Final = "checkpoint*.npz"
 MOTION: Final = "motion.npz"
@@ -75,12 +75,12 @@ class RunFolder:
         Args:
             result: already in the folder.
             progress: called with (frames done, frames in all).
-            quality: how carefully it is drawn, one of `fastmimic.report.quality.QUALITIES`.
+            quality: how carefully it is drawn, one of `fastmimic.render.quality.QUALITIES`.
 
         Raises:
             OutputError: it cannot be written.
         """
-        from fastmimic.report import render_video
+        from fastmimic.render.video import render_video
 
         began = time.perf_counter()
         assert result.before.log is not None
@@ -104,7 +104,8 @@ class RunFolder:
     def _write_figures(self, result: "Imitation") -> None:
         import numpy as np
 
-        from fastmimic.report import convergence_figure, save
+        from fastmimic.render.style import save
+        from fastmimic.report.figures import convergence_figure
 
         title = f"{result.motion.name} on {result.robot.name}"
         h = result.history
@@ -234,8 +235,8 @@ def _remove_empty(created: list[Path]) -> None:
 
 def _tracks(result: "Imitation") -> "list[Track]":
     """What the video shows: the episode before and, if something was optimised, the one after."""
-    from fastmimic.methods import method_named
-    from fastmimic.report.tracks import rollout_track
+    from fastmimic.imitation.methods import method_named
+    from fastmimic.render.tracks import rollout_track
 
     def track(rollout: "Rollout", title: str, method: str) -> "Track":
         return rollout_track(rollout, title, note=f"{result.motion.name} · {method_named(method).label}")
@@ -252,8 +253,8 @@ def _tracks(result: "Imitation") -> "list[Track]":
 def _tracking_figure(result: "Imitation", title: str) -> Any:
     import numpy as np
 
-    from fastmimic.report import tracking_figure
-    from fastmimic.report.tracks import realised_feet
+    from fastmimic.render.tracks import realised_feet
+    from fastmimic.report.figures import tracking_figure
 
     log = result.after.log
     assert log is not None

@@ -6,13 +6,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fastmimic.conventions import LEGS
-from fastmimic.motion.segment import DISCRETE, STAND, TURN
-from fastmimic.report.style import INK, LEG_LINES, MUTED, STANCE, new_figure, tidy
+from fastmimic.base.conventions import LEGS
+from fastmimic.clips.segment import DISCRETE, STAND, TURN
+from fastmimic.render.style import INK, LEG_LINES, MUTED, STANCE, new_figure, tidy
 
 if TYPE_CHECKING:
-    from fastmimic.motion.clip import Clip
-    from fastmimic.motion.segment import Segment
+    from fastmimic.clips.clip import Clip
+    from fastmimic.clips.segment import Segment
 
 _GAIT_COLORS: Final = {
     "walk": "#56b4e9",
@@ -32,7 +32,7 @@ def segments_figure(clip: "Clip", segments: "list[Segment]", title: str) -> Figu
 
     Args:
         clip: the take.
-        segments: what `fastmimic.motion.segment.find_segments` made of it.
+        segments: what `fastmimic.clips.segment.find_segments` made of it.
         title: heading.
 
     Returns:

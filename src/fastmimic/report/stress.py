@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from fastmimic.experiments.stress import SUCCESS, StressSettings, all_sweeps, stress_table, sweep_file, to_csv
-from fastmimic.methods import ALL_METHODS, method_named
+from fastmimic.imitation.methods import ALL_METHODS, method_named
+from fastmimic.render.style import MUTED, Line, new_figure, save, tidy
 from fastmimic.report.result_folder import RESULTS_CSV, TABLE, ResultFolder
-from fastmimic.report.style import MUTED, Line, new_figure, save, tidy
 from fastmimic.simulation.disturbances import DISTURBANCES
 
 SUCCESS_FIGURE: Final = "success.png"

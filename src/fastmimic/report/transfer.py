@@ -18,9 +18,9 @@ from fastmimic.experiments.transfer import (
     transfer_table,
     transferred,
 )
-from fastmimic.methods import method_named
+from fastmimic.imitation.methods import method_named
+from fastmimic.render.style import INK, new_figure, save, tidy
 from fastmimic.report.result_folder import RESULTS_CSV, TABLE, ResultFolder
-from fastmimic.report.style import INK, new_figure, save, tidy
 
 FIGURE: Final = "transfer.png"
 WRITTEN: Final = (RESULTS_CSV, TABLE, FIGURE)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.jit import inlined, kernel
+from fastmimic.base.jit import inlined, kernel
 
 if TYPE_CHECKING:
     from fastmimic.robot.robot import Robot

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.jit import inlined, kernel
+from fastmimic.base.jit import inlined, kernel
 
 if TYPE_CHECKING:
     from fastmimic.robot.robot import Robot

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.conventions import JOINTS_PER_LEG, LEGS
-from fastmimic.errors import RobotError
+from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
+from fastmimic.base.errors import RobotError
 from fastmimic.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -307,7 +307,7 @@ def _home(model: "mujoco.MjModel") -> Array:
 
 def _composite(model: "mujoco.MjModel", body: int) -> tuple[float, Array, Array]:
     """Mass, centre of mass and inertia about it of a body and all that is fixed to it, in the body's frame."""
-    from fastmimic.rotations import matrix_from_quat, quat_multiply, quat_rotate
+    from fastmimic.base.rotations import matrix_from_quat, quat_multiply, quat_rotate
 
     parts: list[tuple[float, Array, Array]] = []
 

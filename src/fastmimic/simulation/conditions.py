@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fastmimic.errors import ConfigError, did_you_mean
+from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.simulation.disturbances import Disturbance, parse_disturbance
 from fastmimic.simulation.sensors import SensorConfig

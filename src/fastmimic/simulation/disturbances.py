@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import ConfigError, did_you_mean
+from fastmimic.base.errors import ConfigError, did_you_mean
 
 Array = NDArray[np.float64]
 

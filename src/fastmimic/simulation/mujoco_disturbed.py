@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.state import COMMAND
-from fastmimic.conventions import GRAVITY
-from fastmimic.rotations import matrix_from_quat, rotate_planar, yaw_from_quat
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.rotations import matrix_from_quat, rotate_planar, yaw_from_quat
+from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.disturbances import (
     PAYLOAD_HEIGHT_M,
     PAYLOAD_SIDE_M,

@@ -11,10 +11,10 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from fastmimic.control.state import OBSERVATION
-from fastmimic.conventions import GRAVITY, LEGS
-from fastmimic.errors import ConfigError
-from fastmimic.jit import kernel
+from fastmimic.base.conventions import GRAVITY, LEGS
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.jit import kernel
+from fastmimic.robot.state import OBSERVATION
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.state import OBSERVATION
-from fastmimic.conventions import GRAVITY, LEGS
-from fastmimic.errors import ConfigError
+from fastmimic.base.conventions import GRAVITY, LEGS
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate, yaw_from_quat
 from fastmimic.robot.kinematics import foot_positions
-from fastmimic.rotations import quat_conjugate, quat_multiply, quat_rotate, yaw_from_quat
+from fastmimic.robot.state import OBSERVATION
 from fastmimic.simulation.disturbances import PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M, Disturbance, driving_limit, make_world
 from fastmimic.simulation.terrain import CELL_M, rough_ground, turns
 

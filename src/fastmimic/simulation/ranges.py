@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from fastmimic.errors import ConfigError, did_you_mean
+from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.simulation.disturbances import DISTURBANCES, PUSH_TIME_S, Disturbance, disturbance_named
 
 PUSH_WINDOW_S: Final = 1.0

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.state import COMMAND
-from fastmimic.control.vectors import quat_to_matrix, transposed_times
-from fastmimic.conventions import GRAVITY
-from fastmimic.errors import ConfigError
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.vectors import quat_to_matrix, transposed_times
 from fastmimic.estimation.estimator import turn_by
 from fastmimic.estimation.reading import READING
-from fastmimic.jit import inlined, kernel, record_dtype
+from fastmimic.robot.state import COMMAND
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot

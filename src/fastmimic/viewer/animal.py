@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.motion.skeleton import KEYPOINTS
-from fastmimic.report import animal
-from fastmimic.rotations import rotate_planar, yaw_from_quat
+from fastmimic.base.rotations import rotate_planar, yaw_from_quat
+from fastmimic.clips.skeleton import KEYPOINTS
+from fastmimic.render import animal
 
 if TYPE_CHECKING:
     from fastmimic.viewer.take import Take

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.report.scene import GHOST_GROUP, build_stage
-from fastmimic.rotations import quat_rotate
+from fastmimic.base.rotations import quat_rotate
+from fastmimic.render.scene import GHOST_GROUP, build_stage
 
 if TYPE_CHECKING:
     import mujoco

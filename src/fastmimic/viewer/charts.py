@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.conventions import LEGS
-from fastmimic.imitation.reward import WEIGHTS
-from fastmimic.report.style import INK, LEG_LINES, MUTED
+from fastmimic.base.conventions import LEGS
+from fastmimic.episode.reward import WEIGHTS
+from fastmimic.render.style import INK, LEG_LINES, MUTED
 from fastmimic.viewer.marks import contact_flags, friction_use
 from fastmimic.viewer.take import term_names
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.rotations import rotate_planar
+from fastmimic.base.rotations import rotate_planar
 from fastmimic.viewer.bodies import revolved
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.conventions import LEGS
-from fastmimic.report.scene import ghost_rgba
-from fastmimic.report.style import LEG_LINES
+from fastmimic.base.conventions import LEGS
+from fastmimic.render.scene import ghost_rgba
+from fastmimic.render.style import LEG_LINES
 from fastmimic.viewer.animal import bone_segments
 from fastmimic.viewer.bodies import Puppet
 from fastmimic.viewer.marks import (

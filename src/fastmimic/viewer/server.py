@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from fastmimic.errors import ConfigError
+from fastmimic.base.errors import ConfigError
 from fastmimic.viewer.clock import Clock
 from fastmimic.viewer.panel import Panel
 from fastmimic.viewer.scene import animal_aside, line_up

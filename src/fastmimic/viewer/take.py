@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.conventions import GRAVITY
-from fastmimic.imitation.reward import TERMS
-from fastmimic.report.tracks import motion_track, rollout_track
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
+from fastmimic.episode.reward import TERMS
+from fastmimic.render.tracks import motion_track, rollout_track
 from fastmimic.robot.kinematics import foot_positions
-from fastmimic.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
 
 if TYPE_CHECKING:
     from fastmimic.control.config import ControllerConfig
-    from fastmimic.imitation.rollout import Rollout
+    from fastmimic.episode.rollout import Rollout
     from fastmimic.motion.motion import Motion
-    from fastmimic.report import Track
+    from fastmimic.render.playback import Track
     from fastmimic.robot import Robot
 
 Array = NDArray[np.float64]

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.errors import DriverError
 from fastmimic.deploy.driver import LowState, Packets, RobotDriver
 from fastmimic.deploy.identity import impossible_joint
-from fastmimic.errors import DriverError
 from fastmimic.estimation.reading import READING
 
 if TYPE_CHECKING:

@@ -6,9 +6,9 @@ import threading
 from types import TracebackType
 from typing import Any, Final, Self
 
+from fastmimic.base.errors import DriverError
 from fastmimic.deploy.dds.library import checked, library, loaned
 from fastmimic.deploy.dds.types import Message, described
-from fastmimic.errors import DriverError
 
 LOOPBACK: Final = "lo"
 MAX_DOMAIN: Final = 230

@@ -5,7 +5,7 @@ import functools
 from collections.abc import Callable
 from typing import Any, Final, TypeVar
 
-from fastmimic.errors import DriverError
+from fastmimic.base.errors import DriverError
 
 T = TypeVar("T")
 

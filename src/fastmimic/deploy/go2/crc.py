@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.jit import kernel
+from fastmimic.base.jit import kernel
 
 POLYNOMIAL: Final = 0x04C11DB7
 _MASK: Final = 0xFFFFFFFF

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.errors import DriverError
 from fastmimic.deploy.dds import LOOPBACK, Participant, Reader, Writer
 from fastmimic.deploy.driver import LowState, Packets, RobotDriver
 from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowCommand, Received, StateWire
 from fastmimic.deploy.go2.services import release_motion_service
 from fastmimic.deploy.identity import impossible_joint
-from fastmimic.errors import DriverError
 from fastmimic.estimation.reading import READING
 from fastmimic.robot.kinematics import foot_positions
 

@@ -13,9 +13,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.jit import kernel
 from fastmimic.deploy.dds import Message
 from fastmimic.deploy.go2.crc import TABLE, checksum, crc32
-from fastmimic.jit import kernel
 
 LOW_COMMAND_TOPIC: Final = "rt/lowcmd"
 LOW_STATE_TOPIC: Final = "rt/lowstate"

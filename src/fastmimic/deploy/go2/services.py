@@ -9,8 +9,8 @@ import time
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
+from fastmimic.base.errors import DriverError
 from fastmimic.deploy.dds import LOOPBACK, Message, Octets, Participant, TextReader, Writer
-from fastmimic.errors import DriverError
 
 MOTION_SWITCHER: Final = "motion_switcher"
 CHECK_MODE: Final = 1001

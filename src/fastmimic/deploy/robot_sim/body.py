@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.state import COMMAND
 from fastmimic.deploy.driver import damping_command
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
+from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
 from fastmimic.simulation.sensors import SensorConfig, Sensors
 

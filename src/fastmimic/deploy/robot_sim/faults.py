@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.errors import ConfigError
+from fastmimic.base.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
-from fastmimic.control.state import COMMAND
+from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.deploy.dds import LOOPBACK, Participant, Reader, Writer
 from fastmimic.deploy.go2 import messages, services
 from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowCommand, StateWire, roll_pitch_yaw
 from fastmimic.deploy.robot_sim.body import COMMAND_TIMEOUT_S, MODE, PHYSICS_RATE_HZ, Body, Start
 from fastmimic.deploy.robot_sim.faults import Faults, FaultyLine
 from fastmimic.deploy.robot_sim.truth import TruthLog
-from fastmimic.errors import ConfigError, DriverError
+from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.sensors import SensorConfig
 
 if TYPE_CHECKING:

@@ -6,9 +6,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.control.state import COMMAND, OBSERVATION
-from fastmimic.errors import OutputError
-from fastmimic.files import replace_file
+from fastmimic.base.errors import OutputError
+from fastmimic.base.files import replace_file
+from fastmimic.robot.state import COMMAND, OBSERVATION
 
 FORMAT_VERSION: Final = 1
 _CHUNK: Final = 4096

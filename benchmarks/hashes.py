@@ -1,0 +1,231 @@
+"""The guard of changes that are meant to move no bits: hashes of motions, rewards, searches, comparisons, observations.
+
+    python benchmarks/hashes.py --write hashes.json     on the code as it was
+    python benchmarks/hashes.py --check hashes.json     on the changed code: says what moved, exit status 1 if anything
+    python benchmarks/hashes.py --only rewards          some groups of cases; without --write or --check it prints them
+
+Runs the product through its public face alone (`import fastmimic`, the command line), so that it outlives any change
+inside. Numbers are hashed as bytes: a single bit that moves is told. Times, versions and paths are left out. Another
+processor may round differently: write and check on the same machine. `benchmarks/hashes.json` is the state of this
+commit on an x86-64 machine with AVX2.
+"""
+
+import argparse
+import csv
+import hashlib
+import io
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import fastmimic as fm
+
+GAITS = ("trot", "pace", "turn", "side-step", "walk", "bound", "backward-trot", "spin")
+RECORDED = (
+    "dog:pace",
+    "dog:trot",
+    "dog:right-turn",
+    "dog:left-turn",
+    "dog:spin",
+    "dog:canter",
+    "anim:side-steps",
+    "anim:turn",
+    "anim:in-place",
+)
+NAMED = (*GAITS, *RECORDED) if os.environ.get("FASTMIMIC_DATA") else GAITS
+MOTION_ARRAYS = (
+    "root_pos_w",
+    "root_quat_wxyz",
+    "joint_pos",
+    "foot_pos_b",
+    "contact",
+    "root_lin_vel_w",
+    "root_ang_vel_w",
+    "joint_vel",
+)
+ROLLOUT_ARRAYS = ("reward", "terms", "fell", "steps", "drift", "clearance", "slip", "early_contacts", "foot_rmse")
+NOT_OF_THE_RESULT = ("_s", "wall", "cpu", "time", "version", "factor", "elapsed")
+"""Columns and keys that hold one of these are times or versions."""
+
+Case = tuple[str, str]
+
+
+def digest(*values: Any) -> str:
+    """Of arrays, texts and numbers, with the arrays' types and shapes."""
+    found = hashlib.sha256()
+    for value in values:
+        array = np.ascontiguousarray(value)
+        found.update(f"{array.dtype.str}{array.shape}".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()[:16]
+
+
+def of_motion(motion: fm.Motion) -> str:
+    cycle = [] if motion.cycle is None else motion.cycle
+    return digest(*(getattr(motion, name) for name in MOTION_ARRAYS), np.array(cycle, float), motion.rate_hz)
+
+
+def of_evaluation(evaluation: fm.Evaluation) -> str:
+    rollout = evaluation.rollout
+    found = [np.asarray(getattr(rollout, name), float) for name in ROLLOUT_ARRAYS]
+    return f"{digest(*found)} reward {rollout.reward.mean():.6f}"
+
+
+def motions() -> Iterator[Case]:
+    for robot in ("a1", "go2"):
+        for name in NAMED:
+            motion, _ = fm.retarget(fm.open_clip(name, robot=fm.load_robot(robot)), fm.load_robot(robot))
+            yield f"{robot} {name}", of_motion(motion)
+
+
+def rewards() -> Iterator[Case]:
+    for robot in ("a1", "go2"):
+        for name in NAMED:
+            yield f"{robot} {name}", of_evaluation(fm.evaluate(name, robot, episodes=3, duration_s=2.0))
+    for method in ("raibert", "lh"):
+        for name in ("trot", "turn"):
+            evaluation = fm.evaluate(name, "a1", episodes=3, duration_s=2.0, method=method)
+            yield f"{method} {name}", of_evaluation(evaluation)
+    for config in ("paper", "robust"):
+        yield f"{config} trot", of_evaluation(fm.evaluate("trot", "a1", episodes=3, duration_s=2.0, config=config))
+    for options in (
+        ["--observe", "sensors"],
+        ["--simulator", "pybullet"],
+        ["--simulator", "pybullet", "--observe", "sensors", "--disturb", "friction=0.6", "--config", "robust"],
+        ["--disturb", "payload=2", "--disturb", "push=5", "--disturb", "delay=0.004"],
+    ):
+        figures = command("evaluate", "trot", "--episodes", "3", "--duration", "2", "--json", *options)
+        yield "evaluate trot " + " ".join(options), digest(json.dumps(figures, sort_keys=True))
+
+
+def searches() -> Iterator[Case]:
+    options: dict[str, Any] = {"iterations": 3, "population": 4, "duration_s": 0.8}
+    with tempfile.TemporaryDirectory() as scratch:
+        for name, more in {
+            "trot": {},
+            "turn, 4 robots": {"randomize": 3},
+            "pace, mbc-dmp-path": {"method": "mbc-dmp-path"},
+            "side-step, mbc-dmp-body": {"method": "mbc-dmp-body"},
+            "trot, lh-dmp": {"method": "lh-dmp"},
+        }.items():
+            file = Path(scratch) / "checkpoint.npz"
+            file.unlink(missing_ok=True)
+            result = fm.imitate(name.split(",")[0], "a1", checkpoint=file, **options, **more)
+            yield f"motion of {name}", of_motion(result.motion)
+            yield f"checkpoint of {name}", of_checkpoint(file)
+        joined = fm.stitch(["pace", "trot"], "a1", cycles=2, iterations=1, part_iterations=1, population=4)
+        yield "stitched pace + trot", of_motion(joined.motion)
+
+
+def of_checkpoint(file: Path) -> str:
+    with np.load(file) as data:
+        kept = sorted(name for name in data.files if name != "elapsed_s" and data[name].dtype.kind in "fiub")
+        return digest(*(data[name] for name in kept))
+
+
+def comparisons() -> Iterator[Case]:
+    with tempfile.TemporaryDirectory() as scratch:
+        out = Path(scratch) / "comparison"
+        options = ["--methods", "raibert", "mbc", "mbc-dmp", "--seeds", "1", "--iterations", "2", "--population", "4"]
+        command("compare", "--motions", "trot", "turn", *options, "--duration", "0.8", "--out", str(out))
+        for row in csv.DictReader(io.StringIO((out / "results.csv").read_text())):
+            kept = {k: v for k, v in row.items() if not any(part in k for part in NOT_OF_THE_RESULT)}
+            yield f"compare {row['motion']} {row['method']}", digest(json.dumps(sorted(kept.values())))
+
+
+def policies() -> Iterator[Case]:
+    import gymnasium
+
+    import fastmimic.learning  # noqa: F401
+
+    for vectorised in (False, True):
+        make: Callable[..., Any] = gymnasium.make_vec if vectorised else gymnasium.make
+        options: dict[str, Any] = {"num_envs": 4} if vectorised else {}
+        environment = make(
+            "fastmimic/Imitation-v0",
+            motion="trot",
+            robot="a1",
+            randomize=["friction=0.4:1.2", "payload=0:3"],
+            **options,
+        )
+        seen, _ = environment.reset(seed=3)
+        rng, course = np.random.default_rng(0), [seen]
+        for _ in range(60):
+            action = rng.normal(0.0, 0.3, environment.action_space.shape).astype(np.float32)
+            seen, reward, terminated, truncated, _ = environment.step(action)
+            course += [seen, reward, terminated, truncated]
+            if not vectorised and (terminated or truncated):
+                seen, _ = environment.reset()
+                course.append(seen)
+        yield "vectorised environment" if vectorised else "environment", digest(*map(np.asarray, course))
+        environment.close()
+
+
+def deployments() -> Iterator[Case]:
+    with tempfile.TemporaryDirectory() as scratch:
+        for name, options in {
+            "trot": ["--cycles", "3"],
+            "turn, horizon": ["--duration", "1.5", "--method", "lh"],
+        }.items():
+            out = Path(scratch) / name.split(",")[0]
+            command("deploy", name.split(",")[0], "--driver", "sim", "--yes", "--out", str(out), *options)
+            with np.load(out / "log.npz") as data:
+                kept = [
+                    k for k in sorted(data.files) if not any(part in k for part in ("time", "late", "meta", "stamp"))
+                ]
+                yield f"deploy {name}", digest(*(data[k] for k in kept if data[k].dtype.kind in "fiubV"))
+
+
+GROUPS: dict[str, Callable[[], Iterator[Case]]] = {
+    "motions": motions,
+    "rewards": rewards,
+    "searches": searches,
+    "comparisons": comparisons,
+    "policies": policies,
+    "deployments": deployments,
+}
+
+
+def command(*arguments: str) -> Any:
+    """What a command of the product prints, read as JSON where it is."""
+    run = subprocess.run([sys.executable, "-m", "fastmimic", *arguments], capture_output=True, text=True, check=False)
+    if run.returncode != 0:
+        raise SystemExit(f"fastmimic {' '.join(arguments)} ended with {run.returncode}:\n{run.stdout}{run.stderr}")
+    return json.loads(run.stdout) if "--json" in arguments else run.stdout
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="+", choices=list(GROUPS), default=list(GROUPS))
+    parser.add_argument("--write", type=Path, metavar="FILE")
+    parser.add_argument("--check", type=Path, metavar="FILE")
+    arguments = parser.parse_args()
+    known: dict[str, str] = json.loads(arguments.check.read_text()) if arguments.check else {}
+    found: dict[str, str] = {}
+    moved = 0
+    for group in arguments.only:
+        for case, value in GROUPS[group]():
+            name = f"{group}: {case}"
+            found[name] = value
+            same = known.get(name, value) == value
+            moved += not same
+            print(f"{value}  {name}" if same else f"{value}  {name}  MOVED, was {known[name]}", flush=True)
+    missing = [name for name in known if name not in found and name.split(":")[0] in arguments.only]
+    for name in missing:
+        print(f"MISSING  {name}")
+    if arguments.write:
+        arguments.write.write_text(json.dumps(found, indent=1) + "\n")
+    if arguments.check:
+        print(f"{len(found)} cases, {moved} moved, {len(missing)} missing")
+        sys.exit(1 if moved or missing else 0)
+
+
+if __name__ == "__main__":
+    main()

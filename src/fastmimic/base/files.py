@@ -1,0 +1,127 @@
+"""Writing files so that no half-written one is ever left in place of a whole one, and folders that work goes on in."""
+
+import json
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from fastmimic.base.errors import ConfigError, OutputError
+
+
+def replace_file(path: str | Path, write: Callable[[BinaryIO], Any]) -> None:
+    """Calls `write` with a temporary file in the same folder, then puts it in the place of `path`.
+
+    Raises:
+        OutputError: the folder cannot be created or the file not written; `path` is as it was.
+    """
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    try:
+        with os.fdopen(handle, "wb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, path)
+    except OSError as error:
+        Path(temporary).unlink(missing_ok=True)
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def check_folder(folder: str | Path) -> None:
+    """Makes sure that files can be written in a folder, creating it if need be; for before long work.
+
+    Raises:
+        OutputError: it cannot be created, or nothing can be written in it.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written to ({error.strerror or error})") from None
+
+
+def remove_file(path: Path) -> None:
+    """Removes a file, if there is one, that is about to be written anew.
+
+    Raises:
+        OutputError: it cannot be removed.
+    """
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be replaced ({error.strerror or error})") from None
+
+
+def read_section(path: Path, name: str) -> dict[str, Any] | None:
+    """One object of a JSON file's; None if there is no such file, or none with that object."""
+    try:
+        section = json.loads(path.read_text(encoding="utf-8"))[name]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return section if isinstance(section, dict) else None
+
+
+def check_resumable(
+    path: Path,
+    what: str,
+    found: Sequence[str],
+    earlier: Mapping[str, Any] | None,
+    same: Mapping[str, Any],
+    *,
+    resume: bool,
+    overwrite: bool,
+    begun: bool = True,
+) -> None:
+    """Checks a folder of long work that can be resumed, before it begins or goes on; writes nothing.
+
+    Args:
+        path: the folder.
+        what: is in it, with its article, such as "a training".
+        found: names of files of such work that are there.
+        earlier: the settings of the work there; None if there is none.
+        same: settings that must be those of `earlier` to resume.
+        resume: whether to go on with it.
+        overwrite: whether to replace it.
+        begun: whether `earlier` has left anything that would be lost.
+
+    Raises:
+        ConfigError: both `resume` and `overwrite`.
+        OutputError: the folder holds something else, work of other settings, or work that would be lost; or nothing to
+            resume.
+    """
+    if resume and overwrite:
+        raise ConfigError(f"--resume goes on with {what} and --overwrite replaces it: give one of them")
+    if found and earlier is None:
+        raise OutputError(f"{path} holds {', '.join(found)} of something else; choose another --out")
+    if earlier is None or not begun:
+        if resume:
+            raise OutputError(f"{path} holds no {what.split()[-1]} to resume; leave out --resume to start one")
+        return
+    if not (resume or overwrite):
+        raise OutputError(
+            f"{path} holds {what}; --resume goes on with it, --overwrite replaces it, or choose another --out"
+        )
+    differ = [name for name, value in same.items() if earlier.get(name) != value]
+    if resume and differ:
+        old = ", ".join(f"{name.replace('_', '-')} {earlier.get(name)}" for name in differ)
+        raise OutputError(
+            f"{path} holds {what} of other settings ({old}); --resume it with these, or choose another --out"
+        )
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,60 @@
+"""Vector algebra of the kernels: 3-vectors and 3 × 3 matrices in arrays, without allocation."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.jit import inlined
+
+Array = NDArray[np.float64]
+
+
+@inlined
+def quat_to_matrix(q: Array, out: Array) -> None:
+    """Rotation matrix of the unit quaternion (w, x, y, z)."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    out[0, 0], out[0, 1], out[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    out[1, 0], out[1, 1], out[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+@inlined
+def turn_rows(c: float, s: float, m: Array) -> None:
+    """Rz(θ) m in place, with (c, s) the cosine and sine of θ."""
+    for j in range(3):
+        m0, m1 = m[0, j], m[1, j]
+        m[0, j], m[1, j] = c * m0 - s * m1, s * m0 + c * m1
+
+
+@inlined
+def rotation_error(a: Array, b: Array, out: Array) -> None:
+    """Rotation vector of A Bᵀ: what turns b into a, in their common frame."""
+    x = y = z = trace = 0.0
+    for k in range(3):
+        x += a[2, k] * b[1, k] - a[1, k] * b[2, k]
+        y += a[0, k] * b[2, k] - a[2, k] * b[0, k]
+        z += a[1, k] * b[0, k] - a[0, k] * b[1, k]
+        trace += a[0, k] * b[0, k] + a[1, k] * b[1, k] + a[2, k] * b[2, k]
+    sine = 0.5 * np.sqrt(x * x + y * y + z * z)
+    angle = np.arctan2(sine, 0.5 * (trace - 1.0))
+    factor = 0.5 if sine < 1e-9 else 0.5 * angle / sine
+    out[0], out[1], out[2] = factor * x, factor * y, factor * z
+
+
+@inlined
+def times(m: Array, v: Array, out: Array) -> None:
+    """m v for a 3 × 3 matrix."""
+    for i in range(3):
+        out[i] = m[i, 0] * v[0] + m[i, 1] * v[1] + m[i, 2] * v[2]
+
+
+@inlined
+def transposed_times(m: Array, v: Array, out: Array) -> None:
+    """mᵀ v for a 3 × 3 matrix."""
+    for i in range(3):
+        out[i] = m[0, i] * v[0] + m[1, i] * v[1] + m[2, i] * v[2]
+
+
+@inlined
+def heading_vector(c: float, s: float, v: Array, out: Array) -> None:
+    """Rz(−ψ) v with (c, s) of ψ."""
+    out[0], out[1], out[2] = c * v[0] + s * v[1], -s * v[0] + c * v[1], v[2]

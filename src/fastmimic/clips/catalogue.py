@@ -1,0 +1,281 @@
+"""The motions that have a name: built-in synthetic gaits, and cuts of the public data."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from fastmimic.base.errors import ClipError, did_you_mean
+from fastmimic.clips.clip import Clip
+from fastmimic.clips.data import DATASETS, data_folder, dataset_of, find_file
+from fastmimic.clips.formats import read_clip, with_scale
+
+if TYPE_CHECKING:
+    from fastmimic.clips.formats.points import PointMap
+    from fastmimic.clips.synthesis import GaitSpec
+    from fastmimic.robot.robot import Robot
+
+BUILT_IN_LICENCE: Final = "that of fastmimic"
+_FILE_SUFFIXES: Final = (".txt", ".csv", ".json", ".npz", ".bvh")
+
+
+@dataclass(frozen=True)
+class RecordedMotion:
+    """A motion in the public data.
+
+    Attributes:
+        about: what it is.
+        speed: roughly, in the source's size.
+        dataset, file: where it is (see `fastmimic.clips.data`).
+        frames: (first, end) of the cycle, 0-based, end exclusive; None for the whole file.
+    """
+
+    about: str
+    speed: str
+    dataset: str
+    file: str
+    frames: tuple[int, int] | None = None
+
+    @property
+    def source(self) -> str:
+        cut = "" if self.frames is None else f" frames {self.frames[0]}:{self.frames[1]}"
+        return f"{self.dataset}/{self.file}{cut}"
+
+
+_KEYPOINTS: Final = "dog_keypoints"
+_ROBOT: Final = "deepmimic_motions"
+
+RECORDED: Final = {
+    "dog:pace": RecordedMotion("dog, pace", "1.1 m/s", _KEYPOINTS, "dog_walk00_joint_pos.txt", (162, 201)),
+    "dog:trot": RecordedMotion("dog, trot", "1.8 m/s", _KEYPOINTS, "dog_walk03_joint_pos.txt", (448, 481)),
+    "dog:canter": RecordedMotion("dog, canter", "3.2 m/s", _KEYPOINTS, "dog_run00_joint_pos.txt", (430, 459)),
+    "dog:right-turn": RecordedMotion(
+        "dog, walking turn to the right",
+        "0.84 m/s, -1.06 rad/s",
+        _KEYPOINTS,
+        "dog_walk09_joint_pos.txt",
+        (1085, 1124),
+    ),
+    "dog:left-turn": RecordedMotion(
+        "dog, turn to the left nearly on the spot",
+        "0.36 m/s, +2.3 rad/s",
+        _KEYPOINTS,
+        "dog_walk09_joint_pos.txt",
+        (2404, 2450),
+    ),
+    "dog:spin": RecordedMotion("dog on a Laikago, spin to the left", "0.47 m/s, +2.3 rad/s", _ROBOT, "dog_spin.txt"),
+    "anim:side-steps": RecordedMotion(
+        "animator, side-steps out and back, 6 s", "0.34 m/s sideways", _ROBOT, "sidesteps.txt"
+    ),
+    "anim:turn": RecordedMotion("animator, turn by 180° and back, 4.6 s", "±180°", _ROBOT, "turn.txt"),
+    "anim:in-place": RecordedMotion("animator, steps on the spot, 6.2 s", "0 m/s", _ROBOT, "inplace_steps.txt"),
+}
+
+
+@dataclass(frozen=True)
+class MotionRow:
+    """A line of the list of motions; `available` is whether its data is there."""
+
+    name: str
+    about: str
+    speed: str
+    source: str
+    licence: str
+    available: bool
+
+
+def motion_names() -> tuple[str, ...]:
+    """All names that `open_clip` knows."""
+    from fastmimic.clips.synthesis import GAITS
+
+    return (*GAITS, *RECORDED)
+
+
+def describe(folder: str | Path | None = None) -> list[MotionRow]:
+    """One row for each name, the built-in ones first."""
+    from fastmimic.clips.synthesis import GAITS
+
+    licences = {dataset.name: dataset.licence for dataset in DATASETS}
+    built_in = [
+        MotionRow(name, spec.about, _speed(spec), "built in", BUILT_IN_LICENCE, True) for name, spec in GAITS.items()
+    ]
+    recorded = [
+        MotionRow(
+            name,
+            motion.about,
+            motion.speed,
+            motion.source,
+            licences[motion.dataset],
+            find_file(motion.dataset, motion.file, folder) is not None,
+        )
+        for name, motion in RECORDED.items()
+    ]
+    return built_in + recorded
+
+
+def open_clip(
+    name_or_path: str | Path,
+    *,
+    robot: "Robot | None" = None,
+    fps: float | None = None,
+    up: str | None = None,
+    scale: float | None = None,
+    frames: tuple[int, int] | None = None,
+    speed: float | None = None,
+    yaw_rate: float | None = None,
+    duty: float | None = None,
+    folder: str | Path | None = None,
+    point_map: "str | Path | PointMap | None" = None,
+    discrete: bool = False,
+) -> Clip:
+    """Opens a motion by its name, or reads a file. A name goes before a file of the same name (use ./NAME).
+
+    Args:
+        name_or_path: one of `motion_names()`, or the path of a clip.
+        robot, fps, up, scale, point_map: see `read_clip`.
+        frames: (first, end) 0-based, end exclusive; of the named clip, if it is a name.
+        speed, yaw_rate, duty: of a built-in gait, m/s, rad/s and share of stance; its own if None.
+        folder: the data folder (see `data_folder`).
+        discrete: take it for a movement that does not repeat, whatever it or its source says.
+
+    Returns:
+        The clip, with `name`, `source`, `licence` and `credit` in its `meta`.
+
+    Raises:
+        ClipError: unknown name (lists the closest), data not fetched, unreadable file, or an option that does
+            not apply to this motion.
+    """
+    clip = _opened(name_or_path, robot, fps, up, scale, frames, speed, yaw_rate, duty, folder, point_map)
+    return replace(clip, is_cycle=False) if discrete else clip
+
+
+def check_name(name: str, folder: str | Path | None = None) -> None:
+    """Makes sure that `open_clip` knows a motion of that name, and has its recording; reads nothing.
+
+    Raises:
+        ClipError: it does not (lists the closest), or the data is not fetched.
+    """
+    if name not in motion_names():
+        raise _unknown(name)
+    if name in RECORDED:
+        _recording(name, folder)
+
+
+def _opened(
+    name_or_path: str | Path,
+    robot: "Robot | None",
+    fps: float | None,
+    up: str | None,
+    scale: float | None,
+    frames: tuple[int, int] | None,
+    speed: float | None,
+    yaw_rate: float | None,
+    duty: float | None,
+    folder: str | Path | None,
+    point_map: "str | Path | PointMap | None",
+) -> Clip:
+    from fastmimic.clips.synthesis import GAITS
+
+    name = str(name_or_path)
+    if point_map is not None and (name in GAITS or name in RECORDED):
+        raise ClipError(f"a point map cannot be given for '{name}': its points are known")
+    gait_options = {"speed": speed, "yaw rate": yaw_rate, "duty factor": duty}
+    if name in GAITS:
+        _refuse(name, "it is generated, not read from a file", {"frame rate": fps, "vertical axis": up})
+        return _built_in(name, speed, yaw_rate, duty, scale, frames)
+    _refuse(name, f"only the built-in gaits can be varied ({', '.join(GAITS)})", gait_options)
+    if name in RECORDED:
+        return _recorded(name, fps, up, scale, frames, folder)
+    path = Path(name_or_path)
+    if not os.path.exists(path) and not _looks_like_path(name):
+        raise _unknown(name)
+    clip = read_clip(path, robot=robot, fps=fps, up=up, scale=scale, frames=frames, point_map=point_map)
+    dataset = dataset_of(path)
+    if dataset is None:
+        return clip
+    return replace(clip, meta=clip.meta | {"licence": dataset.licence, "credit": dataset.credit})
+
+
+def _built_in(
+    name: str,
+    speed: float | None,
+    yaw_rate: float | None,
+    duty: float | None,
+    scale: float | None,
+    frames: tuple[int, int] | None,
+) -> Clip:
+    from fastmimic.clips.synthesis import generate
+
+    clip = generate(name, speed=speed, yaw_rate=yaw_rate, duty=duty)
+    meta = {"format": "built-in", "source": "built in", "licence": BUILT_IN_LICENCE, "assumed": []}
+    clip = replace(clip, meta=meta | clip.meta | {"name": name})
+    clip = clip if scale is None else with_scale(clip, scale)
+    return clip if frames is None else _cut(name, clip, frames)
+
+
+def _recorded(
+    name: str,
+    fps: float | None,
+    up: str | None,
+    scale: float | None,
+    frames: tuple[int, int] | None,
+    folder: str | Path | None,
+) -> Clip:
+    motion = RECORDED[name]
+    path = _recording(name, folder)
+    clip = read_clip(path, fps=fps, up=up, scale=scale, frames=motion.frames)
+    dataset = next(d for d in DATASETS if d.name == motion.dataset)
+    assumed = list(clip.meta["assumed"])
+    if dataset_of(path) is None:
+        assumed.append(f"{path} is not the published file (its SHA-256 differs)")
+    provenance = {
+        "name": name,
+        "source": motion.source,
+        "licence": dataset.licence,
+        "credit": dataset.credit,
+        "assumed": assumed,
+    }
+    clip = replace(clip, is_cycle=True, meta=clip.meta | provenance)
+    return clip if frames is None else _cut(name, clip, frames)
+
+
+def _recording(name: str, folder: str | Path | None) -> Path:
+    motion = RECORDED[name]
+    path = find_file(motion.dataset, motion.file, folder)
+    if path is None:
+        raise ClipError(
+            f"'{name}' needs {motion.dataset}/{motion.file}, which is not in {data_folder(folder)}:"
+            " run 'fastmimic data fetch', or set FASTMIMIC_DATA to a folder that has it"
+        )
+    return path
+
+
+def _unknown(name: str) -> ClipError:
+    names = motion_names()
+    hint = did_you_mean(name, names) or f"; the names are {', '.join(names)}"
+    return ClipError(f"'{name}' is neither the name of a motion nor a file{hint}")
+
+
+def _cut(name: str, clip: Clip, frames: tuple[int, int]) -> Clip:
+    try:
+        return clip.cut(*frames)
+    except ClipError as error:
+        raise ClipError(f"{name}: {error}") from None
+
+
+def _refuse(name: str, why: str, options: Mapping[str, float | str | None]) -> None:
+    given = [option for option, value in options.items() if value is not None]
+    if given:
+        raise ClipError(f"{' and '.join(given)} cannot be set for '{name}': {why}")
+
+
+def _looks_like_path(name: str) -> bool:
+    return "/" in name or "\\" in name or Path(name).suffix.lower() in _FILE_SUFFIXES
+
+
+def _speed(spec: "GaitSpec") -> str:
+    sideways = f"{spec.lateral_speed:.3g} m/s sideways" if spec.lateral_speed else ""
+    turning = f"{spec.yaw_rate:+.2g} rad/s" if spec.yaw_rate else ""
+    forward = "" if (sideways or turning) and not spec.speed else f"{spec.speed:.3g} m/s"
+    return ", ".join(part for part in (forward, sideways, turning) if part)

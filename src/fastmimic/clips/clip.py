@@ -1,0 +1,109 @@
+"""`Clip`: what the animal did, as points in space."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.conventions import LEGS
+from fastmimic.base.errors import ClipError
+from fastmimic.clips.skeleton import KEYPOINTS, Skeleton
+
+POINT_NAMES: Final = (
+    "pelvis",
+    "neck",
+    *(f"{leg}_hip" for leg in LEGS),
+    *(f"{leg}_toe" for leg in LEGS),
+)
+"""The points that retargeting needs; `hip` stands for the shoulder in the front legs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """Keypoints of an animal (or of another robot) in the world, z up, metres.
+
+    Attributes:
+        points_w: (t, 10, 3) keypoints in the order of `POINT_NAMES`, world frame, m.
+        rate_hz: frames a second.
+        root_quat_wxyz: (t, 4) trunk orientation where the source knows it (a robot's motion), else None:
+            retargeting then derives it from the keypoints.
+        is_cycle: True if the source says that the clip is one period (a loop), False if it says that it is
+            not, None if it does not say.
+        leg_length_m: upper plus lower leg of the source's body where it is known, for scaling, else None.
+        scale: factor from the source's size to the robot's where the source fixes it (1.0 for a motion that
+            is already the robot's own), else None.
+        meta: where it came from: `source`, `format`, `assumed` (list of sentences for the user), `licence`.
+        body_w: (t, k, 3) all points of the source's skeleton where it has more than those ten, else None; they are
+            drawn and nothing else.
+        skeleton: which of the points that are drawn are joined.
+    """
+
+    points_w: NDArray[np.float64]
+    rate_hz: float
+    root_quat_wxyz: NDArray[np.float64] | None = None
+    is_cycle: bool | None = None
+    leg_length_m: float | None = None
+    scale: float | None = None
+    meta: dict[str, Any] = field(default_factory=dict)
+    body_w: NDArray[np.float64] | None = None
+    skeleton: Skeleton = KEYPOINTS
+
+    def __post_init__(self) -> None:
+        shape = self.points_w.shape
+        if len(shape) != 3 or shape[1:] != (len(POINT_NAMES), 3):
+            raise ClipError(f"keypoints have shape {shape}; expected (frames, {len(POINT_NAMES)}, 3)")
+        if shape[0] < 2:
+            raise ClipError(f"a clip needs at least 2 frames, found {shape[0]}")
+        if not np.all(np.isfinite(self.points_w)):
+            frame = int(np.argwhere(~np.isfinite(self.points_w))[0][0])
+            raise ClipError(f"frame {frame} holds a value that is not finite")
+        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise ClipError(f"frame rate must be positive, found {self.rate_hz}")
+        if self.root_quat_wxyz is not None and self.root_quat_wxyz.shape != (shape[0], 4):
+            raise ClipError(f"trunk quaternions have shape {self.root_quat_wxyz.shape}; expected ({shape[0]}, 4)")
+        if self.drawn_w.shape != (shape[0], self.skeleton.points, 3):
+            raise ClipError(
+                f"the skeleton's points have shape {self.drawn_w.shape}; expected"
+                f" ({shape[0]}, {self.skeleton.points}, 3)"
+            )
+
+    @property
+    def n_frames(self) -> int:
+        return self.points_w.shape[0]
+
+    @property
+    def drawn_w(self) -> NDArray[np.float64]:
+        """The points that `skeleton` joins, (t, k, 3), world frame, m."""
+        return self.points_w if self.body_w is None else self.body_w
+
+    def point(self, name: str) -> NDArray[np.float64]:
+        """Trajectory of one keypoint, (t, 3), world frame, m."""
+        return self.points_w[:, POINT_NAMES.index(name)]
+
+    @property
+    def hips_w(self) -> NDArray[np.float64]:
+        """Shoulders and hips, (t, 4, 3), legs in the common order, world frame, m."""
+        return self.points_w[:, 2:6]
+
+    @property
+    def toes_w(self) -> NDArray[np.float64]:
+        """Toes, (t, 4, 3), legs in the common order, world frame, m."""
+        return self.points_w[:, 6:10]
+
+    def cut(self, start: int, end: int) -> "Clip":
+        """Frames [start, end), 0-based; raises `ClipError` if they are not in the clip."""
+        if not 0 <= start < end <= self.n_frames:
+            raise ClipError(
+                f"frames {start}:{end} are not in this clip of {self.n_frames} frames"
+                f" (0-based, end exclusive: 0:{self.n_frames} is all of it)"
+            )
+        quat = None if self.root_quat_wxyz is None else self.root_quat_wxyz[start:end]
+        return replace(
+            self,
+            points_w=self.points_w[start:end],
+            root_quat_wxyz=quat,
+            body_w=None if self.body_w is None else self.body_w[start:end],
+            is_cycle=self.is_cycle if (start, end) == (0, self.n_frames) else None,
+            meta={**self.meta, "frames": [start, end]},
+        )

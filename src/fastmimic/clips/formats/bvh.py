@@ -1,0 +1,167 @@
+"""Biovision hierarchies (BVH): a skeleton of joints with their offsets, and the angles of each frame.
+
+A joint's transform is its offset, or its position channels where it has some, followed by its rotations in the order in
+which its channels name them, each about the axis that the ones before have turned. Points are named after joints;
+`NAME.end` is the end site of the joint NAME.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.errors import ClipError
+from fastmimic.clips.clip import Clip
+from fastmimic.clips.formats.points import PointMap, choose, clip_of
+from fastmimic.clips.formats.table import Row, check_frames, check_rate, is_number, to_array
+from fastmimic.clips.skeleton import Skeleton
+
+Array = NDArray[np.float64]
+
+KEYWORD: Final = "HIERARCHY"
+_CHANNELS: Final = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
+_RADIUS: Final = 0.02  # m, of bones, for drawing
+_DEEPEST: Final = 500
+
+
+@dataclass
+class _Joint:
+    """A joint or an end site; `parent` is an index, -1 of a root; `columns` begin at `first`."""
+
+    name: str
+    parent: int
+    offset: Array = field(default_factory=lambda: np.zeros(3))
+    channels: tuple[str, ...] = ()
+    first: int = 0
+
+
+def parse(text: str, *, fps: float | None = None, up: str | None = None, point_map: PointMap | None = None) -> Clip:
+    """Reads the text of a BVH file.
+
+    Args:
+        text: the file's content.
+        fps: frames a second; the file's if None.
+        up: 'y' or 'z'; if None, the one along which the hips lie above the toes.
+        point_map: which joints the ten points are; if None, those of AI4Animation's dog.
+
+    Raises:
+        ClipError: malformed (says which line), no such joints, or not an upright, right-handed animal.
+    """
+    lines = _lines(text)
+    joints = _hierarchy(lines)
+    rate = _rate(lines)
+    columns = sum(len(joint.channels) for joint in joints)
+    rows = [Row(number, words) for number, words in lines]
+    values = to_array(rows, columns, lambda column: _column_name(joints, column), "a BVH's channels")
+    check_frames(len(values))
+    declared, frame_s = rate
+    if declared != len(values):
+        raise ClipError(f"the file says that it has {declared} frames; it has {len(values)}: it may be truncated")
+    chosen, title = choose([joint.name for joint in joints], point_map)
+    hz = 1.0 / frame_s if fps is None else float(fps)
+    check_rate(hz)
+    assumed = [] if title is None else [f"joints are those of {title}"]
+    bones = tuple((joint.parent, i) for i, joint in enumerate(joints) if joint.parent >= 0)
+    skeleton = Skeleton(len(joints), bones, (_RADIUS,) * len(bones))
+    return clip_of(_positions(joints, values), chosen, hz, up=up, assumed=assumed, skeleton=skeleton)
+
+
+def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
+    """Number and words of each line that has some; braces stand alone."""
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.replace("{", " { ").replace("}", " } ").split()
+        if words:
+            yield number, words
+
+
+def _hierarchy(lines: Iterator[tuple[int, list[str]]]) -> list[_Joint]:
+    """The joints in the order of the file, up to the line MOTION."""
+    joints: list[_Joint] = []
+    above: list[int] = []  # open joints
+    opening: int | None = None  # a joint whose brace is still to come
+    columns = 0
+    for number, words in lines:
+        while words:
+            word = words[0]
+            if word == KEYWORD and not joints:
+                words = words[1:]
+            elif word in ("ROOT", "JOINT", "End") and opening is None and len(words) >= 2:
+                if (word == "ROOT") != (not above):
+                    raise ClipError(f"line {number}: {word} {words[1]} is not where one belongs")
+                name = f"{joints[above[-1]].name}.end" if word == "End" else words[1].rpartition(":")[2]
+                joints.append(_Joint(name, above[-1] if above else -1))
+                opening = len(joints) - 1
+                words = words[2:]
+            elif word == "{" and opening is not None:
+                above.append(opening)
+                opening = None
+                if len(above) > _DEEPEST:
+                    raise ClipError(f"line {number}: joints are nested more than {_DEEPEST} deep")
+                words = words[1:]
+            elif word == "}" and above and opening is None:
+                above.pop()
+                words = words[1:]
+            elif word == "OFFSET" and above and len(words) >= 4 and all(map(is_number, words[1:4])):
+                joints[above[-1]].offset = np.array([float(w) for w in words[1:4]])
+                words = words[4:]
+            elif word == "CHANNELS" and above and len(words) >= 2 and words[1].isdecimal():
+                count = int(words[1])
+                channels = tuple(words[2 : 2 + count])
+                if len(channels) != count or not set(channels) <= set(_CHANNELS) or len(set(channels)) != count:
+                    raise ClipError(
+                        f"line {number}: expected {count} different channels of {', '.join(_CHANNELS)}; found"
+                        f" {' '.join(channels)[:60]}"
+                    )
+                joints[above[-1]].channels, joints[above[-1]].first = channels, columns
+                columns += count
+                words = words[2 + count :]
+            elif word == "MOTION" and joints and not above and opening is None:
+                return joints
+            else:
+                raise ClipError(f"line {number}: '{' '.join(words)[:40]}' is not what a BVH's hierarchy has there")
+    raise ClipError("the file ends within the hierarchy: there is no line MOTION")
+
+
+def _rate(lines: Iterator[tuple[int, list[str]]]) -> tuple[int, float]:
+    """The number of frames that the file announces, and the time of one, s."""
+    number, words = next(lines, (0, []))
+    if words[:1] != ["Frames:"] or len(words) != 2 or not words[1].isdecimal():
+        raise ClipError(f"line {number}: expected 'Frames: N' after MOTION, found '{' '.join(words)[:40]}'")
+    count = int(words[1])
+    number, words = next(lines, (0, []))
+    if words[:2] != ["Frame", "Time:"] or len(words) != 3 or not is_number(words[2]) or not float(words[2]) > 0:
+        raise ClipError(f"line {number}: expected 'Frame Time: S' with S > 0, found '{' '.join(words)[:40]}'")
+    return count, float(words[2])
+
+
+def _column_name(joints: list[_Joint], column: int) -> str:
+    joint = next(j for j in joints if j.first <= column < j.first + len(j.channels))
+    return f"{joint.name} {joint.channels[column - joint.first]}"
+
+
+def _positions(joints: list[_Joint], values: Array) -> Array:
+    """Where all joints are (t, k, 3), in the file's axes and unit."""
+    from scipy.spatial.transform import Rotation
+
+    n = len(values)
+    positions, rotations = np.zeros((n, len(joints), 3)), np.zeros((len(joints), n, 3, 3))
+    for i, joint in enumerate(joints):
+        own = values[:, joint.first : joint.first + len(joint.channels)]
+        translation = np.repeat(joint.offset[None], n, axis=0)
+        for channel, column in zip(joint.channels, own.T, strict=True):
+            if channel.endswith("position"):
+                translation[:, "XYZ".index(channel[0])] = column
+        turning = [k for k, channel in enumerate(joint.channels) if channel.endswith("rotation")]
+        local = np.repeat(np.eye(3)[None], n, axis=0)
+        if turning:
+            order = "".join(joint.channels[k][0] for k in turning)
+            local = Rotation.from_euler(order, own[:, turning], degrees=True).as_matrix()
+        if joint.parent < 0:
+            positions[:, i], rotations[i] = translation, local
+        else:
+            above = rotations[joint.parent]
+            positions[:, i] = positions[:, joint.parent] + np.einsum("tij,tj->ti", above, translation)
+            rotations[i] = above @ local
+    return positions

@@ -1,0 +1,191 @@
+"""Retargeted robot motion as CSV: root position, root quaternion x, y, z, w and 12 joint angles.
+
+One frame a line. With a header, columns are found by name in any order. Without one they are taken as x, y,
+z, qx, qy, qz, qw and the joints in the order FR, FL, RR, RL, each abduction, hip, knee, and the clip says so.
+"""
+
+import re
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.conventions import JOINT_NAMES, LEGS
+from fastmimic.base.errors import ClipError, did_you_mean
+from fastmimic.base.rotations import quat_rotate
+from fastmimic.clips.clip import Clip
+from fastmimic.clips.formats.quaternions import unit_wxyz_from_xyzw
+from fastmimic.clips.formats.robot_points import robot_points
+from fastmimic.clips.formats.table import LARGEST, Table, check_frames, check_rate, read_table, to_array
+
+if TYPE_CHECKING:
+    from fastmimic.robot.robot import Robot
+
+COLUMN_NAMES: Final = (
+    *(f"root_{axis}" for axis in "xyz"),
+    *(f"root_q{axis}" for axis in "xyzw"),
+    *JOINT_NAMES,
+)
+COLUMNS: Final = len(COLUMN_NAMES)
+DEFAULT_RATE_HZ: Final = 30.0
+"""Of the retargeted CSV data sets of the field (Unitree's, and the readers made for them)."""
+
+JOINT_SPELLINGS: Final = (
+    ("abduction", "hip", "knee"),
+    ("hip", "thigh", "calf"),
+    ("hip", "upper", "lower"),
+    ("hip", "upper_leg", "lower_leg"),
+    ("haa", "hfe", "kfe"),
+    ("abad", "hip", "knee"),
+    ("hip_x", "hip_y", "knee"),
+)
+"""One row serves all twelve joints: FR_hip is the abduction beside FR_thigh, the hip beside FR_abduction."""
+
+_LEG_SPELLINGS: Final = {
+    "FR": ("fr", "rf"),
+    "FL": ("fl", "lf"),
+    "RR": ("rr", "rh", "hr"),
+    "RL": ("rl", "lh", "hl"),
+}
+_TIME_NAMES: Final = ("time", "t", "time_s", "timestamp", "seconds")
+_MAX_ANGLE: Final = 2 * np.pi
+_MIN_UPRIGHT: Final = 0.5
+
+Array = NDArray[np.float64]
+
+
+def parse(text: str, *, robot: "Robot", fps: float | None = None) -> Clip:
+    """Reads the text of a retargeted motion.
+
+    Args:
+        text: the file's content.
+        robot: whose joints they are.
+        fps: frames a second, in place of the file's time column or the default.
+
+    Raises:
+        ClipError: malformed (says which line and column), a joint without a column, or not upright.
+    """
+    from fastmimic.robot.kinematics import foot_positions
+
+    table = read_table(text)
+    header = table.header if table.header is not None and names_joints(table.header) else None
+    columns, names = _columns(table, header)
+    largest = [np.inf if name in _TIME_NAMES else LARGEST for name in names]  # a time may count from 1970
+    values = to_array(table.rows, len(names), lambda c: names[c], "retargeted motion", largest)
+    check_frames(len(values))
+    rate, assumed = _rate(table, names, values, fps)
+    if header is None:
+        assumed.append("columns are root x y z, quaternion x y z w, then joints " + ", ".join(JOINT_NAMES))
+    extra = [names[c] for c in range(len(names)) if c not in columns and names[c] not in _TIME_NAMES]
+    if extra:
+        assumed.append("columns that are not used: " + ", ".join(extra))
+    motion = values[:, columns]
+    quat = unit_wxyz_from_xyzw(motion[:, 3:7], lambda i: f"line {table.rows[i].number} (frame {i})")
+    _check_upright(quat)
+    joints = motion[:, 7:]
+    _check_radians(table, joints, [names[c] for c in columns[7:]])
+    assumed.append(f"joint angles are those of the {robot.name}")
+    return Clip(
+        points_w=robot_points(motion[:, :3], quat, robot.hip_pos_b, foot_positions(robot, joints)),
+        rate_hz=rate,
+        root_quat_wxyz=quat,
+        leg_length_m=robot.leg_length,
+        scale=1.0,
+        meta={"assumed": assumed, "robot": robot.name},
+    )
+
+
+def names_joints(header: list[str]) -> bool:
+    """Whether a line of names is the header of a retargeted motion."""
+    return any(_match_joint(name) for name in map(_plain, header))
+
+
+def _columns(table: Table, header: list[str] | None) -> tuple[list[int], list[str]]:
+    """Indices of `COLUMN_NAMES` in the file, and the file's names for all its columns."""
+    if header is None:
+        return list(range(COLUMNS)), list(COLUMN_NAMES)
+    plain = [_plain(name) for name in header]
+    wanted = [_root_names(name) for name in COLUMN_NAMES[:7]] + _joint_names(plain)
+    columns = []
+    for name, spellings in zip(COLUMN_NAMES, wanted, strict=True):
+        found = [c for c, column in enumerate(plain) if column in spellings]
+        if len(found) != 1:
+            problem = "no column" if not found else f"{len(found)} columns ({', '.join(plain[c] for c in found)})"
+            raise ClipError(
+                f"the header has {problem} for {name}, e.g. '{sorted(spellings)[0]}'"
+                f"{did_you_mean(name.lower(), plain)} (found: {', '.join(plain)[:300]})"
+            )
+        columns.append(found[0])
+    return columns, plain
+
+
+def _plain(name: str) -> str:
+    """A column's name without case, quotes, SI units, and words that say nothing."""
+    name = name.strip().strip("\"'").lower()
+    name = re.sub(r"\s*[\[(]\s*(m|s|rad|-|1)?\s*[\])]$", "", name)  # other units stay: such a column is not meant
+    name = re.sub(r"[\s.\-/:]+", "_", name)
+    return re.sub(r"(_(joint|pos|position|angle|rad))+$", "", name)
+
+
+def _root_names(name: str) -> set[str]:
+    axis = name[-1]
+    quantity = (
+        [f"q{axis}", f"q_{axis}", f"quat_{axis}", f"quaternion_{axis}", f"rot_{axis}", f"orientation_{axis}"]
+        if name.startswith("root_q")
+        else [axis, f"p{axis}", f"p_{axis}", f"pos_{axis}", f"position_{axis}"]
+    )
+    return {prefix + item for prefix in ("", "root_", "base_", "trunk_", "body_") for item in quantity}
+
+
+def _joint_names(plain: list[str]) -> list[set[str]]:
+    """Accepted names of the twelve joints, in the spelling that fits most columns of this header."""
+
+    def spelled(row: tuple[str, str, str]) -> list[set[str]]:
+        return [{f"{leg}_{joint}" for leg in _LEG_SPELLINGS[name]} for name in LEGS for joint in row]
+
+    return max(map(spelled, JOINT_SPELLINGS), key=lambda names: sum(bool(n & set(plain)) for n in names))
+
+
+def _match_joint(name: str) -> bool:
+    leg, _, joint = name.partition("_")
+    return any(leg in legs for legs in _LEG_SPELLINGS.values()) and any(joint in row for row in JOINT_SPELLINGS)
+
+
+def _rate(table: Table, names: list[str], values: Array, fps: float | None) -> tuple[float, list[str]]:
+    if fps is not None:
+        check_rate(fps)
+        return float(fps), []
+    column = next((c for c, name in enumerate(names) if name in _TIME_NAMES), None)
+    if column is None:
+        return DEFAULT_RATE_HZ, [f"{DEFAULT_RATE_HZ:g} frames a second: the file does not say"]
+    time = values[:, column]
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    uneven = np.flatnonzero(~(np.abs(np.diff(time) - step) <= 0.5 * abs(step)))
+    if step <= 0 or len(uneven):
+        i = int(uneven[0]) + 1 if len(uneven) else 1
+        raise ClipError(
+            f"line {table.rows[i].number}, column {column + 1} ({names[column]}): time goes from"
+            f" {time[i - 1]:g} to {time[i]:g} s; expected even, growing steps"
+            f" (here {step:.4g} s), or give the frame rate"
+        )
+    check_rate(1 / step)
+    return float(1 / step), [f"{1 / step:.6g} frames a second, from column '{names[column]}' in seconds"]
+
+
+def _check_upright(quat: Array) -> None:
+    """Catches a file with w first: a level trunk then reads as one on its back."""
+    tilt = float(np.median(quat_rotate(quat, np.array([0.0, 0.0, 1.0]))[:, 2]))
+    if tilt < _MIN_UPRIGHT:
+        raise ClipError(
+            f"in most frames the trunk is tilted by more than {np.degrees(np.arccos(_MIN_UPRIGHT)):.0f}°;"
+            " expected z up and quaternions in the order x, y, z, w"
+        )
+
+
+def _check_radians(table: Table, joints: Array, names: list[str]) -> None:
+    wrong = np.argwhere(np.abs(joints) > _MAX_ANGLE)
+    if len(wrong):
+        i, j = wrong[0]
+        raise ClipError(
+            f"line {table.rows[i].number}, {names[j]}: {joints[i, j]:g} is more than a turn; joints are in radians"
+        )

@@ -1,0 +1,209 @@
+"""DeepMimic-style JSON of the Laikago: 19 numbers a frame, as distributed with Peng et al. (2020).
+
+The joint angles belong to the Laikago's model, so the clip that comes out holds the points of a Laikago: its
+abduction joint origins as hips and its foot centres as toes. The formulas agree with that model in a
+simulator to 1e-5 m. A file that names another `Robot`, as `fastmimic.motion.export` writes it, holds that robot's.
+"""
+
+import json
+import re
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.conventions import FRONT, JOINT_NAMES, LEFT
+from fastmimic.base.errors import ClipError, did_you_mean
+from fastmimic.base.rotations import quat_conjugate, quat_multiply
+from fastmimic.clips.clip import Clip
+from fastmimic.clips.formats.quaternions import unit_wxyz_from_xyzw
+from fastmimic.clips.formats.robot_points import robot_points
+from fastmimic.clips.formats.table import LARGEST, check_frames, check_positive, check_rate
+
+if TYPE_CHECKING:
+    from fastmimic.robot.robot import Robot
+
+FRAME_NAMES: Final = (
+    *(f"root {axis}" for axis in "xyz"),
+    *(f"root quaternion {axis}" for axis in "xyzw"),
+    *JOINT_NAMES,
+)
+LOOP_MODES: Final = ("Wrap", "Clamp")
+_LOOP_KEYS: Final = ("LoopMode", "EnableCycleOffsetPosition", "EnableCycleOffsetRotation")
+"""Kept as provenance: what a cycle adds is measured on the motion itself."""
+_ROBOT_KEY: Final = "Robot"
+"""Of files that `fastmimic.motion.export` wrote: whose joints they hold, in place of the Laikago's."""
+
+# The Laikago's model, m. Rows are FR, FL, RR, RL.
+_SIDE: Final = np.where(LEFT, 1.0, -1.0)
+_ABDUCTION_ORIGIN_B: Final = np.stack([np.where(FRONT, 0.1991, -0.2382), 0.0817 * _SIDE, np.full(4, -0.03)], -1)
+_HIP_OFFSET: Final = _SIDE * np.where(LEFT, 0.055855, 0.053565)
+_THIGH: Final = np.stack([np.full(4, -0.1422), -0.02069 * _SIDE, np.full(4, -0.20833)], axis=-1)
+_CALF: Final = np.array([-0.022, 0.0, -0.25])
+_MODEL_TO_BODY_WXYZ: Final = np.array([0.5, 0.5, 0.5, 0.5])
+"""Orientation that the file gives to a Laikago that stands with x forward and z up."""
+LEG_LENGTH_M: Final = float(np.hypot(0.1422, 0.20833) + np.hypot(0.022, 0.25))
+"""Thigh plus calf in the leg's plane."""
+
+Array = NDArray[np.float64]
+
+
+def parse(text: str, *, robot: "Robot | None" = None, fps: float | None = None) -> Clip:
+    """Reads the text of a motion file.
+
+    Args:
+        text: the file's content.
+        robot: the one that the file must name as its `Robot`, if it names one.
+        fps: frames a second, in place of 1/FrameDuration.
+
+    Raises:
+        ClipError: malformed; says where.
+    """
+    document = _load(text)
+    frames = _frames(document, text)
+    check_frames(len(frames))
+    loop, assumed = _loop_mode(document)
+    rate = _rate(document) if fps is None else float(fps)
+    check_rate(rate)
+    quat_file = unit_wxyz_from_xyzw(frames[:, 3:7], lambda i: f"line {_frame_line(text, i)} (frame {i})")
+    joints = frames[:, 7:]
+    if loop == "Wrap":  # the last frame is the first again
+        gap = float(np.max(np.abs(joints[-1] - joints[0])))
+        if gap > 0.01:
+            assumed.append(f"the loop does not close exactly: joints of first and last frame differ by {gap:.2f} rad")
+        frames, joints, quat_file = frames[:-1], joints[:-1], quat_file[:-1]
+        check_frames(len(frames))
+    of = document.get(_ROBOT_KEY)
+    if of is not None:
+        from fastmimic.robot.kinematics import foot_positions
+
+        own = _named(of, robot)
+        quat = quat_file
+        points = robot_points(frames[:, :3], quat, own.hip_pos_b, foot_positions(own, joints))
+    else:
+        assumed.append("joint angles are the Laikago's, retargeted through its foot positions")
+        quat = quat_multiply(quat_file, quat_conjugate(_MODEL_TO_BODY_WXYZ))
+        points = robot_points(frames[:, :3], quat, _ABDUCTION_ORIGIN_B, laikago_feet(joints))
+    return Clip(
+        points_w=points,
+        rate_hz=rate,
+        root_quat_wxyz=quat,
+        is_cycle=True if loop == "Wrap" else False if loop == "Clamp" else None,
+        leg_length_m=LEG_LENGTH_M if of is None else own.leg_length,
+        scale=None if of is None else 1.0,
+        meta={
+            **({} if of is None else {"robot": of}),
+            "assumed": assumed,
+            "loop": {key: document[key] for key in _LOOP_KEYS if key in document},
+        },
+    )
+
+
+def laikago_feet(joint_pos: Array) -> Array:
+    """Foot centres of the Laikago in its base frame (x forward, z up).
+
+    Args:
+        joint_pos: (..., 12) rad, legs in the common order, signs as in the Laikago's model.
+
+    Returns:
+        (..., 4, 3) m.
+    """
+    angles = np.reshape(joint_pos, (*np.shape(joint_pos)[:-1], 4, 3))
+    abduction, hip, knee = angles[..., 0], angles[..., 1], angles[..., 2]
+    thigh = _rotate_y(hip, _THIGH + _rotate_y(knee, np.broadcast_to(_CALF, (*knee.shape, 3))))
+    thigh[..., 1] += _HIP_OFFSET
+    return _ABDUCTION_ORIGIN_B + _rotate_x(_SIDE * abduction, thigh)
+
+
+def _rotate_x(angle: Array, v: Array) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([v[..., 0], c * v[..., 1] - s * v[..., 2], s * v[..., 1] + c * v[..., 2]], axis=-1)
+
+
+def _rotate_y(angle: Array, v: Array) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c * v[..., 0] + s * v[..., 2], v[..., 1], -s * v[..., 0] + c * v[..., 2]], axis=-1)
+
+
+def _named(name: Any, robot: "Robot | None") -> "Robot":
+    """The robot whose joints a file says it holds."""
+    from fastmimic.robot import ROBOT_NAMES, load_robot
+
+    if robot is not None and robot.name == name:
+        return robot
+    if robot is not None or name not in ROBOT_NAMES:
+        given = "" if robot is None else f", not '{robot.name}'"
+        raise ClipError(f"the joints are those of robot {json.dumps(name)[:40]}{given}; read it with that robot")
+    return load_robot(name)
+
+
+def _load(text: str) -> dict[str, Any]:
+    try:
+        document = json.loads(text)
+    except json.JSONDecodeError as error:
+        near_end = not text[error.pos :].strip() or error.pos >= len(text) - 1
+        hint = "; the file may be truncated" if near_end else ""
+        raise ClipError(f"line {error.lineno}, column {error.colno}: not valid JSON ({error.msg}){hint}") from None
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits; thousands of brackets
+        raise ClipError(f"not usable JSON ({str(error).split(';')[0]})") from None
+    if not isinstance(document, dict):
+        raise ClipError('JSON without an object; expected {"LoopMode": …, "FrameDuration": …, "Frames": …}')
+    return document
+
+
+def _frames(document: dict[str, Any], text: str) -> Array:
+    """All frames, (t, 19)."""
+    if "Frames" not in document:
+        raise ClipError(f"JSON without 'Frames'{did_you_mean('Frames', document)}; found {_listed(document)}")
+    frames = document["Frames"]
+    if not isinstance(frames, list) or not all(isinstance(frame, list) for frame in frames):
+        raise ClipError("'Frames' must be a list of lists of numbers")
+    for i, frame in enumerate(frames):
+        if len(frame) != len(FRAME_NAMES):
+            raise ClipError(
+                f"line {_frame_line(text, i)} (frame {i}) has {len(frame)} numbers;"
+                f" expected {len(FRAME_NAMES)} (root position 3, root quaternion xyzw 4, joints 12)"
+            )
+        for c, value in enumerate(frame):
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                problem = f"{json.dumps(value)[:20]} is not a number"
+            elif not abs(value) <= LARGEST:
+                problem = f"{str(value)[:20]} is {'too large' if abs(value) < np.inf else 'not finite'}"
+            else:
+                continue
+            raise ClipError(f"line {_frame_line(text, i)} (frame {i}), number {c + 1} ({FRAME_NAMES[c]}): {problem}")
+    return np.array(frames, dtype=np.float64).reshape(len(frames), len(FRAME_NAMES))
+
+
+def _frame_line(text: str, index: int) -> int:
+    """1-based line at which a frame starts: frames are the innermost lists after the key."""
+    key = text.find('"Frames"')
+    for i, match in enumerate(re.finditer(r"\[[^\[\]]*\]", text[key:])):
+        if i == index:
+            return text.count("\n", 0, key + match.start()) + 1
+    return text.count("\n", 0, key) + 1
+
+
+def _loop_mode(document: dict[str, Any]) -> tuple[str | None, list[str]]:
+    if "LoopMode" not in document:
+        return None, ["whether the motion loops is found from the motion: the file has no LoopMode"]
+    mode = document["LoopMode"]
+    if mode not in LOOP_MODES:
+        raise ClipError(f"LoopMode is {json.dumps(mode)[:40]}; expected one of {', '.join(LOOP_MODES)}")
+    return str(mode), []
+
+
+def _rate(document: dict[str, Any]) -> float:
+    if "FrameDuration" not in document:
+        raise ClipError("JSON without 'FrameDuration' (s); give the frame rate")
+    duration = document["FrameDuration"]
+    if isinstance(duration, bool) or not isinstance(duration, int | float):
+        raise ClipError(f"FrameDuration is {json.dumps(duration)[:40]}; expected a number of seconds")
+    if not abs(duration) <= LARGEST:
+        raise ClipError(f"FrameDuration is {str(duration)[:20]}; expected a number of seconds")
+    check_positive(duration, "FrameDuration", "s")
+    return 1.0 / duration if duration > 1e-9 else np.inf
+
+
+def _listed(names: dict[str, Any]) -> str:
+    return ", ".join(repr(name[:30]) for name in list(names)[:6]) or "nothing"

@@ -1,0 +1,25 @@
+"""The ten keypoints of a robot: what a clip holds when the source is a robot's motion."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.rotations import quat_rotate
+
+Array = NDArray[np.float64]
+
+
+def robot_points(root_pos_w: Array, root_quat_wxyz: Array, hip_pos_b: Array, foot_pos_b: Array) -> Array:
+    """Keypoints (t, 10, 3) in the order of `POINT_NAMES`, world frame, m.
+
+    Hips are the abduction joint origins; pelvis and neck the middles between the rear and the front ones.
+
+    Args:
+        root_pos_w: (t, 3) base position, world, m.
+        root_quat_wxyz: (t, 4) base orientation, body → world.
+        hip_pos_b: (4, 3) abduction joint origins, body frame, m.
+        foot_pos_b: (t, 4, 3) foot centres, body frame, m.
+    """
+    hips = np.broadcast_to(hip_pos_b, foot_pos_b.shape)
+    pelvis, neck = hips[:, 2:].mean(axis=1, keepdims=True), hips[:, :2].mean(axis=1, keepdims=True)
+    points_b = np.concatenate([pelvis, neck, hips, foot_pos_b], axis=1)
+    return np.asarray(root_pos_w)[:, None] + quat_rotate(np.asarray(root_quat_wxyz)[:, None], points_b)

@@ -1,0 +1,131 @@
+"""Tables of numbers as text: one frame a line, separated by commas, semicolons or white space."""
+
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.errors import ClipError
+
+LARGEST: Final = 1e6
+"""No coordinate in metres and no angle in radians is larger; a larger number is damage."""
+RATE_RANGE_HZ: Final = (1.0, 10_000.0)
+
+
+class Row(NamedTuple):
+    """A line of the file: its 1-based number and its fields."""
+
+    number: int
+    fields: list[str]
+
+
+class Table(NamedTuple):
+    """The rows of a text, and the names of its columns if the text gives them.
+
+    Blank lines and lines that start with `#` are no rows. A header is a first line without any number, or the
+    last comment before the first row if it has as many fields as that row (as `numpy.savetxt` writes it).
+    """
+
+    header: list[str] | None
+    header_is_comment: bool
+    rows: list[Row]
+
+
+def read_table(text: str) -> Table:
+    """Splits a text into header and rows without looking at the values."""
+    header: list[str] | None = None
+    comment: list[str] = []
+    rows: list[Row] = []
+    for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
+        if not line or line.isspace():
+            continue
+        if line.lstrip().startswith("#"):
+            if not rows:
+                comment = _split(line.lstrip()[1:])
+            continue
+        fields = _split(line)
+        if not rows and header is None and len(fields) > 1 and not any(is_number(field) for field in fields):
+            header = fields
+        else:
+            rows.append(Row(number, fields))
+    if header is None and rows and len(comment) == len(rows[0].fields) and not any(map(is_number, comment)):
+        return Table(comment, True, rows)
+    return Table(header, False, rows)
+
+
+def _split(line: str) -> list[str]:
+    if "," in line:
+        return line.split(",")
+    return line.split(";") if ";" in line else line.split()
+
+
+def is_number(field: str) -> bool:
+    """Whether a field is a number (NaN and infinity included)."""
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True
+
+
+def to_array(
+    rows: Sequence[Row],
+    columns: int,
+    column_name: Callable[[int], str],
+    what: str,
+    largest: float | Sequence[float] = LARGEST,
+) -> NDArray[np.float64]:
+    """The values of all rows, (rows, columns).
+
+    Args:
+        rows: of the file.
+        columns: how many each must have.
+        column_name: 0-based column → what it holds, for messages.
+        what: the format, for messages.
+        largest: magnitude allowed, in all columns or in each.
+
+    Raises:
+        ClipError: wrong number of columns, or a value that is not a finite, sensible number; says which line
+            and column.
+    """
+    values = np.empty((len(rows), columns))
+    for i, (number, fields) in enumerate(rows):
+        if len(fields) != columns:
+            last = "; the last line: the file may be truncated" if i == len(rows) - 1 and i > 0 else ""
+            raise ClipError(f"line {number} has {len(fields)} columns; expected {columns} ({what}){last}")
+        try:
+            if "_" in "".join(fields):  # Python reads 1_0 as ten
+                raise ValueError
+            values[i] = list(map(float, fields))
+        except ValueError:
+            bad = next(c for c, field in enumerate(fields) if "_" in field or not is_number(field))
+            raise ClipError(
+                f"line {number}, column {bad + 1} ({column_name(bad)}): '{fields[bad].strip()[:20]}' is not a number"
+            ) from None
+    wrong = ~(np.isfinite(values) & (np.abs(values) <= largest))
+    if np.any(wrong):
+        i, c = np.argwhere(wrong)[0]
+        value = values[i, c]
+        problem = "too large" if np.isfinite(value) else "not finite"
+        raise ClipError(f"line {rows[i].number}, column {c + 1} ({column_name(int(c))}): {value:g} is {problem}")
+    return values
+
+
+def check_positive(value: float, what: str, unit: str = "") -> None:
+    """Raises `ClipError` unless `value` is positive and finite."""
+    if not (np.isfinite(value) and value > 0):
+        raise ClipError(f"{what} must be positive, found {value:g}{unit and ' ' + unit}")
+
+
+def check_rate(rate_hz: float) -> None:
+    """Raises `ClipError` unless a frame rate is one that a motion can have."""
+    check_positive(rate_hz, "the frame rate", "Hz")
+    if not RATE_RANGE_HZ[0] <= rate_hz <= RATE_RANGE_HZ[1]:
+        raise ClipError(f"the frame rate is {rate_hz:g} Hz; expected {RATE_RANGE_HZ[0]:g} to {RATE_RANGE_HZ[1]:g}")
+
+
+def check_frames(count: int) -> None:
+    """Raises `ClipError` unless there are enough frames to move."""
+    if count < 2:
+        raise ClipError(f"a clip needs at least 2 frames, found {count}")

@@ -1,0 +1,414 @@
+"""Where an animal's take repeats itself: its locomotion cycles, found and named.
+
+Period: the difference function of the pitch detector YIN (de Cheveigné and Kawahara 2002), over the toes' paths under
+the hips instead of a sound. At frame t and lag L it compares the cycle before t with the one after it,
+
+    d(t, L) = mean over s in [t - L, t) of |x(s + L) - x(s)|²,
+
+relative to its mean over all shorter lags, d'(t, L): near 0 where x repeats after L, near 1 where it does not. The
+course of the lag over time, with stretches where nothing repeats, is the cheapest path through d' (Viterbi), as pitch
+trackers find it. Cycles that follow one another and are alike in tempo, speed, turning and footfall are a segment.
+
+Gait: from the legs' phases (Hildebrand 1965). In a symmetrical gait left and right are half a cycle apart, and the part
+of a cycle by which a fore foot follows the hind foot of its side tells pace (0), walk (1/4) and trot (1/2) apart.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.errors import ClipError, ConfigError
+from fastmimic.clips.clip import Clip
+
+Array = NDArray[np.float64]
+
+STAND: Final = "stand"
+DISCRETE: Final = "discrete"
+TURN: Final = "turn"
+FOOTFALLS: Final = ("walk", "trot", "pace", "canter", "gallop", "bound")
+GAITS: Final = (*FOOTFALLS, TURN, STAND, DISCRETE)
+"""What a segment can be; `discrete` is movement that does not repeat, `turn` any footfall that turns enough."""
+
+_SQUARE: Final = 0.125  # of a cycle: half way between pace, walk and trot
+
+
+@dataclass(frozen=True)
+class SegmentConfig:
+    """How takes are cut.
+
+    Attributes:
+        shortest_s, longest_s: of the cycles that are looked for, s.
+        aperiodic: d' from which not repeating is the better account of a frame.
+        onset: cost of beginning or ending a stretch that repeats, in the same unit.
+        drift: cost of changing the lag, per unit of its logarithm.
+        tempo, speed, turning, footfall: cycles that differ by more are not of one segment: relative change of the
+            period; share of the speed, 0.1 m/s besides; rad a cycle; cycles of any leg's phase.
+        turn_rad: a segment that turns by more in a cycle is a turn.
+        still_m: toes that move less under their hips, and a trunk that moves less, in half a second, stand.
+        stand_s: standing that is shorter than this is not told.
+        discrete_s: nor is other movement that is shorter.
+    """
+
+    shortest_s: float = 0.25
+    longest_s: float = 1.5
+    aperiodic: float = 0.45
+    onset: float = 2.0
+    drift: float = 6.0
+    tempo: float = 0.12
+    speed: float = 0.25
+    turning: float = 0.30
+    footfall: float = 0.16
+    turn_rad: float = 0.26
+    still_m: float = 0.02
+    stand_s: float = 0.5
+    discrete_s: float = 0.25
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (math.isfinite(value) and value > 0):
+                raise ConfigError(f"segment: {name} must be positive, found {value}")
+        if self.longest_s <= self.shortest_s:
+            raise ConfigError(
+                f"segment: the longest cycle ({self.longest_s:g} s) must be longer than the shortest"
+                f" ({self.shortest_s:g} s)"
+            )
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A part of a take.
+
+    Attributes:
+        start, end: frames, 0-based, end exclusive.
+        gait: one of `GAITS`.
+        footfall: one of `FOOTFALLS`, of a turn as well; None where nothing repeats.
+        period_frames: of a cycle; None where nothing repeats.
+        cycle: first frame and end of the cycle that repeats best; None where nothing repeats.
+        confidence: 1 where it repeats exactly, 0 where d' says that it might as well not; of standing and discrete
+            pieces, how clearly nothing repeats.
+        speed_m_s: of the trunk over the ground, mean, in the animal's size.
+        yaw_rate_rad_s: of its heading, mean, positive to the left.
+    """
+
+    start: int
+    end: int
+    gait: str
+    footfall: str | None
+    period_frames: float | None
+    cycle: tuple[int, int] | None
+    confidence: float
+    speed_m_s: float
+    yaw_rate_rad_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Take:
+    """x (t, 4, 3): toes from their hips in the heading frame, m; heading (t,) rad, unwrapped; trunk (t, 2), m."""
+
+    toes: Array
+    heading: Array
+    trunk: Array
+    rate_hz: float
+
+
+def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segment]:
+    """Cuts a take into what repeats, what stands and what does neither, in order, without overlap.
+
+    Args:
+        clip: of any length that holds two of the shortest cycles; or one, if its source says that it is one.
+        config: thresholds.
+
+    Raises:
+        ClipError: the clip is too short, or its frames too few a second, to tell.
+    """
+    config = config if config is not None else SegmentConfig()
+    if clip.is_cycle and clip.n_frames <= config.longest_s * clip.rate_hz:
+        return [as_one_cycle(clip, config)]
+    fewest = 2 * math.ceil(config.shortest_s * clip.rate_hz)
+    if clip.n_frames < fewest:
+        raise ClipError(
+            f"{clip.n_frames} frames at {clip.rate_hz:g} Hz are too few to find cycles in; two cycles of"
+            f" {config.shortest_s:g} s are {fewest} frames"
+        )
+    if config.shortest_s * clip.rate_hz < 6:
+        raise ClipError(f"{clip.rate_hz:g} frames a second are too few for cycles of {config.shortest_s:g} s")
+    take = _take(clip)
+    lags, aperiodicity = _aperiodicity(take.toes, clip.rate_hz, config)
+    period = _track(lags, aperiodicity, config)
+    period[_still(take, config)] = 0
+    segments = _periodic(take, period, lags, aperiodicity, config)
+    return _with_the_rest(take, segments, aperiodicity, config)
+
+
+def as_one_cycle(clip: Clip, config: SegmentConfig | None = None) -> Segment:
+    """A clip that is taken for one cycle, whether or not it is: its gait, speed and turning, and how well it closes."""
+    config = config if config is not None else SegmentConfig()
+    take = _take(clip)
+    n = len(take.heading)
+    piece = _piece(take, 0, n, float(n))
+    x = take.toes.reshape(n, -1)
+    gap = float(np.sum((2 * x[-1] - x[-2] - x[0]) ** 2) / max(2 * x.var(axis=0).sum(), 1e-12))
+    return _named(take, piece, float(n), (0, n), min(max(1.0 - gap, 0.0), 1.0), config)
+
+
+def _take(clip: Clip) -> _Take:
+    neck, pelvis = clip.point("neck"), clip.point("pelvis")
+    ahead = (neck - pelvis)[:, :2]
+    heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    c, s = np.cos(heading)[:, None], np.sin(heading)[:, None]
+    x, y, z = np.moveaxis(clip.toes_w - clip.hips_w, -1, 0)
+    toes = np.stack([c * x + s * y, c * y - s * x, z], axis=-1)
+    return _Take(toes, heading, ((neck + pelvis) / 2)[:, :2], clip.rate_hz)
+
+
+def _aperiodicity(toes: Array, rate_hz: float, config: SegmentConfig) -> tuple[NDArray[np.int64], Array]:
+    """The lags (k,), frames, that are looked at, and d' (t, k); NaN where the take holds less than half of a cycle on
+    one side."""
+    x = toes.reshape(len(toes), -1)
+    n, first = len(x), math.ceil(config.shortest_s * rate_hz)
+    lags = np.arange(1, min(math.floor(config.longest_s * rate_hz), 2 * n // 3) + 1)
+    difference = np.full((n, len(lags)), np.nan)
+    t = np.arange(n)
+    for lag in lags:
+        squares = np.sum((x[lag:] - x[:-lag]) ** 2, axis=1)
+        until = np.concatenate([[0.0], np.cumsum(squares)])
+        start, end = np.clip([t - lag, t], 0, len(squares))
+        known = 2 * (end - start) >= lag
+        difference[known, lag - 1] = (until[end] - until[start])[known] / (end - start)[known]
+    count = np.cumsum(np.isfinite(difference), axis=1)
+    mean = np.nancumsum(difference, axis=1) / np.maximum(count, 1)
+    relative = difference / np.maximum(mean, 1e-12)
+    return lags[first - 1 :], relative[:, first - 1 :]
+
+
+def _track(lags: NDArray[np.int64], aperiodicity: Array, config: SegmentConfig) -> NDArray[np.int64]:
+    """(t,) the lag at which each frame repeats, 0 where it does not: the cheapest path."""
+    n, k = aperiodicity.shape
+    cost = np.where(np.isfinite(aperiodicity), aperiodicity, np.inf)
+    step = np.array([-2, -1, 0, 1, 2])
+    at = np.arange(k)[:, None] + step  # (k, 5) where a lag can have come from
+    inside = (at >= 0) & (at < k)
+    at = np.clip(at, 0, k - 1)
+    change = np.where(inside, config.drift * np.abs(np.log(lags[at] / lags[:, None])), np.inf)
+    came = np.zeros((n, k + 1), np.int64)  # the state before: index of a lag, or k where nothing repeats
+    best, silent = cost[0], config.aperiodic
+    for t in range(1, n):
+        ways = best[at] + change
+        choice = ways.argmin(axis=1)
+        staying, beginning = ways[np.arange(k), choice], silent + config.onset
+        last = int(best.argmin())
+        ending = best[last] + config.onset
+        came[t, :k] = np.where(beginning < staying, k, at[np.arange(k), choice])
+        came[t, k] = last if ending < silent else k
+        best, silent = cost[t] + np.minimum(staying, beginning), config.aperiodic + min(ending, silent)
+    state = int(best.argmin()) if best.min() < silent else k
+    found = np.zeros(n, np.int64)
+    for t in range(n - 1, -1, -1):
+        found[t] = lags[state] if state < k else 0
+        state = came[t, state]
+    return found
+
+
+def _still(take: _Take, config: SegmentConfig) -> NDArray[np.bool_]:
+    """(t,) whether nothing moves for half a second around a frame."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    window = 2 * round(0.25 * take.rate_hz) + 1
+    moving = np.concatenate([take.toes.reshape(len(take.toes), -1), take.trunk], axis=1)
+    extent = maximum_filter1d(moving, window, axis=0) - minimum_filter1d(moving, window, axis=0)
+    return np.asarray(extent.max(axis=1) < config.still_m)
+
+
+@dataclass(eq=False)
+class _Piece:
+    """One or more cycles: frames [start, end), and what they are like: period, frames; speed, m/s; yaw, rad a cycle;
+    (4,) fundamentals of the toes' paths, their phase that of each leg's."""
+
+    start: int
+    end: int
+    period: float
+    speed: float
+    yaw: float
+    legs: NDArray[np.complex128]
+
+    def unlike(self, other: "_Piece", config: SegmentConfig) -> float:
+        """How different they are; up to 1 they can be of one segment."""
+        phases = np.angle(self.legs * np.conj(self.legs[0]) * np.conj(other.legs) * other.legs[0]) / (2 * math.pi)
+        slower = min(self.speed, other.speed)
+        return max(
+            abs(math.log(self.period / other.period)) / config.tempo,
+            abs(self.speed - other.speed) / (config.speed * slower + 0.1),
+            abs(self.yaw - other.yaw) / config.turning,
+            float(np.abs(phases).max()) / config.footfall,
+        )
+
+
+def _runs(on: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and end of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _periodic(
+    take: _Take, period: NDArray[np.int64], lags: NDArray[np.int64], aperiodicity: Array, config: SegmentConfig
+) -> list[Segment]:
+    """The segments that repeat."""
+    runs = _runs(period > 0)
+    found = []
+    for i, (start, end) in enumerate(runs):
+        # where a gait begins, half of a cycle goes by until a frame's next cycle is more like its last one than not
+        before = (runs[i - 1][1] + start) // 2 if i else 0
+        after = (end + runs[i + 1][0]) // 2 if i + 1 < len(runs) else len(period)
+        first = max(before, start - int(period[start]) // 2)
+        last = min(after, end + int(period[end - 1]) // 2)
+        track = np.interp(np.arange(first, last), np.arange(start, end), period[start:end].astype(float))
+        if last - first >= 1.5 * track.mean():
+            pieces = _merged(_cycles(take, first, track), config)
+            found += [_segment(take, piece, period, lags, aperiodicity, config) for piece in pieces]
+    return found
+
+
+def _cycles(take: _Take, first: int, track: Array) -> list[_Piece]:
+    """The cycles one after another from frame `first` on, by the course (t,) of the period; what is left at the end
+    is the last one's."""
+    count = max(1, int(np.sum(1.0 / track)))
+    done = np.concatenate([[0.0], np.cumsum(1.0 / track)])
+    edges = first + np.searchsorted(done, np.arange(count) * (1.0 - 1e-9))
+    edges = np.append(edges, first + len(track))
+    return [_piece(take, int(a), int(b), float(np.median(track[a - first : b - first]))) for a, b in pairwise(edges)]
+
+
+def _piece(take: _Take, start: int, end: int, period: float) -> _Piece:
+    seconds = (end - start) / take.rate_hz
+    travel = np.linalg.norm(take.trunk[min(end, len(take.trunk) - 1)] - take.trunk[start])
+    turn = take.heading[min(end, len(take.heading) - 1)] - take.heading[start]
+    t = np.arange(start, end)
+    toes = take.toes[start:end]
+    wave = np.exp(-2j * math.pi * t / period)
+    fore_aft, height = (wave @ (toes[..., axis] - toes[..., axis].mean(axis=0)) for axis in (0, 2))
+    # feet that step sideways or on the spot go nowhere: their height tells
+    legs = fore_aft if np.linalg.norm(fore_aft) > np.linalg.norm(height) else height
+    return _Piece(start, end, period, float(travel) / seconds, float(turn) * period / (end - start), legs)
+
+
+def _merged(pieces: list[_Piece], config: SegmentConfig) -> list[_Piece]:
+    """Joins neighbours, the most alike first, as long as any are alike."""
+    pieces = list(pieces)
+    while len(pieces) > 1:
+        unlike = [a.unlike(b, config) for a, b in pairwise(pieces)]
+        i = int(np.argmin(unlike))
+        if unlike[i] > 1.0:
+            break
+        pieces[i : i + 2] = [_joined(*pieces[i : i + 2])]
+    return pieces
+
+
+def _joined(a: _Piece, b: _Piece) -> _Piece:
+    na, nb = a.end - a.start, b.end - b.start
+    w = na / (na + nb)
+
+    def mean(x: float, y: float) -> float:
+        return w * x + (1 - w) * y
+
+    # phases are relative to the first leg, so that periods that are not quite right do not turn one against the other
+    legs = a.legs * np.conj(a.legs[0]) / abs(a.legs[0]) + b.legs * np.conj(b.legs[0]) / abs(b.legs[0])
+    return _Piece(
+        a.start, b.end, mean(a.period, b.period), mean(a.speed, b.speed), mean(a.yaw, b.yaw), np.asarray(legs)
+    )
+
+
+def _segment(
+    take: _Take,
+    piece: _Piece,
+    track: NDArray[np.int64],
+    lags: NDArray[np.int64],
+    aperiodicity: Array,
+    config: SegmentConfig,
+) -> Segment:
+    start, end = piece.start, piece.end
+    tracked = track[start:end]
+    frames = start + np.flatnonzero(tracked > 0)
+    found = np.median(track[frames]) if len(frames) else piece.period
+    doubt = aperiodicity[frames, track[frames] - lags[0]] if len(frames) else np.ones(1)
+    confidence = float(np.clip(1.0 - np.nanmean(doubt), 0.0, 1.0))
+    return _named(take, piece, float(found), _best_cycle(take, start, end, round(found)), confidence, config)
+
+
+def _named(
+    take: _Take, piece: _Piece, period: float, cycle: tuple[int, int], confidence: float, config: SegmentConfig
+) -> Segment:
+    speed, yaw_rate = _motion(take, piece.start, piece.end)
+    footfall = footfall_of(np.angle(piece.legs) / (2 * math.pi))
+    turns = abs(yaw_rate) * period / take.rate_hz > config.turn_rad
+    gait = TURN if turns else footfall
+    return Segment(piece.start, piece.end, gait, footfall, period, cycle, confidence, speed, yaw_rate)
+
+
+def _motion(take: _Take, start: int, end: int) -> tuple[float, float]:
+    """Mean speed of the trunk over the ground, m/s, along its smoothed path, and of its turning, rad/s."""
+    seconds = (end - start - 1) / take.rate_hz
+    if seconds <= 0:
+        return 0.0, 0.0
+    step = max(1, round(0.2 * take.rate_hz))
+    way = take.trunk[np.append(np.arange(start, end - 1, step), end - 1)]
+    speed = np.linalg.norm(np.diff(way, axis=0), axis=1).sum() / seconds
+    return float(speed), float(take.heading[end - 1] - take.heading[start]) / seconds
+
+
+def _best_cycle(take: _Take, start: int, end: int, period: int) -> tuple[int, int]:
+    """First frame and end of the cycle that closes best: toes and their velocities agree at its ends."""
+    if end - start <= period + 1:
+        return start, min(start + period, end)
+    x = take.toes[start:end].reshape(end - start, -1)
+    velocity = np.asarray(np.gradient(x, axis=0))
+    gap = np.sum((x[period:] - x[:-period]) ** 2, axis=1)
+    gap += (period / (2 * math.pi)) ** 2 * np.sum((velocity[period:] - velocity[:-period]) ** 2, axis=1)
+    first = start + int(gap.argmin())
+    return first, first + period
+
+
+def footfall_of(phases: Array) -> str:
+    """The gait of legs whose paths have these phases (4,), cycles, in the common order; one of `FOOTFALLS`."""
+
+    def apart(a: int, b: int) -> float:
+        return float(abs((phases[a] - phases[b] + 0.5) % 1.0 - 0.5))
+
+    fr, fl, rr, rl = range(4)
+    fore, hind = apart(fr, fl), apart(rr, rl)
+    if fore > 0.5 - 1.5 * _SQUARE and hind > 0.5 - 1.5 * _SQUARE:  # symmetrical
+        diagonal = (apart(fr, rl) + apart(fl, rr)) / 2
+        lateral = (apart(fr, rr) + apart(fl, rl)) / 2
+        if lateral < _SQUARE:
+            return "pace"
+        return "trot" if diagonal < _SQUARE else "walk"
+    if fore < _SQUARE / 2 and hind < _SQUARE / 2:
+        return "bound"
+    if min(apart(fr, rl), apart(fl, rr)) < _SQUARE / 2:
+        return "canter"  # three beats: one diagonal lands together
+    return "gallop"
+
+
+def _with_the_rest(take: _Take, segments: list[Segment], aperiodicity: Array, config: SegmentConfig) -> list[Segment]:
+    """Adds standing and movement that does not repeat between the segments."""
+    n = len(take.heading)
+    free = np.ones(n, dtype=bool)
+    for segment in segments:
+        free[segment.start : segment.end] = False
+    still = _still(take, config)
+    least = np.nanmin(np.where(np.isfinite(aperiodicity), aperiodicity, np.inf), axis=1)
+    found = list(segments)
+    for kind, mask, shortest in (
+        (STAND, free & still, config.stand_s),
+        (DISCRETE, free & ~still, config.discrete_s),
+    ):
+        for start, end in _runs(mask):
+            if end - start >= shortest * take.rate_hz:
+                certain = least[start:end]
+                certain = certain[np.isfinite(certain)]
+                sure = 1.0 if kind == STAND else float(np.clip(certain.mean(), 0.0, 1.0)) if len(certain) else 1.0
+                found.append(Segment(start, end, kind, None, None, None, sure, *_motion(take, start, end)))
+    return sorted(found, key=lambda segment: segment.start)

@@ -1,0 +1,293 @@
+"""Built-in animal-like gaits: keypoints of a dog-sized animal, made by formula.
+
+They stand in for recordings where none may be shipped, and go through the very same retargeting. The animal has a
+dog's proportions; its trunk bobs, sways, rolls and pitches in step with its legs; its paws roll over the toes before
+they leave, swing in an asymmetric arc, front higher than hind, and reach back a little before they land. Everything
+is twice continuously differentiable in time.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.conventions import FRONT, LEFT
+from fastmimic.base.errors import ConfigError, did_you_mean
+from fastmimic.base.rotations import quat_from_rotvec, quat_from_yaw, quat_multiply, quat_rotate, rotate_planar
+from fastmimic.clips.clip import Clip
+
+Array = NDArray[np.float64]
+
+RATE_HZ: Final = 120.0
+ROBOT_SCALE: Final = 0.825
+"""Speeds and lifts are given at the A1's size; the animal is larger by the published scale."""
+
+# A dog, m: means over the public recordings (points against the middle of the neck–pelvis line).
+_ROOT_HEIGHT: Final = 0.443
+_SPINE: Final = np.array([0.265, 0.0, 0.025])
+_HIP: Final = np.stack(
+    [np.where(FRONT, 0.176, -0.255), np.where(LEFT, 0.045, -0.045), np.where(FRONT, -0.045, -0.07)], axis=-1
+)
+_TOE_MARKER_HEIGHT: Final = 0.015
+_SIDE: Final = np.where(LEFT, 1.0, -1.0)
+
+
+@dataclass(frozen=True)
+class GaitSpec:
+    """A gait. Lengths and speeds at the A1's size; legs FR, FL, RR, RL; phases are shares of the period.
+
+    Attributes:
+        about: what it is, in a few words.
+        speed: forwards, m/s.
+        lateral_speed: to the left, m/s.
+        yaw_rate: to the left, rad/s.
+        period: s.
+        duty: share of the period in stance.
+        phase: (4,) when each leg touches down.
+        lift: height of the front feet's swing, m; the hind feet lift `hind_lift` of it.
+        hind_lift: see above.
+        half_width: lateral distance of the footholds from the midline, m.
+        bob: amplitude of the trunk's vertical motion, m, and `bob_harmonic` times a period.
+        bob_harmonic: see above.
+        sway: amplitude towards the standing side, once a period, m.
+        roll, pitch, yaw: amplitudes, rad; roll and yaw once a period, pitch with the bob.
+    """
+
+    about: str = ""
+    speed: float = 0.0
+    lateral_speed: float = 0.0
+    yaw_rate: float = 0.0
+    period: float = 0.5
+    duty: float = 0.55
+    phase: tuple[float, float, float, float] = (0.0, 0.5, 0.5, 0.0)
+    lift: float = 0.06
+    hind_lift: float = 0.85
+    half_width: float = 0.03
+    bob: float = 0.008
+    bob_harmonic: int = 2
+    sway: float = 0.0
+    roll: float = 0.0
+    pitch: float = 0.01
+    yaw: float = 0.02
+
+
+_TROT = GaitSpec(
+    about="trot: diagonal legs together",
+    speed=1.25,
+    period=0.5,
+    duty=0.52,
+    lift=0.07,
+    bob=0.009,
+    roll=0.02,
+    sway=0.002,
+)
+GAITS: Final[dict[str, GaitSpec]] = {
+    "trot": _TROT,
+    "pace": GaitSpec(
+        about="pace: legs of a side together",
+        speed=0.95,
+        period=0.6,
+        duty=0.56,
+        phase=(0.0, 0.5, 0.02, 0.52),
+        lift=0.06,
+        bob=0.005,
+        sway=0.008,
+        roll=0.03,
+        pitch=0.012,
+    ),
+    "turn": GaitSpec(
+        about="trot in a left-hand curve",
+        speed=0.6,
+        yaw_rate=1.1,
+        period=0.55,
+        duty=0.58,
+        lift=0.06,
+        bob=0.006,
+        roll=0.015,
+    ),
+    "side-step": GaitSpec(
+        about="trot sideways, to the left",
+        lateral_speed=0.45,
+        period=0.5,
+        duty=0.56,
+        lift=0.06,
+        half_width=0.08,
+        bob=0.005,
+        yaw=0.0,
+    ),
+    "walk": GaitSpec(
+        about="walk: one leg after another",
+        speed=0.6,
+        period=0.8,
+        duty=0.68,
+        phase=(0.0, 0.5, 0.75, 0.25),
+        lift=0.055,
+        bob=0.005,
+        sway=0.008,
+        roll=0.02,
+    ),
+    "bound": GaitSpec(
+        about="bound: front legs together, then hind legs",
+        speed=1.0,
+        period=0.42,
+        duty=0.5,
+        phase=(0.0, 0.0, 0.5, 0.5),
+        lift=0.06,
+        bob=0.004,
+        pitch=0.05,
+        bob_harmonic=1,
+        yaw=0.0,
+    ),
+    "backward-trot": replace(_TROT, about="trot backwards", speed=-0.6, duty=0.56, lift=0.06, bob=0.006),
+    "spin": GaitSpec(
+        about="turn to the left on the spot",
+        yaw_rate=2.0,
+        period=0.5,
+        duty=0.56,
+        lift=0.06,
+        half_width=0.06,
+        bob=0.005,
+        yaw=0.0,
+    ),
+}
+"""The built-in gaits by name."""
+
+
+def gait(
+    name: str, *, speed: float | None = None, yaw_rate: float | None = None, duty: float | None = None
+) -> GaitSpec:
+    """A built-in gait with some of its parameters replaced.
+
+    Args:
+        name: one of `GAITS`.
+        speed: m/s at the A1's size, along the gait's own direction (sideways for a side-step).
+        yaw_rate: rad/s, positive to the left.
+        duty: share of the period in stance.
+
+    Raises:
+        ConfigError: no such gait, or a value out of range.
+    """
+    if name not in GAITS:
+        raise ConfigError(f"unknown gait '{name}'; there are {', '.join(GAITS)}{did_you_mean(name, GAITS)}")
+    spec = GAITS[name]
+    if speed is not None:
+        _in_range("speed", speed, -2.5, 2.5, "m/s")
+        spec = replace(spec, lateral_speed=speed) if spec.lateral_speed else replace(spec, speed=speed)
+    if yaw_rate is not None:
+        _in_range("yaw_rate", yaw_rate, -4.0, 4.0, "rad/s")
+        spec = replace(spec, yaw_rate=yaw_rate)
+    if duty is not None:
+        _in_range("duty", duty, 0.3, 0.85, "of the period")
+        spec = replace(spec, duty=duty)
+    return spec
+
+
+def generate(
+    name: str, *, speed: float | None = None, yaw_rate: float | None = None, duty: float | None = None
+) -> Clip:
+    """One cycle of a built-in gait as an animal's keypoints; for the arguments and errors see `gait`."""
+    spec = gait(name, speed=speed, yaw_rate=yaw_rate, duty=duty)
+    given = {k: v for k, v in (("speed", speed), ("yaw_rate", yaw_rate), ("duty", duty)) if v is not None}
+    meta: dict[str, object] = {
+        "name": name,
+        "source": "built in",
+        "format": "built-in",
+        "parameters": given,
+        "assumed": [],
+        "licence": "no recording: made by formula, free to use",
+    }
+    return keypoints(spec, meta)
+
+
+def keypoints(spec: GaitSpec, meta: dict[str, object] | None = None) -> Clip:
+    """One cycle of a gait as an animal's keypoints, world frame, z up."""
+    n = max(8, round(spec.period * RATE_HZ))
+    share = np.arange(n) / n
+    period = n / RATE_HZ
+    animal = 1.0 / ROBOT_SCALE
+    twist = np.array([spec.speed * animal * period, spec.lateral_speed * animal * period, spec.yaw_rate * period])
+    position, quat = _trunk(spec, share, twist, animal)
+    points = [position + quat_rotate(quat, -_SPINE), position + quat_rotate(quat, _SPINE)]
+    points += [position + quat_rotate(quat, hip) for hip in _HIP]
+    points += [_toe(spec, leg, share, twist, animal) for leg in range(4)]
+    return Clip(points_w=np.stack(points, axis=1), rate_hz=RATE_HZ, is_cycle=True, meta=dict(meta or {}))
+
+
+def _in_range(what: str, value: float, low: float, high: float, unit: str) -> None:
+    if not low <= value <= high:
+        raise ConfigError(f"{what} must be between {low:g} and {high:g} {unit}, found {value}")
+
+
+def _planar(twist: Array, share: Array) -> tuple[Array, Array]:
+    """Position (t, 2) and heading (t,) of the steady motion after `share` (t,) of a period."""
+    angle = share * twist[2]
+    along, across = np.sinc(angle / np.pi), angle / 2 * np.sinc(angle / (2 * np.pi)) ** 2
+    x, y = share * twist[0], share * twist[1]
+    return np.stack([along * x - across * y, across * x + along * y], axis=-1), angle
+
+
+def _trunk(spec: GaitSpec, share: Array, twist: Array, animal: float) -> tuple[Array, Array]:
+    """Middle of the neck–pelvis line (t, 3) and the trunk's orientation (t, 4)."""
+    xy, heading = _planar(twist, share)
+    left = 2 * np.pi * (share - _middle_of_stance(spec, left=True))
+    front = 2 * np.pi * spec.bob_harmonic * (share - _middle_of_stance(spec, left=False))
+    sway = spec.sway * animal * np.cos(left)
+    xy = xy + rotate_planar(heading, np.stack([np.zeros_like(sway), sway], axis=-1))
+    z = _ROOT_HEIGHT - spec.bob * animal * np.cos(front)  # lowest in the middle of a stance
+    zero = np.zeros_like(share)
+    yaw = quat_from_yaw(heading + spec.yaw * np.sin(left))
+    pitch = quat_from_rotvec(np.stack([zero, spec.pitch * np.cos(front - 0.6), zero], axis=-1))
+    roll = quat_from_rotvec(np.stack([-spec.roll * np.cos(left - 0.4), zero, zero], axis=-1))  # standing side down
+    return np.concatenate([xy, z[:, None]], axis=1), quat_multiply(yaw, quat_multiply(pitch, roll))
+
+
+def _middle_of_stance(spec: GaitSpec, left: bool) -> float:
+    """Phase of mid-stance of the left hind leg (whose side carries the trunk), or of the right front leg."""
+    return spec.phase[3 if left else 0] + spec.duty / 2
+
+
+def _toe(spec: GaitSpec, leg: int, share: Array, twist: Array, animal: float) -> Array:
+    """World path (t, 3) of one toe marker."""
+    since = np.mod(share - spec.phase[leg], 1.0)  # since touch-down
+    step = np.round(share - since - spec.phase[leg])  # which cycle's stance the toe is in or comes from
+    middle = step + spec.phase[leg] + spec.duty / 2
+    here, there = (
+        _foothold(spec, leg, middle, twist, animal),
+        _foothold(spec, leg, middle + 1.0, twist, animal),
+    )
+    u = np.clip((since - spec.duty) / (1.0 - spec.duty), 0.0, 1.0)
+    xy = here + _forward(u)[:, None] * (there - here)
+    lift = spec.lift * animal * (1.0 if FRONT[leg] else spec.hind_lift)
+    z = _TOE_MARKER_HEIGHT + lift * _arc(u, 0.42 if FRONT[leg] else 0.5)
+    return np.concatenate([xy, z[:, None]], axis=1)
+
+
+def _foothold(spec: GaitSpec, leg: int, middle: Array, twist: Array, animal: float) -> Array:
+    """Where the foot stands (t, 2): under its hip at mid-stance (t,), at the gait's half width."""
+    xy, heading = _planar(twist, middle)
+    under = np.array([_HIP[leg, 0], _SIDE[leg] * spec.half_width * animal])
+    return xy + rotate_planar(heading, np.broadcast_to(under, xy.shape))
+
+
+def _forward(u: Array) -> Array:
+    """Progress of a swing from rest to rest with continuous acceleration: quick to start, steady, and at the end a
+    little too far, so that the paw reaches back before it lands."""
+    ramp = 0.15
+    start, end = np.minimum(u / ramp, 1.0), np.minimum((1.0 - u) / ramp, 1.0)
+
+    def covered(w: Array) -> Array:  # integral of the smooth step 3w² − 2w³
+        return ramp * (w**3 - 0.5 * w**4)
+
+    steady = np.clip(u - ramp, 0.0, 1.0 - 2 * ramp)
+    travelled = covered(start) + steady + np.where(u > 1 - ramp, covered(np.ones_like(u)) - covered(end), 0.0)
+    reach_back = 12.0 * u**6 * (1 - u) ** 3
+    return travelled / (1.0 - ramp) + reach_back
+
+
+def _arc(u: Array, top: float) -> Array:
+    """Height of a swing, 1 at its top at `top` of its time; position, velocity and acceleration vanish at both
+    ends."""
+    rise = 3.0 * top / (1.0 - top)
+    peak = top**rise * (1 - top) ** 3.0
+    return np.where((u > 0) & (u < 1), u**rise * (1 - u) ** 3.0 / peak, 0.0)

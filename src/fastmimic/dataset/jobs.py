@@ -1,0 +1,277 @@
+"""One job of a library: a piece, a robot, a seed; from it a motion, tried in other conditions, and its record.
+
+A job reads its source, goes on from its checkpoint if it was begun before, and writes its motion and then its record.
+Nothing else is shared, so it does not matter where, when and how often it is done.
+"""
+
+import hashlib
+import re
+import socket
+import time
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from fastmimic.base.errors import CheckpointError, FastMimicError, OutputError
+from fastmimic.dataset.folder import SETTINGS
+from fastmimic.dataset.pieces import Piece, reason_of
+from fastmimic.dataset.recipe import SECOND_SIMULATOR_EPISODES, Recipe
+from fastmimic.dataset.records import DONE, FAILED, MOTIONS, Record, empty, load_record, save_record, sha256
+from fastmimic.episode.feasibility import demands, describe_fall, reasons
+from fastmimic.episode.rollout import Rollout, nominal_start, perturbed_start, run_episodes
+from fastmimic.executors import Report
+from fastmimic.experiments.runs import measure, named_values, plain
+from fastmimic.imitation.imitate import Imitation, imitate, load_motion, versions
+from fastmimic.motion.motion import Motion
+from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
+from fastmimic.optimize.cma_es import Progress
+from fastmimic.optimize.randomization import Randomization
+from fastmimic.robot import load_robot
+from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.pybullet_sim import DESCRIPTIONS
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+WORK: Final = "work"
+_SEARCH: Final = 0.85  # the share of a job's time that the search takes, about
+_TRIALS_SEED: Final = 20230618
+
+
+@dataclass(frozen=True)
+class WarmStart:
+    """Where a search begins: like the motion in `file`, which is the record `of`."""
+
+    of: str
+    file: Path
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is done.
+
+    Attributes:
+        piece: the motion.
+        robot: a built-in robot's name, or the path of an MJCF.
+        robot_digest: of its description.
+        seed: of CMA-ES.
+        recipe: how.
+        folder: the library.
+        warm: what the search begins like; None for the unmodulated motion.
+        began: when its build began: a motion that could not be made since then is not tried again.
+    """
+
+    piece: Piece
+    robot: str
+    robot_digest: str
+    seed: int
+    recipe: Recipe
+    folder: Path
+    warm: WarmStart | None = None
+    began: str = "~"  # after all times
+
+    @cached_property
+    def id(self) -> str:
+        """Of its record: 16 hexadecimal digits of all that the motion and its figures depend on."""
+        return _digest(self._content(self.recipe.digest))
+
+    @property
+    def checkpoint(self) -> Path:
+        """Where its search keeps its course. It outlives the job: a longer search, or other trials, go on from it."""
+        return self.folder / WORK / _digest(self._content(self.recipe.search_digest)) / CHECKPOINT
+
+    @property
+    def motion_file(self) -> str:
+        """Its motion's file, relative to the library."""
+        robot = Path(self.robot).stem
+        name = re.sub(r"[^\w.-]+", "_", f"{self.piece.name}-{robot}-{self.seed}")
+        short = name.encode()[:100].decode(errors="ignore")  # file systems count bytes
+        return f"{MOTIONS}/{short}-{self.id}.npz"
+
+    @property
+    def record(self) -> Record:
+        """Its record as far as it is known before."""
+        return {
+            **empty(),
+            **self.piece.described,
+            "id": self.id,
+            "robot": Path(self.robot).stem,
+            "robot_file": self.robot if Path(self.robot).is_absolute() else None,
+            "robot_digest": self.robot_digest,
+            "method": self.recipe.method,
+            "seed": self.seed,
+            "recipe": self.recipe.digest,
+        }
+
+    def _content(self, recipe: str) -> bytes:
+        warm = None if self.warm is None else self.warm.of
+        return repr((self.piece.digest, self.robot_digest, self.seed, recipe, warm)).encode()
+
+
+def now() -> str:
+    """The time, as records have it."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def robot_digest(robot: "Robot") -> str:
+    """16 hexadecimal digits of a robot's description."""
+    return _digest(robot.content)
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def perform(job: Job, report: Report) -> Record:
+    """Does a job, unless its record is there already; the record.
+
+    What is wrong with the piece, and a defect that only it brings to light, is said in the record: the other motions
+    of a library are made nevertheless.
+
+    Raises:
+        OutputError: the library's folder is not to be seen here, or cannot be written to, such as a full disk.
+    """
+    if not (job.folder / SETTINGS).is_file():
+        raise OutputError(
+            f"{job.folder}: no library there as seen from {socket.gethostname()}; all machines must see it under the"
+            " same path"
+        )
+    found = load_record(job.folder, job.id)
+    if found is not None and (found["status"] != FAILED or job.began <= found["finished"]):
+        return found
+    began, busy = time.perf_counter(), time.process_time()
+    record = job.record
+    try:
+        record |= _made(job, report)
+    except OutputError:
+        raise
+    except Exception as error:  # noqa: BLE001 - one motion's defect, of which there may be a thousand others
+        record |= {"status": FAILED, "reason": reason_of(error)}
+    record |= {
+        "wall_s": time.perf_counter() - began,
+        "cpu_s": time.process_time() - busy,
+        "finished": now(),
+    }
+    return _kept(job, record)
+
+
+def give_up(job: Job, error: FastMimicError) -> Record:
+    """Keeps the record of a job whose process died whenever it was begun; raises `OutputError` if it cannot."""
+    return _kept(job, job.record | {"status": FAILED, "reason": reason_of(error), "finished": now()})
+
+
+def _kept(job: Job, record: Record) -> Record:
+    """Writes the record, unless another builder has done the job meanwhile."""
+    there = load_record(job.folder, job.id)
+    if there is not None and there["status"] != FAILED:
+        return there
+    save_record(job.folder, record)
+    return record
+
+
+def _made(job: Job, report: Report) -> Record:
+    """Makes the motion and its file; the part of the record about it."""
+    recipe = job.recipe
+    robot = load_robot(job.robot)
+    demonstration = load_motion(job.piece.open(), robot).target
+
+    def progress(step: Progress) -> None:
+        report(_SEARCH * step.iteration / step.iterations)
+
+    def searched(resume: bool) -> Imitation:
+        return imitate(
+            demonstration,
+            robot,
+            method=recipe.method,
+            config=recipe.config,
+            duration_s=recipe.duration_s,
+            iterations=recipe.iterations,
+            population=recipe.population,
+            seed=job.seed,
+            workers=1,
+            checkpoint=job.checkpoint,
+            resume=resume,
+            progress=progress,
+            warm_start=None if job.warm is None else job.warm.file,
+        )
+
+    try:
+        result = searched(resume=job.checkpoint.is_file())
+    except CheckpointError:  # torn, or of another installation
+        job.checkpoint.unlink(missing_ok=True)
+        result = searched(resume=False)
+    if result.interrupted:
+        raise KeyboardInterrupt
+    tried = _tried(job, result)
+    path = job.folder / job.motion_file
+    result.motion.save(path)
+    report(1.0)
+    said: Record = {
+        "status": DONE,
+        **tried,
+        "warm_start": None if job.warm is None else job.warm.of,
+        "parameters": named_values(result),
+        "iterations": result.iterations,
+        "evaluations": result.evaluations,
+        "motion_file": job.motion_file,
+        "motion_sha256": sha256(path),
+        **{f"{name}_version": version for name, version in versions().items()},
+    }
+    return {name: plain(value) for name, value in said.items()}
+
+
+def _tried(job: Job, result: Imitation) -> Record:
+    """The motion's figures in all conditions of the recipe."""
+    recipe, robot, demonstration = job.recipe, result.robot, result.demonstration
+    measured = measure(result, evaluation_s=recipe.evaluation_s, perturbed_episodes=recipe.perturbed)
+    figures = {name: value for name, value in measured.figures.items() if name in empty()}
+    needs = demands(robot, demonstration)
+    exceeded = reasons(needs, describe_fall(robot, measured.after))
+    simulated_s = result.simulated_s + measured.simulated_s
+    figures |= {
+        **_what_it_is(demonstration),
+        "joint_speed_share": needs.joint_speed,
+        "torque_share": needs.torque,
+        "friction_needed": needs.friction,
+        "flight_share": needs.flight,
+        "limits_exceeded": "; ".join(reason.text for reason in exceeded) or None,
+    }
+
+    def elsewhere(conditions: Conditions, episodes: int, perturbed: bool) -> Rollout:
+        start = nominal_start(episodes)
+        if perturbed:
+            start = perturbed_start(episodes + 1, 1, np.random.default_rng(_TRIALS_SEED)).part(slice(1, None))
+        return run_episodes(
+            robot, result.motion, start=start, duration_s=measured.seconds, config=result.config, conditions=conditions
+        )
+
+    if recipe.others:
+        others = Randomization().held_out(recipe.others)
+        rollout = elsewhere(Conditions(disturbances=others), recipe.others, perturbed=False)
+        simulated_s += measured.seconds * recipe.others
+        figures |= {
+            "reward_robots": rollout.reward.mean(),
+            "reward_robots_worst": rollout.reward.min(),
+            "fell_robots": rollout.fell.mean(),
+        }
+    if recipe.second_simulator and job.robot in DESCRIPTIONS:
+        rollout = elsewhere(Conditions("pybullet"), SECOND_SIMULATOR_EPISODES, perturbed=True)
+        simulated_s += measured.seconds * SECOND_SIMULATOR_EPISODES
+        figures |= {"reward_second_simulator": rollout.reward.mean(), "fell_second_simulator": rollout.fell.mean()}
+    return figures | {"simulated_s": simulated_s}
+
+
+def _what_it_is(motion: Motion) -> Record:
+    """Of the robot's demonstration: speed over the ground along its own path, turning, and share of stance."""
+    velocity = motion.root_lin_vel_w[:, :2]
+    return {
+        "period_s": motion.period_s,
+        "speed_m_s": np.linalg.norm(velocity, axis=1).mean(),
+        "yaw_rate_rad_s": motion.root_ang_vel_w[:, 2].mean(),
+        "duty_factor": motion.contact.mean(),
+        "repeats": motion.cycle is not None,
+    }

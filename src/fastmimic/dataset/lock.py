@@ -1,0 +1,120 @@
+"""Who works in a library now: any number of builders, or one that puts it in order.
+
+A process leaves a file there and touches it as long as it lives. The locks of operating systems cannot be relied on
+across every network's file system; the time of a file can, as it is the file system's own for all.
+"""
+
+import os
+import secrets
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from fastmimic.base.errors import LibraryError, OutputError
+from fastmimic.base.files import check_folder
+
+SUFFIX: Final = ".lock"
+BUILDING: Final = "building"
+MENDING: Final = "mending"
+BEAT_S: Final = 15.0
+SILENT_S: Final = 120.0
+"""A process that has not touched its file for so long is dead, wherever it was; on this machine that is seen at
+once."""
+
+
+@contextmanager
+def building(folder: Path) -> Iterator[None]:
+    """Says that a library is built, and makes sure that nobody puts it in order meanwhile.
+
+    Raises:
+        LibraryError: it is being put in order.
+        OutputError: the folder cannot be written to.
+    """
+    with _sign(folder, BUILDING) as own:
+        for other in _living(folder, own):
+            if other.startswith(MENDING):
+                raise LibraryError(f"{folder}: is being mended now ({_who(other)}); build again when that has ended")
+        yield
+
+
+@contextmanager
+def mending(folder: Path) -> Iterator[None]:
+    """Keeps everybody else out of a library while it is put in order.
+
+    Raises:
+        LibraryError: somebody is there.
+        OutputError: the folder cannot be written to.
+    """
+    with _sign(folder, MENDING) as own:
+        for other in _living(folder, own):
+            what = "built" if other.startswith(BUILDING) else "mended"
+            raise LibraryError(
+                f"{folder}: is being {what} now ({_who(other)}), and would lose what that has begun; mend it when that"
+                f" has ended, or, if it was killed, {SILENT_S / 60:.0f} minutes later"
+            )
+        yield
+
+
+@contextmanager
+def _sign(folder: Path, what: str) -> Iterator[Path]:
+    """A file that is there, and touched, as long as the block runs."""
+    check_folder(folder)
+    path = folder / f"{what}-{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(3)}{SUFFIX}"
+    try:
+        path.write_text(_machine() or "")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    ended = threading.Event()
+
+    def touch() -> None:
+        while not ended.wait(BEAT_S):
+            with suppress(OSError):
+                path.touch()
+
+    beating = threading.Thread(target=touch, daemon=True)
+    beating.start()
+    try:
+        yield path
+    finally:
+        ended.set()
+        beating.join()
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+
+
+def _living(folder: Path, own: Path) -> Iterator[str]:
+    """The names of others' files; those of processes that are dead are removed."""
+    now = own.stat().st_mtime
+    for path in folder.glob(f"*{SUFFIX}"):
+        if path == own:
+            continue
+        try:
+            silent = now - path.stat().st_mtime > SILENT_S
+            here = path.read_text() == (_machine() or "-")
+        except OSError:  # it has just ended
+            continue
+        if silent or (here and not Path("/proc", _pid(path.name)).exists()):
+            with suppress(OSError):
+                path.unlink()
+        else:
+            yield path.name
+
+
+def _machine() -> str | None:
+    """What tells this machine's, or container's, processes from others'; None where that cannot be told."""
+    with suppress(OSError):
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        return f"{socket.gethostname()} {boot} {os.readlink('/proc/self/ns/pid')}"
+    return None
+
+
+def _pid(name: str) -> str:
+    return name.rsplit("-", 2)[1]
+
+
+def _who(name: str) -> str:
+    host = name.partition("-")[2].rsplit("-", 2)[0]
+    return f"process {_pid(name)} on {host}"

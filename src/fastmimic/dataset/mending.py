@@ -1,0 +1,88 @@
+"""Checking a library by running it, and putting it in order."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from fastmimic.base.errors import MotionError, OutputError, RobotError
+from fastmimic.control.config import controller_config
+from fastmimic.dataset.folder import Health, Library, check
+from fastmimic.dataset.lock import mending
+from fastmimic.dataset.pieces import reason_of
+from fastmimic.episode.rollout import run_episodes
+from fastmimic.imitation.imitate import default_duration
+from fastmimic.imitation.methods import method_named
+from fastmimic.robot import load_robot
+
+_DRAW_SEED = 0
+_COLUMNS = ("id", "name", "robot", "robot_file", "method", "motion_file", "reward", "lacks")
+
+
+def rerun(library: Library, count: int, progress: Callable[[int, int], None] | None = None) -> tuple[list[str], int]:
+    """Runs motions' nominal episodes again.
+
+    Args:
+        library: the library.
+        count: how many, drawn at random; all if there are not more.
+        progress: called with (done, all).
+
+    Returns:
+        Those with another reward than is recorded, or that cannot be run as their file or their robot's is damaged or
+        not there any more, a line each; and how many were drawn.
+
+    Raises:
+        LibraryError: there is no index, or it is damaged.
+        ConfigError: the file of the controller's parameters is not there any more.
+    """
+    recipe = library.recipe()
+    assert recipe is not None, "an open library has one"
+    controller = controller_config(recipe.config)
+    rows = [row for row in library.index(_COLUMNS) if row["motion_file"] is not None]
+    drawn = np.random.default_rng(_DRAW_SEED).permutation(len(rows))[:count]
+    found = []
+    for i, at in enumerate(drawn):
+        row = rows[at]
+        config = method_named(row["method"]).configure(controller)
+        what = f"{row['id']} {row['name']} on {row['robot']}"
+        try:
+            motion = library.motion(row)
+            seconds = min(recipe.evaluation_s, default_duration(motion.target, recipe.evaluation_s))
+            robot = load_robot(row["robot_file"] or row["robot"])
+            reward = float(run_episodes(robot, motion, duration_s=seconds, config=config).reward[0])
+        except (MotionError, RobotError) as error:
+            found.append(f"{what}: {reason_of(error)}")
+        else:
+            if reward != row["reward"]:
+                found.append(f"{what}: {row['reward']!r} recorded, {reward!r} now")
+        if progress is not None:
+            progress(i + 1, len(drawn))
+    return found, len(drawn)
+
+
+def mend(library: Library, progress: Callable[[int, int], None] | None = None) -> tuple[Health, int]:
+    """Removes what is damaged and what belongs to no record, and writes the index.
+
+    Args:
+        library: the library.
+        progress: as of `fastmimic.dataset.folder.check`.
+
+    Returns:
+        What was found before, and how many files were removed.
+
+    Raises:
+        LibraryError: a build runs there: what it has begun looks like what belongs to no record.
+        OutputError: a file cannot be removed.
+    """
+    removed = 0
+    with mending(library.path):
+        health = check(library, progress)
+        for name in sorted({*health.useless, *health.foreign}):
+            try:
+                (library.path / name).unlink()
+                removed += 1
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                raise OutputError(f"{library.path / name}: cannot be removed ({error.strerror or error})") from None
+        library.write_index()
+    return health, removed

@@ -1,0 +1,326 @@
+"""What a source holds that can be imitated: whole motions, and the cycles of long takes."""
+
+import hashlib
+import json
+import traceback
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fastmimic import __version__
+from fastmimic.base.errors import ClipError, FastMimicError, OutputError
+from fastmimic.base.files import replace_file
+from fastmimic.clips.catalogue import open_clip
+from fastmimic.clips.clip import Clip
+from fastmimic.clips.formats import detect_format
+from fastmimic.clips.segment import DISCRETE, Segment, SegmentConfig, as_one_cycle, find_segments
+from fastmimic.dataset.sources import Source
+from fastmimic.motion.motion import Motion
+from fastmimic.primitive.discrete import MAX_S
+from fastmimic.retarget.retarget import is_one_cycle
+
+SOURCES: Final = "sources"
+WHOLE: Final = "whole"
+"""Of a piece that is not looked at: a robot motion, or frames that were given."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One motion of a source.
+
+    Attributes:
+        name: unique within the source.
+        source: where it is from.
+        frames: (first, end) in it; None for all of it.
+        digest: of its content: 16 hexadecimal digits.
+        gait, footfall: as in `fastmimic.clips.segment.Segment`; `WHOLE` where nothing was looked for.
+        confidence: likewise; 1 where nothing was looked for.
+        repeats: whether it is taken for a cycle.
+        period_s, speed_m_s, yaw_rate_rad_s: in the animal's size, or the robot's if it is its motion.
+        robot: whose motion it is already, if it is one; None for an animal's.
+        licence, credit: of the recording; None where nobody says.
+    """
+
+    name: str
+    source: Source
+    frames: tuple[int, int] | None
+    digest: str
+    gait: str
+    footfall: str | None
+    confidence: float
+    repeats: bool
+    period_s: float
+    speed_m_s: float
+    yaw_rate_rad_s: float
+    robot: str | None
+    licence: str | None
+    credit: str | None
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """What records say of it: what it is, where from, and under which licence."""
+        first, end = self.frames or (None, None)
+        return {
+            "name": self.name,
+            "source": self.source.place,
+            "first_frame": first,
+            "end_frame": end,
+            "piece": self.digest,
+            "gait": self.gait,
+            "footfall": self.footfall,
+            "confidence": self.confidence,
+            "licence": self.licence,
+            "credit": self.credit,
+        }
+
+    def open(self) -> Clip | Motion:
+        """The piece itself.
+
+        Raises:
+            FastMimicError: it cannot be read, or is not what it was when it was found.
+        """
+        whole = _open(self.source)
+        if isinstance(whole, Motion):
+            piece: Clip | Motion = whole
+        else:
+            cut = whole if self.frames is None or self.source.frames is not None else whole.cut(*self.frames)
+            piece = replace(cut, is_cycle=self.repeats, meta={**cut.meta, "name": self.name})
+        if digest_of(piece) != self.digest:
+            raise ClipError(f"{self.source}: has changed since it was looked through; build again")
+        return piece
+
+
+_KINDS: Final = {
+    **dict.fromkeys(("name", "digest", "gait"), str),
+    **dict.fromkeys(("footfall", "robot", "licence", "credit"), str | None),
+    **dict.fromkeys(("confidence", "period_s", "speed_m_s", "yaw_rate_rad_s"), int | float),
+    "repeats": bool,
+}
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What was found in a source.
+
+    Attributes:
+        source: the source.
+        pieces: to be imitated.
+        skipped: why there are none; None if there are.
+        failed: why it cannot be read; None if it can.
+        looked: when what looked at it as it was then (see `look_of`); None if that cannot be told.
+    """
+
+    source: Source
+    pieces: tuple[Piece, ...] = ()
+    skipped: str | None = None
+    failed: str | None = None
+    looked: str | None = None
+
+    @property
+    def problem(self) -> str | None:
+        """Why there are no pieces, with the source's name; None if there are."""
+        said = self.failed or self.skipped
+        return said if said is None or said.startswith(self.source.place) else f"{self.source}: {said}"
+
+
+def survey(source: Source, confidence: float, discrete: bool = False) -> Survey:
+    """Looks through a source; what is wrong with it is part of the result.
+
+    Args:
+        source: the source.
+        confidence: from which a cycle found in a take counts.
+        discrete: whether movement in a take that does not repeat is imitated, too.
+    """
+    try:
+        looked = look_of(source, confidence, discrete)
+        return replace(_found(source, confidence, discrete), looked=looked)
+    except Exception as error:  # noqa: BLE001 - one source's defect, of which there may be a thousand others
+        return Survey(source, failed=reason_of(error))
+
+
+def look_of(source: Source, confidence: float, discrete: bool) -> str | None:
+    """What a survey depends on, with a file told by its size and time: one that says the same need not be made again.
+
+    Args:
+        source, confidence, discrete: as of `survey`.
+
+    Returns:
+        In words; None for a name, of which it cannot be told.
+    """
+    files = [source.place, *([] if source.point_map is None else [source.point_map])]
+    try:
+        states = [Path(place).stat() for place in files]
+    except OSError:
+        return None
+    said = ", ".join(f"{state.st_size} bytes of {state.st_mtime_ns}" for state in states)
+    return f"{said}, confidence {confidence}, discrete {discrete}, fastmimic {__version__}"
+
+
+def _found(source: Source, confidence: float, discrete: bool) -> Survey:
+    opened = _open(source)
+    if isinstance(opened, Motion):
+        return Survey(source, (_of_motion(source, opened),))
+    if source.frames is not None:
+        found = replace(as_one_cycle(opened), gait=WHOLE, confidence=1.0)
+        return Survey(source, (_piece(source, opened, source.frames, found, repeats=is_one_cycle(opened)),))
+    return _of_take(source, opened, confidence, discrete)
+
+
+def reason_of(error: Exception) -> str:
+    """In one line why something could not be done; a defect with its kind and place."""
+    if isinstance(error, FastMimicError):
+        said = str(error)
+    elif isinstance(error, MemoryError):
+        said = "not enough memory"
+    else:
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        said = f"unexpected {type(error).__name__} in {Path(at.filename).name}:{at.lineno}: {error}"
+    return " ".join(said.split())
+
+
+def _open(source: Source) -> Clip | Motion:
+    if Path(source.place).is_file() and detect_format(source.place) == "npz":
+        if source.overrides or source.frames is not None:
+            raise ClipError(
+                f"{source.place}: is already a robot motion; frames, fps, up, scale and point map are of clips"
+            )
+        return Motion.load(source.place)
+    return open_clip(source.place, frames=source.frames, **source.overrides)
+
+
+def _of_motion(source: Source, motion: Motion) -> Piece:
+    robot = motion.meta.get("robot")
+    if robot is None:
+        raise ClipError(f"{source.place}: does not say whose motion it is ('robot' in its meta)")
+    return Piece(
+        name=source.name,
+        source=source,
+        frames=None,
+        digest=digest_of(motion),
+        gait=WHOLE,
+        footfall=None,
+        confidence=1.0,
+        repeats=motion.cycle is not None,
+        period_s=motion.period_s,
+        speed_m_s=float(np.linalg.norm(motion.root_lin_vel_w[:, :2], axis=1).mean()),
+        yaw_rate_rad_s=float(motion.root_ang_vel_w[:, 2].mean()),
+        robot=str(robot),
+        licence=motion.meta.get("licence") or source.licence,
+        credit=motion.meta.get("credit") or source.credit,
+    )
+
+
+def _of_take(source: Source, take: Clip, confidence: float, discrete: bool) -> Survey:
+    """What of a take is to be imitated; or the whole of a short clip, if it is one cycle by what it says or by its
+    ends."""
+    segments = find_segments(take)
+    cycles = [(segment, segment.cycle) for segment in segments if segment.cycle is not None]
+    found = [
+        _piece(source, take.cut(*frames), frames, segment, repeats=True)
+        for segment, frames in cycles
+        if segment.confidence >= confidence
+    ]
+    short = take.n_frames <= SegmentConfig().longest_s * take.rate_hz
+    if not found and short and is_one_cycle(take):
+        segment = replace(as_one_cycle(take), confidence=1.0)
+        found.append(_piece(source, take, (0, take.n_frames), segment, repeats=True))
+    elif discrete:
+        for segment in segments:
+            frames = (segment.start, segment.end)
+            if segment.gait == DISCRETE and segment.end - segment.start <= MAX_S * take.rate_hz:
+                found.append(_piece(source, take.cut(*frames), frames, segment, repeats=False))
+    if found:
+        return Survey(source, tuple(found))
+    doubtful = f"{len(cycles)} cycles, none with a confidence of {confidence:g}"
+    return Survey(source, skipped=f"{take.n_frames} frames hold {doubtful if cycles else 'nothing that repeats'}")
+
+
+def _piece(source: Source, cut: Clip, frames: tuple[int, int], segment: Segment, *, repeats: bool) -> Piece:
+    """A part of a clip."""
+    whole = frames == (0, cut.n_frames) and source.frames is None
+    name = source.name if whole else f"{source.name}-{frames[0]}-{frames[1]}"
+    return Piece(
+        name=name,
+        source=source,
+        frames=None if whole else frames,
+        digest=digest_of(replace(cut, is_cycle=repeats)),
+        gait=segment.gait,
+        footfall=segment.footfall,
+        confidence=round(segment.confidence, 4),
+        repeats=repeats,
+        period_s=cut.n_frames / cut.rate_hz,
+        speed_m_s=segment.speed_m_s,
+        yaw_rate_rad_s=segment.yaw_rate_rad_s,
+        robot=None,
+        licence=cut.meta.get("licence") or source.licence,
+        credit=cut.meta.get("credit") or source.credit,
+    )
+
+
+def digest_of(piece: Clip | Motion) -> str:
+    """16 hexadecimal digits of all of a piece that counts: not of its name and place."""
+    found = hashlib.sha256()
+    if isinstance(piece, Motion):
+        for motion in (piece, piece.target):
+            for array in (motion.root_pos_w, motion.root_quat_wxyz, motion.joint_pos, motion.contact):
+                found.update(np.ascontiguousarray(array).tobytes())
+            found.update(repr((motion.rate_hz, None if motion.cycle is None else motion.cycle.tolist())).encode())
+        return found.hexdigest()[:16]
+    found.update(np.ascontiguousarray(piece.points_w).tobytes())
+    if piece.root_quat_wxyz is not None:
+        found.update(np.ascontiguousarray(piece.root_quat_wxyz).tobytes())
+    found.update(repr((piece.rate_hz, piece.is_cycle, piece.leg_length_m, piece.scale)).encode())
+    return found.hexdigest()[:16]
+
+
+def save_survey(folder: Path, found: Survey) -> None:
+    """Keeps what was found in a source; raises `OutputError` if it cannot."""
+    text = json.dumps(asdict(found), indent=1, allow_nan=False)
+    replace_file(folder / SOURCES / f"{found.source.key}.json", lambda file: file.write(text.encode()))
+
+
+def remove_survey(folder: Path, found: Survey) -> None:
+    """Forgets what was found in a source; raises `OutputError` if it cannot."""
+    path = folder / SOURCES / f"{found.source.key}.json"
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be removed ({error.strerror or error})") from None
+
+
+def load_surveys(folder: Path) -> tuple[list[Survey], list[str]]:
+    """What was found in the sources of a library, by their names; and the files that cannot be read, a line each."""
+    found, unreadable = [], []
+    for path in sorted((folder / SOURCES).glob("*.json")):
+        try:
+            found.append(_load(path))
+        except FileNotFoundError:  # another builder has forgotten it meanwhile
+            continue
+        except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
+            unreadable.append(f"{SOURCES}/{path.name}: cannot be read ({error}); the next build of its source mends it")
+    return sorted(found, key=lambda survey: (survey.source.name, survey.source.key)), unreadable
+
+
+def _load(path: Path) -> Survey:
+    said: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    source = _source(said["source"])
+    pieces = tuple(_whole({**piece, "source": source, "frames": _pair(piece["frames"])}) for piece in said["pieces"])
+    return Survey(source, pieces, said["skipped"], said["failed"], said.get("looked"))
+
+
+def _whole(said: dict[str, Any]) -> Piece:
+    for name, kind in _KINDS.items():
+        if not isinstance(said[name], kind):
+            raise TypeError(f"'{name}' is {said[name]!r}")
+    return Piece(**said)
+
+
+def _source(said: dict[str, Any]) -> Source:
+    return Source(**{**said, "frames": _pair(said["frames"])})
+
+
+def _pair(found: Sequence[int] | None) -> tuple[int, int] | None:
+    return None if found is None else (int(found[0]), int(found[1]))

@@ -1,0 +1,84 @@
+"""How the motions of a library are made and tried: the same for all of them."""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+from fastmimic.base.errors import ConfigError
+from fastmimic.control.config import CONFIGS, controller_config
+from fastmimic.imitation.methods import RL, method_named
+from fastmimic.optimize.cma_es import CmaSettings
+from fastmimic.optimize.problem import Objective
+from fastmimic.optimize.randomization import Randomization
+
+HELD_OUT: Final = 16
+SECOND_SIMULATOR_EPISODES: Final = 3
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What all jobs of a library have in common.
+
+    Attributes:
+        method: one of `fastmimic.imitation.methods.METHODS`.
+        config: name of the controller's parameters, or their file.
+        duration_s: length of the search's episodes, s.
+        iterations, population: of CMA-ES.
+        evaluation_s: length of the episodes that a motion is tried in, s.
+        perturbed: how many of them begin perturbed.
+        others: how many other robots it is tried on: other floors, loads and motors, drawn from the usual ranges.
+        second_simulator: whether it is tried in PyBullet, where that knows the robot.
+    """
+
+    method: str = "mbc-dmp"
+    config: str = "default"
+    duration_s: float = 5.0
+    iterations: int = 200
+    population: int = 10
+    evaluation_s: float = 10.0
+    perturbed: int = 8
+    others: int = HELD_OUT
+    second_simulator: bool = True
+
+    def __post_init__(self) -> None:
+        if method_named(self.method).name == RL:
+            raise ConfigError("a library's motions are made by a model-based method; a policy is not one motion")
+        controller_config(self.config)
+        if self.config not in CONFIGS:  # as any process finds it
+            object.__setattr__(self, "config", str(Path(self.config).resolve()))
+        CmaSettings(self.iterations, self.population)
+        Objective(self.duration_s)
+        for name, least in (("perturbed", 1), ("others", 0)):
+            if getattr(self, name) < least:
+                raise ConfigError(f"{name} must be at least {least}, found {getattr(self, name)}")
+        if not self.evaluation_s > 0:
+            raise ConfigError(f"the length of an episode must be positive, found {self.evaluation_s}")
+
+    @cached_property
+    def digest(self) -> str:
+        """16 hexadecimal digits of all that it says; of a file with the controller's parameters, what is in it."""
+        config = self.config if self.config in CONFIGS else "a file"
+        said = {**asdict(self), "config": config, "over": Randomization().as_dict()["over"]}
+        return _digest({**self._search(), **said})
+
+    @cached_property
+    def search_digest(self) -> str:
+        """Of what a search depends on, but for its length: a longer one goes on from a shorter one's checkpoint."""
+        return _digest(self._search())
+
+    def _search(self) -> dict[str, Any]:
+        method = method_named(self.method)
+        return {
+            "method": method.name,
+            "parameters": method.parameters,
+            "controller": method.configure(controller_config(self.config)).as_dict(),
+            "objective": Objective(self.duration_s).as_dict(),
+            "population": self.population,
+        }
+
+
+def _digest(said: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:16]

@@ -1,0 +1,189 @@
+"""What a library is made of: files in a folder, or a list of files and names."""
+
+import csv
+import fnmatch
+import hashlib
+import io
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from fastmimic.base.errors import LibraryError
+from fastmimic.clips.catalogue import check_name
+
+SUFFIXES: Final = (".txt", ".csv", ".bvh", ".json", ".npz")
+"""Files of a folder that may be clips; what they are is told by their content."""
+NO_CLIPS: Final = ("license*", "licence*", "copying*", "notice*", "readme*", "changelog*", "requirements*.txt", ".*")
+"""Files of a folder that are never clips, whatever their suffix."""
+_LICENCES: Final = ("LICENSE", "LICENSE.txt", "LICENSE.md", "LICENCE", "LICENCE.txt", "COPYING")
+_COLUMNS: Final = ("source", "frames", "fps", "up", "scale", "point_map", "licence", "credit")
+
+
+@dataclass(frozen=True)
+class Source:
+    """A clip, a take, or a robot motion.
+
+    Attributes:
+        place: path, or a name of `fastmimic motions`.
+        frames: (first, end) of the part that is meant, itself one motion; None to look for motions in all of it.
+        fps, up, scale, point_map: as in `fastmimic.clips.catalogue.open_clip`.
+        licence, credit: of the recording, where the source itself does not say.
+    """
+
+    place: str
+    frames: tuple[int, int] | None = None
+    fps: float | None = None
+    up: str | None = None
+    scale: float | None = None
+    point_map: str | None = None
+    licence: str | None = None
+    credit: str | None = None
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """What `open_clip` is given besides the place and the frames."""
+        given = {"fps": self.fps, "up": self.up, "scale": self.scale, "point_map": self.point_map}
+        return {name: value for name, value in given.items() if value is not None}
+
+    @property
+    def name(self) -> str:
+        """Short: a file's name without its suffix, or the name itself."""
+        path = Path(self.place)
+        return path.stem if path.suffix else self.place
+
+    @property
+    def key(self) -> str:
+        """What tells one source from another, whatever its content: 12 hexadecimal digits."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()[:12]
+
+    def __str__(self) -> str:
+        return self.place if self.frames is None else f"{self.place} {self.frames[0]}:{self.frames[1]}"
+
+
+def find_sources(
+    place: str | Path, *, exclude: Sequence[str] = (), licence: str | None = None, credit: str | None = None
+) -> list[Source]:
+    """The sources of a folder, of a list, or a single one.
+
+    Args:
+        place: a folder, looked through at any depth; a list: `.csv` with a header of which `source` is a column and
+            frames, fps, up, scale, point_map, licence and credit can be, or `.list` with a source a line; else one file
+            or name. Paths in a list are relative to it.
+        exclude: patterns of a folder's files that are left out, such as `*_raw.txt`.
+        licence, credit: of sources that do not say.
+
+    Raises:
+        LibraryError: nothing is there, or a line of the list that cannot be read.
+        ClipError: `place` is no motion's name, or its recording is not fetched. What a list names is not looked at yet.
+    """
+    path = Path(place)
+    if path.is_dir():
+        found = _in_folder(path, exclude, licence, credit)
+        if not found:
+            raise LibraryError(f"{path}: no clips in this folder; files that may be end in {', '.join(SUFFIXES)}")
+        return found
+    if path.suffix == ".list" or (path.suffix == ".csv" and _is_list(path)):
+        return _of_list(path, licence, credit)
+    if not path.exists() and (path.suffix or "/" in str(place)):
+        raise LibraryError(f"{place}: no such file or folder")
+    if not path.exists():
+        check_name(str(place))
+    return [Source(str(path.resolve()) if path.is_file() else str(place), licence=licence, credit=credit)]
+
+
+def _in_folder(folder: Path, exclude: Sequence[str], licence: str | None, credit: str | None) -> list[Source]:
+    found = []
+    for path in sorted(folder.rglob("*")):
+        name = path.name.lower()
+        left_out = any(fnmatch.fnmatch(name, pattern) for pattern in NO_CLIPS) or any(
+            fnmatch.fnmatch(path.name, p) or fnmatch.fnmatch(str(path.relative_to(folder)), p) for p in exclude
+        )
+        if path.is_file() and path.suffix.lower() in SUFFIXES and not left_out:
+            found.append(Source(str(path.resolve()), licence=licence or _beside(path, folder), credit=credit))
+    return found
+
+
+def _beside(path: Path, top: Path) -> str | None:
+    """The first line of the licence that lies beside a file, or above it within the folder."""
+    for folder in path.parents:
+        for name in _LICENCES:
+            try:
+                lines = (folder / name).read_text(encoding="utf-8", errors="replace").splitlines()
+            except OSError:
+                continue
+            first = next((line.strip() for line in lines if line.strip()), None)
+            if first is not None:
+                return first[:200]
+        if folder == top:
+            return None
+    return None
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")  # as spreadsheets write it
+    except FileNotFoundError:
+        raise LibraryError(f"{path}: no such list") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise LibraryError(f"{path}: not a readable list of sources ({error})") from None
+
+
+def _is_list(path: Path) -> bool:
+    """Whether a CSV is a list of sources, not a clip: by its header."""
+    if not path.is_file():
+        return True  # a list that is not there, rather than a motion of that name
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            header = next(csv.reader(file), [])
+    except (OSError, UnicodeDecodeError, csv.Error):
+        return False
+    return "source" in [cell.strip() for cell in header]
+
+
+def _of_list(path: Path, licence: str | None, credit: str | None) -> list[Source]:
+    text = _read(path)
+    rows: list[tuple[int, Mapping[str, str]]]
+    if path.suffix == ".csv":
+        reader = csv.DictReader(io.StringIO(text), skipinitialspace=True)
+        unknown = sorted(set(reader.fieldnames or ()) - set(_COLUMNS))
+        if unknown:
+            raise LibraryError(f"{path}: unknown column '{unknown[0]}'; there are {', '.join(_COLUMNS)}")
+        rows = [(reader.line_num, row) for row in reader]
+    else:
+        lines = (line.split("#", 1)[0].strip() for line in text.splitlines())
+        rows = [(number, {"source": line}) for number, line in enumerate(lines, 1) if line]
+    found = [_of_row(path, number, row, licence, credit) for number, row in rows]
+    if not found:
+        raise LibraryError(f"{path}: the list is empty")
+    return found
+
+
+def _of_row(path: Path, number: int, row: Mapping[str, str | None], licence: str | None, credit: str | None) -> Source:
+    given = {name: value.strip() for name, value in row.items() if name and value and value.strip()}
+    if "source" not in given:
+        raise LibraryError(f"{path}, line {number}: no source")
+    place = given["source"]
+    beside = path.parent / place
+    try:
+        return Source(
+            str(beside.resolve()) if beside.exists() else place,
+            frames=_frames(given["frames"]) if "frames" in given else None,
+            fps=float(given["fps"]) if "fps" in given else None,
+            up=given.get("up"),
+            scale=float(given["scale"]) if "scale" in given else None,
+            point_map=str((path.parent / given["point_map"]).resolve()) if "point_map" in given else None,
+            licence=given.get("licence", licence),
+            credit=given.get("credit", credit),
+        )
+    except ValueError as error:
+        raise LibraryError(f"{path}, line {number}: {error}") from None
+
+
+def _frames(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d+)\s*:\s*(\d+)", text)
+    if found is None:
+        raise ValueError(f"frames are FIRST:END, such as 162:201, found '{text}'")
+    return int(found[1]), int(found[2])

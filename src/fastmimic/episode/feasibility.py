@@ -1,0 +1,295 @@
+"""What a motion asks of a robot, and why the robot fell, by one rule for every motion.
+
+`demands` looks at the demonstration alone: inverse dynamics of the whole robot, with the ground forces that come
+nearest to what it asks for, within the friction of the ground. `describe_fall` looks at the log of an episode up to
+its fall.
+`reasons` holds both against the robot's limits.
+"""
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, quat_rotate_inverse, yaw_from_quat
+from fastmimic.episode.reward import MAX_ANGLE, MAX_DISTANCE
+from fastmimic.episode.rollout import Rollout
+from fastmimic.motion.motion import Motion
+from fastmimic.retarget.dynamics import ground_demand, push_directions
+from fastmimic.retarget.measure import feet_in_world
+from fastmimic.robot.kinematics import foot_jacobians, foot_positions
+from fastmimic.simulation.mujoco_sim import FLOOR, GROUND_FRICTION, build_model
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+SAMPLE_S: Final = 0.004
+"""Time between the instants of a motion that are looked at."""
+BEFORE_S: Final = 0.3
+"""Of an episode, what lies so short before the fall counts."""
+SMOOTHING: Final = 1e-3
+"""Weight of the squared ground forces, in weights of the robot, against the squared residual acceleration, in g."""
+HIGH: Final = 95
+"""Percentile that stands for a greatest value; the very greatest belongs to single samples."""
+
+MAX_LIMITED: Final = 0.2
+"""Share of the time with a joint at its limit. This and the next are beyond what tracked motions ask."""
+MAX_LACKING: Final = 0.5
+"""Acceleration that the standing feet cannot give, g RMS."""
+MAX_FLIGHT: Final = 0.1
+"""Share of the time without a foot on the ground."""
+MAX_SLIDE_M: Final = 5e-3
+MAX_SLIP_M: Final = 0.03
+MAX_SATURATED: Final = 0.05
+
+
+@dataclass(frozen=True)
+class Demands:
+    """What a demonstration asks of a robot.
+
+    Attributes:
+        joint_speed: greatest joint speed, share of the limit.
+        torque: joint torque, share of the limit, of the most loaded joint at 95 % of the instants.
+        friction: horizontal over vertical force of the ground at 95 % of the instants with a foot down.
+        flight: share of the time without any foot on the ground.
+        lacking: RMS of the acceleration that the standing feet cannot give, linear, in g. Flights enter with what
+            they differ from a free fall.
+        lacking_angular: the same of the rotation, rad/s², about the centre of mass.
+        joint_limited: share of the samples with a joint within 0.03 rad of its limit.
+        slide_m: furthest that a foot moves in a stance.
+        body_clearance_m: least distance of anything but the feet from the ground; negative below it.
+    """
+
+    joint_speed: float
+    torque: float
+    friction: float
+    flight: float
+    lacking: float
+    lacking_angular: float
+    joint_limited: float
+    slide_m: float
+    body_clearance_m: float
+
+    def as_dict(self) -> dict[str, float]:
+        """Plain JSON types."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Fall:
+    """How an episode ended before its time.
+
+    Attributes:
+        time_s: of the fall.
+        touched: bodies other than feet on the ground, by name.
+        how: 'touched the ground', 'tipped over', 'left its place' or 'simulation failed'.
+        saturated: share of the motors' commands in the last 0.3 s that exceed their torque limit.
+        slip_m: longest path of a loaded foot's centre in those 0.3 s while it should stand; a few mm of it are rolling.
+    """
+
+    time_s: float
+    touched: tuple[str, ...]
+    how: str
+    saturated: float
+    slip_m: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain JSON types."""
+        return {**asdict(self), "touched": list(self.touched)}
+
+
+@dataclass(frozen=True)
+class Reason:
+    """A limit that is exceeded.
+
+    Attributes:
+        kind: 'reach', 'joint speed', 'torque', 'friction', 'flight', 'support' or 'feedback'.
+        text: what was found, with figures.
+    """
+
+    kind: str
+    text: str
+
+
+def demands(robot: "Robot", motion: Motion) -> Demands:
+    """What a motion asks of a robot, whether or not the robot can."""
+    sample = np.arange(0, motion.n_samples, max(1, round(SAMPLE_S * motion.rate_hz)))
+    demand = ground_demand(robot, motion, sample)
+    force, lacking = _ground_forces(robot, demand.wrench, *push_directions(demand, GROUND_FRICTION))
+    quat = motion.root_quat_wxyz[sample]
+    tilt = quat_multiply(quat_from_yaw(-yaw_from_quat(quat)), quat)
+    force_b = quat_rotate_inverse(tilt[:, None], force)
+    jacobian = foot_jacobians(robot, motion.joint_pos[sample])
+    torque = demand.joint_torque - np.einsum("tlij,tli->tlj", jacobian, force_b).reshape(-1, 12)
+    share = (np.abs(torque) / robot.torque_limit).max(axis=1)
+    standing = demand.stands.any(axis=1)
+    total = demand.wrench[standing, :3]
+    ratio = np.linalg.norm(total[:, :2], axis=1) / np.maximum(total[:, 2], 0.1 * robot.mass * GRAVITY)
+    q, margin = motion.joint_pos, 0.03
+    limited = (q < robot.joint_lower + margin) | (q > robot.joint_upper - margin)
+    return Demands(
+        joint_speed=float((np.abs(motion.joint_vel) / robot.joint_speed_limit).max()),
+        torque=float(np.percentile(share, HIGH)),
+        friction=float(np.percentile(ratio, HIGH)) if standing.any() else 0.0,
+        flight=float(np.mean(~motion.contact.any(axis=1))),
+        lacking=float(np.sqrt((lacking[:, :3] ** 2).sum(axis=1).mean()) / GRAVITY),
+        lacking_angular=float(np.sqrt((lacking[:, 3:] ** 2).sum(axis=1).mean())),
+        joint_limited=float(limited.any(axis=1).mean()),
+        slide_m=_slide(motion),
+        body_clearance_m=_body_clearance(robot, motion, sample),
+    )
+
+
+def describe_fall(robot: "Robot", rollout: Rollout, episode: int = 0) -> Fall | None:
+    """How an episode ended; None if the robot did not fall.
+
+    Args:
+        robot: the robot.
+        rollout: with its log.
+        episode: which one.
+
+    Raises:
+        ValueError: the rollout has no log.
+    """
+    if rollout.log is None:
+        raise ValueError("a fall can only be described from a rollout with its log")
+    if not rollout.fell[episode]:
+        return None
+    log = rollout.log
+    last = min(int(rollout.steps[episode]), log.observation.shape[1] - 1)
+    first = max(0, last - round(BEFORE_S * log.rate_hz))
+    before, state = log.observation[episode, first : last + 1], log.observation[episode, last]
+    command = log.command[episode, first + 1 : last + 1]
+    torque = command["torque"] + command["stiffness"] * (command["joint_pos"] - before["joint_pos"][:-1])
+    torque = torque + command["damping"] * (command["joint_vel"] - before["joint_vel"][:-1])
+    saturated = float(np.mean(np.abs(torque) >= robot.torque_limit)) if len(torque) else 0.0
+    return Fall(
+        time_s=last / log.rate_hz,
+        touched=_touching(robot, state),
+        how=_how(state, log.demonstration[episode, last]),
+        saturated=saturated,
+        slip_m=_slip(robot, before, log.wanted[episode, first : last + 1]),
+    )
+
+
+def reasons(needs: Demands, fall: Fall | None = None) -> tuple[Reason, ...]:
+    """The limits that a motion exceeds, those of the demonstration first, in the order of cause and effect: a leg that
+    is held at the end of its reach jumps out of it, and what it then asks of motors and ground follows from that.
+
+    A motion whose demonstration keeps every limit and whose robot fell without saturated motors or slipping feet has
+    one reason: feedback. Without a fall nothing is said but what the demonstration exceeds.
+    """
+    found = []
+    if needs.body_clearance_m < 0.0:
+        found.append(Reason("reach", f"a leg would be {-1e3 * needs.body_clearance_m:.0f} mm below the ground"))
+    if needs.slide_m > MAX_SLIDE_M:
+        found.append(Reason("reach", f"a standing foot would slide {1e3 * needs.slide_m:.0f} mm"))
+    if needs.joint_limited > MAX_LIMITED:
+        found.append(Reason("reach", f"a joint at its limit in {100 * needs.joint_limited:.0f} % of the time"))
+    if needs.joint_speed > 1.0:
+        found.append(Reason("joint speed", f"joints at {needs.joint_speed:.2f} of their speed limit"))
+    if needs.torque > 1.0:
+        found.append(Reason("torque", f"joints at {needs.torque:.2f} of their torque limit"))
+    if needs.friction > GROUND_FRICTION:
+        found.append(Reason("friction", f"friction {needs.friction:.2f} needed, {GROUND_FRICTION:.2f} there"))
+    if needs.flight > MAX_FLIGHT:
+        found.append(Reason("flight", f"no foot on the ground for {100 * needs.flight:.0f} % of the time"))
+    if needs.lacking > MAX_LACKING:
+        found.append(Reason("support", f"{needs.lacking:.2f} g RMS that the standing feet cannot give"))
+    if fall is None:
+        return tuple(found)
+    if fall.saturated > MAX_SATURATED:
+        found.append(Reason("torque", f"motors saturated in {100 * fall.saturated:.0f} % before the fall"))
+    if fall.slip_m > MAX_SLIP_M:
+        found.append(Reason("friction", f"a standing foot slipped {1e3 * fall.slip_m:.0f} mm before the fall"))
+    return tuple(found) or (Reason("feedback", "within all limits; the controller did not hold it"),)
+
+
+def _ground_forces(robot: "Robot", wanted: Array, force: Array, wrench: Array, can: NDArray[np.bool_]) -> Any:
+    """Forces of the feet (k, 4, 3), heading frame, nearest to the wanted wrench (k, 6), and the acceleration (k, 6)
+    that is lacking, m/s² and rad/s²."""
+    from scipy.optimize import nnls
+
+    weight = robot.mass * GRAVITY
+    scale = np.concatenate([np.full(3, 1.0 / weight), 1.0 / (GRAVITY * robot.inertia_b.diagonal())])
+    k = len(wanted)
+    forces, lacking = np.zeros((k, 4, 3)), np.zeros((k, 6))
+    small, zero = np.sqrt(SMOOTHING) * np.eye(16), np.zeros(16)
+    for i in range(k):
+        push = (weight * wrench[i] * can[i][:, None] * scale).T
+        x = nnls(np.concatenate([push, small]), np.concatenate([wanted[i] * scale, zero]))[0] * can[i]
+        forces[i] = weight * (x[:, None] * force[i]).reshape(4, 4, 3).sum(axis=1)
+        lacking[i] = GRAVITY * (wanted[i] * scale - push @ x)
+    return forces, lacking
+
+
+def _slide(motion: Motion) -> float:
+    """Furthest horizontal motion of a foot within a stance, m; a stance across a cycle's seam is looked at in two."""
+    feet, worst = feet_in_world(motion)[..., :2], 0.0
+    for leg in range(4):
+        edges = np.flatnonzero(np.diff(motion.contact[:, leg].astype(np.int8), prepend=0, append=0))
+        for start, end in edges.reshape(-1, 2):
+            points = feet[start:end, leg]
+            worst = max(worst, float(np.linalg.norm(points - points[0], axis=1).max()))
+    return worst
+
+
+def _body_clearance(robot: "Robot", motion: Motion, sample: NDArray[np.int_]) -> float:
+    """Least distance from the ground of what collides with it, but for the feet, m; 0.5 if nothing comes nearer."""
+    import mujoco
+
+    model = build_model(robot)
+    data, floor, least, pair = mujoco.MjData(model), model.geom(FLOOR).id, 0.5, np.zeros(6)
+    geoms = [g for g in range(model.ngeom) if model.geom_conaffinity[g] and model.geom(g).name not in robot.foot_geoms]
+    for i in sample:
+        _pose(robot, model, data, motion.root_pos_w[i], motion.root_quat_wxyz[i], motion.joint_pos[i])
+        mujoco.mj_kinematics(model, data)
+        least = min([least, *(mujoco.mj_geomDistance(model, data, g, floor, least, pair) for g in geoms)])
+    return float(least)
+
+
+def _touching(robot: "Robot", state: Any) -> tuple[str, ...]:
+    """Names of the bodies that touch the ground with something else than a foot, sorted."""
+    import mujoco
+
+    if not all(np.isfinite(state[name]).all() for name in ("root_pos", "root_quat", "joint_pos")):
+        return ()
+    model = build_model(robot)
+    data = mujoco.MjData(model)
+    _pose(robot, model, data, state["root_pos"], state["root_quat"], state["joint_pos"])
+    mujoco.mj_forward(model, data)
+    feet = {model.geom(name).id for name in (*robot.foot_geoms, FLOOR)}
+    found = {model.body(model.geom_bodyid[g]).name for c in data.contact for g in c.geom if int(g) not in feet}
+    return tuple(sorted(found))
+
+
+def _pose(robot: "Robot", model: Any, data: Any, position: Array, quat: Array, joint_pos: Array) -> None:
+    index = model.jnt_qposadr[[model.joint(name).id for name in robot.joint_names]]
+    data.qpos[:3], data.qpos[3:7], data.qpos[index] = position, quat, joint_pos
+
+
+def _how(state: Any, reference: Any) -> str:
+    """Which of the rules that end an episode applied."""
+    if not all(np.isfinite(state[name]).all() for name in ("root_pos", "root_quat", "joint_pos", "joint_vel")):
+        return "simulation failed"
+    if state["other_contact"] > 0.5:
+        return "touched the ground"
+    half = min(1.0, abs(float(np.dot(state["root_quat"], reference["root_quat"]))))
+    if 2 * np.arccos(half) >= MAX_ANGLE:
+        return "tipped over"
+    away = np.linalg.norm(state["root_pos"] - reference["root_pos"])
+    return "left its place" if away >= MAX_DISTANCE else "simulation failed"
+
+
+def _slip(robot: "Robot", states: Any, wanted: NDArray[np.bool_]) -> float:
+    """Longest path of a loaded foot's centre while it should stand, m."""
+    feet = states["root_pos"][:, None] + quat_rotate(
+        states["root_quat"][:, None], foot_positions(robot, states["joint_pos"])
+    )
+    loaded = wanted & (states["foot_force"][..., 2] > 0.02 * robot.mass * GRAVITY)
+    step = np.linalg.norm(np.diff(feet[..., :2], axis=0), axis=-1) * (loaded[1:] & loaded[:-1])
+    return float(step.sum(axis=0).max()) if len(step) else 0.0

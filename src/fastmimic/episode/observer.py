@@ -1,0 +1,164 @@
+"""What the controller sees where it has sensors only: readings, the estimate made of them, and a clock of its own."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.jit import kernel, record_dtype
+from fastmimic.base.vectors import quat_to_matrix
+from fastmimic.estimation.estimator import Estimator
+from fastmimic.reference.resync import advance_recovering
+from fastmimic.reference.table import advance_clocks
+from fastmimic.simulation.conditions import Conditions, episode_generator
+from fastmimic.simulation.disturbances import make_world
+from fastmimic.simulation.sensors import Sensors
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+MIN_DISTANCE: Final = 0.5  # m; a robot that stays where it is has no drift per distance
+_SENSORS: Final = 1  # number of the sensors' random stream
+
+_ERRORS: Final = record_dtype(
+    [
+        ("steps", "i8"),
+        ("velocity_sq", "f8"),
+        ("height_sq", "f8"),
+        ("tilt_sq", "f8"),
+        ("heading", "f8"),
+        ("offset", "f8", (2,)),
+        ("distance", "f8"),
+        ("last", "f8", (2,)),
+    ]
+)
+"""Running sums of one robot's estimation errors until the fall; `heading` and `offset` (x, y) are the present ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class EstimationErrors:
+    """Estimate against truth in n episodes, until the fall or the end.
+
+    Attributes:
+        velocity_rmse: (n,) of the base's velocity vector, m/s.
+        position_drift: (n,) horizontal error at the end in % of the distance travelled; NaN if that is less than 0.5 m.
+        height_rmse: (n,) m.
+        tilt_rmse: (n,) angle between the true and the estimated vertical, rad.
+        heading_error: (n,) at the end, rad.
+    """
+
+    velocity_rmse: Array
+    position_drift: Array
+    height_rmse: Array
+    tilt_rmse: Array
+    heading_error: Array
+
+
+@kernel
+def _compare(truths: Any, estimates: Any, tallies: Any, errors: Any, work: Array) -> None:
+    """Adds the present errors of the robots that have not fallen; `work` (2, 3, 3) is scratch."""
+    for i in range(truths.shape[0]):
+        if tallies[i].fallen == 1:
+            continue
+        e, truth, estimate = errors[i], truths[i], estimates[i]
+        e.steps += 1
+        for k in range(3):
+            d = estimate.lin_vel[k] - truth.lin_vel[k]
+            e.velocity_sq += d * d
+        d = estimate.root_pos[2] - truth.root_pos[2]
+        e.height_sq += d * d
+        quat_to_matrix(truth.root_quat, work[0])
+        quat_to_matrix(estimate.root_quat, work[1])
+        up = work[0, 2, 0] * work[1, 2, 0] + work[0, 2, 1] * work[1, 2, 1] + work[0, 2, 2] * work[1, 2, 2]
+        e.tilt_sq += np.arccos(min(max(up, -1.0), 1.0)) ** 2
+        d = np.arctan2(work[1, 1, 0], work[1, 0, 0]) - np.arctan2(work[0, 1, 0], work[0, 0, 0])
+        e.heading = np.arctan2(np.sin(d), np.cos(d))
+        x, y = truth.root_pos[0], truth.root_pos[1]
+        e.offset[0], e.offset[1] = estimate.root_pos[0] - x, estimate.root_pos[1] - y
+        e.distance += np.hypot(x - e.last[0], y - e.last[1])
+        e.last[0], e.last[1] = x, y
+
+
+class Observer:
+    """Sensors and estimator of n robots, and the clocks that their controllers keep."""
+
+    def __init__(self, robot: "Robot", n: int, rate_hz: float, conditions: Conditions) -> None:
+        world = make_world(conditions.disturbances, n, conditions.simulator)
+        self.sensors = Sensors(robot, n, rate_hz, conditions.sensors, world.gravity)
+        self.estimator = Estimator(robot, n, rate_hz, conditions.estimator)
+        self._seed = conditions.seed
+        self._errors = np.zeros(n, _ERRORS)
+        self._work = np.zeros((2, 3, 3))
+        self._motors: NDArray[Any] | None = None
+        self.clocks = np.zeros(0)
+
+    def reset(
+        self,
+        truth: NDArray[Any],
+        starts: NDArray[Any],
+        planned: NDArray[np.int64],
+        episodes: NDArray[np.int64],
+        clocks: NDArray[Any],
+    ) -> NDArray[Any]:
+        """Begins n episodes.
+
+        Args:
+            truth: (n,) of `OBSERVATION`, what the sensors measure.
+            starts: (n,) of `START`, where the robots are known to start.
+            planned: (n, 4) whether each leg is meant to stand.
+            episodes: (n,) numbers of the episodes' random streams.
+            clocks: (n,) of `CLOCK`; the controller's own go on from there.
+
+        Returns:
+            (n,) of `OBSERVATION`, what the controller is told.
+        """
+        self.clocks = clocks.copy()
+        self._errors[...] = np.zeros((), _ERRORS)
+        self._errors["last"] = truth["root_pos"][:, :2]
+        generators = [episode_generator(self._seed, int(e), _SENSORS) for e in episodes]
+        return self.estimator.reset(self.sensors.reset(generators, truth), starts, planned)
+
+    def to_motors(self, commands: NDArray[Any]) -> NDArray[Any]:
+        """The controller's commands (n,) as the motors take them."""
+        self._motors = self.sensors.to_motors(commands)
+        return self._motors
+
+    def look(
+        self,
+        truth: NDArray[Any],
+        planned: NDArray[np.int64],
+        tables: NDArray[Any],
+        recovery: NDArray[Any] | None = None,
+    ) -> NDArray[Any]:
+        """What the controller is told after a control step, with its clocks advanced; arguments as above.
+
+        `recovery` is the packed configuration of a controller that recovers.
+        """
+        assert self._motors is not None
+        told = self.estimator.step(self.sensors.measure(truth, self._motors), planned)
+        if recovery is None:
+            advance_clocks(self.clocks, tables, told["root_pos"])
+        else:
+            advance_recovering(recovery, self.clocks, tables, told)
+        return told
+
+    def compare(self, truth: NDArray[Any], tallies: NDArray[Any]) -> None:
+        """Counts the present errors of the robots that have not fallen by their `TALLY`."""
+        _compare(truth, self.estimator.observation, tallies, self._errors, self._work)
+
+    def errors(self) -> EstimationErrors:
+        """What was counted since the reset."""
+        e = self._errors
+        steps = np.maximum(e["steps"], 1)
+        far = e["distance"] >= MIN_DISTANCE
+        percent = 100.0 * np.hypot(e["offset"][:, 0], e["offset"][:, 1]) / np.where(far, e["distance"], 1.0)
+        return EstimationErrors(
+            velocity_rmse=np.sqrt(e["velocity_sq"] / steps),
+            position_drift=np.where(far, percent, np.nan),
+            height_rmse=np.sqrt(e["height_sq"] / steps),
+            tilt_rmse=np.sqrt(e["tilt_sq"] / steps),
+            heading_error=e["heading"].copy(),
+        )

@@ -1,0 +1,135 @@
+"""The log of a run: what a robot's computer knows of it, and nothing else."""
+
+import json
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.errors import LogError
+from fastmimic.base.files import replace_file
+from fastmimic.estimation.reading import READING
+from fastmimic.robot.state import COMMAND, OBSERVATION
+
+FORMAT: Final = "fastmimic run log"
+VERSION: Final = 1
+ENDING: Final = ".npz"
+
+_RECORDS: Final = {"reading": READING, "command": COMMAND, "estimate": OBSERVATION}
+_NOT_KNOWN: Final = ("other_contact",)
+"""Of an observation, what no sensor of such a robot tells."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunLog:
+    """One run over t control steps, as the robot's computer saw it. There is no field for the truth.
+
+    Attributes:
+        robot, motion: names.
+        rate_hz: control steps a second.
+        latency_s: age of the readings of IMU and joints when they arrived.
+        reading: (t,) of `READING`, what had arrived at the end of each step.
+        command: (t,) of `COMMAND`, what the motors were told for the step.
+        estimate: (t,) of `OBSERVATION`, what the estimator made of it.
+        stance: (t, 4) bool, which legs the gait planner let stand in the step.
+    """
+
+    robot: str
+    motion: str
+    rate_hz: float
+    latency_s: float
+    reading: NDArray[Any]
+    command: NDArray[Any]
+    estimate: NDArray[Any]
+    stance: NDArray[np.bool_]
+
+    @property
+    def duration_s(self) -> float:
+        """Length, s."""
+        return len(self.reading) / self.rate_hz
+
+    def save(self, path: str | Path) -> None:
+        """Writes an `.npz` without pickles: `about` (JSON), `stance`, and `reading_…`, `command_…`, `estimate_…` by
+        field, each with a row for each control step.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        about = {
+            "format": FORMAT,
+            "version": VERSION,
+            "robot": self.robot,
+            "motion": self.motion,
+            "rate_hz": self.rate_hz,
+            "latency_s": self.latency_s,
+        }
+        arrays: dict[str, Any] = {"about": np.array(json.dumps(about)), "stance": self.stance}
+        for name, dtype in _RECORDS.items():
+            record = getattr(self, name)
+            for field in _fields(dtype):
+                arrays[f"{name}_{field}"] = record[field].astype(np.float32)
+        replace_file(path, lambda file: np.savez_compressed(file, **arrays))
+
+    @classmethod
+    def load(cls, path: str | Path) -> "RunLog":
+        """Reads what `save` wrote.
+
+        Raises:
+            LogError: no such file, not such a log, damaged, or rows that are missing or not finite.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise LogError(f"{path}: no such file; 'fastmimic evaluate MOTION --observe sensors --log FILE' writes one")
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                found = {name: file[name] for name in file.files}
+        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+            raise LogError(f"{path}: cannot be read, perhaps cut off while it was copied ({error})") from None
+        try:
+            about = json.loads(str(found["about"]))
+            right = about["format"] == FORMAT and about["version"] == VERSION
+        except (KeyError, ValueError, TypeError):
+            right = False
+        if not right:
+            raise LogError(f"{path}: not the log of a run (version {VERSION}); 'fastmimic evaluate … --log' writes one")
+        return cls._of(path, about, found)
+
+    @classmethod
+    def _of(cls, path: Path, about: dict[str, Any], found: dict[str, NDArray[Any]]) -> "RunLog":
+        stood = found.get("stance")
+        if stood is None or stood.ndim != 2 or stood.shape[1] != 4:
+            raise LogError(f"{path}: 'stance' is missing or does not have a column for each leg")
+        steps = len(stood)
+        records = {}
+        for name, dtype in _RECORDS.items():
+            record = np.zeros(steps, dtype)
+            for field in _fields(dtype):
+                value = found.get(f"{name}_{field}")
+                shape = (steps, *dtype[field].shape)
+                if value is None or value.shape != shape:
+                    was = "is missing" if value is None else f"has the shape {value.shape}"
+                    raise LogError(f"{path}: '{name}_{field}' {was}; expected {shape}, a row for each control step")
+                if not np.isfinite(value).all():
+                    row = int(np.argwhere(~np.isfinite(value))[0, 0])
+                    raise LogError(f"{path}: '{name}_{field}' is not finite in row {row}; cut the log off before it")
+                record[field] = value
+            records[name] = record
+        try:
+            robot, motion = str(about["robot"]), str(about["motion"])
+            rate_hz, latency_s = float(about["rate_hz"]), float(about["latency_s"])
+        except (KeyError, ValueError, TypeError) as error:
+            raise LogError(f"{path}: its description lacks a name or a number ({error})") from None
+        if not (rate_hz > 0 and latency_s >= 0):
+            raise LogError(
+                f"{path}: rate_hz must be positive and latency_s not negative, found {rate_hz:g} and {latency_s:g}"
+            )
+        stance = stood.astype(bool)
+        return cls(robot, motion, rate_hz, latency_s, **records, stance=stance)
+
+
+def _fields(dtype: np.dtype[Any]) -> list[str]:
+    return [name for name in dtype.names or () if name not in _NOT_KNOWN]

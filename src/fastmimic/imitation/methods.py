@@ -1,0 +1,184 @@
+"""The methods that can be compared: which controller follows the motion, and what of the motion is optimised.
+
+Each differs from its neighbour only in what its name claims; the gains, the gait planner, the online adaptation and the
+demonstration are the same for all (paper, §IV-B). Whether the controller has the paper's form is another question:
+see `fastmimic.control.config.CONFIGS`.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from fastmimic.base.errors import ConfigError, MotionError, did_you_mean
+from fastmimic.control.config import CONFIGS, ControllerConfig, controller_config
+from fastmimic.motion.motion import Motion
+from fastmimic.optimize.parameters import FEET_AND_TRUNK, FOOT_HEIGHT, FOOT_PATH, PARAMETER_GROUPS
+from fastmimic.optimize.randomization import Randomization
+
+NOTHING: Final = "none"
+"""What a method without a search optimises."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to make a robot imitate a motion.
+
+    Attributes:
+        name: as on the command line.
+        label: as in figures.
+        summary: one line.
+        parameters: what is optimised: `NOTHING`, or one of `fastmimic.optimize.parameters.PARAMETER_GROUPS`.
+        change: what it changes in the controller's configuration.
+        own_feet: whether the swing feet follow the method's own path instead of the motion's.
+        learned: whether a trained policy takes the place of the model-based controller.
+    """
+
+    name: str
+    label: str
+    summary: str
+    parameters: str
+    change: Callable[[ControllerConfig], ControllerConfig]
+    own_feet: bool = False
+    learned: bool = False
+
+    def __post_init__(self) -> None:
+        known = (NOTHING, *PARAMETER_GROUPS)
+        if self.parameters not in known:
+            raise ConfigError(
+                f"method '{self.name}': unknown parameters '{self.parameters}'; there are {', '.join(known)}"
+            )
+
+    @property
+    def optimises(self) -> bool:
+        """Whether anything is optimised; without it the method is deterministic."""
+        return self.parameters != NOTHING
+
+    def configure(self, config: ControllerConfig) -> ControllerConfig:
+        """The method's controller, made of the given one."""
+        return self.change(config)
+
+
+def _same(config: ControllerConfig) -> ControllerConfig:
+    return config
+
+
+def _raibert(config: ControllerConfig) -> ControllerConfig:
+    # what the animal's legs take from the ground is not what these take
+    stance = dataclasses.replace(config.stance, leg_momentum=False)
+    return dataclasses.replace(config, stance=stance, swing=dataclasses.replace(config.swing, foothold="raibert"))
+
+
+def _horizon(config: ControllerConfig) -> ControllerConfig:
+    return dataclasses.replace(config, stance=dataclasses.replace(config.stance, forces="horizon"))
+
+
+_METHODS = (
+    Method(
+        "raibert",
+        "Raibert",
+        "the animal's trunk; feet swing straight to the Raibert foothold (Kang et al. 2021)",
+        NOTHING,
+        _raibert,
+        own_feet=True,
+    ),
+    Method("mbc", "MBC", "the model-based controller follows the retargeted motion", NOTHING, _same),
+    Method("lh", "LH", "the same with long-horizon forces (Di Carlo et al. 2018)", NOTHING, _horizon),
+    Method("mbc-dmp", "MBC-DMP", "mbc after its motion's DMPs were optimised (the paper's method)", FOOT_HEIGHT, _same),
+    Method("lh-dmp", "LH-DMP", "lh after its motion's DMPs were optimised", FOOT_HEIGHT, _horizon),
+)
+
+METHODS: Final = {method.name: method for method in _METHODS}
+"""The methods that need nothing but the motion, by name, in the order of the paper's figure."""
+
+RL: Final = "rl"
+_RL = Method(
+    RL, "RL", "a policy trained for the motion (Peng et al. 2018, 2020)", NOTHING, _same, own_feet=True, learned=True
+)
+_BEYOND = (
+    Method("mbc-dmp-path", "MBC-DMP, 24", "mbc-dmp that moves the feet's whole paths: 24 parameters", FOOT_PATH, _same),
+    Method("mbc-dmp-body", "MBC-DMP, 26", "and the trunk's height and pitch: 26 parameters", FEET_AND_TRUNK, _same),
+)
+ALL_METHODS: Final = {RL: _RL, **METHODS, **{method.name: method for method in _BEYOND}}
+"""With the one that needs a trained policy, likewise, and those that optimise more than the paper does."""
+
+
+def method_named(name: str) -> Method:
+    """The method of that name.
+
+    Raises:
+        ConfigError: there is none; the message lists them.
+    """
+    if name not in ALL_METHODS:
+        known = f"{', '.join(name for name in ALL_METHODS if name != RL)}, and {RL} with a trained policy"
+        raise ConfigError(f"unknown method '{name}'; there are {known}{did_you_mean(name, ALL_METHODS)}")
+    return ALL_METHODS[name]
+
+
+def check_controller(method: Method, given: bool) -> None:
+    """Raises `ConfigError` if a policy is `given` to a method that has none, or none to one that needs one."""
+    if method.learned and not given:
+        raise ConfigError(
+            f"method '{method.name}' needs a trained policy: give one to 'fastmimic evaluate' or 'fastmimic compare'"
+            " with --policy FILE; 'fastmimic train' makes it"
+        )
+    if given and not method.learned:
+        raise ConfigError(f"a policy takes the controller's place: method '{method.name}' has none; leave one out")
+
+
+MADE_WITH: Final = "made_with"
+"""In an optimised motion's `meta`: the `method` and the name of the `config` that it was optimised with, and the
+`randomization`, if any."""
+DEFAULT_METHOD: Final = "mbc"
+DEFAULT_CONFIG: Final = "default"
+
+
+def made_with(
+    motion: Motion, method: str, config: ControllerConfig, randomization: Randomization | None = None
+) -> Motion:
+    """The motion with what it was made with in its `meta`.
+
+    Args:
+        motion: an optimised motion; a demonstration is nobody's, and carries nothing.
+        method: one of `METHODS`.
+        config: as the method has it. Only the name of a set is kept, and None if it is not as the set of that name.
+        randomization: over which robots it was optimised; None for the robot as it is.
+    """
+    same = config.name in CONFIGS and method_named(method).configure(CONFIGS[config.name]()) == config
+    record: dict[str, Any] = {"method": method, "config": config.name if same else None}
+    if randomization is not None:
+        record["randomization"] = randomization.as_dict()
+    return dataclasses.replace(motion, meta={**motion.meta, MADE_WITH: record})
+
+
+def controller_for(
+    motion: Motion, method: str | None = None, config: ControllerConfig | str | None = None
+) -> tuple[Method, ControllerConfig]:
+    """The method and the controller that a motion is run with.
+
+    Args:
+        motion: what will be run.
+        method: one of `METHODS`; if None that with which the motion was made, or mbc where it does not say.
+        config: the controller's parameters, or the name of a set; if None those with which the motion was made, or the
+            default ones where it does not say.
+
+    Returns:
+        The method, and the parameters as it has them.
+
+    Raises:
+        ConfigError: an unknown name, or a motion that was made with parameters that are not a set's, and none given.
+        MotionError: the motion's record is damaged.
+    """
+    record = motion.meta.get(MADE_WITH)
+    if record is None:
+        record = {"method": DEFAULT_METHOD, "config": DEFAULT_CONFIG}
+    if not (isinstance(record, dict) and {"method", "config"} <= record.keys()):
+        raise MotionError(f"motion '{motion.name}': what it was made with is not readable in its 'meta' ({record!r})")
+    if config is None and record["config"] is None:
+        raise ConfigError(
+            f"motion '{motion.name}' was optimised with controller parameters of its own, which it does not carry;"
+            f" give the configuration to run it with ({', '.join(CONFIGS)}, or from Python the same parameters)"
+        )
+    chosen = method_named(str(record["method"]) if method is None else method)
+    config = str(record["config"]) if config is None else config
+    return chosen, chosen.configure(controller_config(config) if isinstance(config, str) else config)

@@ -1,0 +1,332 @@
+"""Stitching: from several motions to one that the robot can execute (paper, "Motion stitching")."""
+
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.errors import CheckpointError, ConfigError, MotionError, OutputError
+from fastmimic.clips.catalogue import motion_names
+from fastmimic.clips.clip import Clip
+from fastmimic.control.config import ControllerConfig, controller_config
+from fastmimic.episode.rollout import Rollout, run_episodes
+from fastmimic.imitation.imitate import Imitation, imitate, load_motion
+from fastmimic.imitation.methods import check_controller, made_with, method_named
+from fastmimic.motion.motion import Motion
+from fastmimic.optimize.checkpoint import Checkpoint
+from fastmimic.optimize.cma_es import CmaSettings, Progress
+from fastmimic.optimize.parameters import FOOT_HEIGHT, needed_group
+from fastmimic.optimize.randomization import Randomization, randomization
+from fastmimic.optimize.stitched import StitchedProblem, parameters_of
+from fastmimic.robot import Robot, load_robot
+from fastmimic.stitching.join import stitch_motions
+
+Array = NDArray[np.float64]
+
+PART_CHECKPOINT: Final = "checkpoint-{}.npz"
+CHECKPOINT: Final = "checkpoint.npz"
+CHECKPOINTS: Final = "checkpoint*.npz"
+RUN_MOTION: Final = "motion.npz"
+PART_POPULATION: Final = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Stitching(Imitation):
+    """A stitched, optimised motion and how it came about.
+
+    Attributes:
+        individual: one nominal episode with the segments' own optima, from which the search began. Without a search it
+            is all that there is: `before` and `after` too.
+    """
+
+    individual: Rollout
+
+    def metrics(self) -> dict[str, Any]:
+        """As `Imitation.metrics`, with `segments`, `transitions`, and what the individual optima are worth as they
+        stand."""
+        found, individual = super().metrics(), self.individual
+        found["individual_optima"] = {
+            "reward": float(individual.reward[0]),
+            "fell": bool(individual.fell[0]),
+            "segments": [float(part.reward[0]) for part in individual.parts],
+        }
+        found["transitions"] = self.demonstration.meta["stitch"]["transitions"]
+        return found
+
+
+def stitch(
+    sources: Sequence[str | Path | Clip | Motion],
+    robot: Robot | str = "a1",
+    *,
+    cycles: int | Sequence[int] | None = None,
+    method: str = "mbc-dmp",
+    config: ControllerConfig | str = "default",
+    iterations: int = 200,
+    population: int | None = None,
+    part_iterations: int | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    folder: str | Path | None = None,
+    resume: bool = False,
+    progress: Callable[[Progress], None] | None = None,
+    stage: Callable[[str], None] | None = None,
+    randomize: int | Randomization | None = None,
+) -> Stitching:
+    """Stitches motions and optimises all their DMPs together, from each one's own optimum.
+
+    Each motion that is not optimised yet is optimised by itself first, as `imitate` does. Then the parameters of all
+    segments, each occurrence its own, are optimised over the whole episode.
+
+    Args:
+        sources: two or more of what `load_motion` takes, or folders of runs. An optimised motion is taken with its
+            parameters. A name goes before a folder of the same name (use ./NAME).
+        robot: the robot, its name, or the path of its MJCF.
+        cycles: how often each motion is repeated: one number for all, or one for each; about 3 s each if None. The
+            whole lasts 600 s at most.
+        method: one of `fastmimic.imitation.methods.METHODS`; if it optimises nothing, the motion is stitched and run,
+            with the parameters of those that are optimised already.
+        config: the controller's parameters, or the name of a set.
+        iterations: of CMA-ES on the whole.
+        population: candidates in each; 4 + 3 ln k for k parameters, CMA-ES's usual size, if None.
+        part_iterations: of CMA-ES on a motion by itself; if None as `iterations`, or as many as it was given before
+            the whole was begun.
+        seed: of all of them.
+        workers: threads; one for each core if None. The result does not depend on it.
+        folder: where the checkpoints are kept, the motions' own as well; none if None. Those of an earlier run are
+            removed unless it is resumed.
+        resume: go on from the checkpoints in the folder; what has none there is begun anew. Once the whole is begun,
+            the motions' own are only read.
+        progress: called after each iteration.
+        stage: called with what begins.
+        randomize: as in `imitate`, of the motions by themselves and of the whole.
+
+    Raises:
+        FastMimicError: something is wrong with what was given; the message says what.
+        KeyboardInterrupt: stopped before the whole was optimised; the checkpoints are there.
+    """
+    began = time.perf_counter()
+    chosen = method_named(method)
+    check_controller(chosen, False)
+    robot = load_robot(robot)
+    config = chosen.configure(controller_config(config) if isinstance(config, str) else config)
+    for generations in (iterations, part_iterations):  # refuses what cannot be, before anything takes long
+        if generations is not None:
+            CmaSettings(generations, population if population is not None else PART_POPULATION, seed)
+    over = randomization(randomize)
+    if over is not None and not chosen.optimises:
+        raise ConfigError(f"randomisation is of a search, and method '{method}' has none; leave it out")
+    if workers is not None and workers < 1:
+        raise ConfigError(f"workers must be at least 1, found {workers}")
+    if isinstance(cycles, int) and cycles < 1:
+        raise ConfigError(f"every motion needs at least one cycle, found {cycles}")
+    say = stage if stage is not None else _ignore
+    checkpoints = Path(folder) if folder is not None else None
+    loaded = _load(sources, robot)
+    motions = [loaded[k] for k in _keys(sources)]
+    counts = [cycles] * len(motions) if isinstance(cycles, int) else cycles
+    say("stitching " + ", ".join(m.name for m in motions))
+    demonstration = stitch_motions(robot, [m.target for m in motions], counts)
+    given, whole, parts = demonstration, None, _Parts({}, 0, 0.0, 0.0, 0.0)
+    if chosen.optimises or any(m.demonstration is not None for m in motions):
+        if chosen.optimises:
+            if checkpoints is not None and not resume:
+                _remove_checkpoints(checkpoints)
+            settings = {
+                "method": method,
+                "config": config,
+                "iterations": iterations,
+                "population": PART_POPULATION,
+                "seed": seed,
+                "workers": workers,
+                "progress": progress,
+                "randomize": over,
+            }
+            parts = _optimised_parts(motions, robot, part_iterations, checkpoints, resume, settings, say)
+        found = [parts.values.get(id(m)) for m in motions]
+        starts = [parameters_of(m) if own is None else own for m, own in zip(motions, found, strict=True)]
+        whole = StitchedProblem(
+            robot,
+            demonstration,
+            start=starts,
+            config=config,
+            group=needed_group(chosen.parameters if chosen.optimises else FOOT_HEIGHT, *starts),
+        )
+        given = whole.motion(whole.start)
+    if chosen.optimises and whole is not None:
+        population = population if population is not None else usual_population(len(whole.parameters))
+        say("all together")
+    elsewhere = parts.passed_s
+    checkpoint = checkpoints / CHECKPOINT if checkpoints is not None else None
+    imitated = time.perf_counter()
+    result = imitate(
+        given,
+        robot,
+        method=method,
+        config=config,
+        iterations=iterations,
+        population=population if population is not None else PART_POPULATION,
+        seed=seed,
+        workers=workers,
+        checkpoint=checkpoint,
+        resume=resume and checkpoint is not None and checkpoint.is_file(),
+        progress=progress,
+        randomize=over,
+    )
+    elsewhere += time.perf_counter() - imitated
+    own = {field.name: getattr(result, field.name) for field in fields(Imitation)}
+    individual = result.before
+    if whole is not None:
+        individual = run_episodes(robot, given, duration_s=result.duration_s, config=config, log=not chosen.optimises)
+        own["simulated_s"] += result.duration_s
+        if not chosen.optimises:
+            own |= {"motion": made_with(given, method, config), "before": individual, "after": individual}
+            own |= {"parameters": whole.parameters, "values": whole.start}
+    own["evaluations"] += parts.evaluations
+    own["simulated_s"] += parts.simulated_s
+    # what was optimised knows of the time before a resume
+    own["wall_s"] += parts.wall_s + time.perf_counter() - began - elsewhere
+    return Stitching(**own, individual=individual)
+
+
+def usual_population(parameters: int) -> int:
+    """CMA-ES's usual number of candidates, 4 + 3 ln k (Hansen 2006)."""
+    return 4 + int(3 * np.log(parameters))
+
+
+def _keys(sources: Sequence[str | Path | Clip | Motion]) -> list[object]:
+    """What tells the sources apart: the same name or object is the same motion."""
+    return [str(s) if isinstance(s, str | Path) else id(s) for s in sources]
+
+
+def motion_source(source: str | Path) -> str | Path:
+    """What `load_motion` takes for a name, a file or the folder of a run; a name goes before a folder.
+
+    Raises:
+        MotionError: nothing was named, or the folder holds no motion.
+    """
+    name = str(source)
+    if not name.strip():
+        raise MotionError("a motion without a name; give the name of a motion, a file, or the folder of a run")
+    if name in motion_names() or not Path(source).is_dir():
+        return source
+    path = Path(source) / RUN_MOTION
+    if not path.is_file():
+        raise MotionError(f"{source}: a folder without {RUN_MOTION}; give the folder of a finished run, or a file")
+    return path
+
+
+def _load(sources: Sequence[str | Path | Clip | Motion], robot: Robot) -> dict[object, Motion]:
+    if isinstance(sources, str | Path):
+        raise ConfigError(f"stitching takes a list of motions, found '{sources}'")
+    found: dict[object, Motion] = {}
+    for key, source in zip(_keys(sources), sources, strict=True):
+        if key not in found:
+            found[key] = load_motion(motion_source(source) if isinstance(source, str | Path) else source, robot)
+    return found
+
+
+@dataclass
+class _Parts:
+    """What came of the motions by themselves.
+
+    Attributes:
+        values: each motion's parameters by name, by its id.
+        evaluations, simulated_s, wall_s: summed, as in `Imitation`.
+        passed_s: time that passed meanwhile, s.
+    """
+
+    values: dict[int, dict[str, float]]
+    evaluations: int
+    simulated_s: float
+    wall_s: float
+    passed_s: float
+
+
+def _optimised_parts(
+    motions: Sequence[Motion],
+    robot: Robot,
+    iterations: int | None,
+    folder: Path | None,
+    resume: bool,
+    settings: Mapping[str, Any],
+    say: Callable[[str], None],
+) -> _Parts:
+    """Optimises by itself each motion that is not optimised yet."""
+    began = time.perf_counter()
+    begun = resume and folder is not None and (folder / CHECKPOINT).is_file()
+    out = _Parts({}, 0, 0.0, 0.0, 0.0)
+    distinct = list({id(m): m for m in motions}.values())
+    with _part_checkpoints(folder, copied=begun) as place:
+        todo = []
+        for i, motion in enumerate(distinct, start=1):
+            if motion.demonstration is not None:
+                continue
+            path = place / PART_CHECKPOINT.format(i) if place is not None else None
+            again = resume and path is not None and path.is_file()
+            if not again and folder is not None:
+                path = folder / PART_CHECKPOINT.format(i)
+            count = iterations if iterations is not None else settings["iterations"]
+            if begun and again:
+                assert path is not None
+                count = _iterations_before(motion, path, iterations)
+            todo.append((i, motion, path, again, count))
+        for i, motion, path, again, count in todo:
+            say(f"{motion.name} by itself, {i} of {len(distinct)}")
+            found = imitate(motion, robot, checkpoint=path, resume=again, **{**settings, "iterations": count})
+            if found.interrupted:
+                raise KeyboardInterrupt
+            out.values[id(motion)] = {p.name: float(v) for p, v in zip(found.parameters, found.values, strict=True)}
+            out.evaluations += found.evaluations
+            out.simulated_s += found.simulated_s
+            out.wall_s += found.wall_s
+    out.passed_s = time.perf_counter() - began
+    return out
+
+
+def _iterations_before(motion: Motion, checkpoint: Path, wanted: int | None) -> int:
+    """Those of a motion by itself from which the whole was begun."""
+    had = Checkpoint.iterations(checkpoint)
+    if wanted is not None and wanted != had:
+        raise CheckpointError(
+            f"the whole was begun from {had} iterations of '{motion.name}' by itself, not {wanted};"
+            f" resume with --part-iterations {had} or without, or choose another output folder"
+        )
+    return had
+
+
+@contextmanager
+def _part_checkpoints(folder: Path | None, copied: bool) -> Iterator[Path | None]:
+    """The folder of the parts' checkpoints, or, for as long as they are needed, one of copies."""
+    if folder is None or not copied:
+        yield folder
+        return
+    with TemporaryDirectory() as copies:
+        for path in folder.glob(PART_CHECKPOINT.format("*")):
+            try:
+                shutil.copy(path, copies)
+            except OSError as error:
+                raise CheckpointError(f"{path}: cannot be read ({error.strerror or error})") from None
+        try:
+            yield Path(copies)
+        except CheckpointError as error:
+            raise CheckpointError(str(error).replace(copies, str(folder))) from None
+
+
+def _remove_checkpoints(folder: Path) -> None:
+    """Those of an earlier run, which would be mistaken for this one's."""
+    for path in folder.glob(CHECKPOINTS):
+        try:
+            path.unlink()
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be removed ({error.strerror or error})") from None
+
+
+def _ignore(text: str) -> None:
+    """Where nobody listens."""

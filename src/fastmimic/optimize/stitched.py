@@ -1,0 +1,268 @@
+"""Stitched motions: the DMP parameters of all segments at once, scored over the whole episode (paper, "Motion
+stitching").
+
+Each occurrence of a motion has its own parameters. A candidate differs from the demonstration by what its cycles
+differ from the retargeted ones, repeated as they are; a foot passes from one segment's modulation to the next's in the
+stance in which it passes to that segment, the trunk over the transition.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.base.rotations import (
+    quat_conjugate,
+    quat_from_rotvec,
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate,
+    rotate_planar,
+    rotvec_from_quat,
+    yaw_from_quat,
+)
+from fastmimic.control.config import ControllerConfig
+from fastmimic.episode.rollout import Rollout, Start, perturbed_start
+from fastmimic.motion.contacts import stances_of
+from fastmimic.motion.motion import Motion
+from fastmimic.optimize.parameters import FOOT_HEIGHT, needed_group
+from fastmimic.optimize.problem import ImitationProblem, Objective, Problem, clearance_penalty
+from fastmimic.primitive import MotionDmp
+from fastmimic.primitive.reach import foot_table
+from fastmimic.primitive.rhythmic import N_BASIS
+from fastmimic.reference.table import planar_turned, reference_table
+from fastmimic.stitching.layout import Layout
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+_PLANAR = ("lin_vel", "ang_vel")
+
+
+class StitchedProblem(Problem):
+    """All parameters of a stitched motion's segments, scored in episodes of the whole."""
+
+    def __init__(
+        self,
+        robot: "Robot",
+        demonstration: Motion,
+        *,
+        start: Mapping[str, float] | Sequence[Mapping[str, float]] | None = None,
+        objective: Objective | None = None,
+        config: ControllerConfig | None = None,
+        group: str = FOOT_HEIGHT,
+        workers: int | None = None,
+        n_basis: int = N_BASIS,
+    ) -> None:
+        """
+        Args:
+            robot: the robot.
+            demonstration: from `stitch_motions`.
+            start: where the search begins, by parameter, or by each segment's own, brought within the bounds; what it
+                does not name, or None, is as in the unmodulated motion.
+            objective: how candidates are scored; each segment has the same clearance rule. An episode is the whole
+                motion, whatever the objective's duration.
+            config: the controller's.
+            group: what is optimised of each segment, one of `PARAMETER_GROUPS`.
+            workers: threads; one for each core if None.
+            n_basis: basis functions of each DMP.
+
+        Raises:
+            ConfigError: fewer than one worker, no such group, or a start of other parameters.
+            MotionError: the motion is not a stitched one.
+        """
+        self.layout = Layout.of(demonstration)
+        objective = replace(objective or Objective(), duration_s=(demonstration.n_samples - 1) / demonstration.rate_hz)
+        fits = [MotionDmp.fit(part, robot, n_basis) for part in demonstration.parts]
+        self.segments = [
+            ImitationProblem(robot, demonstration.parts[s.part], fits[s.part], group=group, config=config, workers=1)
+            for s in self.layout.segments
+        ]
+        parameters = [
+            replace(p, name=f"{i}:{s.name}/{p.name}")
+            for i, (s, problem) in enumerate(zip(self.layout.segments, self.segments, strict=True), start=1)
+            for p in problem.parameters
+        ]
+        super().__init__(robot, demonstration, parameters, objective=objective, config=config, workers=workers)
+        if start is not None and not isinstance(start, Mapping):
+            if len(start) != len(self.segments):
+                raise ConfigError(f"the start is of {len(start)} segments; the motion has {len(self.segments)}")
+            named = zip(self.layout.segments, start, strict=True)
+            start = {f"{i}:{s.name}/{p}": v for i, (s, own) in enumerate(named, start=1) for p, v in own.items()}
+        given = start or {}
+        unknown = sorted(given.keys() - {p.name for p in parameters})
+        if unknown:
+            raise ConfigError(f"the start names {', '.join(unknown)}, which is not optimised here")
+        values = np.array([float(given.get(p.name, p.initial)) for p in parameters])
+        self._start = np.clip(values, *self.bounds)
+        self.divisions = tuple(s.first for s in self.layout.segments[1:])
+        self._table = reference_table(demonstration, robot)
+        self._parts = [reference_table(part, robot) for part in demonstration.parts]
+        self._trunk, self._feet = self.layout.trunk_weights(), self.layout.foot_weights()
+        self._share = np.diff([0, *self.divisions, self.steps]) / self.steps
+        self._clearance = segment_clearance(demonstration, robot.foot_radius, self.layout)
+
+    @property
+    def steps(self) -> int:
+        """Control steps in an episode: from the first sample to the last."""
+        return self.demonstration.n_samples - 1
+
+    @property
+    def start(self) -> Array:
+        """(k,) where the search begins: usually the segments' own optima."""
+        return self._start
+
+    def of_segments(self, x: Array) -> list[Array]:
+        """Parameters (..., k) as those of each segment, (..., k_i)."""
+        ends = np.cumsum([0, *(len(p.parameters) for p in self.segments)])
+        return [x[..., a:b] for a, b in pairwise(ends)]
+
+    def motion(self, x: Array) -> Motion:
+        """The reference of one candidate (k,), carrying the demonstration; `meta["stitch"]` holds its parameters."""
+        table, demo = self.tables(x[None])[0], self.demonstration
+        yaw = float(yaw_from_quat(demo.root_quat_wxyz[0]))
+        stitch = dict(demo.meta["stitch"])
+        stitch["parameters"] = {p.name: float(v) for p, v in zip(self.parameters, x, strict=True)}
+        stitch["dmp"] = [
+            problem.motion(own).meta["dmp"] for problem, own in zip(self.segments, self.of_segments(x), strict=True)
+        ]
+        return Motion(
+            rate_hz=demo.rate_hz,
+            root_pos_w=planar_turned(table["root_pos"], yaw) + np.array([*demo.root_pos_w[0, :2], 0.0]),
+            root_quat_wxyz=quat_multiply(quat_from_yaw(yaw)[None], table["root_quat"]),
+            joint_pos=table["joint_pos"],
+            joint_vel=table["joint_vel"],
+            foot_pos_b=table["foot_pos"],
+            contact=demo.contact,
+            root_lin_vel_w=planar_turned(table["lin_vel"], yaw),
+            root_ang_vel_w=planar_turned(table["ang_vel"], yaw),
+            cycle=None,
+            meta={**demo.meta, "stitch": stitch},
+            demonstration=demo,
+        )
+
+    def tables(self, x: Array) -> NDArray[Any]:
+        """References of n candidates (n, k) for the controller, (n, t) of `SAMPLE`."""
+        tables = np.repeat(self._table[None], len(x), axis=0)
+        feet = np.array(tables["foot_pos"])
+        heading = yaw_from_quat(self._table["root_quat"])
+        turn = np.zeros((*feet.shape[:2], 3))
+        for i, (segment, own) in enumerate(zip(self.layout.segments, self.of_segments(x), strict=True)):
+            problem, cycle = self.segments[i], self._parts[segment.part]
+            at = (np.arange(self.layout.n) - segment.shift) % len(cycle)
+            candidate = problem.tables(own)
+            feet += self._feet[i][..., None] * (candidate["foot_pos"] - cycle["foot_pos"])[:, at]
+            share = self._trunk[i][:, None]
+            angle = heading - yaw_from_quat(cycle["root_quat"])[at]
+            for name in ("root_pos", *_PLANAR):
+                change = (candidate[name] - cycle[name])[:, at]
+                change[..., :2] = rotate_planar(angle, change[..., :2])
+                tables[name] += share * change
+            change = quat_multiply(quat_conjugate(cycle["root_quat"])[None], candidate["root_quat"])
+            turn += share * rotvec_from_quat(change)[:, at]
+        tables["root_quat"] = quat_multiply(tables["root_quat"], quat_from_rotvec(turn))
+        reached = foot_table(self.robot, feet, self.demonstration.rate_hz)
+        tables["foot_pos"], tables["joint_pos"] = reached.foot_pos_b, reached.joint_pos
+        dt = self.demonstration.dt
+        tables["joint_vel"] = np.gradient(reached.joint_pos, dt, axis=1)
+        for name, velocity in (("joint_acc", "joint_vel"), ("lin_acc", "lin_vel"), ("ang_acc", "ang_vel")):
+            tables[name] = np.gradient(tables[velocity], dt, axis=1)
+        return tables
+
+    def score(self, rollout: Rollout) -> Array:
+        """Objective of each episode of a rollout, (n,): the mean over the segments by their length."""
+        total = np.zeros(len(rollout.reward))
+        for part, share, wanted in zip(rollout.parts, self._share, self._clearance, strict=True):
+            # who fell earlier has no clearance either
+            fallen = replace(part, fell=part.fell | (rollout.fell & (part.steps == 0)))
+            total += share * (part.reward - clearance_penalty(self.objective, fallen, wanted))
+        return total
+
+    def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
+        """Whole episodes, since the motion ends; all but the first perturbed."""
+        return perturbed_start(episodes, 1, rng), self.steps
+
+
+def make_problem(
+    robot: "Robot",
+    motion: Motion,
+    *,
+    objective: Objective | None = None,
+    config: ControllerConfig | None = None,
+    group: str = FOOT_HEIGHT,
+    workers: int | None = None,
+    n_basis: int = N_BASIS,
+    moved: Mapping[str, float] | None = None,
+) -> Problem:
+    """The problem of optimising a motion: of its cycle, of the whole of what does not repeat or, if it is stitched, of
+    its segments from where they are.
+
+    Raises:
+        ConfigError: no such group of parameters, or a stitched motion is to begin like another one.
+        MotionError: DMPs cannot be fitted to the motion.
+    """
+    demonstration = motion.target
+    if demonstration.cycle is None and demonstration.parts:
+        if moved is not None:
+            raise ConfigError(f"'{motion.name}' is a stitched motion, whose search begins at its own parts' optima")
+        own = motion.meta["stitch"].get("parameters") or {}
+        names = {name.rpartition("/")[2]: value for name, value in own.items()}
+        return StitchedProblem(
+            robot,
+            demonstration,
+            start=own or None,
+            objective=objective,
+            config=config,
+            group=needed_group(group, names),
+            workers=workers,
+            n_basis=n_basis,
+        )
+    dmp = MotionDmp.fit(demonstration, robot, n_basis)
+    return ImitationProblem(
+        robot, demonstration, dmp, group=group, objective=objective, config=config, workers=workers, moved=moved
+    )
+
+
+def parameters_of(motion: Motion) -> dict[str, float]:
+    """An optimised cyclic motion's parameters by name, as far as they differ from the fitted ones; none of others.
+
+    Raises:
+        MotionError: the motion's `meta` cannot be read, or it modulates what no method optimises.
+    """
+    dmp = motion.meta.get("dmp")
+    if motion.demonstration is None or dmp is None:
+        return {}
+    found = {}
+    try:
+        for i, name in enumerate(dmp["names"]):
+            for kind, fitted in (("goal", float(dmp["fitted_goal"][i])), ("amplitude", 1.0)):
+                if (value := float(dmp[kind][i])) != fitted:
+                    found[f"{name}.{kind}"] = value
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise MotionError(f"motion '{motion.name}': the DMP parameters in its 'meta' are damaged ({error!r})") from None
+    return found
+
+
+def segment_clearance(motion: Motion, foot_radius: float, layout: Layout) -> Array:
+    """Mean swing clearance (s, 4) of each segment of a stitched motion, m; NaN without swings.
+
+    A swing counts where it ends, as in the rollout's own count.
+    """
+    feet = motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
+    height = feet[..., 2] - foot_radius
+    bounds = [s.last for s in layout.segments]
+    total, count = np.zeros((len(bounds), 4)), np.zeros((len(bounds), 4))
+    for leg in range(4):
+        for start, end in stances_of(~motion.contact[:, leg], periodic=False):
+            if end == motion.n_samples:
+                continue
+            segment = int(np.searchsorted(bounds, end, side="left"))
+            total[segment, leg] += height[start:end, leg].max()
+            count[segment, leg] += 1
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

@@ -1,0 +1,123 @@
+"""The last moments of a live session, as the take that the scene and the charts of the viewer show."""
+
+from collections import deque
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.rotations import rotate_planar
+from fastmimic.viewer.marks import TRAIL_POINTS, TRAIL_S
+from fastmimic.viewer.take import Take, world_feet
+
+if TYPE_CHECKING:
+    from fastmimic.play.session import LiveSession, Snapshot
+
+Array = NDArray[np.float64]
+
+RATE_HZ: Final = 100.0
+KEPT_S: Final = 2.0
+PLOT_S: Final = 15.0
+MEAN_S: Final = 0.5
+_PLOT_HZ: Final = 12.5
+_FOLLOW_S: Final = 0.6
+_LEASH_M: Final = 0.25
+
+
+class History:
+    """Collects snapshots at `RATE_HZ`; not for several threads at once.
+
+    Args:
+        session: what is shown.
+    """
+
+    def __init__(self, session: "LiveSession") -> None:
+        self._session = session
+        self.every = max(1, round(session.rate_hz / RATE_HZ))
+        """Control steps between two snapshots."""
+        self.rate_hz = session.rate_hz / self.every
+        # so that the dashes of the trails, which go by number, lie still: four of their steps at once
+        self._drop = 4 * max(1, round(TRAIL_S * self.rate_hz / TRAIL_POINTS))
+        self._keep = round(KEPT_S * self.rate_hz)
+        self._rows: list[Snapshot] = []
+        self._plot: deque[tuple[float, ...]] = deque(maxlen=round(PLOT_S * _PLOT_HZ))
+        self._plot_every = max(1, round(self.rate_hz / _PLOT_HZ))
+        self._count = 0
+        self.followed = np.zeros(2)
+        """What the view follows: the robot's place without the sway of its steps, m."""
+        self.add()
+
+    def add(self) -> None:
+        """Takes the present moment."""
+        now = self._session.snapshot()
+        if not self._rows:
+            self.followed = now.pose[:2].copy()
+        self._rows.append(now)
+        if len(self._rows) > self._keep + self._drop:
+            del self._rows[: self._drop]
+        velocity = rotate_planar(float(self._heading(now)), now.velocity_b[:2])
+        ahead = now.pose[:2] - self.followed
+        self.followed = self.followed + velocity / self.rate_hz + ahead / (_FOLLOW_S * self.rate_hz)
+        far = float(np.linalg.norm(now.pose[:2] - self.followed))
+        if far > _LEASH_M:
+            self.followed = now.pose[:2] + (self.followed - now.pose[:2]) * _LEASH_M / far
+        if self._count % self._plot_every == 0:
+            self._plot.append((now.time_s, *now.terms, now.reward))
+        self._count += 1
+
+    @property
+    def now(self) -> "Snapshot":
+        """The last moment."""
+        return self._rows[-1]
+
+    @staticmethod
+    def _heading(now: "Snapshot") -> float:
+        w, x, y, z = now.pose[3:7]
+        return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+    def push(self, within_s: float) -> Array | None:
+        """The last force (3,) that pushed in this time, world, N; None if there was none."""
+        rows = self._rows[-max(1, round(within_s * self.rate_hz)) :]
+        return next((row.push for row in reversed(rows) if row.push.any()), None)
+
+    def mean(self) -> tuple[float, float, float, float]:
+        """Velocity forwards and to the left, m/s, turn rate, rad/s, and reward, over the last `MEAN_S`."""
+        rows = self._rows[-max(1, round(MEAN_S * self.rate_hz)) :]
+        found = np.mean([(*row.velocity_b[:2], row.turn_rate, row.reward) for row in rows], axis=0)
+        return float(found[0]), float(found[1]), float(found[2]), float(found[3])
+
+    def take(self) -> Take:
+        """The last `KEPT_S`, its last row the present."""
+        session, rows = self._session, self._rows
+
+        def stacked(name: str) -> Any:
+            return np.stack([getattr(row, name) for row in rows])
+
+        pose, reference = stacked("pose"), stacked("reference")
+        return Take(
+            title=session.state,
+            caption="",
+            rate_hz=self.rate_hz,
+            pose=pose,
+            reference=reference,
+            feet=world_feet(session.robot, pose),
+            reference_feet=world_feet(session.robot, reference),
+            wanted=stacked("wanted"),
+            measured=stacked("measured"),
+            stance=stacked("stance"),
+            force=stacked("force"),
+            asked=stacked("asked"),
+            terms=stacked("terms"),
+            reward=stacked("reward"),
+            samples=np.zeros(len(rows), np.int64),
+            cycle_starts=np.zeros(1, np.int64),
+            friction=session.controller.config.stance.friction,
+            weight=session.robot.mass * GRAVITY,
+        )
+
+    def plot(self) -> tuple[Array, ...]:
+        """The reward's plot: time before now, s, the five terms, the reward; (k,) each."""
+        values = np.array(self._plot)
+        values[:, 0] -= values[-1, 0]
+        return tuple(np.ascontiguousarray(column) for column in values.T)

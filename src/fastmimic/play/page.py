@@ -1,0 +1,100 @@
+"""The page of a live session: simulation in one thread, pictures from another."""
+
+import threading
+import time
+from typing import TYPE_CHECKING, Final
+
+from fastmimic.play.history import History
+from fastmimic.play.pacing import Pacer
+from fastmimic.play.panel import PlayPanel
+from fastmimic.play.scene import LiveScene
+from fastmimic.viewer.server import DEFAULT_PORT, FRAMES_PER_S, HOST, Cameras, start_server, stop_server
+
+if TYPE_CHECKING:
+    from fastmimic.play.session import LiveSession
+
+_CHARTS_PER_S: Final = 6.0
+_IDLE_S: Final = 0.05
+
+
+class PlayPage:
+    """Serves a live session to browsers on this machine. Use it as a context manager, or `close` it.
+
+    Args:
+        session: what is played.
+        heading: of the panel.
+        port: the first one to try.
+
+    Raises:
+        ConfigError: viser is not installed, or no port is free.
+    """
+
+    def __init__(self, session: "LiveSession", heading: str, port: int = DEFAULT_PORT) -> None:
+        self.session = session
+        self.pacer = Pacer(session)
+        self.history = History(session)
+        self.server = start_server(port)
+        self.scene = LiveScene(self.server, session.robot, self.history)
+        self.cameras = Cameras(self.server, session.robot, [0.0], 0.0)
+        self.panel = PlayPanel(self, heading)
+        for layer in self.panel.hidden:
+            self.scene.set_layer(layer, False)
+        self._charts_at = 0.0
+        self.draw()
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds it."""
+        return f"http://{HOST}:{self.server.get_port()}"
+
+    def draw(self) -> None:
+        """Brings scene and panel to the present."""
+        moment = time.monotonic()
+        with self.pacer.lock:
+            take, plot = self.history.take(), self.history.plot()
+        charts = moment - self._charts_at >= 1.0 / _CHARTS_PER_S
+        with self.server.atomic():
+            self.scene.set_take(take)
+            self.scene.show(take.rows - 1, follow=self.panel.follow)
+            if charts:
+                self.panel.show(take, plot)
+                self._charts_at = moment
+
+    def run(self, stop: threading.Event) -> None:
+        """Plays until `stop` is set; nothing moves while no browser looks on."""
+        failure: list[BaseException] = []
+
+        def simulate() -> None:
+            try:
+                self.pacer.run(stop, self.history.add, self.history.every, self._watched)
+            except BaseException as error:  # noqa: BLE001 - handed to the caller's thread
+                failure.append(error)
+                stop.set()
+
+        simulation = threading.Thread(target=simulate, daemon=True)
+        simulation.start()
+        try:
+            while not stop.wait(1.0 / FRAMES_PER_S if self._watched() else _IDLE_S):
+                if self._watched():
+                    self.draw()
+                else:
+                    with self.pacer.lock:
+                        self.session.library.prepare(self.session.motion)
+        finally:
+            stop.set()
+            simulation.join()
+        if failure:
+            raise failure[0]
+
+    def close(self) -> None:
+        """Ends the server."""
+        stop_server(self.server)
+
+    def __enter__(self) -> "PlayPage":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _watched(self) -> bool:
+        return bool(self.server.get_clients())

@@ -1,0 +1,338 @@
+"""What one steers with, and what the live session says of itself."""
+
+import html
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from fastmimic.base.errors import FastMimicError
+from fastmimic.play.session import METHODS
+from fastmimic.play.steering import IDLE, read_steering, steering_script
+from fastmimic.play.world import FRICTION
+from fastmimic.viewer.charts import gait_strip, leg_table, plot_key, plot_series
+from fastmimic.viewer.scene import LAYERS
+
+if TYPE_CHECKING:
+    from fastmimic.play.page import PlayPage
+    from fastmimic.viewer.take import Take
+
+_CHARTS_WIDTH: Final = 320  # pixels
+_CONTROLS_WIDTH: Final = 310
+_PACES: Final = {"real time": 1.0, "× 0.5": 0.5, "× 0.25": 0.25, "× 0.1": 0.1}
+_DIRECTIONS: Final = {"← left": 90.0, "→ right": -90.0, "↑ on": 0.0, "↓ back": 180.0}
+_MOTION_KEYS: Final = ("1", "2", "3", "4", "5", "6", "7", "8", "9", "0")
+_MAX_IMPULSE: Final = 20.0
+_MAX_PAYLOAD_KG: Final = 6.0
+_THERE_RGB: Final = "#1a7f37"
+_ON_THE_WAY_RGB: Final = "#9a6700"
+_TROUBLE_RGB: Final = "#b03060"
+_HIDDEN: Final = ("ghost", "names")
+"""Layers that are not shown at first: where the robot follows well, the ghost is inside it."""
+
+_HELP: Final = """\
+<div style="font-size:12px;line-height:1.6;padding:0 10px">
+<b>← →</b> or <b>A D</b>, held: turn · <b>↑ ↓</b> or <b>W S</b>, held: faster, slower<br>
+<b>1 … 9, 0</b>: a motion · <b>PageUp, PageDown</b>: the one before, the next<br>
+<b>P</b> push · <b>X</b> motors off · <b>space</b> pause<br>
+<b>Gamepad</b>: left stick turn and speed · A push · B motors off · shoulder buttons the motion before, the next ·
+Start pause
+</div>"""
+
+
+class PlayPanel:
+    """viser's GUI elements, and what they do to the session."""
+
+    def __init__(self, page: "PlayPage", heading: str) -> None:
+        self._page, self._session = page, page.session
+        self._gui = gui = page.server.gui
+        self._steering = (0.0, 0.0)
+        self._mistake: str | None = None
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(_CONTROLS_WIDTH)
+        gui.add_html(f'<div style="font-size:15px;font-weight:700;padding:2px 10px">{html.escape(heading)}</div>')
+        self._state = gui.add_html("")
+        self._add_motions()
+        self._add_modulation()
+        self._add_push()
+        self._add_world()
+        self._add_view()
+        self._add_keys()
+        self._add_charts()
+        self._limits: Any = None
+        self.show_limits()
+
+    @property
+    def follow(self) -> bool:
+        """Whether the view follows the robot."""
+        return bool(self._follow.value)
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """Layers that are not shown at first."""
+        return _HIDDEN
+
+    def show(self, take: "Take", plot: tuple[Any, ...]) -> None:
+        """Brings texts and charts to the present."""
+        row = take.rows - 1
+        self._state.content = self._status()
+        self._figures.content = self._numbers()
+        self._strip.content = gait_strip(take, row, now=1.0)
+        self._table.content = leg_table(take, row)
+        if len(plot[0]) > 1:
+            self._plot.data = plot
+        self.show_limits()
+
+    def show_limits(self) -> None:
+        """Tells by the sliders how far the present motion may be modulated."""
+        limits = self._session.library.entry(self._session.motion).limits
+        if limits == self._limits:
+            return
+        self._limits = limits
+        for slider, (low, high), fixed, words in (
+            (self._speed, limits.speed, 1.0, "of its own"),
+            (self._turn, limits.turn, 0.0, "rad/s added to its own"),
+            (self._lift, limits.lift, 1.0, "of its own"),
+        ):
+            free = high > low
+            slider.disabled = not free
+            slider.hint = (
+                f"{low:.2f} to {high:.2f} {words}" if free else f"{self._session.motion} has no step to change"
+            )
+            del fixed
+
+    def show_paused(self) -> None:
+        """Labels the button by what it does next."""
+        self._pause.label = "Go on" if self._page.pacer.paused else "Pause"
+
+    def _status(self) -> str:
+        session, pacer = self._session, self._page.pacer
+        on, left, turning, reward = self._page.history.mean()
+        colour = _THERE_RGB if session.goal == session.motion else _ON_THE_WAY_RGB
+        if session.fallen or session.trouble or self._mistake:
+            colour = _TROUBLE_RGB
+        factor = "paused" if pacer.paused else f"{100 * pacer.realtime_factor:.0f} % of real time"
+        slow = f' style="color:{_TROUBLE_RGB}"' if not pacer.paused and pacer.realtime_factor < 0.95 else ""
+        where = html.escape(self._mistake or session.state)
+        return (
+            '<div style="font-size:13px;line-height:1.5;padding:0 10px;font-variant-numeric:tabular-nums;'
+            f'white-space:nowrap;overflow:hidden"><b style="color:{colour}">{where}</b><br>'
+            f"<span{slow}>{factor}</span> · {session.method} · reward <b>{reward:.2f}</b><br>"
+            f"{on:+.2f} m/s on, {left:+.2f} to the left, {turning:+.2f} rad/s</div>"
+        )
+
+    def _numbers(self) -> str:
+        session = self._session
+        median, p99 = session.control_us
+        modulation = session.modulation
+        rows = (
+            ("control step, median", f"{median:.0f} µs"),
+            ("99 of 100 below", f"{p99:.0f} µs of {1e6 * session.dt:.0f}"),
+            (
+                "speed × turn × swing height",
+                f"{modulation['speed']:.2f}, {modulation['turn']:+.2f} rad/s, {modulation['lift']:.2f}",
+            ),
+            ("falls", f"{session.falls}"),
+            ("simulated", f"{session.time_s:.0f} s"),
+        )
+        cells = "".join(f'<tr><td>{a}</td><td style="text-align:right">{b}</td></tr>' for a, b in rows)
+        return f'<table style="width:100%;font-size:12px;font-variant-numeric:tabular-nums">{cells}</table>'
+
+    def _do(self, what: Callable[[], None]) -> None:
+        """Something to the session, between its steps."""
+        with self._page.pacer.lock:
+            try:
+                self._mistake = None
+                what()
+            except FastMimicError as error:
+                self._mistake = str(error)
+
+    def _add_motions(self) -> None:
+        gui, session = self._gui, self._session
+        names = session.library.names
+        self._pause = gui.add_button("Pause")
+        motions = gui.add_button_group("motion", names)
+        self._motions = motions
+
+        @self._pause.on_click
+        def _(_event: Any) -> None:
+            self._toggle()
+
+        @motions.on_click
+        def _(_event: Any) -> None:
+            self._do(lambda: session.switch(str(motions.value)))
+
+    def _add_modulation(self) -> None:
+        gui, session = self._gui, self._session
+        every = session.library.entries.values()
+
+        def widest(name: str, neutral: float) -> tuple[float, float]:
+            found = [getattr(entry.limits, name) for entry in every]
+            return min(neutral, *(low for low, _ in found)), max(neutral, *(high for _, high in found))
+
+        self._speed: Any = gui.add_slider("speed ×", *_rounded(*widest("speed", 1.0)), 0.01, 1.0)
+        self._turn: Any = gui.add_slider("turn, rad/s", *_rounded(*widest("turn", 0.0)), 0.01, 0.0)
+        self._lift: Any = gui.add_slider("swing height ×", *_rounded(*widest("lift", 1.0)), 0.01, 1.0)
+        straight = gui.add_button("As it is", hint="speed, turn and swing height of the motion itself")
+
+        for slider in (self._speed, self._turn, self._lift):
+
+            @slider.on_update
+            def _(_event: Any) -> None:
+                self._steer()
+
+        @straight.on_click
+        def _(_event: Any) -> None:
+            self._speed.value, self._turn.value, self._lift.value = 1.0, 0.0, 1.0
+            self._steer()
+
+    def _steer(self) -> None:
+        """What sliders, keys and stick ask for together: full deflection is the motion's limit."""
+        session = self._session
+        left, on = self._steering
+
+        def want() -> None:
+            limits = session.library.entry(session.motion).limits
+            fast, slow = limits.speed[1] - 1.0, 1.0 - limits.speed[0]
+            session.set_speed(float(self._speed.value) + (on * fast if on > 0 else on * slow))
+            session.set_turn(float(self._turn.value) + left * limits.turn[1])
+            session.set_lift(float(self._lift.value))
+
+        self._do(want)
+
+    def _add_push(self) -> None:
+        gui, session = self._gui, self._session
+        with gui.add_folder("Push"):
+            impulse = gui.add_slider("impulse, N·s", 1.0, _MAX_IMPULSE, 0.5, 4.0)
+            ways = gui.add_button_group("push", tuple(_DIRECTIONS))
+            angle = gui.add_slider("direction, °", -180, 180, 5, 90, hint="from the heading, positive to the left")
+            push = gui.add_button("Push", color="orange")
+            limp = gui.add_button("Motors off", hint="it falls, and gets up by itself")
+
+        def shove(degrees: float) -> None:
+            self._do(lambda: session.push(float(impulse.value), float(np.radians(degrees))))
+
+        self._shove = lambda: shove(float(angle.value))
+        self._limp = lambda: self._do(session.fall)
+
+        @ways.on_click
+        def _(_event: Any) -> None:
+            shove(_DIRECTIONS[str(ways.value)])
+
+        @push.on_click
+        def _(_event: Any) -> None:
+            self._shove()
+
+        @limp.on_click
+        def _(_event: Any) -> None:
+            self._limp()
+
+    def _add_world(self) -> None:
+        gui, session = self._gui, self._session
+        with gui.add_folder("Robot and ground"):
+            method: Any = gui.add_button_group("controller", METHODS)
+            friction: Any = gui.add_slider("friction", *FRICTION, 0.05, round(session.world.friction, 2))
+            payload: Any = gui.add_slider("payload, kg", 0.0, _MAX_PAYLOAD_KG, 0.1, 0.0)
+
+        @method.on_click
+        def _(_event: Any) -> None:
+            self._do(lambda: session.set_method(str(method.value)))
+
+        @friction.on_update
+        def _(_event: Any) -> None:
+            self._do(lambda: session.world.set_friction(float(friction.value)))
+
+        @payload.on_update
+        def _(_event: Any) -> None:
+            self._do(lambda: session.world.set_payload(float(payload.value)))
+
+    def _add_view(self) -> None:
+        gui, page = self._gui, self._page
+        with gui.add_folder("View", expand_by_default=False):
+            pace: Any = gui.add_dropdown("time", tuple(_PACES))
+            self._follow = gui.add_checkbox("follow the robot", True)
+            reset = gui.add_button("Reset the view")
+            for layer, words in LAYERS.items():
+                if layer != "animal":
+                    self._add_layer(layer, words)
+
+        @pace.on_update
+        def _(_event: Any) -> None:
+            page.pacer.pace = _PACES[str(pace.value)]
+
+        @reset.on_click
+        def _(event: Any) -> None:
+            page.cameras.reset(event.client)
+
+    def _add_layer(self, layer: str, words: str) -> None:
+        box = self._gui.add_checkbox(words, layer not in _HIDDEN)
+
+        @box.on_update
+        def _(_event: Any) -> None:
+            self._page.scene.set_layer(layer, bool(box.value))
+
+    def _add_keys(self) -> None:
+        gui, session = self._gui, self._session
+        with gui.add_folder("Keys and gamepad"):
+            self._field = gui.add_text("stick", IDLE, hint="what held keys and the gamepad's left stick ask for")
+            gui.add_html(_HELP + steering_script())
+
+        @self._field.on_update
+        def _(_event: Any) -> None:
+            found = read_steering(str(self._field.value))
+            if found is not None:
+                self._steering = found
+                self._steer()
+
+        def at(offset: int) -> None:
+            names = session.library.names
+            session.switch(names[(names.index(session.goal) + offset) % len(names)])
+
+        self._command("Pause or go on", "space", self._toggle)
+        self._command("Push", "P", lambda: self._shove())
+        self._command("Motors off", "X", lambda: self._limp())
+        self._command("Motion before", "pageup", lambda: self._do(lambda: at(-1)))
+        self._command("Next motion", "pagedown", lambda: self._do(lambda: at(1)))
+        for key, name in zip(_MOTION_KEYS, session.library.names, strict=False):
+            self._command(f"Motion: {name}", key, partial(self._do, partial(session.switch, name)))
+
+    def _command(self, label: str, key: Any, what: Callable[[], None]) -> None:
+        command = self._gui.add_command(label, hotkey=key)
+
+        @command.on_trigger
+        def _(_event: Any) -> None:
+            what()
+
+    def _toggle(self) -> None:
+        with self._page.pacer.lock:
+            self._page.pacer.paused = not self._page.pacer.paused
+        self.show_paused()
+
+    def _add_charts(self) -> None:
+        """In a window of their own on the other side; on a phone a section of the sheet."""
+        gui = self._gui
+        window = gui.add_panel()
+        window.dock_left()
+        window.set_width(_CHARTS_WIDTH)
+        plot = self._page.history.plot()
+        with window.add_tab("Live"):
+            self._strip = gui.add_html("")
+            self._plot = gui.add_uplot(
+                data=tuple(np.repeat(column, 2) for column in plot) if len(plot[0]) < 2 else plot,
+                series=plot_series()[:-1],  # type: ignore[arg-type]
+                scales={"x": {"time": False}, "y": {"auto": False, "min": 0.0, "max": 1.05}},
+                axes=({"size": 34}, {"size": 44}),
+                legend={"show": False},
+                cursor={"show": False},
+                height=170,
+            )
+            gui.add_html(f'<div style="font-size:12px;line-height:1.5;padding:0 10px">reward: {plot_key()}</div>')
+            self._figures = gui.add_html("")
+            with gui.add_folder("Legs in numbers", expand_by_default=False):
+                self._table = gui.add_html("")
+
+
+def _rounded(low: float, high: float) -> tuple[float, float]:
+    return float(np.floor(100 * low) / 100), float(np.ceil(100 * high) / 100)

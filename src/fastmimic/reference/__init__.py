@@ -1,0 +1,1 @@
+"""The running reference: what the controller follows, and how it passes from motion to motion."""

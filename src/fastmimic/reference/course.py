@@ -1,0 +1,138 @@
+"""A motion in its own moving frame: the form in which it can be modulated while it runs.
+
+Every sample is written in the heading frame of the reference's own root, and the root's path as the step to the next
+sample. That is periodic for any cycle, whatever it travels or turns, and continuous from a motion into a transition, so
+phase, speed, turn and swing height may change at any moment without a jump.
+"""
+
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.jit import record_dtype
+from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, rotate_planar, yaw_from_quat
+from fastmimic.motion.contacts import stances_of
+from fastmimic.motion.motion import Motion
+from fastmimic.reference.table import reference_table
+from fastmimic.robot import Robot
+from fastmimic.stitching.switch import Cycle
+
+Array = NDArray[np.float64]
+
+COURSE: Final = record_dtype(
+    [
+        ("step", "f8", (2,)),
+        ("turn", "f8"),
+        ("root_z", "f8"),
+        ("tilt", "f8", (4,)),
+        ("lin_vel", "f8", (3,)),
+        ("ang_vel", "f8", (3,)),
+        ("lin_acc", "f8", (3,)),
+        ("ang_acc", "f8", (3,)),
+        ("leg_lin_acc", "f8", (3,)),
+        ("leg_ang_acc", "f8", (3,)),
+        ("foot", "f8", (4, 3)),
+        ("lift", "f8", (4,)),
+        ("contact", "i8", (4,)),
+        ("remaining", "f8", (4,)),
+        ("since_middle", "f8", (4,)),
+        ("travel", "f8", (3,)),
+        ("sync", "i8"),
+    ]
+)
+"""One sample, heading frame of the root, SI units: `step` and `turn` of the root to the next sample; `tilt` heading →
+body; velocities, accelerations and what the legs take (`SAMPLE`); `foot` from the root on the ground, z of its centre;
+`lift` of the foot above where it stands; `contact` and `remaining` as in `SAMPLE`; `since_middle` the time since the
+middle of the foot's stance, s, which in swing goes back smoothly to that before the next one; `travel` the mean
+velocity of the root over a stride, m/s, m/s, rad/s; `sync` where a cycle starts."""
+
+_STRIDE_S: Final = 0.5
+"""Over which the velocity of a motion that does not repeat is averaged."""
+
+
+def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
+    """A motion as an array (t,) of `COURSE`, periodic if the motion is.
+
+    Args:
+        motion: a cycle, or a stitched motion; its samples at the controller's rate.
+        robot: whose motion it is.
+    """
+    table = reference_table(motion, robot)
+    periodic = motion.cycle is not None
+    course = np.zeros(motion.n_samples, COURSE)
+    yaw = np.unwrap(yaw_from_quat(table["root_quat"]))
+    xy = table["root_pos"][:, :2]
+    if motion.cycle is not None:
+        end = xy[0] + rotate_planar(float(yaw[0]), motion.cycle[:2])
+        whole = yaw[0] + motion.cycle[2]
+        whole += 2 * np.pi * np.round((yaw[-1] - whole) / (2 * np.pi))  # the last step is a small one
+    else:
+        end, whole = 2 * xy[-1] - xy[-2], 2 * yaw[-1] - yaw[-2]
+    course["step"] = rotate_planar(-yaw, np.diff(np.concatenate([xy, end[None]]), axis=0))
+    course["turn"] = np.diff(np.append(yaw, whole))
+    course["root_z"] = table["root_pos"][:, 2]
+    course["tilt"] = quat_multiply(quat_from_yaw(-yaw), table["root_quat"])
+    for name in ("lin_vel", "ang_vel", "lin_acc", "ang_acc", "leg_lin_acc", "leg_ang_acc"):
+        vector = np.array(table[name])
+        vector[:, :2] = rotate_planar(-yaw, vector[:, :2])
+        course[name] = vector
+    course["foot"] = quat_rotate(course["tilt"][:, None], table["foot_pos"])
+    course["foot"][..., 2] += course["root_z"][:, None]
+    course["lift"] = _lift(motion.target, course["foot"][..., 2], robot.foot_radius)
+    course["contact"], course["remaining"] = table["contact"], table["remaining"]
+    course["since_middle"] = np.stack(
+        [since_middle(motion.contact[:, leg], motion.rate_hz, periodic) for leg in range(4)], axis=-1
+    )
+    course["travel"] = _travel(motion)
+    course["sync"] = table["sync"]
+    return course
+
+
+def _lift(motion: Motion, height: Array, foot_radius: float) -> Array:
+    """How far (t, 4) the demonstration's feet are above where they stand, m: what the swing height multiplies."""
+    feet = motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
+    return np.where(motion.contact, 0.0, np.maximum(feet[..., 2] - foot_radius, 0.0)) * np.ones_like(height)
+
+
+def _travel(motion: Motion) -> Array:
+    """Velocity and turn rate (t, 3) of the root over a stride, heading frame, m/s and rad/s."""
+    if motion.cycle is not None:
+        return Cycle.of(motion).velocity
+    from scipy.ndimage import uniform_filter1d
+
+    planar = rotate_planar(-yaw_from_quat(motion.root_quat_wxyz), motion.root_lin_vel_w[:, :2])
+    velocity = np.column_stack([planar, motion.root_ang_vel_w[:, 2]])
+    return np.asarray(uniform_filter1d(velocity, max(1, round(_STRIDE_S * motion.rate_hz)), axis=0, mode="nearest"))
+
+
+def since_middle(contact: NDArray[np.bool_], rate_hz: float, periodic: bool) -> Array:
+    """Time (t,) since the middle of the stance, s; in swing back to the next stance's beginning, twice differentiable.
+
+    A foot that stands in a turning frame moves on an arc about its place at mid-stance; this is how far along it is. A
+    foot that never lifts off has none: 0.
+    """
+    n = len(contact)
+    out = np.zeros(n)
+    if contact.all() or not contact.any():
+        return out
+    copies = 3 if periodic else 1
+    wide = np.tile(contact, copies)
+    stances = stances_of(wide, periodic=False)
+    values = np.zeros(len(wide))
+    for touch_down, lift_off in stances:
+        t = np.arange(touch_down, lift_off)
+        values[t] = (t - 0.5 * (touch_down + lift_off)) / rate_hz
+    for before, after in pairwise(stances):
+        t = np.arange(before.lift_off, after.touch_down)
+        start, end = 0.5 * before.duration / rate_hz, -0.5 * after.duration / rate_hz
+        values[t] = _return(start, end, t - before.lift_off, after.touch_down - before.lift_off, rate_hz)
+    return np.asarray(values[n : 2 * n] if periodic else values)
+
+
+def _return(start: float, end: float, t: NDArray[np.int_], samples: int, rate_hz: float) -> Array:
+    """From `start` to `end` with slope 1 and no curvature at either end (a quintic)."""
+    u, duration = t / samples, samples / rate_hz
+    smooth = u**3 * (10 - 15 * u + 6 * u**2)
+    return np.asarray(start + duration * u + (end - start - duration) * smooth)

@@ -1,0 +1,266 @@
+"""The motions that can be played, and their transitions, made in the background."""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from numpy.typing import NDArray
+
+from fastmimic.base.errors import ConfigError, MotionError, did_you_mean
+from fastmimic.clips.synthesis import GAITS, GaitSpec, keypoints
+from fastmimic.imitation.imitate import load_motion
+from fastmimic.imitation.stitch import motion_source
+from fastmimic.motion.motion import Motion
+from fastmimic.reference.course import course_of
+from fastmimic.reference.limits import Limits, limits_of
+from fastmimic.reference.tempo import Tempo, make_tempo
+from fastmimic.reference.transition import Transition, make_transition
+from fastmimic.retarget.retarget import retarget
+from fastmimic.robot import Robot, load_robot
+
+_Result = TypeVar("_Result")
+
+STAND: Final = "stand"
+IN_PLACE: Final = "in-place"
+DEFAULTS: Final = (STAND, IN_PLACE, "walk", "trot", "pace", "turn", "side-step", "spin", "backward-trot", "bound")
+"""What is played if nothing is named."""
+_STAND: Final = GaitSpec(about="stand", lift=0.0, bob=0.0, pitch=0.0, yaw=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A motion of the library.
+
+    Attributes:
+        name: by which it is chosen.
+        motion: as it was loaded.
+        course, demonstration: what the controller follows and what it is scored against, (t,) of `COURSE`.
+        limits: of its modulation.
+    """
+
+    name: str
+    motion: Motion
+    course: NDArray[Any]
+    demonstration: NDArray[Any]
+    limits: Limits
+
+    @property
+    def stands(self) -> bool:
+        """Whether no foot ever lifts off."""
+        return bool(self.motion.contact.all())
+
+
+class Library:
+    """Motions by name. "stand" and "in-place" are always there: getting up ends in the one, and any motion that does
+    not pass into another directly does so by the other.
+
+    Args:
+        robot: whose motions they are.
+        motions: cyclic motions by name.
+        rate_hz: of the control.
+        executor: processes that make transitions in the background; at once, when they are asked for, if None.
+        source: from which such a process loads the robot: its name or file; the robot's name if None.
+
+    Raises:
+        MotionError: a motion that does not repeat, or is for another robot or rate.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        motions: Mapping[str, Motion],
+        rate_hz: float = 500.0,
+        *,
+        executor: Executor | None = None,
+        source: str | None = None,
+    ) -> None:
+        self.robot = robot
+        self._executor, self._source = executor, source if source is not None else robot.name
+        self._transitions: dict[tuple[str, str], Future[Transition | None]] = {}
+        self._tempos: dict[str, Future[Tempo]] = {}
+        self._busy: Future[Any] | None = None
+        self.entries: dict[str, Entry] = {}
+        always: dict[str, Callable[[], Motion]] = {
+            STAND: lambda: standing(robot),
+            IN_PLACE: lambda: load_motion("trot", robot, speed=0.0),
+        }
+        for name, make in always.items():
+            if name not in motions:
+                self.entries[name] = _entry(name, make(), robot, rate_hz)
+        for name, motion in motions.items():
+            self.entries[name] = _entry(name, motion, robot, rate_hz)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All of them, in the order in which they are offered."""
+        return tuple(self.entries)
+
+    def entry(self, name: str) -> Entry:
+        """A motion; raises `ConfigError` if there is none of that name."""
+        if name not in self.entries:
+            raise ConfigError(
+                f"'{name}' is not played; there are {', '.join(self.names)}{did_you_mean(name, self.names)}"
+            )
+        return self.entries[name]
+
+    def next_hop(self, now: str, goal: str) -> tuple[str, Transition] | None:
+        """Where to go from a motion on the way to another, and how; None while that is being made.
+
+        Raises:
+            MotionError: there is no way.
+        """
+        near = IN_PLACE in (now, goal)
+        if near or not (self._stands(now) or self._stands(goal)):  # from standing one first steps in place
+            direct = self._future(now, goal)
+            if not direct.done():
+                return None
+            transition = direct.result()
+            if transition is not None and (transition.sound or near):
+                return goal, transition
+        if not near:
+            around = self._future(now, IN_PLACE)
+            self._future(IN_PLACE, goal)
+            if not around.done():
+                return None
+            through = around.result()
+            if through is not None:
+                return IN_PLACE, through
+        raise MotionError(f"no way was found from '{now}' to '{goal}'")
+
+    def tempo(self, name: str) -> Tempo | None:
+        """A motion's demonstration at the speeds that its limits span; None while that is being made."""
+        if name not in self._tempos or _broke(self._tempos[name]):
+            entry = self.entry(name)
+            speeds = tuple(speed for speed in entry.limits.speed if speed != 1.0)
+            self._tempos[name] = self._made(_made_tempo, make_tempo, entry.motion.target, speeds)
+        found = self._tempos[name]
+        return found.result() if found.done() else None
+
+    def forget_tempos(self) -> None:
+        """Has the speeds made anew, after limits were changed."""
+        self._tempos.clear()
+
+    def prepare(self, now: str) -> None:
+        """Has one more thing made in the background that a motion may need next, unless that is still busy: what is
+        asked for in the meantime does not wait for long."""
+        if self._executor is None or (self._busy is not None and not self._busy.done()):
+            return
+        hub = [] if now == IN_PLACE else [(now, IN_PLACE), *((IN_PLACE, other) for other in self.names)]
+        direct = [] if self._stands(now) else [(now, other) for other in self.names if not self._stands(other)]
+        for before, after in (*hub[:1], *direct, *hub[1:]):
+            if before != after and (before, after) not in self._transitions:
+                self._busy = self._future(before, after)
+                return
+        if now not in self._tempos:
+            self.tempo(now)
+            self._busy = self._tempos[now]
+
+    def _stands(self, name: str) -> bool:
+        return self.entry(name).stands
+
+    def _future(self, before: str, after: str) -> "Future[Transition | None]":
+        key = (before, after)
+        if key not in self._transitions or _broke(self._transitions[key]):
+            a, b = self.entry(before).motion, self.entry(after).motion
+            self._transitions[key] = self._made(_made, make_transition, a, b)
+        return self._transitions[key]
+
+    def _made(self, there: Callable[..., _Result], here: Callable[..., _Result], *given: Any) -> "Future[_Result]":
+        """What another process makes, or this one if there is none any more."""
+        if self._executor is not None:
+            try:
+                return self._executor.submit(there, self._source, *given)
+            except BrokenExecutor:
+                self._executor = None
+        future: Future[_Result] = Future()
+        future.set_result(here(self.robot, *given))
+        return future
+
+
+def _entry(name: str, motion: Motion, robot: Robot, rate_hz: float) -> Entry:
+    if motion.cycle is None:
+        raise MotionError(f"motion '{name}' does not repeat; only cyclic motions can be played")
+    if abs(motion.rate_hz - rate_hz) > 1e-9:
+        raise MotionError(f"motion '{name}' has {motion.rate_hz:g} samples a second; expected {rate_hz:g}")
+    motion.check_robot(robot.name)
+    course = course_of(motion, robot)
+    demonstration = course if motion.demonstration is None else course_of(motion.demonstration, robot)
+    return Entry(name, motion, course, demonstration, limits_of(course, motion.joint_vel, robot))
+
+
+def standing(robot: Robot) -> Motion:
+    """The animal standing still, retargeted like any other motion."""
+    motion, _ = retarget(keypoints(_STAND, {"name": STAND}), robot)
+    return motion
+
+
+def load_library_motions(
+    sources: Sequence[str], robot: Robot, progress: Callable[[int, int], None] | None = None
+) -> dict[str, Motion]:
+    """Motions by the names under which they are played.
+
+    Args:
+        sources: names, clips, robot motions (.npz) or folders of runs; "stand" and "in-place" besides.
+        robot: the robot.
+        progress: called with how many are loaded and how many there are.
+
+    Raises:
+        FastMimicError: nothing of that name, or a file that cannot be read.
+    """
+    found: dict[str, Motion] = {}
+    for i, source in enumerate(sources):
+        if source == STAND:
+            name, motion = STAND, standing(robot)
+        elif source == IN_PLACE:
+            name, motion = IN_PLACE, load_motion("trot", robot, speed=0.0)
+        else:
+            motion = load_motion(motion_source(source), robot)
+            name = source if source in GAITS or ":" in source else _short(source, motion)
+        if name in found:
+            name = _distinct(name, found)
+        found[name] = motion
+        if progress is not None:
+            progress(i + 1, len(sources))
+    return found
+
+
+def _short(source: str, motion: Motion) -> str:
+    path = Path(source)
+    if path.is_dir():
+        return path.resolve().name
+    return motion.name if path.stem == "motion" else path.stem
+
+
+def _distinct(name: str, taken: Mapping[str, Motion]) -> str:
+    k = 2
+    while f"{name} ({k})" in taken:
+        k += 1
+    return f"{name} ({k})"
+
+
+_ROBOTS: dict[str, Robot] = {}
+
+
+def warm_up(source: str) -> None:
+    """Reads a robot, by name or file, once for the process."""
+    if source not in _ROBOTS:
+        _ROBOTS[source] = load_robot(source)
+
+
+def _made(source: str, before: Motion, after: Motion) -> Transition | None:
+    """`make_transition` in another process."""
+    warm_up(source)
+    return make_transition(_ROBOTS[source], before, after)
+
+
+def _made_tempo(source: str, motion: Motion, speeds: tuple[float, ...]) -> Tempo:
+    """`make_tempo` in another process."""
+    warm_up(source)
+    return make_tempo(_ROBOTS[source], motion, speeds)
+
+
+def _broke(future: "Future[Any]") -> bool:
+    """Whether the process ended before it was done."""
+    return future.done() and isinstance(future.exception(), BrokenExecutor)

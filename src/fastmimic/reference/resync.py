@@ -1,0 +1,59 @@
+"""Recovery after a push: the controller's own clock, which yields to the robot (`RecoveryConfig`).
+
+A robot that was pushed is not where its reference is, and not as fast. Where it is matters least: while its velocity
+is off, the reference moves to it, so that swing feet are placed for balance and not for a place. The clock may
+also go slower or faster meanwhile, and is then brought back in step with the demonstration's.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from fastmimic.base.jit import inlined, kernel
+from fastmimic.reference.table import advance_clock
+
+
+@kernel
+def advance_recovering(config: Any, clocks: Any, tables: Any, observations: Any) -> None:
+    """One control step of the controllers' clocks, as `advance_clocks` where the robots are not in recovery.
+
+    Args:
+        config: (1,) packed controller configuration.
+        clocks: (n,) of `CLOCK`.
+        tables: (k, t) of `SAMPLE`; robot i follows table min(i, k − 1).
+        observations: (n,) of `OBSERVATION`, what the controllers see.
+    """
+    for i in range(clocks.shape[0]):
+        table = tables[min(i, tables.shape[0] - 1)]
+        _advance(config[0], clocks[i], table, observations[i])
+
+
+@inlined
+def _advance(config: Any, clock: Any, table: Any, obs: Any) -> None:
+    ref = table[clock.sample]
+    c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
+    error = np.hypot(
+        c * ref.lin_vel[0] - s * ref.lin_vel[1] - obs.lin_vel[0],
+        s * ref.lin_vel[0] + c * ref.lin_vel[1] - obs.lin_vel[1],
+    )
+    clock.recovering = 1 if error > (config.recovery_end if clock.recovering == 1 else config.recovery_start) else 0
+    rate = 1.0
+    if clock.recovering == 1:
+        rate = config.recovery_rate
+    elif clock.lag > 0.5:
+        rate = 1.0 - config.recovery_catch_up
+    elif clock.lag < -0.5:
+        rate = 1.0 + config.recovery_catch_up
+    clock.fraction += rate
+    clock.lag += rate - 1.0
+    while clock.fraction >= 1.0 - 1e-9:
+        clock.fraction -= 1.0
+        advance_clock(clock, table.shape[0], obs.root_pos[0], obs.root_pos[1], table)
+    if clock.recovering == 1:
+        root = table[clock.sample].root_pos
+        c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
+        x = obs.root_pos[0] - (clock.origin[0] + c * root[0] - s * root[1])
+        y = obs.root_pos[1] - (clock.origin[1] + s * root[0] + c * root[1])
+        clock.origin[0] += config.recovery_resync * x
+        clock.origin[1] += config.recovery_resync * y
+        clock.jump += config.recovery_resync * np.hypot(x, y)

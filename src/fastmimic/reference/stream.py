@@ -1,0 +1,341 @@
+"""The reference of the moment: a course, modulated, as the table that the controller reads.
+
+Speed scales the phase's rate, φ̇ = s/τ: velocities with s, accelerations with s². Turning bends the path: the frame
+turns on by ω, and every foot keeps its place on the ground by going on an arc about the middle of its stance. The swing
+height is the amplitude a of the feet's z with the goal g that keeps their stance where it is, z = z₀ + a (z − z₀).
+In a curve that is tighter or faster than the motion's own the body leans inwards over its feet, so that weight and
+centripetal force meet between them.
+Without modulation the reference is the motion's own.
+"""
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.robot.kinematics import leg_inverse
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+PLACE: Final = record_dtype(
+    [
+        ("position", "f8"),
+        ("pose", "f8", (3,)),
+        ("exit", "i8"),
+        ("entry", "i8"),
+        ("left", "i8"),
+        ("synced", "i8"),
+        ("jump", "f8"),
+    ]
+)
+"""Where in a course the reference is: row `position`, (x, y, yaw) of its root in the world; the row `exit` ≥ 1 before
+which it goes on in the next course at row `entry` (−1 for never); whether it has done so (`left`) or started a cycle
+(`synced`) in the last step; and the sum of what synchronisation has moved it by, m."""
+
+MODULATION: Final = record_dtype([("speed", "f8"), ("turn", "f8"), ("lift", "f8"), ("speed_rate", "f8")])
+"""Factor on the rate of the phase, added turn rate, rad/s, factor on the swing height, and the rate at which the first
+one changes, 1/s."""
+
+_WORK: Final = record_dtype([("feet", "f8", (3, 4, 3)), ("joints", "f8", (3, 12)), ("tilt", "f8", (4,))])
+
+
+def make_place() -> NDArray[Any]:
+    """A place at the start of a course, (1,) of `PLACE`."""
+    place = np.zeros(1, PLACE)
+    place["exit"] = -1
+    return place
+
+
+class Stream:
+    """Fills tables of one robot's reference. Not for several threads at once."""
+
+    def __init__(self, robot: "Robot", rate_hz: float) -> None:
+        self._geometry = robot.geometry.rows
+        self._limits = np.stack([robot.joint_lower, robot.joint_upper])
+        self._dt = 1.0 / rate_hz
+        self._work = np.zeros(1, _WORK)
+        self._scratch = make_place()
+
+    def advance(
+        self,
+        course: NDArray[Any],
+        following: NDArray[Any] | None,
+        place: NDArray[Any],
+        modulation: NDArray[Any],
+        root_xy: Array,
+    ) -> None:
+        """One control step on.
+
+        Args:
+            course: (t,) of `COURSE`.
+            following: the course after it; None if there is none.
+            place: (1,) of `PLACE`, changed.
+            modulation: (1,) of `MODULATION`.
+            root_xy: (2,) where the robot is, to which x and y are synchronised where a cycle starts, m.
+        """
+        other = course if following is None else following
+        _advance(course, other, place[0], modulation[0], self._dt, True, root_xy[0], root_xy[1])
+
+    def fill(
+        self,
+        course: NDArray[Any],
+        following: NDArray[Any] | None,
+        place: NDArray[Any],
+        modulation: NDArray[Any],
+        table: NDArray[Any],
+    ) -> None:
+        """Writes the reference from now on, as it would go on with this modulation, into a table (t,) of `SAMPLE`,
+        relative to the root's heading frame of this moment."""
+        other = course if following is None else following
+        self._scratch[0] = place[0]
+        _fill(
+            course,
+            other,
+            self._scratch[0],
+            modulation[0],
+            self._dt,
+            self._geometry,
+            self._limits,
+            self._work[0],
+            table,
+        )
+
+
+@kernel
+def _advance(
+    course: Any, following: Any, place: Any, modulation: Any, dt: float, follow: bool, x: float, y: float
+) -> None:
+    """One control step on, sample by sample, so that exits and starts of cycles are met exactly."""
+    place.left, place.synced = 0, 0
+    remaining = modulation.speed
+    pose = place.pose
+    turned = modulation.turn * dt
+    while remaining > 0.0:
+        here = course if place.left == 0 else following
+        i = int(place.position)
+        share = min(i + 1.0 - place.position, remaining)
+        part = share / modulation.speed * turned
+        # the chord of the bent path points to its middle heading
+        c, s = np.cos(pose[2] + 0.5 * part), np.sin(pose[2] + 0.5 * part)
+        pose[0] += share * (c * here[i].step[0] - s * here[i].step[1])
+        pose[1] += share * (s * here[i].step[0] + c * here[i].step[1])
+        pose[2] += share * here[i].turn + part
+        remaining -= share
+        place.position += share
+        if place.position < i + 1.0 - 1e-9:
+            continue
+        i += 1
+        if place.left == 0 and i == place.exit:
+            place.left = 1
+            here, i = following, place.entry
+        i %= here.shape[0]
+        place.position = float(i)
+        if follow and here[i].sync == 1:
+            place.synced = 1
+            place.jump += np.hypot(x - pose[0], y - pose[1])
+            pose[0], pose[1] = x, y
+
+
+@kernel
+def _fill(
+    course: Any,
+    following: Any,
+    place: Any,
+    modulation: Any,
+    dt: float,
+    geometry: Array,
+    limits: Array,
+    work: Any,
+    table: Any,
+) -> None:
+    x0, y0, yaw0 = place.pose[0], place.pose[1], place.pose[2]
+    co, so = np.cos(yaw0), np.sin(yaw0)
+    beyond = False
+    for k in range(table.shape[0]):
+        if k > 0:
+            here = following if beyond else course
+            if beyond:
+                place.exit = -1
+            _advance(here, following, place, modulation, dt, False, 0.0, 0.0)
+            beyond = beyond or place.left == 1
+        dx, dy = place.pose[0] - x0, place.pose[1] - y0
+        here = following if beyond else course
+        exit_row = -1 if beyond or place.position > place.exit else place.exit
+        _sample(here, following, exit_row, place.entry, place.position, modulation, dt, k == 0, work, table[k])
+        if k == 0:  # planning ahead is about forces and feet
+            _joints(geometry, limits, dt, work, table[k])
+        _place(co * dx + so * dy, -so * dx + co * dy, place.pose[2] - yaw0, table[k])
+        table[k].sync = place.synced if k > 0 else 0
+
+
+@inlined
+def _row(course: Any, following: Any, exit_row: int, entry: int, i: int) -> Any:
+    """Row i of a course that repeats, or of the next one beyond the exit."""
+    if exit_row >= 0 and i >= exit_row and i - exit_row < 8:
+        return following[(entry + i - exit_row) % following.shape[0]]
+    return course[i % course.shape[0]]
+
+
+@kernel
+def _feet(course: Any, following: Any, exit_row: int, entry: int, position: float, modulation: Any, out: Array) -> None:
+    """Modulated feet (4, 3) at a position, heading frame of the root; cubic between the samples."""
+    i = int(np.floor(position))
+    u = position - i
+    a = _row(course, following, exit_row, entry, i - 1)
+    b = _row(course, following, exit_row, entry, i)
+    c = _row(course, following, exit_row, entry, i + 1)
+    d = _row(course, following, exit_row, entry, i + 2)
+    turn, speed = modulation.turn, modulation.speed
+    vx, vy = b.travel[0] + u * (c.travel[0] - b.travel[0]), b.travel[1] + u * (c.travel[1] - b.travel[1])
+    own = b.travel[2] + u * (c.travel[2] - b.travel[2])
+    curve = speed * (speed * own + turn) - own  # times v: the acceleration beyond the motion's own
+    height = b.root_z / GRAVITY
+    vx, vy = speed * vx, speed * vy
+    lean_x, lean_y = -height * curve / speed * vy, height * curve / speed * vx
+    for leg in range(4):
+        for k in range(3):
+            p0, p1, p2, p3 = a.foot[leg, k], b.foot[leg, k], c.foot[leg, k], d.foot[leg, k]
+            m1, m2 = 0.5 * (p2 - p0), 0.5 * (p3 - p1)
+            out[leg, k] = p1 + u * (m1 + u * (3 * (p2 - p1) - 2 * m1 - m2 + u * (2 * (p1 - p2) + m1 + m2)))
+        if modulation.lift != 1.0:
+            p0, p1, p2, p3 = a.lift[leg], b.lift[leg], c.lift[leg], d.lift[leg]
+            m1, m2 = 0.5 * (p2 - p0), 0.5 * (p3 - p1)
+            lift = p1 + u * (m1 + u * (3 * (p2 - p1) - 2 * m1 - m2 + u * (2 * (p1 - p2) + m1 + m2)))
+            out[leg, 2] += (modulation.lift - 1.0) * lift
+        if turn != 0.0:
+            since = (b.since_middle[leg] + u * (c.since_middle[leg] - b.since_middle[leg])) / speed
+            bend = 0.5 * turn * since * since
+            fx, fy = out[leg, 0] + bend * vy, out[leg, 1] - bend * vx
+            cs, sn = np.cos(turn * since), np.sin(turn * since)
+            out[leg, 0], out[leg, 1] = cs * fx + sn * fy, -sn * fx + cs * fy
+        out[leg, 0] -= lean_x
+        out[leg, 1] -= lean_y
+
+
+@kernel
+def _sample(
+    course: Any,
+    following: Any,
+    exit_row: int,
+    entry: int,
+    position: float,
+    modulation: Any,
+    dt: float,
+    neighbours: bool,
+    work: Any,
+    out: Any,
+) -> None:
+    """All but joints and place of one row of the table, heading frame of its own root; its feet in `work`, if the
+    `neighbours` are wanted with those of the control step before and after."""
+    i = int(np.floor(position))
+    u = position - i
+    b = _row(course, following, exit_row, entry, i)
+    c = _row(course, following, exit_row, entry, i + 1)
+    speed, turn = modulation.speed, modulation.turn
+    out.root_pos[0], out.root_pos[1] = 0.0, 0.0
+    out.root_pos[2] = b.root_z + u * (c.root_z - b.root_z)
+    same = 0.0
+    for k in range(4):
+        same += b.tilt[k] * c.tilt[k]
+    sign = -1.0 if same < 0 else 1.0
+    norm = 0.0
+    for k in range(4):
+        out.root_quat[k] = b.tilt[k] + u * (sign * c.tilt[k] - b.tilt[k])
+        norm += out.root_quat[k] * out.root_quat[k]
+    for k in range(4):
+        out.root_quat[k] /= np.sqrt(norm)
+    for k in range(3):
+        out.lin_vel[k] = speed * (b.lin_vel[k] + u * (c.lin_vel[k] - b.lin_vel[k]))
+        out.ang_vel[k] = speed * (b.ang_vel[k] + u * (c.ang_vel[k] - b.ang_vel[k]))
+        out.lin_acc[k] = speed * speed * (b.lin_acc[k] + u * (c.lin_acc[k] - b.lin_acc[k]))
+        out.ang_acc[k] = speed * speed * (b.ang_acc[k] + u * (c.ang_acc[k] - b.ang_acc[k]))
+        out.leg_lin_acc[k] = speed * speed * (b.leg_lin_acc[k] + u * (c.leg_lin_acc[k] - b.leg_lin_acc[k]))
+        out.leg_ang_acc[k] = speed * speed * (b.leg_ang_acc[k] + u * (c.leg_ang_acc[k] - b.leg_ang_acc[k]))
+        out.lin_acc[k] += modulation.speed_rate / speed * out.lin_vel[k]
+    out.ang_vel[2] += turn
+    out.lin_acc[0] -= turn * out.lin_vel[1]
+    out.lin_acc[1] += turn * out.lin_vel[0]
+    for leg in range(4):
+        out.contact[leg] = b.contact[leg]
+        out.remaining[leg] = max(b.remaining[leg] - u * dt, 0.0) / speed if b.contact[leg] == 1 else 0.0
+    for k in range(3):
+        if k != 1 and not neighbours:
+            continue
+        at = position + (k - 1) * speed
+        _feet(course, following, exit_row, entry, at, modulation, work.feet[k])
+        low = int(np.floor(at))
+        v = at - low
+        p = _row(course, following, exit_row, entry, low)
+        q = _row(course, following, exit_row, entry, low + 1)
+        z = p.root_z + v * (q.root_z - p.root_z)
+        for leg in range(4):
+            _to_body(p.tilt, q.tilt, v, z, work.tilt, work.feet[k, leg])
+    for leg in range(4):
+        out.foot_pos[leg, :] = work.feet[1, leg]
+
+
+@inlined
+def _to_body(tilt: Array, later: Array, share: float, z: float, q: Array, foot: Array) -> None:
+    """A foot (3,) from the root's heading frame (z from the ground) to its body frame; `q` (4,) is work memory."""
+    same = 0.0
+    for k in range(4):
+        same += tilt[k] * later[k]
+    sign = -1.0 if same < 0 else 1.0
+    norm = 0.0
+    for k in range(4):
+        q[k] = tilt[k] + share * (sign * later[k] - tilt[k])
+        norm += q[k] * q[k]
+    norm = np.sqrt(norm)
+    w, a, b, c = q[0] / norm, -q[1] / norm, -q[2] / norm, -q[3] / norm
+    x, y, h = foot[0], foot[1], foot[2] - z
+    t0, t1, t2 = 2 * (b * h - c * y), 2 * (c * x - a * h), 2 * (a * y - b * x)
+    foot[0] = x + w * t0 + b * t2 - c * t1
+    foot[1] = y + w * t1 + c * t0 - a * t2
+    foot[2] = h + w * t2 + a * t1 - b * t0
+
+
+@kernel
+def _joints(geometry: Array, limits: Array, dt: float, work: Any, out: Any) -> None:
+    """Joints by inverse kinematics, and their velocity and acceleration by central differences."""
+    for k in range(3):
+        for leg in range(4):
+            foot = work.feet[k, leg]
+            a, h, e, _ = leg_inverse(geometry[leg], foot[0], foot[1], foot[2])
+            j = 3 * leg
+            work.joints[k, j], work.joints[k, j + 1], work.joints[k, j + 2] = a, h, e
+            for i in range(j, j + 3):
+                work.joints[k, i] = min(max(work.joints[k, i], limits[0, i]), limits[1, i])
+    for j in range(12):
+        before, now, after = work.joints[0, j], work.joints[1, j], work.joints[2, j]
+        out.joint_pos[j] = now
+        out.joint_vel[j] = 0.5 * (after - before) / dt
+        out.joint_acc[j] = (after - 2 * now + before) / (dt * dt)
+
+
+@inlined
+def _place(x: float, y: float, yaw: float, out: Any) -> None:
+    """Moves one row of the table from its root's heading frame to (x, y, yaw)."""
+    if yaw == 0.0 and x == 0.0 and y == 0.0:
+        return
+    c, s = np.cos(yaw), np.sin(yaw)
+    out.root_pos[0], out.root_pos[1] = x, y
+    _turn(c, s, out.lin_vel)
+    _turn(c, s, out.ang_vel)
+    _turn(c, s, out.lin_acc)
+    _turn(c, s, out.ang_acc)
+    _turn(c, s, out.leg_lin_acc)
+    _turn(c, s, out.leg_ang_acc)
+    ch, sh = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
+    w, a, b, d = out.root_quat[0], out.root_quat[1], out.root_quat[2], out.root_quat[3]
+    out.root_quat[0], out.root_quat[1] = ch * w - sh * d, ch * a - sh * b
+    out.root_quat[2], out.root_quat[3] = ch * b + sh * a, ch * d + sh * w
+
+
+@inlined
+def _turn(c: float, s: float, v: Array) -> None:
+    v[0], v[1] = c * v[0] - s * v[1], s * v[0] + c * v[1]

@@ -1,0 +1,265 @@
+"""The reference in the form that the compiled loop reads: a table of samples and a clock for each robot.
+
+A table holds one period, relative to the heading frame of its sample 0. A robot's clock says which sample is now
+and where the period's origin lies in the world (x, y, yaw). At each wrap the origin moves on by the period's
+displacement; at each start of a cycle, which is the wrap of a cyclic motion and a marked sample of a stitched one, its
+x and y are re-synchronised to the robot, never its yaw.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.errors import MotionError
+from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.rotations import (
+    quat_continuous,
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+    rotate_planar,
+    yaw_from_quat,
+)
+from fastmimic.motion.motion import Motion
+from fastmimic.retarget.dynamics import ground_demand
+from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+SAMPLE: Final = record_dtype(
+    [
+        ("root_pos", "f8", (3,)),
+        ("root_quat", "f8", (4,)),
+        ("lin_vel", "f8", (3,)),
+        ("ang_vel", "f8", (3,)),
+        ("lin_acc", "f8", (3,)),
+        ("ang_acc", "f8", (3,)),
+        ("joint_pos", "f8", (12,)),
+        ("joint_vel", "f8", (12,)),
+        ("joint_acc", "f8", (12,)),
+        ("foot_pos", "f8", (4, 3)),
+        ("contact", "i8", (4,)),
+        ("remaining", "f8", (4,)),
+        ("leg_lin_acc", "f8", (3,)),
+        ("leg_ang_acc", "f8", (3,)),
+        ("sync", "i8"),
+    ]
+)
+"""One instant of a reference, relative to the heading frame of the period's first sample. `remaining` is the time for
+which a foot goes on standing, s, 0 in swing. `leg_lin_acc` and `leg_ang_acc` are what the motion takes from the ground
+beyond its body's acceleration (`leg_momentum`). `sync` is 1 where a cycle starts and the origin is
+re-synchronised."""
+
+CLOCK: Final = record_dtype(
+    [
+        ("sample", "i8"),
+        ("cycle", "i8"),
+        ("repeats", "i8"),
+        ("origin", "f8", (3,)),
+        ("cycle_step", "f8", (3,)),
+        ("jump", "f8"),
+        ("recovering", "i8"),
+        ("lag", "f8"),
+        ("fraction", "f8"),
+    ]
+)
+"""Where a robot is in its reference: sample, period, whether the motion repeats, (x, y, yaw) of the period's origin,
+one period's displacement, and the sum of the distances by which synchronisation has moved the origin, m. After a push
+(`fastmimic.reference.resync`): whether the robot is in recovery, by how many samples the clock is ahead of the
+demonstration's since, and what it has of the next one."""
+
+
+def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
+    """Packs a motion into an array of `SAMPLE`, shape (t,), in the frame of its demonstration's first sample.
+
+    Accelerations are central differences of the motion's velocities, periodic if the motion is.
+    """
+    origin = motion.target  # a reference and its demonstration share one frame
+    yaw0 = float(yaw_from_quat(origin.root_quat_wxyz[0]))
+    dt = motion.dt
+    periodic = motion.cycle is not None
+
+    table = np.zeros(motion.n_samples, SAMPLE)
+    root = (motion.root_pos_w, motion.root_quat_wxyz, motion.root_lin_vel_w, motion.root_ang_vel_w)
+    put_root(table, origin, *root)
+    table["joint_pos"] = motion.joint_pos
+    table["joint_vel"] = motion.joint_vel
+    table["joint_acc"] = _difference(motion.joint_vel, dt, 0.0 if periodic else None)
+    table["foot_pos"] = motion.foot_pos_b
+    table["contact"] = motion.contact
+    table["remaining"] = remaining_stance(motion.contact, dt, periodic)
+    if motion.demonstration is not None:
+        # that of the motion, not of its modulation, which moves the feet by little: what is optimised is what is saved
+        demonstration = reference_table(motion.demonstration, robot)
+        for name in ("leg_lin_acc", "leg_ang_acc"):
+            table[name] = demonstration[name]
+    else:
+        linear, angular = ground_acceleration(motion, robot)
+        table["leg_lin_acc"] = planar_turned(linear, -yaw0) - table["lin_acc"]
+        table["leg_ang_acc"] = planar_turned(angular, -yaw0) - table["ang_acc"]
+    table["sync"][origin.cycle_starts] = 1
+    return table
+
+
+def put_root(
+    table: NDArray[Any], demonstration: Motion, position: Array, quat: Array, lin_vel: Array, ang_vel: Array
+) -> None:
+    """Puts a root's course into a table (t,) of `SAMPLE`, in the frame of the demonstration's first sample.
+
+    Args:
+        table: of a motion with the demonstration's cycle.
+        demonstration: gives frame, rate and cycle.
+        position: (t, 3) m, world frame.
+        quat: (t, 4) body to world, wxyz.
+        lin_vel: (t, 3) m/s, world frame.
+        ang_vel: (t, 3) rad/s, world frame.
+    """
+    yaw0 = float(yaw_from_quat(demonstration.root_quat_wxyz[0]))
+    turn = None if demonstration.cycle is None else float(demonstration.cycle[2])
+    table["root_pos"] = planar_turned(position - np.array([*demonstration.root_pos_w[0, :2], 0.0]), -yaw0)
+    table["root_quat"] = quat_continuous(quat_multiply(quat_from_yaw(-yaw0)[None], quat))
+    for name, velocity in (("lin", lin_vel), ("ang", ang_vel)):
+        table[f"{name}_vel"] = planar_turned(velocity, -yaw0)
+        table[f"{name}_acc"] = _difference(table[f"{name}_vel"], demonstration.dt, turn)
+
+
+def ground_acceleration(motion: Motion, robot: Robot) -> tuple[Array, Array]:
+    """What the ground has to give for a motion, by inverse dynamics of the whole robot, as acceleration of one body.
+
+    A body that had the robot's mass and inertia and no legs would accelerate like this under the forces that the motion
+    takes: F/m − g and I⁻¹τ about the centre of mass. The difference from the trunk's acceleration is what legs and
+    turning take (momentum of the legs, position of the centre of mass, gyroscopic moment). A QP that leaves it out
+    gives a robot with heavy legs some newtons too much or too little at each swing, and the body sways at every step.
+
+    Returns:
+        Linear (t, 3), m/s², and angular (t, 3), rad/s², world frame.
+    """
+    demand = ground_demand(robot, motion, np.arange(motion.n_samples))
+    yaw = yaw_from_quat(motion.root_quat_wxyz)
+    linear = demand.wrench[:, :3] / robot.mass - np.array([0.0, 0.0, GRAVITY])
+    level = quat_multiply(quat_from_yaw(-yaw), motion.root_quat_wxyz)  # body → heading frame
+    moment_b = quat_rotate_inverse(level, demand.wrench[:, 3:])
+    angular = quat_rotate(level, np.asarray(np.linalg.solve(robot.inertia_b, moment_b.T).T, dtype=np.float64))
+    return _planar_turned_each(linear, yaw), _planar_turned_each(angular, yaw)
+
+
+def _planar_turned_each(v: Array, angle: Array) -> Array:
+    """Vectors (t, 3), each turned by its own angle (t,) about z."""
+    out = np.array(v)
+    out[:, :2] = rotate_planar(angle, out[:, :2])
+    return out
+
+
+def remaining_stance(contact: NDArray[np.bool_], dt: float, periodic: bool) -> Array:
+    """Time (t, 4) until each foot lifts off by the schedule, s: 0 in swing, infinite if it never does."""
+    n = len(contact)
+    wide = np.concatenate([contact, contact if periodic else np.ones_like(contact)])
+    swing = np.where(wide, np.inf, np.arange(len(wide))[:, None])
+    next_swing = np.minimum.accumulate(swing[::-1], axis=0)[::-1]
+    return np.asarray(dt * (next_swing[:n] - np.arange(n)[:, None]))
+
+
+def planar_turned(v: Array, angle: float) -> Array:
+    """Vectors (t, 3) turned by `angle` about z."""
+    out = np.array(v)
+    out[:, :2] = rotate_planar(angle, out[:, :2])
+    return out
+
+
+def _difference(v: Array, dt: float, turn: float | None) -> Array:
+    """Central difference of (t, k); with `turn` the signal repeats, its x and y turned by that angle each period."""
+    if turn is None:
+        return np.gradient(v, dt, axis=0)
+    before, after = v[-1:].copy(), v[:1].copy()
+    if v.shape[1] == 3:
+        before[:, :2] = rotate_planar(-turn, before[:, :2])
+        after[:, :2] = rotate_planar(turn, after[:, :2])
+    extended = np.concatenate([before, v, after])
+    return (extended[2:] - extended[:-2]) / (2 * dt)
+
+
+def make_clocks(motion: Motion, n: int) -> NDArray[Any]:
+    """Clocks of n robots at the start of the motion, (n,) of `CLOCK`."""
+    clocks = np.zeros(n, CLOCK)
+    clocks["repeats"] = motion.cycle is not None
+    clocks["cycle_step"] = (0.0, 0.0, 0.0) if motion.cycle is None else motion.cycle
+    return clocks
+
+
+def place_clocks(clocks: NDArray[Any], sample: NDArray[np.int64], table: NDArray[Any], pose: Array) -> None:
+    """Sets each clock to a sample and its origin so that the reference root there has the given (x, y, yaw).
+
+    Args:
+        clocks: (n,) of `CLOCK`, changed in place.
+        sample: (n,) sample indices.
+        table: (t,) of `SAMPLE`.
+        pose: (n, 3) x, y, yaw in the world, m and rad.
+    """
+    clocks["sample"] = sample
+    clocks["cycle"] = 0
+    clocks["jump"] = 0.0
+    clocks["recovering"] = 0
+    clocks["lag"] = clocks["fraction"] = 0.0
+    root = table["root_pos"][sample]
+    yaw = pose[:, 2] - yaw_from_quat(table["root_quat"][sample])
+    clocks["origin"][:, :2] = pose[:, :2] - rotate_planar(yaw, root[:, :2])
+    clocks["origin"][:, 2] = yaw
+
+
+@inlined
+def advance_clock(clock: Any, n_samples: int, x: float, y: float, table: Any) -> None:
+    """One control step on. At a wrap the origin moves by one period; where a cycle starts it is re-synchronised to the
+    robot at (x, y)."""
+    clock.sample += 1
+    moved_x, moved_y = clock.origin[0], clock.origin[1]
+    if clock.sample >= n_samples:
+        clock.sample = 0
+        clock.cycle += 1
+        c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
+        moved_x += c * clock.cycle_step[0] - s * clock.cycle_step[1]
+        moved_y += s * clock.cycle_step[0] + c * clock.cycle_step[1]
+        clock.origin[2] += clock.cycle_step[2]
+    if table[clock.sample].sync == 0:
+        return
+    c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
+    root = table[clock.sample].root_pos
+    clock.origin[0] = x - (c * root[0] - s * root[1])
+    clock.origin[1] = y - (s * root[0] + c * root[1])
+    clock.jump += np.hypot(clock.origin[0] - moved_x, clock.origin[1] - moved_y)
+
+
+@kernel
+def advance_clocks(clocks: Any, tables: Any, root_xy: Array) -> None:
+    """Advances all clocks by one control step.
+
+    Args:
+        clocks: (n,) of `CLOCK`.
+        tables: (k, t) of `SAMPLE`; robot i follows table min(i, k − 1).
+        root_xy: (n, ≥2) where the robots are now, world, m.
+    """
+    for i in range(clocks.shape[0]):
+        k = min(i, tables.shape[0] - 1)
+        advance_clock(clocks[i], tables.shape[1], root_xy[i, 0], root_xy[i, 1], tables[k])
+
+
+def stack_tables(motions: Sequence[Motion], robot: Robot) -> NDArray[Any]:
+    """Tables of several references with one period, (k, t) of `SAMPLE`.
+
+    Raises:
+        MotionError: their lengths differ.
+    """
+    lengths = {m.n_samples for m in motions}
+    if len(lengths) != 1:
+        raise MotionError(f"references of one batch must have the same number of samples, found {sorted(lengths)}")
+    return np.stack([reference_table(m, robot) for m in motions])
+
+
+def world_root(table: NDArray[Any], sample: NDArray[np.int64], origin: Array) -> tuple[Array, Array]:
+    """Root position (…, 3) and quaternion (…, 4) in the world of samples seen from origins (…, 3) (x, y, yaw)."""
+    position = np.array(table["root_pos"][sample])
+    position[..., :2] = rotate_planar(origin[..., 2], position[..., :2]) + origin[..., :2]
+    return position, quat_multiply(quat_from_yaw(origin[..., 2]), table["root_quat"][sample])

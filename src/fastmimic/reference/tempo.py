@@ -1,0 +1,156 @@
+"""A motion at another speed: the same poses in another time, the trunk balanced anew.
+
+A trunk that is balanced over its feet at one speed is not at another: weight pulls as ever while every acceleration has
+grown with the square. So for some speeds the cycle is balanced as retargeting does it (`retarget_balance`), and between
+them it is interpolated.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.rotations import rotate_planar, yaw_from_quat
+from fastmimic.motion.motion import Motion
+from fastmimic.reference.course import course_of
+from fastmimic.retarget.balance import balance
+from fastmimic.retarget.config import RetargetConfig
+from fastmimic.retarget.cycle import Track
+from fastmimic.retarget.dynamics import Demand, ground_demand
+from fastmimic.retarget.measure import feet_in_world
+from fastmimic.retarget.pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
+from fastmimic.retarget.spline import TrunkSpline
+from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+_RATES: Final = {
+    "lin_vel": 1,
+    "ang_vel": 1,
+    "travel": 1,
+    "lin_acc": 2,
+    "ang_acc": 2,
+    "leg_lin_acc": 2,
+    "leg_ang_acc": 2,
+}
+_TIMES: Final = ("remaining", "since_middle")
+_BLENDED: Final = ("step", "turn", "root_z", "tilt", *_RATES, "foot", "lift")
+
+
+@dataclass(frozen=True, eq=False)
+class Tempo:
+    """A cycle at several speeds.
+
+    Attributes:
+        speeds: factors, ascending, 1 among them.
+        courses: for each of them, (t,) of `COURSE`, in the time of the motion itself: what the stream scales.
+    """
+
+    speeds: tuple[float, ...]
+    courses: tuple[NDArray[Any], ...]
+
+    def changed(self, speed: float, own: NDArray[Any]) -> NDArray[Any]:
+        """The course of a motion made of this one, `own` (t,) at its own speed, at another: what it differs from the
+        demonstration by stays."""
+        demonstration = self.at(1.0)
+        out = self.at(speed).copy()
+        for name in _BLENDED:
+            out[name] += own[name] - demonstration[name]
+        return out
+
+    def at(self, speed: float) -> NDArray[Any]:
+        """The course for a speed, the one of the motion itself at 1."""
+        if speed in self.speeds:
+            return self.courses[self.speeds.index(speed)]
+        speed = min(max(speed, self.speeds[0]), self.speeds[-1])
+        for (low, high), (a, b) in zip(pairwise(self.speeds), pairwise(self.courses), strict=True):
+            if low <= speed <= high:
+                return _between(a, b, (speed - low) / (high - low))
+        return self.courses[self.speeds.index(1.0)]
+
+
+def make_tempo(robot: Robot, motion: Motion, speeds: tuple[float, ...]) -> Tempo:
+    """A cyclic demonstration at its own speed and at others.
+
+    Args:
+        robot: whose motion it is.
+        motion: with a cycle, not optimised.
+        speeds: factors other than 1.
+    """
+    found = {1.0: course_of(motion, robot)}
+    for speed in speeds:
+        course = course_of(at_speed(robot, motion, speed), robot)
+        for name, power in _RATES.items():
+            course[name] /= speed**power
+        for name in _TIMES:
+            course[name] *= speed
+        found[speed] = course
+    order = tuple(sorted(found))
+    return Tempo(order, tuple(found[speed] for speed in order))
+
+
+def at_speed(robot: Robot, motion: Motion, speed: float, config: RetargetConfig | None = None) -> Motion:
+    """The same cycle `speed` times as fast, in as many samples, its trunk balanced for that.
+
+    The feet stay where they stand and swing; the robot's rate is not the motion's any more.
+    """
+    config = config or RetargetConfig()
+    rate = motion.rate_hz * speed
+    track = _track(motion)
+    feet_w = feet_in_world(motion)
+    height = float(track.root_z.mean())
+    spline = TrunkSpline(motion.n_samples, rate, periodic=True, hz=config.balance.hz)
+    sample = np.arange(0, motion.n_samples, max(1, round(config.balance.sample_s * rate)))
+
+    def demand_of(coefficients: Array) -> Demand:
+        moved = track.deviated(spline.values(coefficients))
+        pose = unlimited_pose(robot, moved, feet_w, height)
+        return ground_demand(robot, _motion(pose, moved, motion, rate), sample)
+
+    balanced = track.deviated(spline.values(balance(robot, spline, demand_of, config.balance)))
+    pose = solve_pose(robot, balanced, feet_w, float(balanced.root_z.mean()), 0.0, 0.0, config.limit_margin_rad)
+    return _motion(pose, balanced, motion, rate)
+
+
+def _track(motion: Motion) -> Track:
+    quat = motion.root_quat_wxyz
+    w, x, y, z = quat.T
+    heading = np.unwrap(yaw_from_quat(quat))
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    feet = feet_in_world(motion)
+    planar = rotate_planar(-heading[:, None], feet[..., :2] - motion.root_pos_w[:, None, :2])
+    return Track(
+        root_xy=np.array(motion.root_pos_w[:, :2]),
+        root_z=np.array(motion.root_pos_w[:, 2]),
+        heading=heading,
+        tilt=np.column_stack([roll, pitch]),
+        toe_from_hip=planar,
+        toe_height=feet[..., 2],
+        cycle=np.array(motion.cycle),
+    )
+
+
+def _motion(pose: Pose, track: Track, like: Motion, rate_hz: float) -> Motion:
+    linear, angular = root_velocity(pose, track, rate_hz)
+    return Motion(
+        rate_hz=rate_hz,
+        root_pos_w=pose.root_pos_w,
+        root_quat_wxyz=pose.root_quat_wxyz,
+        joint_pos=pose.joint_pos,
+        joint_vel=joint_velocity(pose.joint_pos, rate_hz, True),
+        foot_pos_b=pose.foot_pos_b,
+        contact=like.contact,
+        root_lin_vel_w=linear,
+        root_ang_vel_w=angular,
+        cycle=track.cycle,
+    )
+
+
+def _between(a: NDArray[Any], b: NDArray[Any], share: float) -> NDArray[Any]:
+    out = a.copy()
+    for name in _BLENDED:
+        out[name] += share * (b[name] - a[name])
+    return out

@@ -1,0 +1,211 @@
+"""Video files, H.264, VP9 or GIF, written so that only a whole one ever appears under its name."""
+
+import os
+import subprocess
+import sys
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.errors import ConfigError, OutputError
+from fastmimic.render.quality import PREVIEW, Quality
+
+FPS: Final = 30.0
+GIF_FPS: Final = 20.0
+GIF_SIZE: Final = (640, 360)
+ENDINGS: Final = (".mp4", ".gif", ".webm")
+GIF_MEGAPIXELS: Final = 60
+"""Of all frames of a GIF together: about 20 MB, more than which hardly anything shows."""
+
+_VP9: Final = ("-c:v", "libvpx-vp9", "-b:v", "0", "-row-mt", "1", "-pix_fmt", "yuv420p")
+_PALETTE: Final = ("palettegen=stats_mode=full", "paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle")
+
+
+_PIPE: Final = 2**20  # bytes, the most that Linux allows anyone: a frame in two pieces instead of in twenty-four
+
+
+class VideoFile:
+    """Encodes frames into a temporary file beside `path` and puts it there when all went well.
+
+    A GIF's frames are kept without loss until all are there: its palette is chosen from the whole. It plays for ever.
+
+    Use it as a context manager; after an exception, an interrupt included, `path` is as it was.
+
+    Args:
+        path: the `.mp4`, `.webm` or `.gif` to write.
+        source_size: width and height of the frames that will be written, pixels.
+        size: width and height of the video, pixels; even but for a GIF. Frames of another size are scaled.
+        fps: frames a second.
+        quality: of the encoder.
+        frames: how many there will be, if it is known.
+
+    Raises:
+        OutputError: `path` cannot be written, or has another ending.
+        ConfigError: width or height is odd or not positive, or a GIF would be far too large.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        source_size: tuple[int, int],
+        size: tuple[int, int],
+        fps: float,
+        quality: Quality = PREVIEW,
+        frames: int = 0,
+    ) -> None:
+        self._path = Path(path)
+        ending = self._path.suffix.lower()
+        if ending not in ENDINGS:
+            raise OutputError(f"{path}: a video's name must end in {' or '.join(ENDINGS)}")
+        if self._path.is_dir():
+            raise OutputError(f"{path}: is a folder; a video cannot take its place")
+        self._gif = ending == ".gif"
+        if min(size) < 2 or (not self._gif and (size[0] % 2 or size[1] % 2)):
+            raise ConfigError(f"H.264 and VP9 need an even width and height, found {size[0]} x {size[1]}")
+        megapixels = size[0] * size[1] * frames / 1e6
+        if self._gif and megapixels > GIF_MEGAPIXELS:
+            raise ConfigError(
+                f"{path}: a GIF of {frames} frames of {size[0]} x {size[1]} would be enormous; make it smaller, shorter"
+                f" or of fewer frames a second, up to {GIF_MEGAPIXELS} megapixels in all ({megapixels:.0f}), or an .mp4"
+            )
+        self._arguments = _arguments(source_size, size, fps, ending, quality)
+
+    def __enter__(self) -> "VideoFile":
+        self._temporary = _temporary_beside(self._path, ".mkv" if self._gif else self._path.suffix.lower())
+        try:
+            self._messages: IO[bytes] = tempfile.TemporaryFile()
+            self._encoder = subprocess.Popen(
+                [_ffmpeg(), *self._arguments, str(self._temporary)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=self._messages,
+                start_new_session=True,  # Ctrl-C is ours to handle
+            )
+            _widen(self._encoder.stdin)
+        except BaseException:
+            self._temporary.unlink(missing_ok=True)
+            raise
+        return self
+
+    def write(self, frame: NDArray[np.uint8]) -> None:
+        """Adds one frame, (height, width, 3), first row on top. One that OpenGL drew, last row first, is not copied.
+
+        Raises:
+            OutputError: the encoder has stopped.
+        """
+        assert self._encoder.stdin is not None
+        try:
+            self._encoder.stdin.write(np.ascontiguousarray(frame[::-1]).data)
+        except OSError:
+            self._encoder.wait()
+            raise OutputError(f"{self._path}: the video encoder stopped ({self._complaint()})") from None
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self._finish()
+        finally:
+            if self._encoder.poll() is None:
+                self._encoder.kill()
+                self._encoder.wait()
+            if self._encoder.stdin is not None:
+                with suppress(OSError):  # what it had not read is lost with it
+                    self._encoder.stdin.close()
+            self._messages.close()
+            self._temporary.unlink(missing_ok=True)
+
+    def _finish(self) -> None:
+        self._encoder.communicate()  # closes its input and waits
+        if self._encoder.returncode:
+            raise OutputError(f"{self._path}: the video encoder failed ({self._complaint()})")
+        if self._gif:
+            self._make_gif()
+        try:
+            os.chmod(self._temporary, 0o644)
+            os.replace(self._temporary, self._path)
+        except OSError as error:
+            raise OutputError(f"{self._path}: cannot be written ({error.strerror or error})") from None
+
+    def _make_gif(self) -> None:
+        """Puts a GIF in the place of the temporary file: first its 256 colours, then its frames in them."""
+        choose, use = _PALETTE
+        frames = self._temporary
+        palette, gif = (_temporary_beside(self._path, ending) for ending in (".png", ".gif"))
+        try:
+            self._convert("-i", str(frames), "-vf", choose, "-frames:v", "1", "-update", "1", str(palette))
+            self._convert("-i", str(frames), "-i", str(palette), "-lavfi", use, "-loop", "0", str(gif))
+            os.replace(gif, frames)
+        finally:
+            palette.unlink(missing_ok=True)
+            gif.unlink(missing_ok=True)
+
+    def _convert(self, *arguments: str) -> None:
+        command = [_ffmpeg(), "-y", "-v", "error", *arguments]
+        done = subprocess.run(command, capture_output=True, check=False, start_new_session=True)
+        if done.returncode:
+            raise OutputError(f"{self._path}: the video encoder failed ({_last_line(done.stderr, done.returncode)})")
+
+    def _complaint(self) -> str:
+        self._messages.seek(0)
+        return _last_line(self._messages.read(), self._encoder.returncode)
+
+
+def _widen(pipe: "IO[bytes] | None") -> None:
+    """Gives a pipe more room, where that can be had."""
+    if pipe is None or not sys.platform.startswith("linux"):
+        return
+    import fcntl
+
+    with suppress(OSError):
+        fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, _PIPE)
+
+
+def _last_line(messages: bytes, status: int) -> str:
+    lines = messages.decode(errors="replace").strip().splitlines()
+    return lines[-1] if lines else f"exit status {status}"
+
+
+def _temporary_beside(path: Path, ending: str) -> Path:
+    """An empty file in the same folder, so that replacing is atomic."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=ending)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    os.close(handle)
+    return Path(name)
+
+
+def _ffmpeg() -> str:
+    """The ffmpeg that comes with imageio, or the system's."""
+    import imageio_ffmpeg  # type: ignore[import-untyped]
+
+    try:
+        return str(imageio_ffmpeg.get_ffmpeg_exe())
+    except RuntimeError as error:
+        raise OutputError(f"no ffmpeg to encode a video with ({error})") from None
+
+
+def _arguments(
+    source_size: tuple[int, int], size: tuple[int, int], fps: float, ending: str, quality: Quality
+) -> list[str]:
+    source = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", "{}x{}".format(*source_size), "-r", f"{fps:g}")
+    scale = "" if source_size == size else ",scale={}:{}:flags=area".format(*size)
+    return ["-y", "-v", "error", *source, "-i", "-", "-an", "-vf", f"vflip{scale}", *_encode(ending, quality)]
+
+
+def _encode(ending: str, quality: Quality) -> tuple[str, ...]:
+    if ending == ".gif":
+        return ("-c:v", "libx264rgb", "-qp", "0", "-preset", "ultrafast")
+    if ending == ".webm":
+        speed = ("-deadline", "realtime", "-cpu-used", "8") if quality.preset == PREVIEW.preset else ("-cpu-used", "4")
+        return (*_VP9, "-crf", str(quality.crf + 10), *speed)
+    x264 = ("-c:v", "libx264", "-preset", quality.preset, "-crf", str(quality.crf))
+    return (*x264, "-pix_fmt", "yuv420p", "-movflags", "+faststart")

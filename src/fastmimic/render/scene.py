@@ -1,0 +1,291 @@
+"""The stage of a video: the robot, its ghost, the ground and the light."""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.render.quality import PREVIEW, Quality
+from fastmimic.render.style import DEMONSTRATION, LEG_LINES
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+_ROBOT: Final = "robot/"
+_GHOST: Final = "ghost/"
+GHOST_GROUP: Final = 4
+_HIDDEN_GROUP: Final = 5
+_CHECKER: Final = "checker"
+_TILES: Final = ("light tiles", "dark tiles")
+_GHOST_SHRINK: Final = 0.97
+"""Of the sizes, so that surfaces do not flicker where the robot is exactly on its demonstration."""
+LIGHT_DIR: Final = (0.30, 0.40, -1.0)
+_FOVY_DEG: Final = 30.0
+TILE_M: Final = 0.5
+"""Edge of a tile of the ground."""
+_TILED_M: Final = 8.0
+"""How far from the camera's point the tiles reach: the fog hides what is beyond."""
+_OVERLAP: Final = 0.05  # m
+_GROUND_M: Final = 22.0
+"""How far the ground goes on; the fog hides its edge."""
+_LIGHT_TILE: Final = (0.80, 0.82, 0.84)
+_DARK_TILE: Final = (0.70, 0.73, 0.76)
+_HAZE: Final = (0.93, 0.95, 0.97)
+
+
+def ghost_rgba(alpha: float = 0.36) -> tuple[float, float, float, float]:
+    """The demonstration's colour, as in the figures, translucent."""
+    return (*_rgb(DEMONSTRATION.color), alpha)
+
+
+def leg_rgba(leg: int, alpha: float) -> tuple[float, float, float, float]:
+    """A leg's colour, as in the figures."""
+    return (*_rgb(LEG_LINES[leg].color), alpha)
+
+
+@cache
+def _rgb(color: str) -> tuple[float, float, float]:
+    r, g, b = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return r, g, b
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A model with the robot and, if wanted, its ghost, and where their coordinates are in `qpos`.
+
+    Attributes:
+        model: the compiled model.
+        robot_qpos: (19,) indices of the robot's root position, quaternion and joints in the common order.
+        ghost_qpos: the same of the ghost; None without one.
+        casts_shadow: (ngeom,) which geoms have a shadow: the robot's main ones.
+        quality: how it is drawn.
+        tiles: the geoms that are the ground's pattern, to be kept under the camera; none where that is a texture.
+        tile: edge of a tile, m.
+    """
+
+    model: "mujoco.MjModel"
+    robot_qpos: NDArray[np.int64]
+    ghost_qpos: NDArray[np.int64] | None
+    casts_shadow: NDArray[np.bool_]
+    quality: Quality = PREVIEW
+    tiles: tuple[int, ...] = ()
+    tile: float = TILE_M
+
+
+def build_stage(
+    robot: "Robot",
+    *,
+    ghost: bool,
+    width: int,
+    height: int,
+    floor: Array,
+    quality: Quality = PREVIEW,
+    tile: float = TILE_M,
+) -> Stage:
+    """Puts a robot, and a ghost of it, on a checkered ground.
+
+    Args:
+        robot: the robot to show.
+        ghost: whether a second, translucent robot is wanted.
+        width: of the whole picture, pixels.
+        height: of the whole picture, pixels.
+        floor: (2, 2) lowest and highest x and y that the robots reach, m.
+        quality: how carefully it is drawn.
+        tile: edge of a tile of the ground, m.
+    """
+    import mujoco
+
+    spec = mujoco.MjSpec()
+    _set_visual(spec, width, height, quality)
+    _add_ground(spec, floor, quality, tile)
+    _add_light(spec, quality)
+    for prefix in (_ROBOT, _GHOST)[: 1 + ghost]:
+        spec.attach(_bare_robot(robot), prefix=prefix, frame=spec.worldbody.add_frame())
+    model = spec.compile()
+    robot_qpos, robot_geoms = _find(model, robot, _ROBOT)
+    ghost_qpos = None
+    if ghost:
+        ghost_qpos, ghost_geoms = _find(model, robot, _GHOST)
+        _make_ghost(model, ghost_geoms)
+    tiles = () if quality.textured else tuple(int(model.geom(name).id) for name in _TILES)
+    return Stage(model, robot_qpos, ghost_qpos, _main_geoms(model, robot_geoms), quality, tiles, tile)
+
+
+def _set_visual(spec: "mujoco.MjSpec", width: int, height: int, quality: Quality) -> None:
+    visual = spec.visual
+    visual.global_.offwidth, visual.global_.offheight = width, height
+    visual.global_.fovy = _FOVY_DEG
+    visual.quality.offsamples = quality.samples
+    visual.quality.shadowsize = quality.shadow_map
+    facets = visual.quality
+    facets.numslices, facets.numstacks, facets.numquads = quality.facets, quality.facets // 2, 1
+    visual.headlight.ambient = [0.42, 0.42, 0.42]
+    visual.headlight.diffuse = [0.28, 0.28, 0.28]
+    visual.headlight.specular = [0.1, 0.1, 0.1]
+    visual.rgba.fog = [*_HAZE, 1]
+    visual.map.fogstart, visual.map.fogend = 2.5, 11.0
+    visual.map.znear, visual.map.zfar = 0.2, 60.0  # what lies on the ground is a millimetre above it
+    visual.map.shadowclip = 2.0  # m about the robot that have a shadow; specks where they end
+    spec.stat.extent = 1.0
+    spec.stat.center = [0, 0, 0.2]
+
+
+def _add_ground(spec: "mujoco.MjSpec", floor: Array, quality: Quality, tile: float) -> None:
+    """A plane with a texture, or tiles of two colours beside each other: nothing is drawn twice, and without a graphics
+    card most of a picture's time goes into the ground."""
+    import mujoco
+
+    if quality.textured:
+        half = float(np.max(floor[1] - floor[0])) / 2 + _GROUND_M
+        spec.worldbody.add_geom(
+            name="ground",
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            pos=[*np.round(floor.mean(axis=0) / (2 * tile)) * (2 * tile), 0],
+            size=[half, half, half],  # the third is the grid's spacing: one quad is enough without spotlights
+            material=_CHECKER,
+        )
+        _add_checker(spec, tile, quality.reflectance)
+        return
+    for parity, (name, rgb) in enumerate(zip(_TILES, (_LIGHT_TILE, _DARK_TILE), strict=True)):
+        vertices, faces = _checkered(tile, _TILED_M, parity)
+        if parity == 0:
+            vertices, faces = _framed(vertices, faces)
+        spec.add_mesh(
+            name=name,
+            uservert=vertices.ravel(),
+            userface=faces.ravel(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        spec.worldbody.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=name,
+            rgba=[*rgb, 1],
+            contype=0,
+            conaffinity=0,
+        )
+
+
+def _add_checker(spec: "mujoco.MjSpec", tile: float, reflectance: float) -> None:
+    """The ground's pattern as a material."""
+    import mujoco
+
+    spec.add_texture(
+        name=_CHECKER,
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        rgb1=_LIGHT_TILE,
+        rgb2=_DARK_TILE,
+        markrgb=[0.90, 0.91, 0.92],
+        width=512,
+        height=512,
+    )
+    material = spec.add_material(
+        name=_CHECKER,
+        texrepeat=[1 / tile, 1 / tile],  # a plane's texture spans two units of length, and two tiles
+        texuniform=True,
+        specular=0.0,
+        shininess=0.0,
+        reflectance=reflectance,
+    )
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _CHECKER
+
+
+def _checkered(tile: float, reach: float, parity: int) -> tuple[Array, NDArray[np.int32]]:
+    """Every other tile of a square of `reach` m each way: vertices (k, 4, 3) and triangles (k, 2, 3), facing up."""
+    n = 2 * int(np.ceil(reach / (2 * tile)))
+    column, row = np.meshgrid(np.arange(-n, n), np.arange(-n, n))
+    low = np.stack([column, row], axis=-1)[(column + row) % 2 == parity] * tile
+    return _quads(low, low + tile)
+
+
+def _framed(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
+    """A square of tiles with the ground that goes on around it: under their edge, since it has none of their corners
+    and cracks would show."""
+    inner, outer = float(vertices[..., 0].max()) - _OVERLAP, _GROUND_M
+    low = np.array([[-outer, inner], [-outer, -outer], [-outer, -inner], [inner, -inner]])
+    high = np.array([[outer, outer], [outer, -inner], [-inner, inner], [outer, inner]])
+    more, their_faces = _quads(low, high)
+    more[..., 2] = -_OVERLAP / 10
+    return np.concatenate([vertices, more]), np.concatenate([faces, their_faces + 4 * len(vertices)])
+
+
+def _quads(low: Array, high: Array) -> tuple[Array, NDArray[np.int32]]:
+    """Rectangles on the ground between corners (k, 2) as vertices (k, 4, 3) and triangles (k, 2, 3), facing up."""
+    vertices = np.zeros((len(low), 4, 3))
+    vertices[:, :, 0] = np.stack([low[:, 0], high[:, 0], high[:, 0], low[:, 0]], axis=1)
+    vertices[:, :, 1] = np.stack([low[:, 1], low[:, 1], high[:, 1], high[:, 1]], axis=1)
+    first = 4 * np.arange(len(low))[:, None, None]
+    return vertices, (first + np.array([[0, 1, 2], [0, 2, 3]])).astype(np.int32)
+
+
+def _add_light(spec: "mujoco.MjSpec", quality: Quality) -> None:
+    import mujoco
+
+    spec.worldbody.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        dir=LIGHT_DIR,
+        diffuse=[0.55, 0.55, 0.55],
+        specular=[0.2, 0.2, 0.2],
+        castshadow=quality.shadow_map > 0,
+    )
+
+
+def _bare_robot(robot: "Robot") -> "mujoco.MjSpec":
+    """The robot's model without a floor, lights or cameras of its own."""
+    spec = robot.spec()
+    for element in (*spec.worldbody.geoms, *spec.lights, *spec.cameras, *spec.keys):
+        spec.delete(element)
+    spec.nkey = 0
+    return spec
+
+
+def _find(model: "mujoco.MjModel", robot: "Robot", prefix: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Indices in `qpos` (19,) and a mask of the geoms (ngeom,) of the copy of the robot with this prefix."""
+    import mujoco
+
+    joints = [model.joint(prefix + name).id for name in robot.joint_names]
+    root = model.body_rootid[model.jnt_bodyid[joints[0]]]
+    geoms = model.body_rootid[model.geom_bodyid] == root
+    if not _seen(model, geoms).any():  # a model that has only what collides
+        model.geom_group[geoms & _solid(model)] = 0
+    free = np.flatnonzero((model.jnt_type == mujoco.mjtJoint.mjJNT_FREE) & (model.jnt_bodyid == root))[0]
+    first = int(model.jnt_qposadr[free])
+    qpos = np.concatenate([np.arange(first, first + 7), model.jnt_qposadr[joints]]).astype(np.int64)
+    return qpos, geoms
+
+
+def _main_geoms(model: "mujoco.MjModel", geoms: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which of a robot's `geoms` its ghost and its shadow show.
+
+    Those that collide, if they are meant to be seen: decoration only costs time. Otherwise all that are
+    seen, as in models whose collision geometry is hidden behind meshes.
+    """
+    seen = _seen(model, geoms)
+    solid = seen & _solid(model)
+    return solid if solid.any() else seen
+
+
+def _seen(model: "mujoco.MjModel", geoms: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    return geoms & (model.geom_group <= 2) & (model.geom_rgba[:, 3] > 0)
+
+
+def _solid(model: "mujoco.MjModel") -> NDArray[np.bool_]:
+    solid: NDArray[np.bool_] = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return solid
+
+
+def _make_ghost(model: "mujoco.MjModel", geoms: NDArray[np.bool_]) -> None:
+    """Makes a robot's `geoms` translucent, in the demonstration's colour."""
+    main = _main_geoms(model, geoms)
+    model.geom_group[geoms] = np.where(main[geoms], GHOST_GROUP, _HIDDEN_GROUP)
+    model.geom_matid[geoms] = -1
+    model.geom_rgba[geoms] = ghost_rgba()
+    model.geom_size[geoms] *= _GHOST_SHRINK

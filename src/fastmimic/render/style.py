@@ -1,0 +1,76 @@
+"""What all figures share: colours, plain axes, and saving.
+
+Colours are Okabe and Ito's (2008), which colour-blind readers tell apart; every series also has its own line
+style, so that the figures read in grey. Only matplotlib's object interface is used: no pyplot, no rcParams.
+"""
+
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from fastmimic.base.errors import OutputError
+from fastmimic.base.files import replace_file
+
+DPI: Final = 150
+INK: Final = "#222222"
+MUTED: Final = "#6b6b6b"
+STANCE: Final = "#e9e9e6"
+LIMIT: Final = "#b03060"
+
+
+class Line(NamedTuple):
+    """Colour and dash pattern of one series, wherever it appears."""
+
+    color: str
+    linestyle: Any
+    linewidth: float
+
+    def kwargs(self) -> dict[str, Any]:
+        """The style as keyword arguments of `Axes.plot`."""
+        return {"color": self.color, "linestyle": self.linestyle, "linewidth": self.linewidth}
+
+
+DEMONSTRATION: Final = Line("#009e73", (0, (5, 1.6)), 1.8)
+BEFORE: Final = Line("#d55e00", (0, (1.2, 1.2)), 1.6)
+AFTER: Final = Line("#0072b2", "solid", 1.8)
+LEG_LINES: Final = (  # FR, FL, RR, RL: right orange, left blue; front solid, rear dashed
+    Line("#d55e00", "solid", 1.6),
+    Line("#0072b2", "solid", 1.6),
+    Line("#e69f00", (0, (3, 1.4)), 1.6),
+    Line("#56b4e9", (0, (3, 1.4)), 1.6),
+)
+
+
+def new_figure(width: float, height: float, title: str) -> Figure:
+    """An empty figure of `width` × `height` inches with its title at the top left."""
+    figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, x=0.012, ha="left", fontsize=13, fontweight="bold", color=INK)
+    return figure
+
+
+def tidy(axes: Axes, title: str = "", xlabel: str = "", ylabel: str = "") -> None:
+    """Gives `axes` the common look: no box, a light grid, labels with their units."""
+    axes.set_title(title, loc="left", fontsize=10, color=INK)
+    axes.set_xlabel(xlabel, fontsize=9, color=MUTED)
+    axes.set_ylabel(ylabel, fontsize=9, color=MUTED)
+    axes.tick_params(labelsize=8, color=MUTED, labelcolor=INK, length=3)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color("#bbbbbb")
+    axes.grid(True, color="#e3e3e3", linewidth=0.6)
+    axes.set_axisbelow(True)
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Writes `figure` as PNG, PDF or SVG, by the ending of `path`; replaces a file only by a whole one.
+
+    Raises:
+        OutputError: the ending is not one of these, or the file cannot be written.
+    """
+    suffix = Path(path).suffix.lower().lstrip(".")
+    if suffix not in ("png", "pdf", "svg"):
+        raise OutputError(f"{path}: a figure can be saved as .png, .pdf or .svg, not {suffix or 'without ending'!r}")
+    replace_file(path, lambda file: figure.savefig(file, format=suffix, dpi=DPI))

@@ -1,0 +1,376 @@
+"""Videos of robots in motion, up to four in a grid, each with its demonstration as a ghost."""
+
+import logging
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.machine import available_cores
+from fastmimic.base.rotations import quat_rotate, yaw_from_quat
+from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, VideoFile
+from fastmimic.render.offscreen import NoRendererError, Offscreen, in_any_thread
+from fastmimic.render.overlay import Overlay
+from fastmimic.render.playback import AnimalTrack, Track, resample, resample_contact, resample_points
+from fastmimic.render.quality import PREVIEW, Quality, quality_named
+from fastmimic.render.scene import TILE_M, Stage, build_stage, ghost_rgba, leg_rgba
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from fastmimic.render.view import View
+    from fastmimic.robot import Robot
+
+_LOG = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+
+_CAMERA_AZIMUTH_DEG: Final = 122.0
+"""From the robot's first heading: seen from its front right, so that it moves across the picture."""
+_CAMERA_SMOOTHING_S: Final = 0.35
+_LOOK_AT_HEIGHT: Final = 0.62
+"""Of the base's height: leaves room above for the words and below for the shadow."""
+MAX_PANELS: Final = 4
+_MAX_PAINTERS: Final = 4
+_TRAIL_S: Final = 0.45
+_TRAIL_PIECES: Final = 14
+_TRAIL_STEP: Final = 0.002
+"""Pieces of a trail that are shorter, m, are not drawn: the foot stands."""
+_TRAIL_WIDTH: Final = 3.0
+"""Pixels in a picture of 720 lines; at least half of it."""
+_BONE_RGBA: Final = (0.66, 0.47, 0.30, 1.0)
+
+AnyTrack: TypeAlias = Track | AnimalTrack
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """What was written: number of frames, and how long they play, s."""
+
+    frames: int
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """What a track shows in each of n frames.
+
+    Attributes:
+        root: (n, 3) what the camera follows, world, m.
+        yaw: heading in the first frame, rad.
+        robot: (n, 19) poses; None for an animal.
+        ghost: (n, 19); None without one.
+        feet: (n, p, 4, 3) centres of the feet now and at the p - 1 moments before that a trail joins, world, m; None
+            without marks.
+        contact: (n, 4) which of them are loaded.
+        bones: (n, b, 2, 3) their ends, world, m; None for a robot.
+        radii: (b,) theirs, m.
+    """
+
+    root: Array
+    yaw: float
+    robot: Array | None = None
+    ghost: Array | None = None
+    feet: Array | None = None
+    contact: NDArray[np.bool_] | None = None
+    bones: Array | None = None
+    radii: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Panel:
+    """A view with what it shows, the points (n, 3) to look at, and the width of trails, pixels."""
+
+    view: "View"
+    shown: _Shown
+    look_at: Array
+    trail_width: float
+
+    def scene(self, frame: int) -> "mujoco.MjvScene":
+        shown = self.shown
+        robot = None if shown.robot is None else shown.robot[frame]
+        ghost = None if shown.ghost is None else shown.ghost[frame]
+        self.view.update(robot, ghost, self.look_at[frame])
+        if shown.bones is not None:
+            for (start, end), radius in zip(shown.bones[frame], shown.radii, strict=True):
+                self.view.capsule(start, end, radius, _BONE_RGBA)
+        if shown.feet is not None and shown.contact is not None:
+            for leg in range(4):
+                if shown.contact[frame, leg]:
+                    self.view.disc(shown.feet[frame, 0, leg], leg_rgba(leg, 0.75))
+                self._trail(shown.feet[frame, :, leg], leg)
+        return self.view.scene
+
+    def _trail(self, path: Array, leg: int) -> None:
+        """The last moments of a foot's path (p, 3), the present first, fading; not where it stood."""
+        moved = np.linalg.norm(np.diff(path, axis=0), axis=1) > _TRAIL_STEP
+        for i in np.flatnonzero(moved):
+            self.view.line(path[i], path[i + 1], leg_rgba(leg, 0.9 * (1 - i / _TRAIL_PIECES)), self.trail_width)
+
+
+def render_video(
+    robot: "Robot",
+    tracks: Sequence[AnyTrack],
+    path: str | Path,
+    *,
+    rate_hz: float,
+    fps: float | None = None,
+    size: tuple[int, int] | None = None,
+    quality: Quality | str = PREVIEW,
+    progress: Callable[[int, int], None] | None = None,
+    slow_motion: float = 1.0,
+    supersampling: float = 1.0,
+    columns: int | None = None,
+    marks: bool = True,
+    clock: bool = True,
+    window_s: tuple[float, float] | None = None,
+    loop_m: float | None = None,
+) -> VideoInfo | None:
+    """Writes a video of up to four tracks: one alone, two side by side, three or four as 2 x 2.
+
+    Args:
+        robot: the robot that all tracks show.
+        tracks: one for each panel; a shorter one holds its last pose.
+        path: the `.mp4` (H.264), `.webm` (VP9) or `.gif` to write; replaced only once the new video is whole.
+        rate_hz: samples a second of the tracks.
+        fps: frames a second of the video; if None 30, or a GIF's 20.
+        size: width and height, pixels, even but for a GIF; if None the quality's, or a GIF's 640 x 360.
+        quality: how carefully it is drawn, one of `fastmimic.render.quality.QUALITIES`.
+        progress: called with (frames done, frames in all) after each frame.
+        slow_motion: how many times slower than reality the video plays.
+        supersampling: draw larger by this factor and scale down.
+        columns: of panels, if not as said above.
+        marks: whether feet leave trails, and discs on the ground show which are loaded.
+        clock: whether the time is shown.
+        window_s: the part of the tracks that is shown, s; camera and trails know what is before and after it.
+        loop_m: how far the robots come along their heading in it, m, if it is to be played again and again: the
+            ground's tiles are made to fit.
+
+    Returns:
+        What was written; None, with a warning in the log, if this machine has no OpenGL to draw with.
+
+    Raises:
+        ConfigError: no track or too many, a size that the format does not take, or a number that is not positive.
+        OutputError: `path` cannot be written.
+    """
+    if not 1 <= len(tracks) <= MAX_PANELS:
+        raise ConfigError(f"a video shows 1 to {MAX_PANELS} tracks, found {len(tracks)}")
+    quality = quality_named(quality) if isinstance(quality, str) else quality
+    gif = Path(path).suffix.lower() == ".gif"
+    fps = fps if fps is not None else (GIF_FPS if gif else FPS)
+    size = size if size is not None else (GIF_SIZE if gif else quality.size)
+    columns = columns if columns is not None else min(len(tracks), 2)
+    numbers = {"rate_hz": rate_hz, "fps": fps, "slow_motion": slow_motion, "supersampling": supersampling}
+    for name, value in numbers.items():
+        if not (np.isfinite(value) and value > 0):
+            raise ConfigError(f"{name} must be positive, found {value:g}")
+    if not 1 <= columns <= len(tracks):
+        raise ConfigError(f"{len(tracks)} panels cannot stand in {columns} columns")
+    drawn_size = (round(size[0] * supersampling), round(size[1] * supersampling))
+    times = _frame_times(max(_samples(t) for t in tracks), rate_hz, fps * slow_motion)
+    frames = _frames(times, window_s)
+    video = VideoFile(path, drawn_size, size, fps, quality, frames=len(frames))
+    shown = [_shown(robot, track, rate_hz, times, marks) for track in tracks]
+    stage = _stage(robot, shown, drawn_size, quality, loop_m)
+    overlay = _overlay(tracks, drawn_size, slow_motion, columns, clock)
+
+    def panels() -> list[_Panel]:
+        return _panels(stage, robot, shown, times, drawn_size, columns)
+
+    try:
+        with ExitStack() as painters:
+            film = [painters.enter_context(_Painter(stage, panels, columns)) for _ in range(_painters(len(frames)))]
+            with video:
+                _film(film, frames, times, overlay, video, progress)
+    except NoRendererError as error:
+        _LOG.warning("%s was not written: %s; set MUJOCO_GL to a backend that works", path, error)
+        return None
+    return VideoInfo(len(frames), len(frames) / fps)
+
+
+def _painters(frames: int) -> int:
+    """How many draw at once: without a graphics card one thread draws with one core, and waits now and then."""
+    return max(1, min(_MAX_PAINTERS, available_cores() + 1, frames)) if in_any_thread() else 1
+
+
+class _Here(Executor):
+    """Does at once what is submitted, in the thread that submits it."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:  # noqa: BLE001 - it is raised by whoever asks for the result
+            future.set_exception(error)
+        return future
+
+
+class _Painter:
+    """Draws frames in a thread of its own, the only one in which its OpenGL context is ever current; in the caller's
+    where contexts belong to windows, which only a program's first thread may open.
+
+    Args:
+        stage: the model.
+        panels: makes the panels; a painter has its own, since drawing poses them.
+        columns: of panels.
+
+    Raises:
+        NoRendererError: OpenGL cannot draw here.
+    """
+
+    def __init__(self, stage: Stage, panels: Callable[[], list[_Panel]], columns: int) -> None:
+        self._columns = columns
+        self._panels = panels()
+        self._thread: Executor = ThreadPoolExecutor(max_workers=1) if in_any_thread() else _Here()
+        try:
+            self._screen = self._thread.submit(Offscreen, stage.model).result()
+        except BaseException:
+            self._thread.shutdown()
+            raise
+
+    def paint(self, frame: int) -> "Future[NDArray[np.uint8]]":
+        """Begins to draw that frame (height, width, 3)."""
+        return self._thread.submit(self._draw, frame)
+
+    def _draw(self, frame: int) -> NDArray[np.uint8]:
+        return self._screen.draw([panel.scene(frame) for panel in self._panels], self._columns)
+
+    def __enter__(self) -> "_Painter":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._thread.submit(self._screen.close).result()
+        self._thread.shutdown()
+
+
+def _film(
+    painters: list[_Painter],
+    frames: range,
+    times: Array,
+    overlay: Overlay,
+    video: VideoFile,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    """Labels and writes one frame after another, while the painters draw the next ones by turns."""
+    ahead = deque(painter.paint(i) for painter, i in zip(painters, frames, strict=False))
+    for done, i in enumerate(frames, start=1):
+        frame = ahead.popleft().result()
+        if (following := done - 1 + len(painters)) < len(frames):
+            ahead.append(painters[(done - 1) % len(painters)].paint(frames[following]))
+        overlay.draw(frame, float(times[i]))
+        video.write(frame)
+        if progress is not None:
+            progress(done, len(frames))
+
+
+def _frame_times(samples: int, rate_hz: float, frames_per_s: float) -> Array:
+    """Times in the motion at which frames are taken, s."""
+    count = max(1, round(samples / rate_hz * frames_per_s))
+    return np.arange(count) / frames_per_s
+
+
+def _frames(times: Array, window_s: tuple[float, float] | None) -> range:
+    """Which of the frames at `times` are in the window."""
+    if window_s is None:
+        return range(len(times))
+    first, end = np.searchsorted(times, np.array(window_s) - 1e-9)
+    if first >= end:
+        raise ConfigError(f"nothing is between {window_s[0]:g} and {window_s[1]:g} s of tracks of {times[-1]:.2f} s")
+    return range(int(first), int(end))
+
+
+def _samples(track: AnyTrack) -> int:
+    return len(track.points_w if isinstance(track, AnimalTrack) else track.root_pos_w)
+
+
+def _shown(robot: "Robot", track: AnyTrack, rate_hz: float, times: Array, marks: bool) -> _Shown:
+    if isinstance(track, AnimalTrack):
+        points = resample_points(track, rate_hz, times)
+        bones = points[:, np.array(track.skeleton.bones)]
+        middle = (points.min(axis=1) + points.max(axis=1)) / 2
+        heading = float(np.arctan2(*(middle[-1] - middle[0])[1::-1]))  # of its travel
+        return _Shown(middle, heading, bones=bones, radii=track.skeleton.radii)
+    pose = resample(track, rate_hz, times)
+    ghost = resample(track.ghost, rate_hz, times) if track.ghost is not None else None
+    yaw = float(yaw_from_quat(pose[0, 3:7]))
+    if not marks:
+        return _Shown(pose[:, :3], yaw, pose, ghost)
+    from fastmimic.robot.kinematics import foot_positions
+
+    moments = times[:, None] - np.linspace(0.0, _TRAIL_S, _TRAIL_PIECES + 1)
+    before = resample(track, rate_hz, np.maximum(moments, 0.0).ravel())
+    feet_b = foot_positions(robot, np.ascontiguousarray(before[:, 7:]))
+    feet = (before[:, None, :3] + quat_rotate(before[:, None, 3:7], feet_b)).reshape(*moments.shape, 4, 3)
+    return _Shown(pose[:, :3], yaw, pose, ghost, feet, resample_contact(track, rate_hz, times))
+
+
+def _stage(robot: "Robot", shown: list[_Shown], size: tuple[int, int], quality: Quality, loop_m: float | None) -> Stage:
+    paths = np.concatenate([path[:, :2] for s in shown for path in (s.root, s.ghost) if path is not None])
+    tile = TILE_M
+    if loop_m is not None and loop_m > 0:  # a whole number of the pattern's periods
+        tile = loop_m / (2 * max(1, round(loop_m / (2 * TILE_M))))
+    return build_stage(
+        robot,
+        ghost=any(s.ghost is not None for s in shown),
+        width=size[0],
+        height=size[1],
+        floor=np.array([paths.min(axis=0), paths.max(axis=0)]),
+        quality=quality,
+        tile=tile,
+    )
+
+
+def _overlay(
+    tracks: Sequence[AnyTrack], size: tuple[int, int], slow_motion: float, columns: int, clock: bool
+) -> Overlay:
+    ghosts = [t.ghost for t in tracks if isinstance(t, Track) and t.ghost is not None]
+    legend = (ghost_rgba()[:3], ghosts[0].title or "demonstration") if ghosts else None
+    note = f"slow motion 1 : {slow_motion:g}" if slow_motion != 1 else ""
+    words = [(t.title, t.caption) for t in tracks]
+    return Overlay(*size, words, legend, note, columns=columns, clock=clock)
+
+
+def _panels(
+    stage: Stage, robot: "Robot", shown: list[_Shown], times: Array, size: tuple[int, int], columns: int
+) -> list[_Panel]:
+    """All panels look from the same side and distance, each following its own robot."""
+    from fastmimic.render.view import View
+
+    span = np.ptp(robot.hip_pos_b[:, 0]) + robot.leg_length
+    rows = -(-len(shown) // columns)
+    aspect = size[0] / columns / (size[1] / rows)
+    half_tan = np.tan(np.radians(stage.model.vis.global_.fovy) / 2)
+    distance = float(max(0.62 * span / half_tan, 0.74 * span / (half_tan * aspect)))
+    first = next((s for s in shown if s.robot is not None), shown[0])
+    azimuth = np.degrees(first.yaw) + _CAMERA_AZIMUTH_DEG
+    height = _LOOK_AT_HEIGHT * float(np.median(first.root[:, 2]))
+    dt = times[1] - times[0] if len(times) > 1 else 1.0
+    panels = []
+    for each in shown:
+        look_at = _low_pass(each.root, _CAMERA_SMOOTHING_S / dt)
+        look_at[:, 2] = height
+        panels.append(_Panel(View(stage, azimuth, distance), each, look_at, _TRAIL_WIDTH * max(size[1] / 720, 0.5)))
+    return panels
+
+
+def _low_pass(path: Array, width: float) -> Array:
+    """Gaussian smoothing of (n, 3) without lag, `width` in samples; the ends go on in a straight line."""
+    reach = max(1, int(3 * width))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(width, 1e-9)) ** 2)
+    kernel /= kernel.sum()
+    n = len(path)
+    index = np.arange(-reach, n + reach)
+    inside = np.clip(index, 0, n - 1)
+    mirror = np.clip(2 * inside - index, 0, n - 1)
+    extended = 2 * path[inside] - path[mirror]
+    return np.stack([np.convolve(column, kernel, mode="valid") for column in extended.T], axis=1)

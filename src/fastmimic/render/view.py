@@ -1,0 +1,162 @@
+"""One panel of a video: the stage seen by a camera, with a shadow under the robot."""
+
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.render.scene import GHOST_GROUP, LIGHT_DIR, Stage
+
+Array = NDArray[np.float64]
+Rgba = tuple[float, float, float, float]
+
+_ELEVATION_DEG: Final = -19.0
+"""Steep enough that the ground fills the picture: a sky costs time and shows nothing."""
+_SHADOW_RGBA: Final = (0.30, 0.33, 0.37, 1.0)
+_EVERYTHING: Final = mujoco.mjtCatBit.mjCAT_ALL.value
+_GROUND_ONLY: Final = mujoco.mjtCatBit.mjCAT_STATIC.value
+_GEOM: Final = mujoco.mjtObj.mjOBJ_GEOM
+_FLATTEN: Final = np.array(
+    [
+        [1.0, 0.0, -LIGHT_DIR[0] / LIGHT_DIR[2]],
+        [0.0, 1.0, -LIGHT_DIR[1] / LIGHT_DIR[2]],
+        [0.0, 0.0, 1e-3],  # not quite flat: a singular matrix has no normals
+    ]
+)
+"""Projects along the light onto the ground."""
+_SHADOW_HEIGHT: Final = np.array([0.0, 0.0, 0.002])
+_MARK_HEIGHT: Final = 0.004
+_MARK_RADIUS: Final = 0.034
+_LIGHT_DISTANCE: Final = 3.0
+"""From the point that the camera looks at, m: the shadow map has its depth about it."""
+_ZERO: Final = np.zeros(3)
+_UPRIGHT: Final = np.eye(3).ravel()
+_MAX_MARKS: Final = 400
+"""Bones, trails and contacts drawn at once, their shadows included."""
+
+
+class View:
+    """Poses the robots of a stage and collects what there is to draw.
+
+    Args:
+        stage: the model to pose.
+        azimuth_deg: the camera's direction of sight, from the world's x axis.
+        distance: from the camera to the point at which it looks, m.
+    """
+
+    def __init__(self, stage: Stage, azimuth_deg: float, distance: float) -> None:
+        self._stage = stage
+        self._data = mujoco.MjData(stage.model)
+        self.scene = mujoco.MjvScene(stage.model, maxgeom=2 * stage.model.ngeom + _MAX_MARKS)
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = stage.quality.shadow_map > 0
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = stage.quality.reflectance > 0
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = 1
+        self._option = mujoco.MjvOption()
+        self._camera = mujoco.MjvCamera()
+        self._camera.azimuth, self._camera.elevation = azimuth_deg, _ELEVATION_DEG
+        self._camera.distance = distance
+        self._shadows: list[tuple[mujoco.MjvGeom, mujoco.MjvGeom]] | None = None
+
+    def update(self, robot: Array | None, ghost: Array | None, look_at: Array) -> None:
+        """Poses the robot and the ghost, (19,) each, and points the camera at `look_at` (3,), world.
+
+        A view shows the robot and the ghost always or never: that is settled by the first call.
+        """
+        model, data, stage = self._stage.model, self._data, self._stage
+        if robot is not None:
+            data.qpos[stage.robot_qpos] = robot
+        if stage.ghost_qpos is not None and ghost is not None:
+            data.qpos[stage.ghost_qpos] = ghost
+        self._option.geomgroup[GHOST_GROUP] = ghost is not None
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        self._camera.lookat[:] = look_at
+        shown = _GROUND_ONLY if robot is None else _EVERYTHING
+        mujoco.mjv_updateScene(model, data, self._option, None, self._camera, shown, self.scene)
+        self._follow(look_at)
+        self._cast_shadow()
+
+    def line(self, start: Array, end: Array, rgba: Rgba, width: float) -> None:
+        """Adds a line between two points (3,), world; `width` in pixels."""
+        geom = self._add(mujoco.mjtGeom.mjGEOM_LINE, _ZERO, _ZERO, rgba)
+        mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_LINE, width, start, end)
+        geom.emission, geom.specular = 0.6, 0.0
+
+    def disc(self, centre: Array, rgba: Rgba) -> None:
+        """Adds the mark of a loaded foot on the ground under `centre` (3,), world."""
+        at = np.array([centre[0], centre[1], _MARK_HEIGHT])
+        size = np.array([_MARK_RADIUS, 0.001, 0.0])
+        geom = self._add(mujoco.mjtGeom.mjGEOM_CYLINDER, size, at, rgba)
+        geom.emission, geom.specular = 0.2, 0.0
+
+    def capsule(self, start: Array, end: Array, radius: float, rgba: Rgba) -> None:
+        """Adds a capsule between two points (3,), world, with its shadow."""
+        geom = self._add(mujoco.mjtGeom.mjGEOM_CAPSULE, _ZERO, _ZERO, rgba)
+        mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, start, end)
+        geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC  # decoration has no shadow in the depth map
+        if not self._stage.quality.shadow_map:
+            shadow = self.scene.geoms[self.scene.ngeom]
+            _start_shadow(geom, shadow)
+            _flatten(geom, shadow)
+            self.scene.ngeom += 1
+
+    def _add(self, kind: mujoco.mjtGeom, size: Array, at: Array, rgba: Rgba) -> mujoco.MjvGeom:
+        assert self.scene.ngeom + 1 < self.scene.maxgeom, "more to draw than there is room for"
+        geom = self.scene.geoms[self.scene.ngeom]
+        mujoco.mjv_initGeom(geom, kind, size, at, _UPRIGHT, np.array(rgba, dtype=np.float32))
+        self.scene.ngeom += 1
+        return geom
+
+    def _follow(self, look_at: Array) -> None:
+        """Keeps the tiles under the camera, by whole periods of their pattern, and the light's depth map around it."""
+        stage = self._stage
+        period = 2 * stage.tile
+        for tiles in stage.tiles:
+            geom = self._geom_of(tiles)
+            geom.pos[:2] = self._data.geom_xpos[tiles, :2] + period * np.round(look_at[:2] / period)
+        if stage.quality.shadow_map:
+            light = self.scene.lights[self.scene.nlight - 1]
+            direction = np.array(LIGHT_DIR) / np.linalg.norm(LIGHT_DIR)
+            light.pos[:] = look_at - _LIGHT_DISTANCE * direction
+
+    def _geom_of(self, geom_id: int) -> mujoco.MjvGeom:
+        return next(g for g in self.scene.geoms[: self.scene.ngeom] if g.objtype == _GEOM and g.objid == geom_id)
+
+    def _cast_shadow(self) -> None:
+        """Appends the robot's geoms again, flattened onto the ground: far quicker than a shadow map."""
+        if self._stage.quality.shadow_map:
+            return
+        if self._shadows is None:
+            self._shadows = _new_shadows(self.scene, self._stage.casts_shadow)
+        for geom, shadow in self._shadows:
+            _flatten(geom, shadow)
+        self.scene.ngeom += len(self._shadows)
+
+
+def _new_shadows(
+    scene: mujoco.MjvScene, casts_shadow: NDArray[np.bool_]
+) -> list[tuple[mujoco.MjvGeom, mujoco.MjvGeom]]:
+    """The geoms that cast a shadow, each with the slot behind the scene's own geoms that shows it."""
+    pairs: list[tuple[mujoco.MjvGeom, mujoco.MjvGeom]] = []
+    for i in range(scene.ngeom):
+        geom = scene.geoms[i]
+        if geom.objtype != _GEOM or not casts_shadow[geom.objid]:
+            continue
+        shadow = scene.geoms[scene.ngeom + len(pairs)]
+        _start_shadow(geom, shadow)
+        pairs.append((geom, shadow))
+    return pairs
+
+
+def _start_shadow(geom: mujoco.MjvGeom, shadow: mujoco.MjvGeom) -> None:
+    """Makes `shadow` the geom's shape in the shadow's colour, as it looks in the light that is not taken away."""
+    color = np.array(_SHADOW_RGBA, dtype=np.float32)
+    mujoco.mjv_initGeom(shadow, geom.type, np.ones(3), np.zeros(3), np.eye(3).ravel(), color)
+    shadow.size[:], shadow.dataid = geom.size, geom.dataid
+    shadow.emission, shadow.specular, shadow.shininess = 0.6, 0.0, 0.0
+
+
+def _flatten(geom: mujoco.MjvGeom, shadow: mujoco.MjvGeom) -> None:
+    shadow.pos[:] = _FLATTEN @ geom.pos + _SHADOW_HEIGHT
+    shadow.mat[:] = _FLATTEN @ geom.mat

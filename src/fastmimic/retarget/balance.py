@@ -1,0 +1,205 @@
+"""Makes the trunk's motion one that the feet on the ground can bring about.
+
+An animal's trunk moves as its own mass, its light legs and its narrow stance demand. On a robot with heavy legs and a
+wider stance the same trunk motion asks for forces that the standing feet cannot give: on two feet, no moment about
+the line between them; in flight, nothing at all. Left as it is, the robot must deviate, in its own way and growing.
+Here the trunk is changed by the least that removes the contradiction; "least" is measured as the imitation reward
+measures a deviation.
+
+The problem is least squares in the deviation d and in pushes x ≥ 0 along the edges of the feet's friction pyramids:
+
+    min Σ ρ(r) + dᵀC d + ε‖x‖²,    r = r₀ + B d − G x
+
+with the demand r₀ of the present motion by inverse dynamics of the whole robot (as acceleration), linearised again at
+each step (Levenberg–Marquardt); the convex problem in between is solved by ADMM, the pushes eliminated sample by
+sample.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.retarget.dynamics import Demand, push_directions
+from fastmimic.retarget.spline import TrunkSpline
+from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BalanceConfig:
+    """How the trunk is balanced.
+
+    Attributes:
+        rounds: linearisations at most; 0 leaves the trunk as the animal's.
+        hz: fastest motion of the correction.
+        linear_weight, angular_weight: of a residual acceleration, s⁴, against the deviation from the animal.
+        outlier: weighted residual beyond which its cost grows only linearly: the reaction to a leg that is thrown
+            forwards is shorter than any correction of the trunk could be.
+        friction: coefficient that the motion may count on.
+        force_weight: of the squared pushes, in quarters of the weight: spreads the load and keeps the centre of
+            pressure in the middle of the support, where the robot can correct either way.
+        min_load: of each standing foot, share of an even load: a foot that is said to stand must be felt to stand.
+        sample_s: time between the instants that are looked at.
+    """
+
+    rounds: int = 8
+    hz: float = 12.0
+    linear_weight: float = 16.0
+    angular_weight: float = 3.0
+    outlier: float = 6.0
+    friction: float = 0.6
+    force_weight: float = 1.0
+    min_load: float = 0.2
+    sample_s: float = 0.01
+
+
+_POSITION_COST: Final = np.array([20.0, 20.0, 500.0, 10.0, 10.0, 10.0])
+_VELOCITY_COST: Final = np.array([2.0, 2.0, 50.0, 1.0, 1.0, 1.0])
+"""Exponents of the imitation reward for root position and angle, linear and angular velocity. Height counts much more:
+by hopping in the right moment a trunk could avoid most contradictions, and would no longer move like the animal."""
+_ADMM_STEP: Final = 3.0
+_ADMM_RELAXATION: Final = 1.6
+_ADMM_ROUNDS: Final = 200
+_ENOUGH: Final = 0.01
+"""Relative gain at which the solver stops."""
+
+
+def balance(robot: Robot, spline: TrunkSpline, demand_of: Callable[[Array], Demand], config: BalanceConfig) -> Array:
+    """The trunk's deviation that makes a motion feasible at the least change.
+
+    Args:
+        robot: mass and inertia.
+        spline: of the deviation.
+        demand_of: what the motion asks of the ground if its trunk deviates by coefficients (size, 6), at the same
+            samples each time.
+        config: weights.
+
+    Returns:
+        Coefficients (size, 6): x, y, z in the heading frame, m; roll, pitch, yaw, rad.
+    """
+    best = np.zeros((spline.size, 6))
+    if config.rounds == 0:
+        return best
+    problem = _Problem(robot, spline, demand_of(best), best, config)
+    damping = 0.01
+    for _ in range(config.rounds):
+        trial = problem.solve(damping)
+        trial_problem = _Problem(robot, spline, demand_of(trial), trial, config)
+        gain = 1.0 - trial_problem.cost / problem.cost
+        if gain > 0:
+            best, problem, damping = trial, trial_problem, damping / 5
+            if gain < _ENOUGH:
+                break
+        else:
+            damping *= 10
+    return best
+
+
+class _Problem:
+    """The problem linearised about one deviation. Per sample (k of them): 6 residuals, 24 coefficients, 16 pushes."""
+
+    def __init__(
+        self, robot: Robot, spline: TrunkSpline, demand: Demand, present: Array, config: BalanceConfig
+    ) -> None:
+        self._present = present
+        self._epsilon = config.force_weight
+        self._weight = np.sqrt(np.array([config.linear_weight] * 3 + [config.angular_weight] * 3))
+        scale = self._weight / np.array([robot.mass] * 3 + list(robot.inertia_b.diagonal()))
+        index, basis = spline.basis(demand.sample)
+        self._k = len(demand.sample)
+        self._column = (6 * index[:, None, :] + np.arange(6)[None, :, None]).reshape(self._k, 24)
+        self._change = self._change_cost(basis)
+
+        unit = robot.mass * GRAVITY / 4
+        force, wrench, can = push_directions(demand, config.friction)
+        self._can = can
+        self._pushes = unit * np.swapaxes(wrench * scale, 1, 2) * can[:, None, :]
+        even = np.maximum(demand.wrench[:, 2], 0.0) / np.maximum(demand.stands.sum(axis=1), 1)
+        least = (config.min_load * even / (4 * unit))[:, None] * can  # the same on a foot's four edges
+        self._demand = demand.wrench * scale - np.einsum("kri,ki->kr", self._pushes, least)
+        self._start = self._best_pushes()
+        residual = self._demand - np.einsum("kri,ki->kr", self._pushes, self._start)
+        size, c = np.linalg.norm(residual, axis=1), config.outlier
+        self._trust = np.minimum(1.0, c / np.maximum(size, 1e-9))[:, None, None]
+        misfit = np.where(size < c, size**2, c * (2 * size - c)).sum()
+        vector = present.ravel()
+        self.cost = float(misfit + self._epsilon * np.sum(self._start**2) + vector @ (self._change @ vector))
+        ground_force = unit * np.einsum("kif,ki->kf", force, (self._start + least) * can)
+        self._slope = self._slope_of(basis, ground_force, scale)
+
+    def solve(self, damping: float) -> Array:
+        """Coefficients (size, 6) at the minimum, held back towards the present ones by `damping`."""
+        from scipy.sparse import diags
+        from scipy.sparse.linalg import splu
+
+        G, B = self._pushes, self._slope
+        gain = np.swapaxes(G, 1, 2) * self._trust
+        inverse = np.linalg.inv(gain @ G + (self._epsilon + _ADMM_STEP) * np.eye(16))
+        weight = self._trust * np.eye(6) - np.swapaxes(gain, 1, 2) @ inverse @ gain
+        curvature = self._scatter(np.swapaxes(B, 1, 2) @ weight @ B)
+        hold = damping * (diags(curvature.diagonal() + 1e-9) + self._change)
+        factor = splu((curvature + self._change + hold).tocsc())
+        given = np.swapaxes(B, 1, 2) @ np.swapaxes(gain, 1, 2) @ inverse
+        by_gain = inverse @ gain
+        vector = self._present.ravel()
+        fixed = self._gather(np.einsum("krc,krs,ks->kc", B, weight, self._demand)) + self._change @ vector
+        step, z, u = np.zeros_like(vector), self._start, np.zeros_like(self._start)
+        for _ in range(_ADMM_ROUNDS):
+            aim = _ADMM_STEP * (z - u)
+            step = factor.solve(self._gather(np.einsum("kci,ki->kc", given, aim)) - fixed)
+            wanted = self._demand + np.einsum("krc,kc->kr", B, step[self._column])
+            x = np.einsum("kir,kr->ki", by_gain, wanted) + np.einsum("kij,kj->ki", inverse, aim)
+            x = _ADMM_RELAXATION * x + (1 - _ADMM_RELAXATION) * z
+            z = np.maximum(x + u, 0.0) * self._can
+            u = (u + x - z) * self._can
+        return (vector + step).reshape(-1, 6)
+
+    def _best_pushes(self) -> Array:
+        """The pushes (k, 16) that come nearest to the demand, in quarters of the weight."""
+        from scipy.optimize import nnls
+
+        small, zero = np.sqrt(self._epsilon) * np.eye(16), np.zeros(16)
+        return np.stack(
+            [
+                nnls(np.concatenate([matrix, small]), np.concatenate([wanted, zero]))[0]
+                for matrix, wanted in zip(self._pushes, self._demand, strict=True)
+            ]
+        )
+
+    def _slope_of(self, basis: Array, ground_force: Array, scale: Array) -> Array:
+        """B (k, 6, 24): by the trunk's acceleration, and by the ground's moment about the displaced centre of
+        mass."""
+        lever = np.zeros((self._k, 6, 6))
+        for axis in range(3):
+            lever[:, 3:, axis] = np.cross(np.eye(3)[axis], ground_force) * scale[3:]
+        slope = np.diag(self._weight)[None, :, :, None] * basis[2][:, None, None, :]
+        slope = slope + lever[..., None] * basis[0][:, None, None, :]
+        return np.asarray(slope.reshape(self._k, 6, 24))
+
+    def _change_cost(self, basis: Array) -> Any:
+        """C (sparse): the cost of deviating from the animal, quadratic in the coefficients."""
+        per_sample = np.zeros((self._k, 24, 24))
+        for c in range(6):
+            own = slice(4 * c, 4 * c + 4)
+            per_sample[:, own, own] = _POSITION_COST[c] * basis[0][:, :, None] * basis[0][:, None, :]
+            per_sample[:, own, own] += _VELOCITY_COST[c] * basis[1][:, :, None] * basis[1][:, None, :]
+        return self._scatter(per_sample)
+
+    def _gather(self, per_sample: Array) -> Array:
+        """Sums (k, 24) into (unknowns,)."""
+        sums = np.bincount(self._column.ravel(), per_sample.ravel(), minlength=self._present.size)
+        return sums.astype(np.float64)
+
+    def _scatter(self, per_sample: Array) -> Any:
+        """Sums (k, 24, 24) into a sparse (unknowns, unknowns)."""
+        from scipy.sparse import csr_matrix
+
+        rows = np.broadcast_to(self._column[:, :, None], per_sample.shape)
+        columns = np.broadcast_to(self._column[:, None, :], per_sample.shape)
+        size = self._present.size
+        return csr_matrix((per_sample.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size))

@@ -1,0 +1,176 @@
+"""Feet that stand still while they stand, and swing as the animal's did in between."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.motion.contacts import Stance, Stances, swings_of
+from fastmimic.retarget.cycle import Track, WorldPath
+
+Array = NDArray[np.float64]
+
+_DEGREE = 3
+_AT_REST = 3
+"""Coefficients of a cubic B-spline that fix position, velocity and acceleration at an end."""
+_VERTICAL_SHARE = 100.0
+"""Where evenness is asked for, the vertical motion's stiffness grows by this times as much."""
+_FLAT = 0.1
+"""Below this share of its clearance a swing has no shape of its own left, and gets a plain one."""
+_CLEARANCE_ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class SwingConfig:
+    """How a swing is fitted.
+
+    Attributes:
+        knot_s: spacing of the spline's knots; faster motion than it can follow is taken for marker noise.
+        stiffness: weight of the spline's third differences against its distance from the animal's path.
+        evenness: weight of the spline's horizontal first differences, which favours a steady speed over the animal's
+            own timing.
+        min_clearance_m: every swing lifts at least this much.
+        linger_s: for so long before touch-down and after lift-off the foot is still near its foothold, and must be in
+            reach.
+    """
+
+    knot_s: float = 0.025
+    stiffness: float = 1.0
+    evenness: float = 0.0
+    min_clearance_m: float = 0.02
+    linger_s: float = 0.02
+
+
+def plant_feet(
+    raw_w: Array,
+    track: Track,
+    stances: Stances,
+    holds: list[list[Array]],
+    highest: float,
+    ground_z: float,
+    rate_hz: float,
+    config: SwingConfig,
+    evenness: Sequence[float] | None = None,
+) -> Array:
+    """Consistent foot paths: fixed in the world in stance, the animal's path between footholds in swing.
+
+    Args:
+        raw_w: (n, 4, 3) the animal's foot paths, world, m; z is the height above the ground.
+        track: says how the path of a cycle repeats.
+        stances: of each leg.
+        holds: from `footholds`.
+        highest: no foot is lifted further than this, m.
+        ground_z: height of a standing foot's centre, m.
+        rate_hz: of the samples.
+        config: of the swings.
+        evenness: of each leg's swings, in place of the configured one.
+
+    Returns:
+        (n, 4, 3) centres of the feet, world, m. Position, velocity and acceleration are continuous; the foot is at
+        rest on the ground at every touch-down and lift-off and nowhere below it.
+    """
+    feet = np.empty_like(raw_w)
+    for leg in range(4):
+        leg_config = config if evenness is None else replace(config, evenness=evenness[leg])
+        path = WorldPath(raw_w[:, leg], track)
+        feet[:, leg] = _plant(path, stances[leg], holds[leg], highest, rate_hz, leg_config)
+    feet[..., 2] += ground_z
+    return feet
+
+
+def _plant(
+    path: WorldPath,
+    stances: list[Stance],
+    holds: list[Array],
+    highest: float,
+    rate_hz: float,
+    config: SwingConfig,
+) -> Array:
+    n = path.n
+    if not stances:
+        return path.samples
+    out = WorldPath(path.samples, path.track)
+    for stance, hold in zip(stances, holds, strict=True):
+        out.write(np.arange(*stance), np.tile([*hold, 0.0], (stance.duration, 1)))
+    for lift_off, touch_down in swings_of(stances, n, path.periodic):
+        from_rest = path.periodic or lift_off > 0
+        to_rest = path.periodic or touch_down < n
+        index = np.arange(lift_off - from_rest, touch_down + to_rest)  # with the samples at rest on both sides
+        held, raw = out.read(index), path.read(index)
+        clearance = min(max(float(raw[:, 2].max()), config.min_clearance_m), highest)
+        ends = held[0] if from_rest else None, held[-1] if to_rest else None
+        swing = _swing(raw, *ends, clearance, rate_hz, config)
+        inner = slice(int(from_rest), len(index) - int(to_rest))
+        out.write(index[inner], swing[inner])
+    return out.samples
+
+
+def _swing(
+    raw: Array, before: Array | None, after: Array | None, clearance: float, rate_hz: float, config: SwingConfig
+) -> Array:
+    """A smooth path (m, 3) near `raw`, from rest at `before` to rest at `after`; None where the recording ends in
+    mid-air."""
+    m = len(raw)
+    share = np.arange(m) / max(m - 1, 1)
+    blend = (share**3 * (10 - 15 * share + 6 * share**2))[:, None]
+    first = None if before is None else before - raw[0]
+    last = None if after is None else after - raw[-1]
+    start = first if first is not None else last if last is not None else np.zeros(3)
+    end = last if last is not None else start
+    target = raw + (1 - blend) * start + blend * end
+    rest = before is not None, after is not None
+    horizontal = _SwingSpline(m, rate_hz, config.knot_s, config.stiffness, config.evenness, *rest)
+    smoother = config.stiffness * (1 + _VERTICAL_SHARE * config.evenness)
+    vertical = _SwingSpline(m, rate_hz, config.knot_s, smoother, 0.0, *rest)
+    shape = np.maximum(target[:, 2], 0.0)
+    if shape.max() < _FLAT * clearance:
+        shape = np.sin(np.pi * share) ** 2
+    for _ in range(
+        _CLEARANCE_ROUNDS
+    ):  # the spline rounds the top off: aim higher until the animal's clearance comes out
+        z = vertical.fit(shape, lower=0.0)
+        shape = shape * (clearance / max(z.max(), 1e-6))
+    return np.stack(
+        [horizontal.fit(target[:, 0]), horizontal.fit(target[:, 1]), vertical.fit(shape, lower=0.0)], axis=1
+    )
+
+
+class _SwingSpline:
+    """Penalised cubic B-splines on the samples of one swing, at rest at its ends."""
+
+    def __init__(
+        self,
+        m: int,
+        rate_hz: float,
+        knot_s: float,
+        stiffness: float,
+        evenness: float,
+        from_rest: bool,
+        to_rest: bool,
+    ) -> None:
+        from scipy.interpolate import BSpline
+
+        pieces = max(6, round((m - 1) / rate_hz / knot_s))
+        knots = np.concatenate([np.zeros(_DEGREE), np.linspace(0, 1, pieces + 1), np.ones(_DEGREE)])
+        self._basis = BSpline.design_matrix(np.linspace(0, 1, m), knots, _DEGREE).toarray()
+        k = pieces + _DEGREE
+        roughness = np.sqrt(stiffness * m / pieces) * np.diff(np.eye(k), n=3, axis=0)
+        unevenness = np.sqrt(evenness * m / pieces) * np.diff(np.eye(k), n=1, axis=0)
+        self._matrix = np.concatenate([self._basis, roughness, unevenness])
+        self._first = np.arange(k) < (_AT_REST if from_rest else 0)
+        self._last = np.arange(k) >= k - (_AT_REST if to_rest else 0)
+
+    def fit(self, target: Array, lower: float | None = None) -> Array:
+        """The spline (m,) nearest to `target` (m,) that rests at target's ends, and stays above `lower`."""
+        from scipy.optimize import lsq_linear
+
+        coefficients = np.where(self._first, target[0], np.where(self._last, target[-1], 0.0))
+        free = ~(self._first | self._last)
+        padded = np.concatenate([target, np.zeros(len(self._matrix) - len(target))])
+        rest = padded - self._matrix @ coefficients
+        if lower is None:
+            coefficients[free] = np.linalg.lstsq(self._matrix[:, free], rest, rcond=None)[0]
+        else:  # a B-spline lies in the convex hull of its coefficients
+            coefficients[free] = lsq_linear(self._matrix[:, free], rest, bounds=(lower, np.inf)).x
+        return np.asarray(self._basis @ coefficients)

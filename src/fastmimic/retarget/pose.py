@@ -1,0 +1,214 @@
+"""From trunk and foot paths to the joints: base height, inverse kinematics, limits, velocities."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.rotations import (
+    quat_conjugate,
+    quat_continuous,
+    quat_from_rotvec,
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+)
+from fastmimic.retarget.cycle import Track
+from fastmimic.retarget.signal import differentiate, pad_open
+from fastmimic.robot import Robot
+from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
+
+Array = NDArray[np.float64]
+
+_STEP_M: Final = 0.005
+_RISE_S: Final = 0.1
+"""In which the base rises for folded legs, and for which it is there before and after."""
+_KNEE_CLEARANCE_M: Final = 0.02
+"""Of the knees above the centre of a standing foot, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """The robot's configuration, sample by sample, within its joint limits.
+
+    Attributes:
+        root_pos_w: (t, 3) m.
+        root_quat_wxyz: (t, 4).
+        joint_pos: (t, 12) rad.
+        foot_pos_b: (t, 4, 3) m, of those joints.
+        unreachable: (t, 4) samples in which a leg was too short or too long.
+        limited: (t, 12) samples in which a joint was held at its limit.
+        lowered_m: how much the base was lowered for reach.
+    """
+
+    root_pos_w: Array
+    root_quat_wxyz: Array
+    joint_pos: Array
+    foot_pos_b: Array
+    unreachable: NDArray[np.bool_]
+    limited: NDArray[np.bool_]
+    lowered_m: float
+
+
+def trunk_quaternion(heading: Array, tilt: Array) -> Array:
+    """Orientation (t, 4) from heading (t,), then pitch, then roll about the body's x; `tilt` (t, 2) is roll,
+    pitch."""
+    zero = np.zeros_like(heading)
+    roll = quat_from_rotvec(np.stack([tilt[:, 0], zero, zero], axis=-1))
+    pitch = quat_from_rotvec(np.stack([zero, tilt[:, 1], zero], axis=-1))
+    return quat_multiply(quat_from_yaw(heading), quat_multiply(pitch, roll))
+
+
+def solve_pose(
+    robot: Robot,
+    track: Track,
+    feet_w: Array,
+    height: float,
+    max_lowering: float,
+    max_raising: float,
+    margin_rad: float,
+) -> Pose:
+    """Inverse kinematics; the base is moved, constantly, as far as the legs need: down to reach every foothold, up to
+    keep folded legs within their limits and knees off the ground.
+
+    Args:
+        robot: limits and geometry.
+        track: the trunk.
+        feet_w: (t, 4, 3) centres of the feet, world, m.
+        height: mean height of the base, m.
+        max_lowering: m.
+        max_raising: m.
+        margin_rad: kept to the joint limits.
+    """
+    quat = trunk_quaternion(track.heading, track.tilt)
+    lower, upper = robot.joint_lower + margin_rad, robot.joint_upper - margin_rad
+    best: tuple[float, float] | None = None
+    rest = track.root_z - track.root_z.mean() + height
+
+    def violation_at(lowering: float) -> tuple[float, float]:
+        """Of all limits, rad, and what of it raising the base would help."""
+        q, reachable = _joints(robot, track, quat, feet_w, height - lowering)
+        low = np.maximum(lower - q, 0)
+        beyond = np.where(robot.knee_sign > 0, np.maximum(q - upper, 0)[:, 2::3], low[:, 2::3])
+        knees = _knee_height(robot, quat, q) + (rest - lowering)[:, None]
+        knees = np.maximum(robot.foot_radius + _KNEE_CLEARANCE_M - knees, 0) / robot.calf_length
+        limits = low + np.maximum(q - upper, 0)
+        return float(limits.sum() + np.sum(~reachable) + knees.sum()), float(beyond.sum() + knees.sum())
+
+    up = round(max_raising / _STEP_M) if violation_at(0.0)[1] > 0 else 0
+    steps = np.arange(-up, round(max_lowering / _STEP_M) + 1)
+    for lowering in _STEP_M * steps[np.argsort(np.abs(steps), kind="stable")]:
+        violation = violation_at(lowering)[0]
+        if best is None or violation < best[0]:
+            best = (violation, float(lowering))
+        if violation == 0:
+            break
+    assert best is not None
+    q, reachable = _joints(robot, track, quat, feet_w, height - best[1])
+    joints = np.clip(q, lower, upper)
+    return Pose(
+        root_pos_w=_root(track, height - best[1]),
+        root_quat_wxyz=quat_continuous(quat),
+        joint_pos=joints,
+        foot_pos_b=foot_positions(robot, joints),
+        unreachable=~reachable,
+        limited=joints != q,
+        lowered_m=best[1],
+    )
+
+
+def folding_rise(
+    robot: Robot, track: Track, feet_w: Array, height: float, max_raising: float, margin_rad: float, rate_hz: float
+) -> Array:
+    """How much higher the base must be at each moment for folded legs to keep within their limits and their knees off
+    the ground, (t,) m: as little as it takes in steps of 5 mm, at most `max_raising`, and smooth.
+
+    Args:
+        robot: limits and geometry.
+        track: the trunk.
+        feet_w: (t, 4, 3) centres of the feet, world, m.
+        height: mean height of the base, m.
+        max_raising: m.
+        margin_rad: kept to the joint limits.
+        rate_hz: of the samples.
+    """
+    from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+
+    quat = trunk_quaternion(track.heading, track.tilt)
+    lower, upper = robot.joint_lower + margin_rad, robot.joint_upper - margin_rad
+    rest = track.root_z - track.root_z.mean() + height
+    least, best = np.full(len(rest), np.inf), np.zeros(len(rest))
+    for rise in _STEP_M * np.arange(round(max_raising / _STEP_M) + 1):
+        q, _ = _joints(robot, track, quat, feet_w, height + rise)
+        beyond, below = np.maximum(q - upper, 0)[:, 2::3], np.maximum(lower - q, 0)[:, 2::3]
+        folded = np.where(robot.knee_sign > 0, beyond, below)
+        knees = _knee_height(robot, quat, q) + (rest + rise)[:, None]
+        low = np.maximum(robot.foot_radius + _KNEE_CLEARANCE_M - knees, 0) / robot.calf_length
+        violation = folded.sum(axis=1) + low.sum(axis=1)
+        better = violation < least - 1e-9
+        least[better], best[better] = violation[better], rise
+    wide = 2 * round(_RISE_S * rate_hz) + 1
+    wide_rise = maximum_filter1d(best, wide, mode="nearest")
+    return np.asarray(gaussian_filter1d(wide_rise, 0.5 * _RISE_S * rate_hz, mode="nearest"))
+
+
+def unlimited_pose(robot: Robot, track: Track, feet_w: Array, height: float) -> Pose:
+    """Like `solve_pose` at one height and without joint limits: a smooth function of its arguments."""
+    quat = trunk_quaternion(track.heading, track.tilt)
+    joints, reachable = _joints(robot, track, quat, feet_w, height)
+    return Pose(
+        root_pos_w=_root(track, height),
+        root_quat_wxyz=quat_continuous(quat),
+        joint_pos=joints,
+        foot_pos_b=foot_positions(robot, joints),
+        unreachable=~reachable,
+        limited=np.zeros(joints.shape, dtype=bool),
+        lowered_m=0.0,
+    )
+
+
+def _root(track: Track, height: float) -> Array:
+    z = track.root_z - track.root_z.mean() + height
+    return np.concatenate([track.root_xy, z[:, None]], axis=1)
+
+
+def _joints(robot: Robot, track: Track, quat: Array, feet_w: Array, height: float) -> tuple[Array, NDArray[np.bool_]]:
+    foot_b = quat_rotate_inverse(quat[:, None], feet_w - _root(track, height)[:, None])
+    return inverse_kinematics(robot, foot_b)
+
+
+def _knee_height(robot: Robot, quat: Array, joints: Array) -> Array:
+    """Of the knees (t, 4) above the base, m."""
+    abduction, hip = joints[:, 0::3], joints[:, 1::3]
+    x, z = robot.thigh_vector[:, 0], robot.thigh_vector[:, 2]
+    forward = robot.hip_shift[:, 0] + np.cos(hip) * x + np.sin(hip) * z
+    up = robot.hip_shift[:, 1] - np.sin(hip) * x + np.cos(hip) * z
+    left = np.cos(abduction) * robot.lateral_offset - np.sin(abduction) * up
+    up = np.sin(abduction) * robot.lateral_offset + np.cos(abduction) * up
+    knee_b = robot.hip_pos_b + np.stack([forward, left, up], axis=-1)
+    return np.asarray(quat_rotate(quat[:, None], knee_b)[..., 2])
+
+
+def joint_velocity(joint_pos: Array, rate_hz: float, periodic: bool) -> Array:
+    """(t, 12) rad/s."""
+    return differentiate(_pad(joint_pos, periodic), 1.0 / rate_hz)
+
+
+def root_velocity(pose: Pose, track: Track, rate_hz: float) -> tuple[Array, Array]:
+    """Linear and angular velocity of the base, (t, 3) each, world, m/s and rad/s."""
+    position = _pad(pose.root_pos_w, track.cycle is not None)
+    quat = _pad(pose.root_quat_wxyz, track.cycle is not None)
+    if track.cycle is not None:
+        turn = quat_from_yaw(track.cycle[2])
+        for rows, cycles in ((slice(0, 2), -1), (slice(-2, None), 1)):
+            position[rows, :2] = track.moved(position[rows, :2], cycles)
+            quat[rows] = quat_multiply(turn if cycles > 0 else quat_conjugate(turn), quat[rows])
+    quat = quat_continuous(quat)
+    rate = quat_multiply(differentiate(quat, 1.0 / rate_hz), quat_conjugate(quat[2:-2]))
+    return differentiate(position, 1.0 / rate_hz), 2.0 * rate[:, 1:]
+
+
+def _pad(values: Array, periodic: bool) -> Array:
+    return np.concatenate([values[-2:], values, values[:2]]) if periodic else pad_open(values)

@@ -1,0 +1,146 @@
+"""What a robot's legs can reach, and where its feet should stand."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.conventions import LEFT
+from fastmimic.base.rotations import rotate_planar
+from fastmimic.motion.contacts import Stances, contact_mask
+from fastmimic.retarget.cycle import Track, WorldPath
+from fastmimic.robot import Robot
+
+Array = NDArray[np.float64]
+
+_STEP = 5
+"""Samples between the instants at which reach is checked."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """What the legs reach with the base at its nominal height.
+
+    Attributes:
+        hip_height: of the abduction axes above the centres of standing feet, m.
+        longest, shortest: leg in its plane within the knees' limits, m.
+        hips: (4, 2) abduction joint origins in the heading frame, m.
+        lateral_offset: (4,) from there to the leg's plane, m.
+        abduction: largest inward angle, rad.
+    """
+
+    hip_height: float
+    longest: float
+    shortest: float
+    hips: Array
+    lateral_offset: Array
+    abduction: float
+
+    @classmethod
+    def of_robot(cls, robot: Robot, base_height: float, margin_rad: float) -> "Reach":
+        """With knees and abduction joints `margin_rad` inside their limits."""
+        a, b = robot.thigh_length, robot.calf_length
+        knees = np.stack([robot.joint_lower[2::3] + margin_rad, robot.joint_upper[2::3] - margin_rad])
+        lengths = np.sqrt(a * a + b * b + 2 * a * b * np.cos(knees))
+        inward = np.where(LEFT, -robot.joint_lower[0::3], robot.joint_upper[0::3])
+        return cls(
+            hip_height=base_height + float(robot.hip_pos_b[:, 2].mean()) - robot.foot_radius,
+            longest=float(lengths.max(axis=0).min()),
+            shortest=float(lengths.min(axis=0).max()),
+            hips=robot.hip_pos_b[:, :2],
+            lateral_offset=np.asarray(robot.lateral_offset),
+            abduction=float(inward.min()) - margin_rad,
+        )
+
+    @property
+    def clearance(self) -> float:
+        """How high a foot can be lifted under its hip, m."""
+        return self.hip_height - self.shortest
+
+    def forward(self, leg: int, lateral: Array, drop: Array) -> Array:
+        """How far ahead of its hip a foot can stand (k,), `lateral` (k,) beside the abduction axis and `drop` (k,)
+        below it, m."""
+        square = self.longest**2 - drop**2 - lateral**2 + self.lateral_offset[leg] ** 2
+        return np.sqrt(np.maximum(square, 0.0))
+
+    def inward(self, leg: int, drop: Array) -> Array:
+        """How far on the inner side of its abduction axis a foot can stand (k,), `drop` (k,) below it, m."""
+        a, d = self.abduction, abs(float(self.lateral_offset[leg]))
+        along = (drop - d * np.sin(a)) / np.cos(a)
+        return np.asarray(along * np.sin(a) - d * np.cos(a))
+
+    def longest_stance(self, speed: float, linger_s: float) -> float:
+        """How long a foot can stand at a speed of travel, m/s, before its leg is at the end of its reach, s."""
+        drop = np.array([self.hip_height])
+        sweep = 2 * min(float(self.forward(leg, self.lateral_offset[[leg]], drop)[0]) for leg in range(4))
+        return sweep / max(speed, 1e-3) - 2 * linger_s
+
+
+def foot_offsets(robot: Robot, track: Track, stances: Stances, stance_width: float) -> Array:
+    """Constant shifts (4, 2) of the feet against the robot's hips, m.
+
+    Where shoulder, hip and toe markers sit is the animal's build, not its motion. The mean footholds are put where the
+    robot stands well: fore-aft with their mean under the centre of mass, laterally `stance_width` of the lateral link
+    outside the abduction axis. Left and right move alike.
+    """
+    side = np.where(LEFT, 1.0, -1.0)
+    stands = contact_mask(stances, len(track.root_z))
+    mean = np.zeros((4, 2))
+    for leg in range(4):
+        if stands[:, leg].any():
+            mean[leg] = track.toe_from_hip[stands[:, leg], leg].mean(axis=0)
+    outward = np.repeat((side * mean[:, 1]).reshape(2, 2).mean(axis=1), 2)
+    forward = robot.com_b[0] - robot.hip_pos_b[:, 0].mean() - mean[:, 0].mean()
+    width = stance_width * np.abs(robot.lateral_offset)
+    return np.stack([np.full(4, forward), side * (width - outward)], axis=-1)
+
+
+def footholds(raw_w: Array, track: Track, stances: Stances, reach: Reach, linger: int) -> list[list[Array]]:
+    """Where each foot stands in each of its stances, (2,) in the world, m.
+
+    The mean of the animal's path in stance, weighted towards mid-stance, moved by what it lacks to be within reach from
+    touch-down to lift-off.
+
+    Args:
+        raw_w: (n, 4, 3) the animal's foot paths, world, m.
+        track: the trunk.
+        stances: of each leg.
+        reach: of the robot's legs.
+        linger: samples before touch-down and after lift-off in which the foot is still near, and must be in reach.
+    """
+    sway = np.concatenate([track.root_xy, track.root_z[:, None] - track.root_z.mean()], axis=1)
+    trunk = WorldPath(sway, track)
+    result = []
+    for leg, spans in enumerate(stances):
+        path = WorldPath(raw_w[:, leg], track)
+        holds = []
+        for span in spans:
+            last = span.lift_off + linger
+            when = np.append(np.arange(span.touch_down - linger, last, _STEP), last)
+            if not path.periodic:
+                when = np.clip(when, 0, path.n - 1)
+            hold = _mean_foothold(path.read(np.arange(*span)))
+            holds.append(hold + _into_reach(hold, leg, trunk.read(when), track, when, reach))
+        result.append(holds)
+    return result
+
+
+def _mean_foothold(raw: Array) -> Array:
+    weight = np.sin(np.pi * (np.arange(len(raw)) + 0.5) / len(raw)) ** 2
+    return np.asarray(weight @ raw[:, :2] / weight.sum())
+
+
+def _into_reach(hold: Array, leg: int, trunk: Array, track: Track, when: NDArray[np.int_], reach: Reach) -> Array:
+    """The displacement (2,), world, that brings a foothold into reach of a trunk at (k, 3) (x, y, height against its
+    mean)."""
+    heading = track.heading_at(when)
+    local = rotate_planar(-heading, hold - trunk[:, :2]) - reach.hips[leg]
+    roll, pitch = track.tilt[when % len(track.tilt)].T
+    x, y = reach.hips[leg]
+    drop = reach.hip_height + trunk[:, 2] - np.sin(pitch) * x + np.sin(roll) * y
+    side = np.sign(reach.lateral_offset[leg])
+    sideways = side * max(0.0, float((-reach.inward(leg, drop) - side * local[:, 1]).max()))
+    limit = reach.forward(leg, local[:, 1] + sideways, drop)
+    lowest, highest = float((-limit - local[:, 0]).max()), float((limit - local[:, 0]).min())
+    forward = 0.5 * (lowest + highest) if lowest > highest else float(np.clip(0.0, lowest, highest))
+    return rotate_planar(heading[len(heading) // 2], np.array([forward, sideways]))

@@ -1,0 +1,104 @@
+"""From an animal's keypoints to trunk pose and toe targets at the robot's size (Peng et al. 2020, section IV)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.rotations import matrix_from_quat, rotate_planar
+from fastmimic.clips.clip import Clip
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """What retargeting takes from a clip, already at the robot's scale, frame by frame.
+
+    Attributes:
+        rate_hz: frames a second.
+        root_xy: (t, 2) middle of neck and pelvis, world, m.
+        root_z: (t,) its height above the ground on which the toes stand, m.
+        heading: (t,) rad, continuous.
+        tilt: (t, 2) roll and pitch, rad.
+        hip_height: mean height of hips and shoulders above the ground, m.
+        toe_from_hip: (t, 4, 2) horizontal hip→toe vectors in the heading frame, m.
+        toe_height: (t, 4) above each leg's own ground, m.
+        toe_speed: (t, 4) horizontal, world, m/s.
+    """
+
+    rate_hz: float
+    root_xy: Array
+    root_z: Array
+    heading: Array
+    tilt: Array
+    hip_height: float
+    toe_from_hip: Array
+    toe_height: Array
+    toe_speed: Array
+
+    def held(self, frames: int) -> "Source":
+        """The same recording with its last frame so many times more, at rest."""
+
+        def more(values: Array) -> Array:
+            return np.concatenate([values, np.repeat(values[-1:], frames, axis=0)])
+
+        return replace(
+            self,
+            root_xy=more(self.root_xy),
+            root_z=more(self.root_z),
+            heading=more(self.heading),
+            tilt=more(self.tilt),
+            toe_from_hip=more(self.toe_from_hip),
+            toe_height=more(self.toe_height),
+            toe_speed=np.concatenate([self.toe_speed, np.zeros((frames, 4))]),
+        )
+
+    def turned(self, angle: float) -> "Source":
+        """The same motion with the trunk's heading turned by `angle` rad; nothing moves in the world."""
+        return replace(self, heading=self.heading + angle, toe_from_hip=rotate_planar(-angle, self.toe_from_hip))
+
+
+def extract(clip: Clip, scale: float, roll_share: float) -> Source:
+    """Trunk pose and toe targets of a clip, scaled.
+
+    Heading and pitch are those of the line from pelvis to neck, roll that of the mean of the lines between left and
+    right shoulders and hips. The mean roll and pitch are removed: where the markers sit on the body is not its
+    neutral attitude. If the clip knows its trunk's orientation, that is used as it is.
+
+    Args:
+        clip: the animal.
+        scale: animal's to robot's size.
+        roll_share: share of the girdles' roll that the trunk takes (see `RetargetConfig`).
+    """
+    neck, pelvis = clip.point("neck"), clip.point("pelvis")
+    if clip.root_quat_wxyz is not None:
+        R = matrix_from_quat(clip.root_quat_wxyz)
+        heading = np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+        pitch = -np.arcsin(np.clip(R[:, 2, 0], -1, 1))
+        tilt = np.stack([np.arctan2(R[:, 2, 1], R[:, 2, 2]), pitch], axis=-1)
+    else:
+        spine = neck - pelvis
+        heading = np.unwrap(np.arctan2(spine[:, 1], spine[:, 0]))
+        pitch = -np.arctan2(spine[:, 2], np.linalg.norm(spine[:, :2], axis=-1))
+        across = clip.hips_w[:, [1, 3]] - clip.hips_w[:, [0, 2]]
+        lateral = (across / np.linalg.norm(across, axis=-1, keepdims=True)).mean(axis=1)
+        roll = roll_share * np.arctan2(lateral[:, 2], np.linalg.norm(lateral[:, :2], axis=-1))
+        tilt = np.stack([roll, pitch], axis=-1)
+        tilt -= tilt.mean(axis=0)
+    toes = clip.toes_w * scale
+    ground = np.percentile(toes[..., 2], 10, axis=0)
+    velocity = np.gradient(toes[..., :2], 1.0 / clip.rate_hz, axis=0)
+    hip_to_toe = (toes - scale * clip.hips_w)[..., :2]
+    root = scale * 0.5 * (neck + pelvis)
+    return Source(
+        rate_hz=clip.rate_hz,
+        root_xy=root[:, :2],
+        root_z=root[:, 2] - ground.mean(),
+        heading=heading,
+        tilt=tilt,
+        hip_height=float(scale * clip.hips_w[..., 2].mean() - ground.mean()),
+        toe_from_hip=rotate_planar(-heading[:, None], hip_to_toe),
+        toe_height=toes[..., 2] - ground,
+        toe_speed=np.linalg.norm(velocity, axis=-1),
+    )

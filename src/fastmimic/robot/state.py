@@ -1,0 +1,96 @@
+"""What the controller is told, remembers and returns, as arrays that kernels and drivers share."""
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.jit import record_dtype
+
+if TYPE_CHECKING:
+    from fastmimic.robot import Robot
+
+OBSERVATION: Final = record_dtype(
+    [
+        ("root_pos", "f8", (3,)),
+        ("root_quat", "f8", (4,)),
+        ("lin_vel", "f8", (3,)),
+        ("ang_vel", "f8", (3,)),
+        ("joint_pos", "f8", (12,)),
+        ("joint_vel", "f8", (12,)),
+        ("foot_force", "f8", (4, 3)),
+        ("other_contact", "f8"),
+    ]
+)
+"""One robot's state: base pose and velocities in the world frame, joints, ground force on each foot (world frame, N),
+and the number of contacts of anything but the feet with the ground."""
+
+COMMAND: Final = record_dtype(
+    [
+        ("joint_pos", "f8", (12,)),
+        ("joint_vel", "f8", (12,)),
+        ("stiffness", "f8", (12,)),
+        ("damping", "f8", (12,)),
+        ("torque", "f8", (12,)),
+    ]
+)
+"""One robot's command: the motors apply torque + stiffness (joint_pos − q) + damping (joint_vel − dq)."""
+
+MEMORY: Final = record_dtype(
+    [
+        ("stance", "i8", (4,)),
+        ("early", "i8", (4,)),
+        ("was_loaded", "i8", (4,)),
+        ("since_switch", "f8", (4,)),
+        ("unloaded_time", "f8", (4,)),
+        ("liftoff_offset", "f8", (4, 3)),
+        ("force", "f8", (4, 3)),
+        ("qp_failures", "i8"),
+        ("failed_in_a_row", "i8"),
+        ("horizon_failures", "i8"),
+        ("solve_time", "f8"),
+        ("early_touchdowns", "i8"),
+    ]
+)
+"""What the controller remembers of one robot: leg states (stance 1, swing 0), timers, last forces (heading frame), and
+the s that planning ahead took in the last step, 0 if it did not plan."""
+
+MODEL: Final = record_dtype(
+    [
+        ("geometry", "f8", (4, 12)),
+        ("mass", "f8"),
+        ("inertia", "f8", (3, 3)),
+        ("trunk_moment", "f8", (3,)),
+        ("link_mass", "f8", (4, 3)),
+        ("link_com", "f8", (4, 3, 3)),
+        ("link_inertia", "f8", (4, 3, 3, 3)),
+        ("armature", "f8", (12,)),
+        ("joint_damping", "f8", (12,)),
+        ("joint_friction", "f8", (12,)),
+        ("lower", "f8", (12,)),
+        ("upper", "f8", (12,)),
+        ("torque_limit", "f8", (12,)),
+        ("foot_radius", "f8"),
+    ]
+)
+"""The robot as the controller's model knows it."""
+
+
+def pack_model(robot: "Robot") -> NDArray[Any]:
+    """A robot as a structured array of one `MODEL` record."""
+    record = np.zeros(1, MODEL)
+    record["geometry"] = robot.geometry.rows
+    record["mass"] = robot.mass
+    record["inertia"] = robot.inertia_b
+    record["trunk_moment"] = robot.trunk_mass * robot.trunk_com_b
+    record["link_mass"] = robot.link_mass
+    record["link_com"] = robot.link_com
+    record["link_inertia"] = robot.link_inertia
+    record["armature"] = robot.armature
+    record["joint_damping"] = robot.joint_damping
+    record["joint_friction"] = robot.joint_friction
+    record["lower"] = robot.joint_lower
+    record["upper"] = robot.joint_upper
+    record["torque_limit"] = robot.torque_limit
+    record["foot_radius"] = robot.foot_radius
+    return record

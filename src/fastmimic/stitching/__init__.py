@@ -1,0 +1,1 @@
+"""Joining motions to one."""

@@ -1,0 +1,329 @@
+"""Stitching: cyclic robot motions one after another as one motion that does not repeat (paper, "Motion stitching").
+
+ξ₁ ⊕ ξ₂: each motion's retargeted cycle is repeated its number of times and laid end to end in the world. In between,
+the legs pass from one schedule to the next at the phases that agree best (`stitch_switch`), the trunk's velocity, turn,
+height and tilt pass smoothly within a bounded acceleration, and the feet, the trunk's balance and the joints are made
+consistent again by the means of retargeting (`stitch_transition`). Outside the transitions every sample is that of the
+retargeted cycle, moved in the plane.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.base.rotations import quat_continuous, quat_rotate, rotate_planar, yaw_from_quat
+from fastmimic.motion.motion import Motion
+from fastmimic.retarget.config import RetargetConfig
+from fastmimic.retarget.cycle import Track
+from fastmimic.retarget.pose import trunk_quaternion
+from fastmimic.retarget.reach import Reach
+from fastmimic.robot import Robot
+from fastmimic.stitching.layout import Layout, Segment, Span
+from fastmimic.stitching.switch import Cycle, Switch, best_switch
+from fastmimic.stitching.transition import make_transition
+
+Array = NDArray[np.float64]
+
+SEGMENT_S: Final = 3.0
+"""Length of a segment if nothing is said, to whole cycles."""
+
+MAX_S: Final = 600.0
+"""The longest motion that is stitched."""
+
+
+def default_cycles(motion: Motion) -> int:
+    """How often a motion is repeated if nothing is said: for about `SEGMENT_S`."""
+    return max(1, round(SEGMENT_S / motion.period_s))
+
+
+def stitch_motions(
+    robot: Robot,
+    motions: Sequence[Motion],
+    cycles: Sequence[int] | None = None,
+    *,
+    config: RetargetConfig | None = None,
+) -> Motion:
+    """The demonstration of several cyclic motions, one after another.
+
+    Args:
+        robot: whose motions they are.
+        motions: two or more demonstrations with a cycle, at one rate.
+        cycles: how often each is repeated; about `SEGMENT_S` each if None. A segment ends within 0.6 s and half a cycle
+            of its whole cycles, where it fits the next one best; the last one ends with its cycle.
+        config: settings of the feet, the reach and the balance in the transitions.
+
+    Returns:
+        A motion without `cycle`; `meta["stitch"]` holds the layout (`Layout`), the starts of the cycles and what was
+        measured of the transitions, `parts` the motions.
+
+    Raises:
+        ConfigError: fewer than two motions, cycles that are not one positive number for each, or more than `MAX_S`.
+        MotionError: a motion that does not repeat, is for another robot, or has another rate; a segment too short for
+            its transitions; a foot that never lifts off and would have to move.
+    """
+    config = config or RetargetConfig()
+    counts = _check(robot, motions, cycles)
+    parts = list({id(m): m for m in motions}.values())
+    index = [next(k for k, part in enumerate(parts) if part is m) for m in motions]
+    own = [Cycle.of(m) for m in motions]
+    rate = motions[0].rate_hz
+    height = float(np.mean([m.root_pos_w[:, 2].mean() for m in motions]))
+    reach = Reach.of_robot(robot, height, config.reach_margin_rad)
+
+    shifts, switches, starts = [0], [], []
+    for i, (a, b) in enumerate(pairwise(own)):
+        switch = best_switch(a, b, counts[i] * a.n, rate, reach, config.swing.linger_s)
+        starts.append(shifts[-1] + switch.out)
+        shifts.append(starts[-1] - switch.into)
+        switches.append(switch)
+    n = shifts[-1] + counts[-1] * own[-1].n
+    layout = _layout(motions, index, counts, shifts, starts, switches, n)
+
+    track, raw_w, contact = _laid_end_to_end(parts, layout)
+    arrays = _samples(parts, layout, track)
+    transitions = []
+    for i in range(1, len(motions)):
+        neighbours = own[i - 1], own[i]
+        transition = make_transition(robot, layout, i, track, raw_w, contact, neighbours, rate, reach, config)
+        transition.write(arrays)
+        transitions.append(transition)
+    layout = Layout(
+        (
+            layout.segments[0],
+            *(replace(s, rebuilt=t.span) for s, t in zip(layout.segments[1:], transitions, strict=True)),
+        ),
+        n,
+    )
+    _check_room(layout)
+    name = "+".join(m.name for m in motions)
+    licences = sorted({str(m.meta["licence"]) for m in motions if m.meta.get("licence")})
+    return Motion(
+        rate_hz=rate,
+        contact=contact,
+        **arrays,
+        cycle=None,
+        meta={
+            "name": name,
+            "robot": robot.name,
+            "source": {
+                "source": "stitched",
+                "assumed": list(dict.fromkeys(a for m in motions for a in m.meta.get("source", {}).get("assumed", []))),
+            },
+            "licence": "; ".join(licences) or None,
+            "stitch": {
+                "segments": layout.as_meta(),
+                "cycle_starts": _cycle_starts(layout, parts),
+                "transitions": [t.measured for t in transitions],
+            },
+        },
+        parts=tuple(parts),
+    )
+
+
+def _check(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int] | None) -> list[int]:
+    if len(motions) < 2:
+        raise ConfigError(f"stitching takes at least two motions, found {len(motions)}")
+    for motion in motions:
+        if motion.cycle is None:
+            raise MotionError(f"motion '{motion.name}' does not repeat; only cyclic motions can be stitched")
+        motion.check_robot(robot.name)
+        if abs(motion.rate_hz - motions[0].rate_hz) > 1e-9:
+            raise MotionError(
+                f"motion '{motion.name}' has {motion.rate_hz:g} samples a second and '{motions[0].name}'"
+                f" {motions[0].rate_hz:g}; stitched motions must have one rate"
+            )
+    counts = [default_cycles(m) for m in motions] if cycles is None else _counts(motions, cycles)
+    if sum(c * m.n_samples for c, m in zip(counts, motions, strict=True)) > MAX_S * motions[0].rate_hz:
+        raise ConfigError(
+            f"the stitched motion would be longer than {MAX_S:g} s: fewer cycles than {', '.join(map(str, counts))}"
+        )
+    return counts
+
+
+def _counts(motions: Sequence[Motion], cycles: Sequence[int]) -> list[int]:
+    if len(cycles) != len(motions):
+        raise ConfigError(f"{len(motions)} motions need as many numbers of cycles, found {len(cycles)}")
+    for motion, count in zip(motions, cycles, strict=True):
+        if count < 1:
+            raise ConfigError(f"every motion needs at least one cycle, found {count} for '{motion.name}'")
+    return [int(c) for c in cycles]
+
+
+def _layout(
+    motions: Sequence[Motion],
+    index: Sequence[int],
+    counts: Sequence[int],
+    shifts: Sequence[int],
+    starts: Sequence[int],
+    switches: Sequence[Switch],
+    n: int,
+) -> Layout:
+    bounds = [0, *starts, n]
+    segments = []
+    for i, motion in enumerate(motions):
+        trunk, feet = None, None
+        if i > 0:
+            switch, at = switches[i - 1], starts[i - 1]
+            trunk = Span(at - switch.half, at + switch.half)
+            legs = [
+                Span(max(s.start + at, bounds[i - 1]), min(s.end + at, bounds[i + 1]), s.stands) for s in switch.feet
+            ]
+            feet = (legs[0], legs[1], legs[2], legs[3])
+        segments.append(Segment(motion.name, index[i], counts[i], bounds[i], bounds[i + 1], shifts[i], trunk, feet))
+    for segment, (a, b) in zip(segments, pairwise(bounds), strict=True):
+        if b <= a:
+            _raise_too_short(segment.name, segment.cycles)
+    layout = Layout(tuple(segments), n)
+    _check_room(layout)
+    return layout
+
+
+def _check_room(layout: Layout) -> None:
+    """Raises `MotionError` if a transition does not leave the one before it, or an end, alone."""
+    over = 0
+    for before, segment in pairwise(layout.segments):
+        spans = [s for s in (segment.trunk, segment.rebuilt) if s is not None]
+        if any(s.start < over for s in spans):
+            _raise_too_short(before.name, before.cycles)
+        over = max(s.end for s in spans)
+        if segment is layout.segments[-1] and over > layout.n:
+            _raise_too_short(segment.name, segment.cycles)
+
+
+def _raise_too_short(name: str, cycles: int) -> None:
+    raise MotionError(f"segment '{name}' with {cycles} cycles is too short for its transitions; give it more cycles")
+
+
+def _samples(parts: Sequence[Motion], layout: Layout, track: Track) -> dict[str, Any]:
+    """The arrays of the whole, each sample from the part of the segment that it lies in; the root from the track."""
+    n = layout.n
+    out: dict[str, Any] = {
+        "root_pos_w": np.column_stack([track.root_xy, track.root_z]),
+        "root_quat_wxyz": quat_continuous(trunk_quaternion(track.heading, track.tilt)),
+        "joint_pos": np.empty((n, 12)),
+        "joint_vel": np.empty((n, 12)),
+        "foot_pos_b": np.empty((n, 4, 3)),
+        "root_lin_vel_w": np.empty((n, 3)),
+        "root_ang_vel_w": np.empty((n, 3)),
+    }
+    for segment in layout.segments:
+        motion, t = parts[segment.part], np.arange(segment.first, segment.last)
+        local = (t - segment.shift) % motion.n_samples
+        for name in ("joint_pos", "joint_vel", "foot_pos_b"):
+            out[name][t] = getattr(motion, name)[local]
+        turn = track.heading[t] - yaw_from_quat(motion.root_quat_wxyz)[local]
+        for name in ("root_lin_vel_w", "root_ang_vel_w"):
+            velocity = getattr(motion, name)[local]
+            out[name][t] = np.column_stack([rotate_planar(turn, velocity[:, :2]), velocity[:, 2]])
+    return out
+
+
+def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[Track, Array, NDArray[np.bool_]]:
+    """The blended trunk, the feet's paths (n, 4, 3) under it (world; z above the ground) and the contacts (n, 4).
+
+    The trunk's planar path is the integral of the blended velocity in the heading frame, so it is continuous in
+    position, velocity and acceleration whatever is joined.
+    """
+    n, t = layout.n, np.arange(layout.n)
+    trunk, feet = layout.trunk_weights(), layout.foot_weights()
+    step, turn = np.zeros((n, 2)), np.zeros(n)
+    root_z, tilt = np.zeros(n), np.zeros((n, 2))
+    local_feet, contact = np.zeros((n, 4, 3)), np.zeros((n, 4), dtype=bool)
+    for i, segment in enumerate(layout.segments):
+        motion = parts[segment.part]
+        body = _Body.of(motion)
+        at = (t - segment.shift) % motion.n_samples
+        w = trunk[i]
+        between = 0.5 * (w + np.append(w[1:], w[-1]))
+        step += between[:, None] * body.step[at]
+        turn += between * body.turn[at]
+        root_z += w * motion.root_pos_w[at, 2]
+        tilt += w[:, None] * body.tilt[at]
+        local_feet += feet[i][..., None] * body.feet[at]
+        begins = [0] * 4 if segment.feet is None else [s.end for s in segment.feet]
+        following = layout.segments[i + 1].feet if i + 1 < len(layout.segments) else None
+        ends = [n] * 4 if following is None else [s.start for s in following]
+        for leg in range(4):
+            if segment.feet is not None:
+                span = segment.feet[leg]
+                contact[span.start : span.end, leg] = span.stands
+                if not span.stands:
+                    _pass_in_swing(local_feet[:, leg], span, parts, layout.segments[i - 1], segment, leg)
+            own = np.arange(begins[leg], max(begins[leg], ends[leg]))
+            contact[own, leg] = motion.contact[(own - segment.shift) % motion.n_samples, leg]
+    first = parts[layout.segments[0].part]
+    heading = yaw_from_quat(first.root_quat_wxyz[0]) + np.concatenate([[0.0], np.cumsum(turn[:-1])])
+    moved = np.cumsum(rotate_planar(heading[:-1], step[:-1]), axis=0)
+    root_xy = first.root_pos_w[0, :2] + np.concatenate([np.zeros((1, 2)), moved])
+    raw_w = np.array(local_feet)
+    raw_w[..., :2] = root_xy[:, None] + rotate_planar(heading[:, None], local_feet[..., :2])
+    raw_w[..., 2] = local_feet[..., 2]
+    track = Track(root_xy, root_z, heading, tilt, local_feet[..., :2], local_feet[..., 2], None)
+    return track, raw_w, contact
+
+
+def _pass_in_swing(feet: Array, span: Span, parts: Sequence[Motion], before: Segment, after: Segment, leg: int) -> None:
+    """One foot (n, 3), heading frame, in a swing that begins as one motion's and ends as the other's: their two swings,
+    stretched to its duration, blended."""
+    t = np.arange(span.start, span.end)
+    paths = []
+    for segment, lifts in ((before, True), (after, False)):
+        motion = parts[segment.part]
+        local = (span.start if lifts else span.end) - segment.shift
+        n, contact = motion.n_samples, motion.contact[:, leg]
+        away = np.arange(1, n)  # to the next touch-down, or back to the last sample of the stance before
+        samples = int(np.argmax(contact[(local + away if lifts else local - away) % n])) + (1 if lifts else 0)
+        at = local + samples * ((t - span.start) / (span.end - span.start) - (0 if lifts else 1))
+        low = np.floor(at).astype(int)
+        path, fraction = _Body.of(motion).feet[:, leg], (at - low)[:, None]
+        paths.append((1 - fraction) * path[low % n] + fraction * path[(low + 1) % n])
+    weight = span.smooth_step(t)[:, None]
+    feet[t] = (1 - weight) * paths[0] + weight * paths[1]
+
+
+class _Body:
+    """A cyclic motion in its own heading frame.
+
+    Attributes:
+        step: (n, 2) of the root to the next sample, heading frame, m.
+        turn: (n,) of the heading to the next sample, rad.
+        tilt: (n, 2) roll and pitch, rad.
+        feet: (n, 4, 3) horizontal from the root, heading frame; z above the ground, m.
+    """
+
+    def __init__(self, step: Array, turn: Array, tilt: Array, feet: Array) -> None:
+        self.step, self.turn, self.tilt, self.feet = step, turn, tilt, feet
+
+    @classmethod
+    def of(cls, motion: Motion) -> "_Body":
+        assert motion.cycle is not None
+        quat, xy = motion.root_quat_wxyz, motion.root_pos_w[:, :2]
+        w, x, y, z = quat.T
+        heading = np.unwrap(yaw_from_quat(quat))
+        end = xy[0] + rotate_planar(heading[0], motion.cycle[:2])
+        step = rotate_planar(-heading, np.diff(np.concatenate([xy, end[None]]), axis=0))
+        whole = heading[0] + motion.cycle[2]
+        whole += 2 * np.pi * np.round((heading[-1] - whole) / (2 * np.pi))  # the last step is a small one
+        turn = np.diff(np.append(heading, whole))
+        roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+        pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+        feet_w = motion.root_pos_w[:, None] + quat_rotate(quat[:, None], motion.foot_pos_b)
+        feet = np.empty_like(feet_w)
+        feet[..., :2] = rotate_planar(-heading[:, None], feet_w[..., :2] - xy[:, None])
+        feet[..., 2] = feet_w[..., 2]
+        return cls(step, turn, np.column_stack([roll, pitch]), feet)
+
+
+def _cycle_starts(layout: Layout, parts: Sequence[Motion]) -> list[int]:
+    """Samples at which the cycle of the segment that they lie in starts."""
+    return [
+        t
+        for segment in layout.segments
+        for t in range(segment.first, segment.last)
+        if t > 0 and (t - segment.shift) % parts[segment.part].n_samples == 0
+    ]

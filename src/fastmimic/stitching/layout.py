@@ -1,0 +1,121 @@
+"""When which of a stitched motion's parts rules: what is kept in its `meta`, and the weights that follow from it."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.errors import MotionError
+from fastmimic.motion.motion import Motion
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Span:
+    """Samples [start, end); of a foot, in which it stands, or swings if `stands` is False."""
+
+    start: int
+    end: int
+    stands: bool = True
+
+    def smooth_step(self, sample: NDArray[np.int_]) -> Array:
+        """0 before, 1 after, a polynomial with continuous second derivative in between; (k,) for samples (k,)."""
+        u = np.clip((sample - self.start) / max(self.end - self.start, 1), 0.0, 1.0)
+        return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One stretch of a stitched motion.
+
+    Attributes:
+        name: of its motion.
+        part: index into the motion's `parts`.
+        cycles: asked for.
+        first, last: samples, last exclusive; neighbours meet in the middle of their transition.
+        shift: sample t of the whole is sample (t − shift) mod n of the part.
+        trunk: over which the trunk passes to this segment; None for the first.
+        feet: (4) stances, or swings, in which each leg passes to it; None for the first.
+        rebuilt: samples that are neither the part's nor the one before's as they were retargeted.
+    """
+
+    name: str
+    part: int
+    cycles: int
+    first: int
+    last: int
+    shift: int
+    trunk: Span | None = None
+    feet: tuple[Span, Span, Span, Span] | None = None
+    rebuilt: Span | None = None
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The segments of a stitched motion in order of time; `n` samples in all."""
+
+    segments: tuple[Segment, ...]
+    n: int
+
+    @classmethod
+    def of(cls, motion: Motion) -> "Layout":
+        """That of a stitched motion; raises `MotionError` for any other, and where it does not fit the motion."""
+        found = motion.meta.get("stitch")
+        if found is None:
+            raise MotionError(f"motion '{motion.name}' is not a stitched one")
+        try:
+            layout = cls(tuple(_segment(s) for s in found["segments"]), motion.n_samples)
+        except (KeyError, TypeError, ValueError) as error:
+            raise MotionError(f"motion '{motion.name}': its segments in 'meta' are not readable ({error!r})") from None
+        parts, last = motion.target.parts, 0
+        for s in layout.segments:
+            if not 0 <= s.part < len(parts) or not s.first == last < s.last:
+                raise MotionError(f"motion '{motion.name}': segment '{s.name}' does not fit its parts or length")
+            last = s.last
+        if last != motion.n_samples:
+            raise MotionError(f"motion '{motion.name}': its segments do not cover all of it")
+        return layout
+
+    def as_meta(self) -> list[dict[str, Any]]:
+        """Plain JSON types, what `of` reads."""
+        return [asdict(s) for s in self.segments]
+
+    def trunk_weights(self) -> Array:
+        """Share (s, n) of each segment in the trunk's motion; the sum is 1."""
+        steps = [np.ones(self.n)]
+        steps += [s.trunk.smooth_step(np.arange(self.n)) for s in self.segments if s.trunk is not None]
+        return _shares(np.stack(steps))
+
+    def foot_weights(self) -> Array:
+        """Share (s, n, 4) of each segment in each foot's motion; the sum is 1."""
+        t, feet = np.arange(self.n), [s.feet for s in self.segments if s.feet is not None]
+        steps = [np.ones((self.n, 4)), *(np.stack([leg.smooth_step(t) for leg in legs], axis=-1) for legs in feet)]
+        return _shares(np.stack(steps))
+
+
+def _shares(steps: Array) -> Array:
+    """Each one's own step less that to the next."""
+    return steps - np.concatenate([steps[1:], np.zeros_like(steps[:1])])
+
+
+def _segment(found: dict[str, Any]) -> Segment:
+    def span(value: dict[str, Any] | None) -> Span | None:
+        return None if value is None else Span(int(value["start"]), int(value["end"]))
+
+    feet = found["feet"]
+    legs = None if feet is None else tuple(Span(int(f["start"]), int(f["end"]), bool(f["stands"])) for f in feet)
+    if legs is not None and len(legs) != 4:
+        raise ValueError("'feet' has not four entries")
+    return Segment(
+        name=str(found["name"]),
+        part=int(found["part"]),
+        cycles=int(found["cycles"]),
+        first=int(found["first"]),
+        last=int(found["last"]),
+        shift=int(found["shift"]),
+        trunk=span(found["trunk"]),
+        feet=None if legs is None else (legs[0], legs[1], legs[2], legs[3]),
+        rebuilt=span(found["rebuilt"]),
+    )

@@ -1,0 +1,283 @@
+"""When to pass from one cyclic motion to another: at the phases where their feet agree best.
+
+Each leg passes from one motion's schedule to the other's within a stance, the last of the first motion and the first
+of the second becoming one, or within a swing likewise; whatever lasts most nearly as long as it usually does. So no
+foot is asked to stand and to swing at once. Between gaits of the same pairs these stances are as long as any other;
+from a pace to a trot some are longer and some shorter, by as little as the best phases allow.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.rotations import rotate_planar, yaw_from_quat
+from fastmimic.motion.contacts import Stance, stances_of
+from fastmimic.motion.motion import Motion
+from fastmimic.retarget.reach import Reach
+from fastmimic.stitching.layout import Span
+
+Array = NDArray[np.float64]
+
+SEARCH_S: Final = 0.6
+"""How far from whole cycles a switch may be, either way; half a cycle at most."""
+MAX_ACCELERATION: Final = 1.4  # m/s², of the trunk's mean velocity within a transition
+MAX_TURN_ACCELERATION: Final = 6.0  # rad/s²
+_STEEPEST: Final = 1.875
+"""Slope of the smooth step in its middle."""
+_LEAST_STRIDES: Final = 0.5
+"""A transition of the trunk lasts at least so many strides."""
+_STEP_S: Final = 0.02
+_FINER: Final = 5
+_LOOK_S: Final = 0.01
+_SHORTEST: Final = 0.5
+"""Least share of their usual duration that merged stances last; of swings, `_SHORTEST_SWING`."""
+_SHORTEST_SWING: Final = 0.85
+_FORBIDDEN: Final = 100.0
+_OFF_CENTRE: Final = 0.3
+_OUT_OF_REACH: Final = 20.0
+_SPEED_CHANGE: Final = 0.1  # s²/m²
+_STRANGE_SUPPORT: Final = np.array([16.0, 8.0, 2.0, 0.0, 0.0])
+"""Cost of standing for a stride on 0, …, 4 feet in a way that neither motion does."""
+_CANDIDATES: Final = 150
+_FOREVER: Final = 100
+"""Strides that a foot that never lifts off stands, so to speak."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """A cyclic motion as the search for a switch sees it.
+
+    Attributes:
+        n: samples.
+        stances: of each leg; empty for one that never lifts off.
+        contact: (n, 4).
+        velocity: (n, 3) of the trunk, heading frame, averaged over a stride: m/s, m/s, rad/s.
+        stride: samples between two steps of a leg, on average.
+    """
+
+    n: int
+    stances: tuple[tuple[Stance, ...], ...]
+    contact: NDArray[np.bool_]
+    velocity: Array
+    stride: int
+
+    @classmethod
+    def of(cls, motion: Motion) -> "Cycle":
+        """Of a cyclic motion."""
+        n = motion.n_samples
+        stances = tuple(
+            () if motion.contact[:, leg].all() else tuple(stances_of(motion.contact[:, leg], periodic=True))
+            for leg in range(4)
+        )
+        steps = max((len(s) for s in stances), default=0)
+        stride = min(round(n / max(steps, 1)), round(0.8 * motion.rate_hz))
+        yaw = yaw_from_quat(motion.root_quat_wxyz)
+        planar = rotate_planar(-yaw, motion.root_lin_vel_w[:, :2])
+        velocity = np.column_stack([planar, motion.root_ang_vel_w[:, 2]])
+        window = np.zeros(n)
+        window[np.arange(-(stride // 2), stride - stride // 2) % n] += 1.0 / stride
+        smooth = np.fft.irfft(np.fft.rfft(velocity, axis=0) * np.fft.rfft(window)[:, None].conj(), n, axis=0)
+        return cls(n, stances, motion.contact, smooth, stride)
+
+    def around(self, leg: int, phase: int, reach: int) -> list[Stance]:
+        """Stances of a leg within `reach` samples of a phase, relative to it; a leg that never lifts stands far longer
+        than that."""
+        if not self.stances[leg]:
+            return [Stance(-_FOREVER * reach, _FOREVER * reach)]
+        found = []
+        for touch_down, lift_off in self.stances[leg]:
+            turns = np.arange((phase - reach - lift_off) // self.n, (phase + reach - touch_down) // self.n + 2)
+            for k in turns:
+                stance = Stance(int(touch_down + k * self.n - phase), int(lift_off + k * self.n - phase))
+                if stance.lift_off > -reach and stance.touch_down < reach:
+                    found.append(stance)
+        return sorted(found)
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A switch between two cyclic motions.
+
+    Attributes:
+        out: sample of the first motion, not wrapped, at which they meet.
+        into: sample of the second at that moment.
+        feet: the merged stances or swings relative to that moment.
+        half: half the samples in which the trunk passes from one to the other.
+        cost: the smaller, the better they agree.
+    """
+
+    out: int
+    into: int
+    feet: tuple[Span, Span, Span, Span]
+    half: int
+    cost: float
+
+
+def best_switch(a: Cycle, b: Cycle, out: int, rate_hz: float, reach: Reach, linger_s: float) -> Switch:
+    """Where to pass from `a` to `b`, near sample `out` of `a` and the beginning of `b`.
+
+    Args:
+        a, b: the motions.
+        out: sample of `a`, not wrapped.
+        rate_hz: of the samples.
+        reach: of the legs, which limits how long a foot can stand at the speed of the moment.
+        linger_s: see `SwingConfig`.
+    """
+    step = max(1, round(_STEP_S * rate_hz))
+
+    def about(cycle: Cycle, middle: int | None) -> range:
+        most = min(cycle.n // 2, round(SEARCH_S * rate_hz))
+        if middle is None:
+            return range(-most + 1, most + 1, step)
+        finer = max(1, step // _FINER)
+        return range(max(middle - step, -most + 1), min(middle + step, most) + 1, finer)
+
+    found: tuple[int, Switch] | None = None
+    for _ in range(2):  # a grid, then a finer one about its best point
+        offset, into = (None, None) if found is None else (found[0], found[1].into)
+        here = _best_of(a, b, out, about(a, offset), about(b, into), rate_hz, reach, linger_s)
+        if found is None or here.cost < found[1].cost:
+            found = here.out - out, here
+    assert found is not None
+    return found[1]
+
+
+def _best_of(
+    a: Cycle, b: Cycle, out: int, offsets: range, intos: range, rate_hz: float, reach: Reach, linger_s: float
+) -> Switch:
+    """The best switch at samples `out` + offset of `a` and `into` of `b`."""
+    near = 2 * max(a.stride, b.stride)
+    stride = 0.5 * (a.stride + b.stride)
+    sweep = reach.longest_stance(1.0, 0.0)
+    into = {k: [b.around(leg, k, near) for leg in range(4)] for k in intos}
+    found = []
+    for o in offsets:
+        before = [a.around(leg, out + o, near) for leg in range(4)]
+        v_a = a.velocity[(out + o) % a.n]
+        for k, after in into.items():
+            v_b = b.velocity[k % b.n]
+            half = _half_transition(v_b - v_a, stride, rate_hz)
+            passing = _Passing(v_a[:2] / rate_hz, v_b[:2] / rate_hz, half, sweep, linger_s * rate_hz)
+            merged = [_merge(x, y, stride, passing) for x, y in zip(before, after, strict=True)]
+            change = v_b[:2] - v_a[:2]
+            cost = sum(c for c, _ in merged) + _SPEED_CHANGE * float(change @ change)
+            found.append((cost, o, k, half, [span for _, span in merged]))
+    found.sort(key=lambda entry: entry[:3])
+    allowed = _supports(a.contact) | _supports(b.contact)
+    every = max(1, round(_LOOK_S * rate_hz))
+    switches = []
+    for cost, o, k, half, spans in found[:_CANDIDATES]:
+        strange = _strangeness(a, b, out + o, k, spans, allowed, stride, every)
+        feet = (spans[0], spans[1], spans[2], spans[3])
+        switches.append(Switch(out + o, k, feet, half, cost + strange))
+    return min(switches, key=lambda s: (s.cost, s.out, s.into))
+
+
+def _half_transition(change: Array, stride: float, rate_hz: float) -> int:
+    """Half the time that the trunk takes for a change (3,) of its velocity, m/s and rad/s, samples."""
+    speed = _STEEPEST * math.hypot(change[0], change[1]) / MAX_ACCELERATION
+    turn = _STEEPEST * abs(float(change[2])) / MAX_TURN_ACCELERATION
+    return math.ceil(0.5 * max(_LEAST_STRIDES * stride, speed * rate_hz, turn * rate_hz))
+
+
+@dataclass(frozen=True, eq=False)
+class _Passing:
+    """How far the trunk travels while it passes from one velocity (2,), m a sample, to another within ± `half` samples.
+
+    `sweep` is the way, m, that a trunk can travel over a foot within the leg's reach; `linger` samples before and after
+    the stance the foot is still near.
+    """
+
+    before: Array
+    after: Array
+    half: int
+    sweep: float
+    linger: float
+
+    def travel(self, start: float, end: float) -> float:
+        """From sample `start` to `end`, m."""
+        later = self._covered(end) - self._covered(start)
+        sooner = end - start - later
+        return math.hypot(
+            sooner * self.before[0] + later * self.after[0], sooner * self.before[1] + later * self.after[1]
+        )
+
+    def excess(self, start: int, end: int, own: float) -> float:
+        """By what share a stance exceeds the reach of its leg, or `own`, what it travels in its own motion, m."""
+        way = self.travel(start - self.linger, end + self.linger)
+        return max(0.0, way / max(self.sweep, own) - 1.0)
+
+    def _covered(self, sample: float) -> float:
+        """Integral of the smooth step up to a sample."""
+        u = min(max(0.5 * (sample / self.half + 1.0), 0.0), 1.0)
+        return 2 * self.half * u**4 * (2.5 - 3 * u + u * u) + max(0.0, sample - self.half)
+
+
+def _merge(before: list[Stance], after: list[Stance], stride: float, passing: _Passing) -> tuple[float, Span]:
+    """The stances, or swings, of one leg that become one at the least cost, and that cost."""
+    best = _merge_swings(before, after, stride)
+    for x in before:
+        for y in after:
+            start, end = x.touch_down, y.lift_off
+            duration, middle = end - start, 0.5 * (start + end)
+            if duration <= 0:
+                continue
+            if max(x.duration, y.duration) > _FOREVER * stride:  # it stands throughout one of the motions
+                start, end = (y.touch_down, y.lift_off) if x.duration > y.duration else (x.touch_down, x.lift_off)
+                cost = _OFF_CENTRE * (0.5 * (start + end) / stride) ** 2
+            else:
+                usual = 0.5 * (min(x.duration, stride) + min(y.duration, stride))
+                cost = ((duration - usual) / usual) ** 2 + _OFF_CENTRE * (middle / stride) ** 2
+                own = min(
+                    x.duration * math.hypot(*passing.before.tolist()), y.duration * math.hypot(*passing.after.tolist())
+                )
+                cost += _OUT_OF_REACH * passing.excess(start, end, own)
+                if duration < _SHORTEST * min(x.duration, y.duration):
+                    cost += _FORBIDDEN
+            if cost < best[0]:
+                best = (cost, Span(start, end))
+    return best
+
+
+def _merge_swings(before: list[Stance], after: list[Stance], stride: float) -> tuple[float, Span]:
+    best = (math.inf, Span(0, 0))
+    for x, following in pairwise(before):
+        for previous, y in pairwise(after):
+            start, end = x.lift_off, y.touch_down
+            usual = following.touch_down - x.lift_off, y.touch_down - previous.lift_off
+            if end - start < _SHORTEST_SWING * max(usual):  # the joints' speed
+                continue
+            mean = 0.5 * sum(usual)
+            cost = ((end - start - mean) / mean) ** 2 + _OFF_CENTRE * (0.5 * (start + end) / stride) ** 2
+            if cost < best[0]:
+                best = (cost, Span(start, end, stands=False))
+    return best
+
+
+def _supports(contact: NDArray[np.bool_]) -> set[int]:
+    """The sets of standing feet that a motion uses for more than a moment, as bits."""
+    code, count = np.unique(contact @ (1 << np.arange(4)), return_counts=True)
+    return {int(c) for c, k in zip(code, count, strict=True) if k >= 0.02 * len(contact)}
+
+
+def _strangeness(
+    a: Cycle, b: Cycle, out: int, into: int, feet: list[Span], allowed: set[int], stride: float, step: int
+) -> float:
+    when = np.arange(-round(1.5 * stride), round(1.5 * stride), step)
+    contact = np.stack(
+        [
+            np.where(
+                when < span.start,
+                a.contact[(out + when) % a.n, leg],
+                np.where(when < span.end, span.stands, b.contact[(into + when) % b.n, leg]),
+            )
+            for leg, span in enumerate(feet)
+        ],
+        axis=-1,
+    )
+    strange = ~np.isin(contact @ (1 << np.arange(4)), list(allowed))
+    return float(np.sum(strange * _STRANGE_SUPPORT[contact.sum(axis=1)]) * step / stride)

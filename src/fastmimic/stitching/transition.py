@@ -1,0 +1,303 @@
+"""A transition between two stitched motions, made consistent: feet planted, trunk balanced, joints within limits."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.conventions import LEGS
+from fastmimic.base.errors import MotionError
+from fastmimic.base.rotations import quat_continuous
+from fastmimic.motion.contacts import Stance, Stances, stances_of
+from fastmimic.motion.motion import Motion
+from fastmimic.retarget.balance import balance
+from fastmimic.retarget.config import RetargetConfig
+from fastmimic.retarget.cycle import Track
+from fastmimic.retarget.dynamics import Demand, ground_demand
+from fastmimic.retarget.feet import plant_feet
+from fastmimic.retarget.measure import feet_in_world
+from fastmimic.retarget.pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
+from fastmimic.retarget.reach import Reach, footholds
+from fastmimic.retarget.spline import InnerSpline
+from fastmimic.robot import Robot
+from fastmimic.stitching.layout import Layout, Span
+from fastmimic.stitching.switch import Cycle
+
+Array = NDArray[np.float64]
+
+_PAD: Final = 4
+"""Samples beyond the rebuilt ones that derivatives are taken over."""
+_EVENNESS: Final = (0.1, 0.4, 1.6, 6.4)
+"""Of the swings of a leg whose joints are too fast or at their limits, tried one after the other, as in retargeting: a
+swing of steady speed also reaches less far ahead before it lands."""
+_LOWERING_SHARE: Final = 0.3
+"""Of a transition, in which the trunk goes down and comes up again."""
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """What is rebuilt between two segments.
+
+    Attributes:
+        span: of the whole motion's samples.
+        arrays: of these samples, by the names of `Motion`.
+        measured: what came out, JSON-serialisable.
+    """
+
+    span: Span
+    arrays: dict[str, Array]
+    measured: dict[str, Any]
+
+    def write(self, arrays: dict[str, Array]) -> None:
+        """Puts the samples into the whole motion's arrays."""
+        for name, values in self.arrays.items():
+            arrays[name][self.span.start : self.span.end] = values
+        arrays["root_quat_wxyz"] = quat_continuous(arrays["root_quat_wxyz"])
+
+
+def make_transition(
+    robot: Robot,
+    layout: Layout,
+    index: int,
+    track: Track,
+    raw_w: Array,
+    contact: NDArray[np.bool_],
+    own: tuple[Cycle, Cycle],
+    rate_hz: float,
+    reach: Reach,
+    config: RetargetConfig,
+) -> Transition:
+    """Rebuilds what lies between segment `index` − 1 and segment `index`.
+
+    Args:
+        robot: geometry, limits, inertia.
+        layout: of the whole.
+        index: the segment that begins.
+        track: the blended trunk of the whole.
+        raw_w: (n, 4, 3) feet under it, world, m; z is the height of their centres.
+        contact: (n, 4).
+        own: the cycles of the two.
+        rate_hz: of the samples.
+        reach: of the legs.
+        config: of the feet and the balance.
+
+    Raises:
+        MotionError: a foot that never lifts off would have to move, or a segment is too short.
+    """
+    plan = _plan(layout, index, contact, own)
+    window = plan.window
+    if window.start < 0 or window.end > layout.n:
+        segment = layout.segments[index - 1 if window.start < 0 else index]
+        raise MotionError(
+            f"segment '{segment.name}' with {segment.cycles} cycles is too short for its transitions; give it more"
+            " cycles"
+        )
+    part = slice(window.start, window.end)
+    local = Track(
+        root_xy=track.root_xy[part],
+        root_z=track.root_z[part],
+        heading=track.heading[part],
+        tilt=track.tilt[part],
+        toe_from_hip=track.toe_from_hip[part],
+        toe_height=track.toe_height[part],
+        cycle=None,
+    )
+    height = float(local.root_z.mean())
+    reach = replace(reach, hip_height=height + float(robot.hip_pos_b[:, 2].mean()) - robot.foot_radius)
+    raw = np.array(raw_w[part])
+    raw[..., 2] = np.maximum(raw[..., 2] - robot.foot_radius, 0.0)
+    linger = round(config.swing.linger_s * rate_hz)
+
+    def held(under: Track) -> list[list[Array]]:
+        holds = footholds(raw, under, plan.stances, reach, linger)
+        for leg in range(4):
+            for k, at in enumerate(plan.fixed[leg]):
+                if at is not None:
+                    holds[leg][k] = raw_w[min(max(at, 0), layout.n - 1), leg, :2]
+        return holds
+
+    def planted(holds: list[list[Array]], evenness: Array | None) -> Array:
+        values = None if evenness is None else tuple(evenness)
+        feet = plant_feet(
+            raw, local, plan.stances, holds, reach.clearance, robot.foot_radius, rate_hz, config.swing, values
+        )
+        for leg, span in enumerate(plan.rebuilt):  # the rest is as it was
+            inside = np.arange(window.start, window.end)
+            keep = (inside < span.start) | (inside >= span.end)
+            feet[keep, leg] = raw_w[part][keep, leg]
+        return feet
+
+    spline = InnerSpline(window.end - window.start, rate_hz, config.balance.hz)
+    sample = np.arange(0, window.end - window.start, max(1, round(config.balance.sample_s * rate_hz)))
+    standing = contact[part]
+    first = planted(held(local), None)
+
+    def demand_of(coefficients: Array) -> Demand:
+        moved = local.deviated(spline.values(coefficients))
+        pose = unlimited_pose(robot, moved, first, height)
+        return ground_demand(robot, _motion(pose, moved, standing, rate_hz), sample)
+
+    balanced = local.deviated(spline.values(balance(robot, spline, demand_of, config.balance)))
+    holds = held(balanced)
+    lowered, pose = _within_limits(robot, balanced, lambda evenness: planted(holds, evenness), rate_hz, config)
+    motion = _motion(pose, lowered, standing, rate_hz)
+    inner = slice(_PAD, len(standing) - _PAD)
+    names = ("root_pos_w", "root_quat_wxyz", "joint_pos", "joint_vel", "foot_pos_b", "root_lin_vel_w", "root_ang_vel_w")
+    return Transition(
+        span=Span(window.start + _PAD, window.end - _PAD),
+        arrays={name: getattr(motion, name)[inner] for name in names},
+        measured=_measure(robot, motion, pose, local, lowered, plan, rate_hz),
+    )
+
+
+def _within_limits(
+    robot: Robot, track: Track, planted: Callable[[Array], Array], rate_hz: float, config: RetargetConfig
+) -> tuple[Track, Pose]:
+    """Trunk and joints with the fewest samples beyond the joints' limits and speeds: the swings of a leg that is
+    beyond them made more even, and the trunk lowered smoothly, by as little as it takes."""
+    limit = config.speed_share * robot.joint_speed_limit
+    n = len(track.root_z)
+    edge = Span(0, max(1, round(_LOWERING_SHARE * n)))
+    shape = edge.smooth_step(np.arange(n)) * edge.smooth_step(np.arange(n)[::-1])
+    best: tuple[int, Track, Pose] | None = None
+    for lowering in np.arange(0.0, config.max_lowering_m + 1e-9, 0.005):
+        lowered = replace(track, root_z=track.root_z - lowering * shape)
+        evenness = np.full(4, config.swing.evenness)
+        for more in (*_EVENNESS, None):
+            feet_w = planted(evenness)
+            pose = solve_pose(robot, lowered, feet_w, float(lowered.root_z.mean()), 0.0, 0.0, config.limit_margin_rad)
+            speed = np.abs(joint_velocity(pose.joint_pos, rate_hz, False))
+            beyond = pose.limited | (speed > limit)
+            beyond[:_PAD] = beyond[-_PAD:] = False
+            legs = beyond.reshape(-1, 4, 3).sum(axis=(0, 2)) + pose.unreachable.sum(axis=0)
+            if best is None or legs.sum() < best[0]:
+                best = (int(legs.sum()), lowered, pose)
+            if more is None or not legs.any():
+                break
+            evenness[legs > 0] = more
+        if best is not None and best[0] == 0:
+            break
+    assert best is not None
+    return best[1:]
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What of the feet is kept and what is made anew; samples of the whole, stances of the window.
+
+    Attributes:
+        window: all that is looked at.
+        rebuilt: of each leg.
+        stances: of each leg, relative to the window.
+        fixed: for each of them a sample at which the foot is where it stands, or None for a new foothold.
+    """
+
+    window: Span
+    rebuilt: tuple[Span, ...]
+    stances: Stances
+    fixed: list[list[int | None]]
+
+
+def _plan(layout: Layout, index: int, contact: NDArray[np.bool_], own: tuple[Cycle, Cycle]) -> _Plan:
+    before, segment = layout.segments[index - 1], layout.segments[index]
+    trunk, feet = segment.trunk, segment.feet
+    assert trunk is not None
+    assert feet is not None
+    spans, rebuilt, free = [], [], []
+    for leg in range(4):
+        lifts = bool(own[0].stances[leg]), bool(own[1].stances[leg])
+        if not any(lifts):
+            raise MotionError(
+                f"'{before.name}' and '{segment.name}' cannot be joined: the {LEGS[leg]} foot never lifts off in either"
+            )
+        stances = stances_of(contact[:, leg], periodic=False)
+        fixed: list[int | None] = []
+        for s in stances:
+            middle = (s.touch_down + s.lift_off) // 2
+            merged = feet[leg].stands and s.touch_down < feet[leg].end and s.lift_off > feet[leg].start
+            if merged and not lifts[0]:
+                fixed.append(min(trunk.start, feet[leg].start))
+            elif merged and not lifts[1]:
+                fixed.append(max(trunk.end, feet[leg].end))
+            elif merged or trunk.start < middle < trunk.end:
+                fixed.append(None)
+            else:
+                fixed.append(middle)
+        new = [k for k, at in enumerate(fixed) if at is None]
+        begin, end = trunk.start, trunk.end
+        if not feet[leg].stands:
+            begin, end = min(begin, feet[leg].start), max(end, feet[leg].end)
+        if new:  # the swings before and after new footholds are new, too
+            begin = min(begin, stances[new[0] - 1].lift_off if new[0] > 0 else -1)
+            end = max(end, stances[new[-1] + 1].touch_down if new[-1] + 1 < len(stances) else len(contact) + 1)
+        if not lifts[0]:
+            begin = min(begin, feet[leg].start)
+            end = max(end, next((s.touch_down for s in stances if s.touch_down >= feet[leg].end), end))
+        elif not lifts[1]:
+            begin = min(begin, max((s.lift_off for s in stances if s.lift_off <= feet[leg].start), default=begin))
+            end = max(end, feet[leg].end)
+        spans.append(stances)
+        free.append(fixed)
+        rebuilt.append(Span(begin, end))
+    window = Span(
+        min(trunk.start, *(s.start for s in rebuilt)) - 2 * _PAD, max(trunk.end, *(s.end for s in rebuilt)) + 2 * _PAD
+    )
+    inside: Stances = []
+    kept: list[list[int | None]] = []
+    for stances, fixed in zip(spans, free, strict=True):
+        seen = [
+            (Stance(max(s.touch_down, window.start) - window.start, min(s.lift_off, window.end) - window.start), at)
+            for s, at in zip(stances, fixed, strict=True)
+            if s.touch_down < window.end and s.lift_off > window.start
+        ]
+        inside.append([s for s, _ in seen])
+        kept.append([at for _, at in seen])
+    return _Plan(window, tuple(rebuilt), inside, kept)
+
+
+def _motion(pose: Pose, track: Track, contact: NDArray[np.bool_], rate_hz: float) -> Motion:
+    linear, angular = root_velocity(pose, track, rate_hz)
+    return Motion(
+        rate_hz=rate_hz,
+        root_pos_w=pose.root_pos_w,
+        root_quat_wxyz=pose.root_quat_wxyz,
+        joint_pos=pose.joint_pos,
+        joint_vel=joint_velocity(pose.joint_pos, rate_hz, False),
+        foot_pos_b=pose.foot_pos_b,
+        contact=contact,
+        root_lin_vel_w=linear,
+        root_ang_vel_w=angular,
+    )
+
+
+def _measure(
+    robot: Robot, motion: Motion, pose: Pose, before: Track, after: Track, plan: _Plan, rate_hz: float
+) -> dict[str, Any]:
+    """What a transition asks of the robot."""
+    inner = slice(_PAD, motion.n_samples - _PAD)
+    speed = np.abs(motion.joint_vel[inner]) / robot.joint_speed_limit
+    acceleration = np.gradient(motion.root_lin_vel_w, motion.dt, axis=0)[inner]
+    turning = np.gradient(motion.root_ang_vel_w, motion.dt, axis=0)[inner]
+    moved = np.concatenate([after.root_xy - before.root_xy, (after.root_z - before.root_z)[:, None]], axis=1)
+    feet_w, slip = feet_in_world(motion), 0.0
+    for leg, stances in enumerate(plan.stances):
+        for s in stances:
+            points = feet_w[s.touch_down : s.lift_off, leg, :2]
+            slip = max(slip, float(np.linalg.norm(points - points[0], axis=1).max()))
+    longest = max((s.duration for stances in plan.stances for s in stances), default=0)
+    return {
+        "duration_s": (motion.n_samples - 2 * _PAD) / rate_hz,
+        "joint_speed_share": float(speed.max()),
+        "slip_m": slip,
+        "lowered_m": float((before.root_z - after.root_z).max()),
+        "longest_stance_s": longest / rate_hz,
+        "acceleration_m_per_s2": float(np.linalg.norm(acceleration[:, :2], axis=1).max()),
+        "turn_acceleration_rad_per_s2": float(np.abs(turning[:, 2]).max()),
+        "least_feet": int(motion.contact.sum(axis=1).min()),
+        "unreachable": int(pose.unreachable[inner].sum()),
+        "joint_limited": int(pose.limited[inner].sum()),
+        "trunk_change_m": float(np.linalg.norm(moved, axis=1).max()),
+        "trunk_change_deg": float(np.degrees(np.abs(after.tilt - before.tilt).max())),
+    }

@@ -1,0 +1,31 @@
+"""Libraries small enough for a test."""
+
+from pathlib import Path
+
+from cli.conftest import in_folder, run, short_validation, start
+from fastmimic.dataset import Building, Library, Recipe, Source
+from fastmimic.dataset.folder import reproducible
+
+__all__ = ["in_folder", "run", "short_validation", "start"]
+
+RECIPE = Recipe(
+    iterations=3, population=4, duration_s=0.6, evaluation_s=0.6, perturbed=1, others=2, second_simulator=False
+)
+
+
+def of(*names: str, **options: object) -> Building:
+    """The named motions, on the A1."""
+    sources = [Source(name) for name in names]
+    return Building(sources, RECIPE, ("a1",), **options)  # type: ignore[arg-type]
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """The motions of a library, by the names of their files."""
+    return {path.name: path.read_bytes() for path in (folder / "motions").iterdir()}
+
+
+def same(one: Path, other: Path) -> None:
+    """Fails unless two libraries hold the same, bit for bit."""
+    assert contents(one) == contents(other)
+    rows = [[reproducible(row) for row in Library.open(folder).index()] for folder in (one, other)]
+    assert rows[0] == rows[1]

@@ -1,0 +1,154 @@
+"""The registry of methods: what each changes, and that every name is known where a method can be given."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.control.config import CONFIGS, controller_config
+from fastmimic.episode.rollout import run_episodes
+from fastmimic.imitation.imitate import evaluate, imitate, load_motion
+from fastmimic.imitation.methods import (
+    FOOT_HEIGHT,
+    MADE_WITH,
+    METHODS,
+    NOTHING,
+    Method,
+    controller_for,
+    made_with,
+    method_named,
+)
+from fastmimic.imitation.stitch import stitch
+from fastmimic.motion.motion import Motion
+from fastmimic.optimize import cma_es
+from fastmimic.primitive import MotionDmp
+from fastmimic.robot import load_robot
+
+
+def differences(a: object, b: object, prefix: str = "") -> set[str]:
+    """The fields in which two configurations differ, by their path."""
+    found = set()
+    for field in dataclasses.fields(a):  # type: ignore[arg-type]
+        one, other = getattr(a, field.name), getattr(b, field.name)
+        if dataclasses.is_dataclass(one):
+            found |= differences(one, other, f"{prefix}{field.name}.")
+        elif one != other:
+            found.add(prefix + field.name)
+    return found
+
+
+@pytest.mark.parametrize("config", sorted(CONFIGS))
+def test_each_method_changes_only_what_its_name_claims(config: str) -> None:
+    base = controller_config(config)
+    raibert = {"swing.foothold"} | ({"stance.leg_momentum"} if base.stance.leg_momentum else set())
+    claims = {"raibert": raibert, "lh": {"stance.forces"}, "lh-dmp": {"stance.forces"}}
+    for name, method in METHODS.items():
+        assert differences(base, method.configure(base)) == claims.get(name, set())
+
+
+def test_what_is_optimised() -> None:
+    assert {name: m.parameters for name, m in METHODS.items()} == {
+        "raibert": NOTHING,
+        "mbc": NOTHING,
+        "lh": NOTHING,
+        "mbc-dmp": FOOT_HEIGHT,
+        "lh-dmp": FOOT_HEIGHT,
+    }
+    assert all(m.optimises == (m.parameters != NOTHING) for m in METHODS.values())
+
+
+def test_an_unknown_method_is_refused_with_the_closest() -> None:
+    with pytest.raises(ConfigError, match=r"unknown method 'lhdmp'; there are raibert, mbc, .*did you mean 'lh-dmp'"):
+        method_named("lhdmp")
+    with pytest.raises(ConfigError, match="unknown parameters 'everything'; there are none, foot-height"):
+        Method("x", "X", "", "everything", lambda config: config)
+
+
+@pytest.mark.parametrize("name", sorted(METHODS))
+def test_imitation_by_every_method(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cma_es, "VALIDATION_S", 0.4)
+    robot = load_robot("a1")
+    motion = load_motion("trot", robot)
+    result = imitate(motion, robot, method=name, duration_s=0.6, iterations=2, population=4, workers=1)
+    method = METHODS[name]
+    assert result.method == name
+    assert result.config == method.configure(controller_config("default"))
+    assert (result.history is not None) == method.optimises
+    again = evaluate(result.motion, robot, method=name, duration_s=0.6)
+    assert again.rollout.reward[0] == result.after.reward[0]
+    assert MADE_WITH not in result.demonstration.meta, "a demonstration is nobody's"
+    if method.optimises:
+        assert result.motion.meta[MADE_WITH] == {"method": name, "config": "default"}
+        alike = evaluate(result.motion, robot, duration_s=0.6)
+        assert alike.rollout.reward[0] == result.after.reward[0], "what nothing is said of is as it was made"
+        assert (alike.method, alike.config) == (name, result.config)
+    else:
+        assert result.motion is motion
+        alone = run_episodes(robot, motion, duration_s=0.6, config=result.config)
+        assert alone.reward[0] == result.before.reward[0]
+
+
+def test_an_evaluation_takes_the_methods_controller() -> None:
+    rewards = {name: evaluate("trot", method=name, duration_s=0.6).rollout.reward[0] for name in METHODS}
+    assert rewards["mbc"] == rewards["mbc-dmp"]
+    assert rewards["lh"] == rewards["lh-dmp"]
+    assert len(set(rewards.values())) == 3
+
+
+@pytest.mark.parametrize("gait", ["trot", "pace", "turn", "side-step", "walk", "bound", "backward-trot", "spin"])
+def test_raibert_runs_every_built_in_gait_whether_it_falls_or_not(gait: str) -> None:
+    episode = evaluate(gait, method="raibert", duration_s=2.0).rollout
+    assert 0 < episode.reward[0] < 1
+    assert episode.qp_failures[0] == 0
+
+
+@pytest.fixture(scope="module")
+def trot() -> Motion:
+    return load_motion("trot")
+
+
+class TestMadeWith:
+    """A motion remembers with which method and controller it was optimised."""
+
+    def test_a_motion_that_says_nothing_is_run_by_mbc_and_the_default_controller(self, trot: Motion) -> None:
+        assert controller_for(trot) == (METHODS["mbc"], controller_config("default"))
+
+    def test_what_is_given_goes_before_what_the_motion_says(self, trot: Motion) -> None:
+        of = made_with(trot, "lh-dmp", METHODS["lh-dmp"].configure(controller_config("paper")))
+        assert trot.meta.keys() == of.meta.keys() - {MADE_WITH}
+        assert controller_for(of) == (METHODS["lh-dmp"], METHODS["lh"].configure(controller_config("paper")))
+        assert controller_for(of, "mbc") == (METHODS["mbc"], controller_config("paper"))
+        assert controller_for(of, config="default")[1] == METHODS["lh"].configure(controller_config("default"))
+
+    def test_it_survives_the_file(self, trot: Motion, tmp_path: Path) -> None:
+        of = made_with(trot, "lh-dmp", METHODS["lh-dmp"].configure(controller_config("default")))
+        of.save(tmp_path / "motion.npz")
+        assert controller_for(Motion.load(tmp_path / "motion.npz")) == controller_for(of)
+
+    def test_parameters_that_no_set_has_are_not_replaced_by_others(self, trot: Motion) -> None:
+        config = controller_config("default")
+        own = dataclasses.replace(config, stance=dataclasses.replace(config.stance, friction=0.3))
+        of = made_with(trot, "mbc-dmp", own)
+        with pytest.raises(ConfigError, match=r"'trot' was optimised with .* of its own.*default, robust, p"):
+            controller_for(of)
+        assert controller_for(of, config=own) == (METHODS["mbc-dmp"], own)
+        assert controller_for(of, config="default")[1] == config
+
+    @pytest.mark.parametrize("record", ["mbc", {}, {"method": "mbc"}])
+    def test_a_damaged_record_is_one_clear_error(self, trot: Motion, record: object) -> None:
+        broken = dataclasses.replace(trot, meta={**trot.meta, MADE_WITH: record})
+        with pytest.raises(MotionError, match="motion 'trot': what it was made with is not readable in its 'meta'"):
+            controller_for(broken)
+
+    def test_a_stitched_motion_that_nothing_was_optimised_of_remembers_the_run(self, trot: Motion) -> None:
+        robot = load_robot("a1")
+        dmp = MotionDmp.fit(trot, robot)
+        optimised = made_with(dmp.motion(dmp.goal, dmp.amplitude), "mbc-dmp", controller_config("default"))
+        result = stitch([optimised, trot], robot, cycles=2, method="lh")
+        assert result.motion.meta[MADE_WITH] == {"method": "lh", "config": "default"}
+        assert MADE_WITH not in result.demonstration.meta
+        assert all(MADE_WITH not in part.meta for part in result.demonstration.parts)
+        assert MADE_WITH not in stitch([trot, trot], robot, cycles=2, method="lh").motion.meta
+        alike = evaluate(result.motion, robot)
+        assert alike.rollout.reward[0] == pytest.approx(result.after.reward[0], abs=1e-12)

@@ -1,0 +1,39 @@
+"""Retargeting without the consistency step: the scaled animal as it is, for comparisons."""
+
+import numpy as np
+import pytest
+
+from fastmimic.clips.synthesis import generate
+from fastmimic.motion.motion import Motion
+from fastmimic.retarget.retarget import RetargetConfig, RetargetReport, retarget
+from fastmimic.robot import Robot
+
+RAW = RetargetConfig(consistent=False)
+
+
+@pytest.fixture(scope="module")
+def raw(a1: Robot) -> tuple[Motion, RetargetReport]:
+    return retarget(generate("pace"), a1, config=RAW)
+
+
+def test_the_feet_slide_as_the_animals_do(a1: Robot, raw: tuple[Motion, RetargetReport]) -> None:
+    consistent = retarget(generate("pace"), a1)[1]
+    assert max(consistent.slip_after_m) < 1e-3
+    np.testing.assert_allclose(raw[1].slip_after_m, raw[1].slip_before_m, rtol=0.02)
+    assert max(raw[1].slip_after_m) > 5e-3
+
+
+def test_contacts_and_trunk_are_left_alone(raw: tuple[Motion, RetargetReport]) -> None:
+    report = raw[1]
+    assert report.duty_after == report.duty_before
+    assert (report.pairing, report.common_duty, report.closed_flights, report.widened_swings) == (None, False, 0, 0)
+    np.testing.assert_allclose([*report.trunk_change_m, *report.trunk_change_deg], 0.0, atol=1e-12)
+    assert report.heading_aligned_deg == 0.0
+
+
+def test_it_is_still_a_cycle_within_the_joints_limits(a1: Robot, raw: tuple[Motion, RetargetReport]) -> None:
+    motion = raw[0]
+    assert motion.cycle is not None
+    assert motion.n_samples == retarget(generate("pace"), a1)[0].n_samples
+    assert np.all(motion.joint_pos >= a1.joint_lower)
+    assert np.all(motion.joint_pos <= a1.joint_upper)
