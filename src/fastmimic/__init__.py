@@ -13,20 +13,21 @@ foot sphere; angular velocities in the world frame; float64.
 
 from typing import TYPE_CHECKING, Any
 
+from fastmimic.clips.clip import Clip
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
+
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from fastmimic.base.errors import FastMimicError
     from fastmimic.clips.catalogue import motion_names, open_clip
-    from fastmimic.clips.clip import Clip
     from fastmimic.control.config import ControllerConfig
     from fastmimic.imitation.imitate import Evaluation, Imitation, evaluate, imitate, load_motion
     from fastmimic.imitation.stitch import Stitching, stitch
-    from fastmimic.motion.motion import Motion
     from fastmimic.optimize.randomization import Randomization
     from fastmimic.primitive import MotionDmp
     from fastmimic.retarget.retarget import retarget
-    from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
     from fastmimic.simulation.conditions import Conditions
 
 _WHERE = {

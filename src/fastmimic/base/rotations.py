@@ -1,9 +1,8 @@
 """Rotations as unit quaternions (w, x, y, z), body → world, over arrays with any leading shape."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fastmimic.base.arrays import Array
 
 
 def quat_multiply(a: Array, b: Array) -> Array:

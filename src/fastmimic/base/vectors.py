@@ -1,11 +1,9 @@
 """Vector algebra of the kernels: 3-vectors and 3 × 3 matrices in arrays, without allocation."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined
-
-Array = NDArray[np.float64]
 
 
 @inlined

@@ -10,11 +10,11 @@ from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, data_folder, dataset_of, find_file
 from fastmimic.clips.formats import read_clip, with_scale
+from fastmimic.robot.robot import Robot
 
 if TYPE_CHECKING:
     from fastmimic.clips.formats.points import PointMap
     from fastmimic.clips.synthesis import GaitSpec
-    from fastmimic.robot.robot import Robot
 
 BUILT_IN_LICENCE: Final = "that of fastmimic"
 _FILE_SUFFIXES: Final = (".txt", ".csv", ".json", ".npz", ".bvh")
@@ -117,7 +117,7 @@ def describe(folder: str | Path | None = None) -> list[MotionRow]:
 def open_clip(
     name_or_path: str | Path,
     *,
-    robot: "Robot | None" = None,
+    robot: Robot | None = None,
     fps: float | None = None,
     up: str | None = None,
     scale: float | None = None,
@@ -164,7 +164,7 @@ def check_name(name: str, folder: str | Path | None = None) -> None:
 
 def _opened(
     name_or_path: str | Path,
-    robot: "Robot | None",
+    robot: Robot | None,
     fps: float | None,
     up: str | None,
     scale: float | None,

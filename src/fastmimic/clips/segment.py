@@ -21,10 +21,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.clips.clip import Clip
-
-Array = NDArray[np.float64]
 
 STAND: Final = "stand"
 DISCRETE: Final = "discrete"

@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import FRONT, LEFT
 from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.base.rotations import quat_from_rotvec, quat_from_yaw, quat_multiply, quat_rotate, rotate_planar
 from fastmimic.clips.clip import Clip
-
-Array = NDArray[np.float64]
 
 RATE_HZ: Final = 120.0
 ROBOT_SCALE: Final = 0.825

@@ -14,6 +14,8 @@ from tyro.conf import Positional, UseAppendAction, arg
 from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.commands.console import EXIT_INTERRUPTED, note, put, slow_start, table
 from fastmimic.commands.options import MotionOptions, check_duration, check_writable, policy_controller
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,8 +25,6 @@ if TYPE_CHECKING:
     from fastmimic.deploy.limits import SafetyLimits
     from fastmimic.deploy.pilot import Pilot
     from fastmimic.deploy.stopping import StopSwitch
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
 
 EXIT_VIOLATION: Final = 3
 """The robot was damped because something was beyond its limits."""
@@ -127,7 +127,7 @@ class Deploy(MotionOptions):
         elif self.interface is not None or self.domain is not None:
             raise ConfigError(f"--interface and --domain are for a robot on the wire, not for '--driver {sim}'")
 
-    def _load(self) -> "tuple[Robot, Motion]":
+    def _load(self) -> tuple[Robot, Motion]:
         """The driver's robot, and the motion for it."""
         from fastmimic.commands.options import DEFAULT_ROBOT, robot_of
         from fastmimic.deploy.drivers import robot_driven
@@ -151,7 +151,7 @@ class Deploy(MotionOptions):
             return robot, standing(robot)
         return robot, load_motion(source, robot, **self.overrides())
 
-    def _places(self, robot: "Robot", motion: "Motion") -> tuple[Path, Path]:
+    def _places(self, robot: Robot, motion: Motion) -> tuple[Path, Path]:
         """The folder and the log's file."""
         from fastmimic.commands.imitate import RUNS
         from fastmimic.deploy.files import LOG
@@ -161,7 +161,7 @@ class Deploy(MotionOptions):
         folder = self.out if self.out is not None else default_folder(RUNS, name, resume=False)
         return folder, folder / LOG if self.log is None else check_writable(self.log, ".npz")
 
-    def _deploy(self, robot: "Robot", motion: "Motion", limits: "SafetyLimits", policy: Any) -> "Deployment":
+    def _deploy(self, robot: Robot, motion: Motion, limits: "SafetyLimits", policy: Any) -> "Deployment":
         from fastmimic.deploy.clock import SHORT_SPIN_S, SPIN_S, Clock, RealClock, VirtualClock
         from fastmimic.deploy.deployment import deploy
         from fastmimic.deploy.drivers import SIM, make_driver
@@ -202,7 +202,7 @@ class Deploy(MotionOptions):
                 note=note,
             )
 
-    def _simulated(self, robot: "Robot", clock: Any) -> "RobotDriver":
+    def _simulated(self, robot: Robot, clock: Any) -> "RobotDriver":
         from fastmimic.deploy.link import LinkConfig
         from fastmimic.deploy.sim import SimDriver
         from fastmimic.simulation.conditions import Conditions

@@ -13,12 +13,12 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.commands.console import note, optimisation_progress
 from fastmimic.commands.options import MotionOptions, RandomizeOptions, check_duration
 from fastmimic.commands.outcome import about, report
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     from fastmimic.imitation.imitate import Imitation
-    from fastmimic.motion.motion import Motion
     from fastmimic.report.run_folder import RunFolder
-    from fastmimic.robot import Robot
 
 RUNS: Final = Path("runs")
 _NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", "quality")
@@ -104,7 +104,7 @@ class Imitate(MotionOptions, RandomizeOptions):
             folder.write(result, config)
         return report(result, folder, self.iterations, video=None if self.no_video else self.quality)
 
-    def _imitate(self, robot: "Robot", motion: "Motion", method: str, folder: "RunFolder") -> "Imitation":
+    def _imitate(self, robot: Robot, motion: Motion, method: str, folder: "RunFolder") -> "Imitation":
         from fastmimic.imitation.imitate import imitate
 
         try:
@@ -130,7 +130,7 @@ class Imitate(MotionOptions, RandomizeOptions):
                 note(f"to go on from the checkpoint: the same command with --out {folder.path} --resume")
             raise
 
-    def _record(self, robot: "Robot", motion: "Motion", method: str) -> dict[str, Any]:
+    def _record(self, robot: Robot, motion: Motion, method: str) -> dict[str, Any]:
         """Everything that the run depends on, JSON-serialisable."""
         from fastmimic.control.config import controller_config
         from fastmimic.imitation.imitate import versions

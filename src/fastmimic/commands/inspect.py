@@ -2,17 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from fastmimic.clips.clip import Clip
 from fastmimic.commands.console import put
 from fastmimic.commands.options import MotionOptions, check_writable
-
-if TYPE_CHECKING:
-    from fastmimic.clips.clip import Clip
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +39,7 @@ class Inspect(MotionOptions):
             put(f"figure in {figure}")
         return 0
 
-    def _read(self) -> "tuple[Robot, Motion, list[str]]":
+    def _read(self) -> tuple[Robot, Motion, list[str]]:
         """The robot, its motion, and lines about the file that it is from."""
         from fastmimic.clips.catalogue import motion_names, open_clip
         from fastmimic.clips.formats import detect_format
@@ -58,7 +56,7 @@ class Inspect(MotionOptions):
         return robot, motion, [*_describe_clip(clip), f"retargeted to {robot.name}:", *report.lines()]
 
 
-def describe_motion(motion: "Motion", robot: "Robot") -> list[str]:
+def describe_motion(motion: Motion, robot: Robot) -> list[str]:
     """A robot motion in words: what it is, what it asks of the robot, where it is from."""
     import numpy as np
 
@@ -89,7 +87,7 @@ def describe_motion(motion: "Motion", robot: "Robot") -> list[str]:
     return lines + _segments(motion) + _optimised(motion) + _made_with(motion)
 
 
-def _describe_clip(clip: "Clip") -> list[str]:
+def _describe_clip(clip: Clip) -> list[str]:
     from fastmimic.clips.formats import FORMATS
 
     name = str(clip.meta.get("format", "unknown"))
@@ -104,7 +102,7 @@ def _describe_clip(clip: "Clip") -> list[str]:
     return lines
 
 
-def _travel(motion: "Motion") -> str:
+def _travel(motion: Motion) -> str:
     import numpy as np
 
     if motion.cycle is None:
@@ -114,7 +112,7 @@ def _travel(motion: "Motion") -> str:
     return f"{dx:+.3f} m/s forward, {dy:+.3f} m/s left, {dyaw:+.3f} rad/s (one cycle of {motion.period_s:.3f} s)"
 
 
-def _segments(motion: "Motion") -> list[str]:
+def _segments(motion: Motion) -> list[str]:
     """The segments of a stitched motion, and the DMP parameters of each that differ from the fitted ones."""
     stitch = motion.meta.get("stitch", {})
     segments = stitch.get("segments", [])
@@ -127,7 +125,7 @@ def _segments(motion: "Motion") -> list[str]:
     return lines
 
 
-def _optimised(motion: "Motion") -> list[str]:
+def _optimised(motion: Motion) -> list[str]:
     """The DMP parameters that differ from the fitted ones; empty for a demonstration."""
     dmp = motion.meta.get("dmp")
     if motion.demonstration is None or not isinstance(dmp, dict):
@@ -137,7 +135,7 @@ def _optimised(motion: "Motion") -> list[str]:
     return [f"optimised  carries its demonstration; {differ} differ{'' if lines else 's'} from it", *lines]
 
 
-def _made_with(motion: "Motion") -> list[str]:
+def _made_with(motion: Motion) -> list[str]:
     """The controller with which the motion was optimised; empty if it does not say."""
     from fastmimic.imitation.methods import MADE_WITH, controller_for
 

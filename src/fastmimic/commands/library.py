@@ -342,7 +342,7 @@ class Libraries:
     action: OmitArgPrefixes[
         OmitSubcommandPrefixes[
             Annotated[Build, subcommand("build")]
-            | Annotated[ListMotions, subcommand("list")]
+            | Annotated[ListMotions, subcommand(list)]
             | Annotated[Show, subcommand("show")]
             | Annotated[Export, subcommand("export")]
             | Annotated[Verify, subcommand("verify")]

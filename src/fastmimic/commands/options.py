@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from tyro.conf import arg
 
 from fastmimic.base.errors import ConfigError, OutputError, PolicyError
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     from fastmimic.episode.rollout import MakeController
     from fastmimic.experiments.entrants import Search
-    from fastmimic.motion.motion import Motion
     from fastmimic.optimize.randomization import Randomization
-    from fastmimic.robot import Robot
 
 DEFAULT_ROBOT: Final = "a1"
 MAX_DURATION_S: Final = 3600.0
@@ -62,7 +62,7 @@ class MotionOptions:
         }
         return {name: value for name, value in found.items() if value is not None}
 
-    def load(self, source: str) -> "tuple[Robot, Motion]":
+    def load(self, source: str) -> tuple[Robot, Motion]:
         """The robot and its motion, retargeted if `source` is a clip."""
         from fastmimic.imitation.imitate import load_motion
 
@@ -70,7 +70,7 @@ class MotionOptions:
         robot = self.load_robot(source)
         return robot, load_motion(source, robot, **overrides)
 
-    def load_robot(self, source: str) -> "Robot":
+    def load_robot(self, source: str) -> Robot:
         """The robot that was asked for, else the one that the robot motion in `source` is for."""
         from fastmimic.robot import load_robot
 
@@ -170,7 +170,7 @@ def parse_size(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-def policy_controller(path: Path, robot: "Robot", motion: "Motion") -> "MakeController":
+def policy_controller(path: Path, robot: Robot, motion: Motion) -> "MakeController":
     """The controllers of the policy in a file, checked against robot and motion.
 
     Raises:
@@ -187,7 +187,7 @@ def policy_controller(path: Path, robot: "Robot", motion: "Motion") -> "MakeCont
     return controlled_by(policy)
 
 
-def policy_with_digest(path: Path, robot: "Robot", motion: "Motion") -> "tuple[MakeController, str]":
+def policy_with_digest(path: Path, robot: Robot, motion: Motion) -> "tuple[MakeController, str]":
     """As `policy_controller`, with what tells the file's content from another's.
 
     Raises:

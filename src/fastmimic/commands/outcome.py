@@ -3,15 +3,15 @@
 from typing import TYPE_CHECKING
 
 from fastmimic.commands.console import EXIT_INTERRUPTED, count_progress, note, put
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     from fastmimic.imitation.imitate import Imitation
-    from fastmimic.motion.motion import Motion
     from fastmimic.report.run_folder import RunFolder
-    from fastmimic.robot import Robot
 
 
-def about(robot: "Robot", motion: "Motion") -> list[str]:
+def about(robot: Robot, motion: Motion) -> list[str]:
     """What a motion is, and what was assumed, before the work begins."""
     from fastmimic.commands.provenance import assumed, provenance, unmet_bounds
 

@@ -1,12 +1,11 @@
 """Where a robot motion came from, in words, out of its metadata."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from fastmimic.motion.motion import Motion
+from fastmimic.motion.motion import Motion
 
 
-def provenance(motion: "Motion") -> str:
+def provenance(motion: Motion) -> str:
     """One line: name, source, scale, period, licence."""
     from fastmimic.clips.formats import FORMATS
 
@@ -23,19 +22,19 @@ def provenance(motion: "Motion") -> str:
     return f"{motion.name}: {', '.join(parts)}" + (f"; licence: {licence}" if licence else "")
 
 
-def _once(motion: "Motion") -> str:
+def _once(motion: Motion) -> str:
     if motion.target.parts:
         return "no cycle"
     held = motion.meta.get("held_s")
     return "done once, " + (f"the last {held:.2g} s of it at rest" if held else "to its end in mid-stride")
 
 
-def assumed(motion: "Motion") -> list[str]:
+def assumed(motion: Motion) -> list[str]:
     """What reading the clip assumed, as sentences."""
     return [str(sentence) for sentence in _dict(motion, "source").get("assumed", [])]
 
 
-def unmet_bounds(motion: "Motion") -> list[str]:
+def unmet_bounds(motion: Motion) -> list[str]:
     """The bounds of a faithful retargeting that this one does not keep, as sentences."""
     bounds = _dict(motion, "retarget").get("bounds", [])
     return [
@@ -46,6 +45,6 @@ def unmet_bounds(motion: "Motion") -> list[str]:
     ]
 
 
-def _dict(motion: "Motion", key: str) -> dict[str, Any]:
+def _dict(motion: Motion, key: str) -> dict[str, Any]:
     value = motion.meta.get(key)
     return value if isinstance(value, dict) else {}

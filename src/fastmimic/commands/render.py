@@ -11,11 +11,11 @@ from tyro.conf import Positional, arg
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.commands.console import count_progress, put, slow_start
 from fastmimic.commands.options import MotionOptions, check_duration, check_writable, parse_size
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
-    from fastmimic.motion.motion import Motion
     from fastmimic.render.playback import Track
-    from fastmimic.robot import Robot
 
 SECONDS: Final = 5.0
 MOST: Final = 4
@@ -128,7 +128,7 @@ class Render(MotionOptions):
             )
         return robot, shown
 
-    def _simulated(self, motion: "Motion", robot: "Robot", seconds: float, method: str | None) -> "tuple[Track, float]":
+    def _simulated(self, motion: Motion, robot: Robot, seconds: float, method: str | None) -> "tuple[Track, float]":
         from fastmimic.imitation.imitate import evaluate
         from fastmimic.imitation.methods import METHODS
         from fastmimic.render.tracks import rollout_track
@@ -140,7 +140,7 @@ class Render(MotionOptions):
         track = rollout_track(found.rollout, f"{motion.name} on {robot.name}", note=note)
         return track, found.rollout.log.rate_hz
 
-    def _kinematic(self, motion: "Motion", robot: "Robot", seconds: float) -> "tuple[Track, float]":
+    def _kinematic(self, motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, float]":
         from fastmimic.render.tracks import motion_track
 
         ghost = None if motion.demonstration is None else motion_track(motion.demonstration, seconds, "demonstration")

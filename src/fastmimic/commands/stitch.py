@@ -14,12 +14,12 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.commands.console import note, optimisation_progress, put, table
 from fastmimic.commands.options import DEFAULT_ROBOT, RandomizeOptions, robot_of
 from fastmimic.commands.outcome import report
+from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     from fastmimic.imitation.stitch import Stitching
     from fastmimic.optimize.cma_es import Progress
     from fastmimic.report.run_folder import RunFolder
-    from fastmimic.robot import Robot
 
 RUNS: Final = Path("runs")
 _NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", "quality")
@@ -102,7 +102,7 @@ class Stitch(RandomizeOptions):
             put(line)
         return report(result, folder, self.iterations, video=None if self.no_video else self.quality)
 
-    def _stitch(self, robot: "Robot", folder: "RunFolder") -> "Stitching":
+    def _stitch(self, robot: Robot, folder: "RunFolder") -> "Stitching":
         from fastmimic.imitation.stitch import stitch
 
         with ExitStack() as stack:
@@ -153,7 +153,7 @@ class Stitch(RandomizeOptions):
             return source.resolve().parent.name
         return source.stem if source.is_file() else motion
 
-    def _record(self, robot: "Robot") -> dict[str, Any]:
+    def _record(self, robot: Robot) -> dict[str, Any]:
         """Everything that the run depends on, JSON-serialisable."""
         from fastmimic.control.config import controller_config
         from fastmimic.imitation.imitate import versions

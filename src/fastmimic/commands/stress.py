@@ -9,11 +9,11 @@ from tyro.conf import Positional, arg
 
 from fastmimic.commands.console import FIRST_USE, note, optimisation_progress, put, share_progress, slow_start
 from fastmimic.commands.options import ExperimentOptions, check_duration, policy_with_digest
+from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     from fastmimic.experiments.entrants import Entrant
     from fastmimic.experiments.stress import StressSettings
-    from fastmimic.robot import Robot
 
 OUT: Final = Path("runs/stress")
 
@@ -94,7 +94,7 @@ class Stress(ExperimentOptions):
         self,
         entrant: "Entrant",
         names: Sequence[str],
-        robot: "Robot",
+        robot: Robot,
         settings: "StressSettings",
         done: int,
         total: int,

@@ -12,14 +12,14 @@ from tyro.conf import Positional, arg
 from fastmimic.base.errors import ConfigError
 from fastmimic.commands.console import PLAIN_STEPS, note, put, share_progress
 from fastmimic.commands.options import MotionOptions
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from fastmimic.learning.settings import TrainingSettings
     from fastmimic.learning.training import Advance, Evaluated
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
 
 RUNS: Final = Path("runs")
 PAPER_STEPS: Final = 100_000_000
@@ -124,7 +124,7 @@ class Train(MotionOptions):
 
 
 def _identity(
-    robot: "Robot", motion: "Motion", settings: "TrainingSettings", device: str, evaluate_every: int
+    robot: Robot, motion: Motion, settings: "TrainingSettings", device: str, evaluate_every: int
 ) -> dict[str, Any]:
     """What must be the same for a training to go on, JSON-serialisable."""
     import hashlib

@@ -9,12 +9,12 @@ from tyro.conf import Positional, arg
 from fastmimic.base.errors import ConfigError
 from fastmimic.commands.console import FIRST_USE, note, optimisation_progress, put, slow_start
 from fastmimic.commands.options import ExperimentOptions, check_duration, policy_with_digest
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     from fastmimic.episode.rollout import MakeController
     from fastmimic.experiments.transfer import TransferSettings
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
 
 OUT: Final = Path("runs/transfer")
 
@@ -87,8 +87,8 @@ class Transfer(ExperimentOptions):
     def _one(
         self,
         method: str,
-        motion: "Motion",
-        robot: "Robot",
+        motion: Motion,
+        robot: Robot,
         settings: "TransferSettings",
         policy: "tuple[MakeController, str] | None",
     ) -> None:

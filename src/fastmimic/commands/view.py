@@ -12,10 +12,10 @@ from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.commands.console import slow_start
 from fastmimic.commands.options import MotionOptions, check_duration
 from fastmimic.commands.serving import serve
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
     from fastmimic.viewer.animal import Animal
     from fastmimic.viewer.take import Take
 
@@ -130,14 +130,14 @@ class View(MotionOptions):
         animal = Animal(clip, robot, motion) if clip is not None else None
         return robot, shown, f"{motion.name} on {robot.name}", animal
 
-    def _open_clip(self, source: str, robot: "Robot", overrides: dict[str, Any]) -> Any:
+    def _open_clip(self, source: str, robot: Robot, overrides: dict[str, Any]) -> Any:
         from fastmimic.clips.catalogue import open_clip
 
         if _is_robot_motion(source):
             raise ConfigError(f"--clip takes an animal's clip; {source} is already a robot motion")
         return open_clip(source, robot=robot, **overrides)
 
-    def _takes(self, motion: "Motion", of: "Motion", robot: "Robot", seconds: float, title: str) -> "list[Take]":
+    def _takes(self, motion: Motion, of: Motion, robot: Robot, seconds: float, title: str) -> "list[Take]":
         """What one motion is in so many episodes, under the controller of the motion that was given."""
         from fastmimic.imitation.imitate import evaluate
         from fastmimic.imitation.methods import controller_for

@@ -3,14 +3,11 @@
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fastmimic.base.jit import inlined
 from fastmimic.base.vectors import transposed_times
 from fastmimic.robot.dynamics import cross
 from fastmimic.robot.kinematics import leg_inverse, leg_jacobian
-
-Array = NDArray[np.float64]
 
 DAMPING_AFTER_FAILURE: Final = 5.0  # N·m·s/rad where nothing better can be computed
 

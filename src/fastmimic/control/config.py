@@ -9,7 +9,7 @@ what the joints have to move, so that legs answer with the same frequency and da
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.base.jit import record_dtype
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
+from fastmimic.robot import Robot
 
 Vector6 = tuple[float, float, float, float, float, float]
 Vector3 = tuple[float, float, float]
@@ -432,12 +430,12 @@ _DTYPE = record_dtype(
 )
 
 
-def stiffness_ratio(robot: "Robot") -> float:
+def stiffness_ratio(robot: Robot) -> float:
     """By which gains of joints are multiplied for a robot: what its joints have to move over what an A1's have to."""
     return float(np.mean(robot.joint_inertia)) / REFERENCE_JOINT_INERTIA
 
 
-def pack_config(config: ControllerConfig, robot: "Robot") -> NDArray[Any]:
+def pack_config(config: ControllerConfig, robot: Robot) -> NDArray[Any]:
     """The configuration for a robot, as a structured array of one record, for the kernels."""
     weight = robot.mass * GRAVITY
     stiffer = stiffness_ratio(robot)

@@ -4,11 +4,12 @@ Gait planner → stance forces and adaptation → swing → joint commands (pape
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import inlined, kernel, record_dtype
@@ -28,14 +29,10 @@ from fastmimic.control.stopwatch import seconds_now
 from fastmimic.control.swing import lift_off, swing_leg
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import stack_tables
+from fastmimic.robot import Robot
 from fastmimic.robot.dynamics import leg_inverse_dynamics, leg_mass_moment
 from fastmimic.robot.kinematics import leg_forward
 from fastmimic.robot.state import COMMAND, MEMORY, pack_model
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 DRY_FRICTION_FROM: Final = 0.5
 """rad/s; at less, it is made up for in part, so that torques do not jump where joints turn round."""
@@ -420,7 +417,7 @@ class Controller:
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         motions: Sequence[Motion],
         n: int,
         config: ControllerConfig | None = None,

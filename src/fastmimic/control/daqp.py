@@ -17,9 +17,8 @@ from numba import config as numba_config
 from numba import objmode, types
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import depends_on, kernel, record_dtype
-
-Array = NDArray[np.float64]
 
 OPTIMAL: Final = 1
 INFINITY: Final = 1e30

@@ -19,16 +19,14 @@ closed form: an entry costs four products, and no matrix of the model is ever fo
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.vectors import heading_vector, quat_to_matrix, rotation_error, times, turn_rows
 from fastmimic.control.config import MAX_HORIZON_STEPS
 from fastmimic.control.daqp import OPTIMAL, solve_qp
 from fastmimic.control.stance import force_column, friction_rows
-
-Array = NDArray[np.float64]
 
 _N: Final = MAX_HORIZON_STEPS
 

@@ -10,13 +10,11 @@ is the inertia that the trunk has with the feet held: the operational-space iner
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.robot.dynamics import cross
 from fastmimic.robot.kinematics import leg_jacobian
-
-Array = NDArray[np.float64]
 
 WORK: Final = record_dtype(
     [

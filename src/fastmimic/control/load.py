@@ -1,20 +1,15 @@
 """The robot as it is with a payload that the controller knows of."""
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.control.config import LoadConfig
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
+from fastmimic.robot import Robot
 
 
-def loaded_robot(robot: "Robot", load: LoadConfig) -> "Robot":
+def loaded_robot(robot: Robot, load: LoadConfig) -> Robot:
     """The robot with a point mass on its trunk; its specification, from which simulations are built, is as it was."""
     if load.mass == 0:
         return robot

@@ -8,13 +8,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel
 from fastmimic.control.daqp import INFINITY, OPTIMAL, solve_qp
-
-Array = NDArray[np.float64]
 
 MAX_VARIABLES = 12
 MAX_CONSTRAINTS = 4 + 32

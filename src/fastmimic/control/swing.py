@@ -3,12 +3,10 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined
 from fastmimic.robot.kinematics import leg_inverse
-
-Array = NDArray[np.float64]
 
 
 @inlined

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -30,12 +30,9 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 from fastmimic.optimize.cma_es import Progress
 from fastmimic.optimize.randomization import Randomization
-from fastmimic.robot import load_robot
+from fastmimic.robot import Robot, load_robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.pybullet_sim import DESCRIPTIONS
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
 
 WORK: Final = "work"
 _SEARCH: Final = 0.85  # the share of a job's time that the search takes, about
@@ -117,7 +114,7 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
-def robot_digest(robot: "Robot") -> str:
+def robot_digest(robot: Robot) -> str:
     """16 hexadecimal digits of a robot's description."""
     return _digest(robot.content)
 

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,8 @@ from fastmimic.deploy.stopping import StopSwitch
 from fastmimic.episode.rollout import MakeController
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.imitation.methods import check_controller, controller_for
-
-if TYPE_CHECKING:
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 
 DEFAULT_S: Final = 10.0
 LOGGED_S: Final = 300.0
@@ -59,7 +57,7 @@ class Deployment:
 
 
 def deployed_config(
-    motion: "Motion",
+    motion: Motion,
     method: str | None,
     config: ControllerConfig | str | None,
     solve_rate_hz: float | None,
@@ -93,8 +91,8 @@ def deployed_config(
 
 
 def deploy(
-    motion: "Motion",
-    robot: "Robot",
+    motion: Motion,
+    robot: Robot,
     driver: RobotDriver,
     *,
     method: str | None = None,
@@ -199,7 +197,7 @@ def _say(note: Callable[[str], None] | None, line: str) -> None:
         note(line)
 
 
-def _ending(motion: "Motion", cycles: int | None, duration_s: float | None, endless: bool) -> tuple[Ending, float]:
+def _ending(motion: Motion, cycles: int | None, duration_s: float | None, endless: bool) -> tuple[Ending, float]:
     """When the motion is left, and after how long at most, s."""
     given = [name for name, value in (("cycles", cycles), ("duration", duration_s), ("endless", endless)) if value]
     if len(given) > 1:
@@ -220,7 +218,7 @@ def _ending(motion: "Motion", cycles: int | None, duration_s: float | None, endl
     return Ending(steps=max(1, round(duration_s * motion.rate_hz))), duration_s
 
 
-def _result(robot: "Robot", log: DeploymentLog, outcome: Outcome, periods: int) -> dict[str, Any]:
+def _result(robot: Robot, log: DeploymentLog, outcome: Outcome, periods: int) -> dict[str, Any]:
     rows, dt = log.rows, 1.0 / log.rate_hz
     estimated = score_log(robot, log)
     true = None if log.truth is None else score_log(robot, log, log.truth)

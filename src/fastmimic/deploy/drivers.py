@@ -3,13 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.deploy.driver import RobotDriver
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
+from fastmimic.robot import Robot
 
 SIM: Final = "sim"
 
@@ -49,7 +47,7 @@ def robot_driven(driver: str) -> str | None:
 
 
 def make_driver(
-    driver: str, robot: "Robot", *, touch: bool = True, say: Callable[[str], None], **options: Any
+    driver: str, robot: Robot, *, touch: bool = True, say: Callable[[str], None], **options: Any
 ) -> RobotDriver:
     """A driver on a wire, not yet open.
 

@@ -1,18 +1,17 @@
 """Whether a robot on the wire can be the one that is meant."""
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
+from fastmimic.robot import Robot
 
 BEYOND_LIMITS: Final = 0.3
 """Rad, by which an encoder may be off."""
 
 
-def impossible_joint(robot: "Robot", joint_pos: NDArray[np.float64]) -> str:
+def impossible_joint(robot: Robot, joint_pos: NDArray[np.float64]) -> str:
     """What a user is told if a joint is where this robot's cannot be; empty if all can.
 
     Args:

@@ -8,11 +8,12 @@ other closed loop, so that what the controller computes there is what it compute
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
@@ -31,12 +32,8 @@ from fastmimic.reference.table import (
     world_root,
 )
 from fastmimic.reference.transition import Transition
+from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 STAND_S: Final = 1.0
 """How long the robot stands under the controller before it begins to step, and again at the end."""
@@ -156,7 +153,7 @@ class Follower:
         place_clocks(self.clock, np.array([leg.first]), self.table, pose[None])
 
 
-def make_itinerary(robot: "Robot", motion: Motion, config: ControllerConfig) -> Itinerary:
+def make_itinerary(robot: Robot, motion: Motion, config: ControllerConfig) -> Itinerary:
     """The way into a motion and out of it.
 
     Args:
@@ -200,7 +197,7 @@ def make_itinerary(robot: "Robot", motion: Motion, config: ControllerConfig) -> 
     return Itinerary(motion, into, main, out, height, np.array(stand.motion.joint_pos[0]))
 
 
-def _standing(robot: "Robot", motion: Motion, config: ControllerConfig) -> Itinerary:
+def _standing(robot: Robot, motion: Motion, config: ControllerConfig) -> Itinerary:
     """A motion that only stands: nothing has to be passed through.
 
     Raises:
@@ -228,7 +225,7 @@ class _End(NamedTuple):
     shift: int
 
 
-def _ends(robot: "Robot", motion: Motion, rate_hz: float) -> tuple[_End, _End]:
+def _ends(robot: Robot, motion: Motion, rate_hz: float) -> tuple[_End, _End]:
     """The cyclic motions with which a motion begins and ends."""
     motion.check_robot(robot.name)
     if abs(motion.rate_hz - rate_hz) > 1e-9:
@@ -285,7 +282,7 @@ def _stretches(
     return found
 
 
-def _table(robot: "Robot", stretches: list[_Stretch], rate_hz: float) -> tuple[NDArray[Any], list[int]]:
+def _table(robot: Robot, stretches: list[_Stretch], rate_hz: float) -> tuple[NDArray[Any], list[int]]:
     """Stretches one after the other as a table (t,) of `SAMPLE`, relative to the heading frame of its first row.
 
     Returns:

@@ -6,13 +6,11 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.control.config import stiffness_ratio
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
+from fastmimic.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,7 @@ class SafetyLimits:
             raise ConfigError(f"safety limit tilt must be at most {math.pi / 2:.2f} rad, found {self.tilt:g}")
 
     @classmethod
-    def of(cls, robot: "Robot") -> "SafetyLimits":
+    def of(cls, robot: Robot) -> "SafetyLimits":
         """Those of a robot: gains in proportion to what its joints have to move, as the controller's."""
         ratio, an_a1 = stiffness_ratio(robot), cls()
         gains = {name: ratio * getattr(an_a1, name) for name in ("stiffness_most", "damping_most", "damping")}
@@ -87,7 +85,7 @@ class SafetyLimits:
 NAMES: Final = tuple(field.name for field in dataclasses.fields(SafetyLimits))
 
 
-def read_limits(robot: "Robot", file: str | Path | None = None, settings: Sequence[str] = ()) -> SafetyLimits:
+def read_limits(robot: Robot, file: str | Path | None = None, settings: Sequence[str] = ()) -> SafetyLimits:
     """A robot's limits, but for those in a TOML file, and in texts `name=value`, which go before the file's.
 
     Raises:

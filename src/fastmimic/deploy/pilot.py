@@ -1,11 +1,12 @@
 """What the robot is told, from lying to lying: up, on its way, down. It knows states, and nothing of time or wires."""
 
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import yaw_from_quat
 from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.control.controller import Controller
@@ -15,13 +16,9 @@ from fastmimic.episode.rollout import LoopController, MakeController
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.estimation.estimator import START, Estimator
 from fastmimic.reference.getting_up import along, rising_path, smooth, standing_gains
+from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND, OBSERVATION
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 HOLD_S: Final = 0.4
 """In which the joints become stiff where they are."""
@@ -90,7 +87,7 @@ class Pilot:
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         itinerary: Itinerary,
         guard: Guard,
         config: ControllerConfig,
@@ -314,7 +311,7 @@ class Pilot:
         chosen.tables = follower.leg.table
 
 
-def _height(robot: "Robot", joints: Array) -> float:
+def _height(robot: Robot, joints: Array) -> float:
     """Mean height of the hips over the feet, m."""
     feet = foot_positions(robot, joints[None])[0]
     return float(np.mean(robot.hip_pos_b[:, 2] - feet[:, 2]))

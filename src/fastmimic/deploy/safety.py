@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,7 @@ from fastmimic.base.conventions import JOINT_NAMES
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.deploy.limits import SafetyLimits
 from fastmimic.reference.table import CLOCK, SAMPLE
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
+from fastmimic.robot import Robot
 
 
 class StopReason(Enum):
@@ -190,7 +188,7 @@ class Guard:
         cut: how many numbers of the last command were beyond what the robot can.
     """
 
-    def __init__(self, robot: "Robot", limits: SafetyLimits, rate_hz: float) -> None:
+    def __init__(self, robot: Robot, limits: SafetyLimits, rate_hz: float) -> None:
         self.limits = limits
         record = np.zeros(1, _LIMITS)
         record["lower"], record["upper"] = robot.joint_lower, robot.joint_upper
@@ -306,7 +304,7 @@ class NotingGuard(Guard):
         noted: the first of each kind.
     """
 
-    def __init__(self, robot: "Robot", limits: SafetyLimits, rate_hz: float) -> None:
+    def __init__(self, robot: Robot, limits: SafetyLimits, rate_hz: float) -> None:
         super().__init__(robot, limits, rate_hz)
         self.noted: dict[StopReason, Violation] = {}
 

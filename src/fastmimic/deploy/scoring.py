@@ -1,6 +1,6 @@
 """What a deployment was worth: the reward of what was done in the motion itself, out of its log."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +13,14 @@ from fastmimic.deploy.log import DeploymentLog
 from fastmimic.episode.reward import TALLY, TERMS, score_step
 from fastmimic.episode.rollout import Rollout, summarised
 from fastmimic.imitation.imitate import Evaluation
+from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import advance_clocks, make_clocks, reference_table
+from fastmimic.robot import Robot
 from fastmimic.robot.state import MEMORY
 from fastmimic.simulation.conditions import Conditions
 
-if TYPE_CHECKING:
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
 
-
-def score_log(robot: "Robot", log: DeploymentLog, observation: NDArray[Any] | None = None) -> Rollout | None:
+def score_log(robot: Robot, log: DeploymentLog, observation: NDArray[Any] | None = None) -> Rollout | None:
     """Scores the periods in the motion itself, as every other closed loop, against the motion's demonstration.
 
     The reference starts as the controller's did and is then synchronised to what is scored.
@@ -69,7 +67,7 @@ def score_log(robot: "Robot", log: DeploymentLog, observation: NDArray[Any] | No
     return summarised(tally, len(rows), log.rate_hz)
 
 
-def evaluation_of(robot: "Robot", log: DeploymentLog, config: ControllerConfig) -> Evaluation:
+def evaluation_of(robot: Robot, log: DeploymentLog, config: ControllerConfig) -> Evaluation:
     """A deployment as `fastmimic.evaluate` would have it: by the truth if there is one, else by the estimate.
 
     Args:
@@ -126,7 +124,7 @@ def true_states(log: DeploymentLog, truth: NDArray[Any], sequence: NDArray[np.in
     return truth[at]
 
 
-def _first_clock(motion: "Motion", row: Any, seen: Any) -> NDArray[Any]:
+def _first_clock(motion: Motion, row: Any, seen: Any) -> NDArray[Any]:
     """The reference's clock in the first row, moved from where the robot was believed to be to where it was."""
     clock = make_clocks(motion, 1)
     clock["sample"] = row["sample"]

@@ -1,6 +1,6 @@
 """A robot in this process: MuJoCo behind the drivers' interface, with sensors, a wire, and a watchdog of its own."""
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +11,12 @@ from fastmimic.deploy.driver import LowState, Packets, RobotDriver, damping_comm
 from fastmimic.deploy.link import Link, LinkConfig, Receiver
 from fastmimic.estimation.reading import READING
 from fastmimic.reference.getting_up import rising_path, standing_gains
+from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, OBSERVATION
 from fastmimic.simulation.conditions import Conditions, episode_generator
 from fastmimic.simulation.disturbances import make_world
 from fastmimic.simulation.sensors import Sensors
 from fastmimic.simulation.simulators import make_simulation
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 STARTS: Final = ("lying", "standing")
 WATCHDOG_S: Final = 0.02
@@ -43,7 +39,7 @@ class SimDriver(RobotDriver):
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         clock: Clock | None = None,
         *,
         rate_hz: float = 500.0,

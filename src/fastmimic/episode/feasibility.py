@@ -7,11 +7,12 @@ its fall.
 """
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, quat_rotate_inverse, yaw_from_quat
 from fastmimic.episode.reward import MAX_ANGLE, MAX_DISTANCE
@@ -19,13 +20,9 @@ from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 from fastmimic.retarget.dynamics import ground_demand, push_directions
 from fastmimic.retarget.measure import feet_in_world
+from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 from fastmimic.simulation.mujoco_sim import FLOOR, GROUND_FRICTION, build_model
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 SAMPLE_S: Final = 0.004
 """Time between the instants of a motion that are looked at."""
@@ -115,7 +112,7 @@ class Reason:
     text: str
 
 
-def demands(robot: "Robot", motion: Motion) -> Demands:
+def demands(robot: Robot, motion: Motion) -> Demands:
     """What a motion asks of a robot, whether or not the robot can."""
     sample = np.arange(0, motion.n_samples, max(1, round(SAMPLE_S * motion.rate_hz)))
     demand = ground_demand(robot, motion, sample)
@@ -144,7 +141,7 @@ def demands(robot: "Robot", motion: Motion) -> Demands:
     )
 
 
-def describe_fall(robot: "Robot", rollout: Rollout, episode: int = 0) -> Fall | None:
+def describe_fall(robot: Robot, rollout: Rollout, episode: int = 0) -> Fall | None:
     """How an episode ended; None if the robot did not fall.
 
     Args:
@@ -209,7 +206,7 @@ def reasons(needs: Demands, fall: Fall | None = None) -> tuple[Reason, ...]:
     return tuple(found) or (Reason("feedback", "within all limits; the controller did not hold it"),)
 
 
-def _ground_forces(robot: "Robot", wanted: Array, force: Array, wrench: Array, can: NDArray[np.bool_]) -> Any:
+def _ground_forces(robot: Robot, wanted: Array, force: Array, wrench: Array, can: NDArray[np.bool_]) -> Any:
     """Forces of the feet (k, 4, 3), heading frame, nearest to the wanted wrench (k, 6), and the acceleration (k, 6)
     that is lacking, m/s² and rad/s²."""
     from scipy.optimize import nnls
@@ -238,7 +235,7 @@ def _slide(motion: Motion) -> float:
     return worst
 
 
-def _body_clearance(robot: "Robot", motion: Motion, sample: NDArray[np.int_]) -> float:
+def _body_clearance(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> float:
     """Least distance from the ground of what collides with it, but for the feet, m; 0.5 if nothing comes nearer."""
     import mujoco
 
@@ -252,7 +249,7 @@ def _body_clearance(robot: "Robot", motion: Motion, sample: NDArray[np.int_]) ->
     return float(least)
 
 
-def _touching(robot: "Robot", state: Any) -> tuple[str, ...]:
+def _touching(robot: Robot, state: Any) -> tuple[str, ...]:
     """Names of the bodies that touch the ground with something else than a foot, sorted."""
     import mujoco
 
@@ -267,7 +264,7 @@ def _touching(robot: "Robot", state: Any) -> tuple[str, ...]:
     return tuple(sorted(found))
 
 
-def _pose(robot: "Robot", model: Any, data: Any, position: Array, quat: Array, joint_pos: Array) -> None:
+def _pose(robot: Robot, model: Any, data: Any, position: Array, quat: Array, joint_pos: Array) -> None:
     index = model.jnt_qposadr[[model.joint(name).id for name in robot.joint_names]]
     data.qpos[:3], data.qpos[3:7], data.qpos[index] = position, quat, joint_pos
 
@@ -285,7 +282,7 @@ def _how(state: Any, reference: Any) -> str:
     return "left its place" if away >= MAX_DISTANCE else "simulation failed"
 
 
-def _slip(robot: "Robot", states: Any, wanted: NDArray[np.bool_]) -> float:
+def _slip(robot: Robot, states: Any, wanted: NDArray[np.bool_]) -> float:
     """Longest path of a loaded foot's centre while it should stand, m."""
     feet = states["root_pos"][:, None] + quat_rotate(
         states["root_quat"][:, None], foot_positions(robot, states["joint_pos"])

@@ -1,24 +1,21 @@
 """What the controller sees where it has sensors only: readings, the estimate made of them, and a clock of its own."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.estimation.estimator import Estimator
 from fastmimic.reference.resync import advance_recovering
 from fastmimic.reference.table import advance_clocks
+from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, episode_generator
 from fastmimic.simulation.disturbances import make_world
 from fastmimic.simulation.sensors import Sensors
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 MIN_DISTANCE: Final = 0.5  # m; a robot that stays where it is has no drift per distance
 _SENSORS: Final = 1  # number of the sensors' random stream
@@ -85,7 +82,7 @@ def _compare(truths: Any, estimates: Any, tallies: Any, errors: Any, work: Array
 class Observer:
     """Sensors and estimator of n robots, and the clocks that their controllers keep."""
 
-    def __init__(self, robot: "Robot", n: int, rate_hz: float, conditions: Conditions) -> None:
+    def __init__(self, robot: Robot, n: int, rate_hz: float, conditions: Conditions) -> None:
         world = make_world(conditions.disturbances, n, conditions.simulator)
         self.sensors = Sensors(robot, n, rate_hz, conditions.sensors, world.gravity)
         self.estimator = Estimator(robot, n, rate_hz, conditions.estimator)

@@ -7,13 +7,11 @@ Per step it lies in [0, 1]; the steps after a fall count 0.
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.robot.kinematics import leg_forward
-
-Array = NDArray[np.float64]
 
 TERMS: Final = ("pose", "velocity", "end_effector", "root_pose", "root_velocity")
 WEIGHTS: Final = (0.25, 0.05, 0.1, 0.3, 0.3)

@@ -4,11 +4,12 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_rotate, quat_rotate_inverse, rotate_planar, yaw_from_quat
@@ -23,15 +24,11 @@ from fastmimic.estimation.reading import READING
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.resync import advance_recovering
 from fastmimic.reference.table import advance_clocks, make_clocks, place_clocks, stack_tables, world_root
+from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND, OBSERVATION
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.simulators import Simulation, make_simulation
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 JOINT_NOISE: Final = 0.05  # rad, of perturbed starts
 VELOCITY_NOISE: Final = 0.1  # m/s
@@ -191,7 +188,7 @@ class ClosedLoop:
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         demonstration: Motion,
         n: int,
         config: ControllerConfig | None = None,
@@ -492,7 +489,7 @@ def run_log(log: Log, episode: int, *, robot: str, motion: str, latency_s: float
     return RunLog(robot, motion, log.rate_hz, latency_s, *of)
 
 
-def _lift_to_ground(robot: "Robot", position: Array, quat: Array, joints: Array) -> Array:
+def _lift_to_ground(robot: Robot, position: Array, quat: Array, joints: Array) -> Array:
     """How far to raise each base (n,) so that no foot starts below the ground, m."""
     feet = position[:, None] + quat_rotate(quat[:, None], foot_positions(robot, joints))
     return np.maximum(0.0, robot.foot_radius - feet[..., 2].min(axis=1))
@@ -521,7 +518,7 @@ def swing_clearance(motion: Motion, foot_radius: float) -> Array:
 
 
 def run_episodes(
-    robot: "Robot",
+    robot: Robot,
     motion: Motion,
     *,
     references: Sequence[Motion] | None = None,

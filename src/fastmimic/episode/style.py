@@ -1,9 +1,8 @@
 """How far one foot motion is from another in style: so that a reward is not bought by another motion."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fastmimic.base.arrays import Array
 
 _LEAST_AMPLITUDE = 1e-4  # m; a foot that moves less has no path of its own
 

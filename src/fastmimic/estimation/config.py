@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import record_dtype
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
+from fastmimic.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -101,7 +99,7 @@ CONFIG: Final = record_dtype(
 """Configuration and robot as the kernels read them; variances are those of one control step."""
 
 
-def pack_config(config: EstimatorConfig, robot: "Robot", rate_hz: float) -> NDArray[Any]:
+def pack_config(config: EstimatorConfig, robot: Robot, rate_hz: float) -> NDArray[Any]:
     """The configuration as an array of one `CONFIG` record."""
     dt, weight = 1.0 / rate_hz, robot.mass * GRAVITY
     record = np.zeros(1, CONFIG)

@@ -1,10 +1,11 @@
 """The estimator: from readings to what the controller is told, all robots in one compiled call."""
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix, times
@@ -19,14 +20,10 @@ from fastmimic.estimation.kalman import (
     update_position,
     update_velocity,
 )
+from fastmimic.robot import Robot
 from fastmimic.robot.dynamics import cross
 from fastmimic.robot.kinematics import leg_forward, leg_jacobian
 from fastmimic.robot.state import OBSERVATION
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 START_VELOCITY_NOISE: Final = 0.1  # m/s
 START_HEIGHT_NOISE: Final = 0.01  # m
@@ -310,7 +307,7 @@ def begin(config: Any, states: Any, readings: Any, starts: Any, planned: Any, ou
 class Estimator:
     """Estimates of n robots. Not to be shared between threads: it owns the kernels' work arrays."""
 
-    def __init__(self, robot: "Robot", n: int, rate_hz: float, config: EstimatorConfig | None = None) -> None:
+    def __init__(self, robot: Robot, n: int, rate_hz: float, config: EstimatorConfig | None = None) -> None:
         """
         Args:
             robot: the robot.

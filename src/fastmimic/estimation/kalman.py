@@ -11,12 +11,8 @@ where a = R f̃ + g is the IMU's, and uᵢ the velocity of the sphere's centre a
 A foot in the air is no more than its kinematics, fᵢ = p + R pᵢ(q): it is anchored anew at each step until it stands.
 """
 
-import numpy as np
-from numpy.typing import NDArray
-
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined
-
-Array = NDArray[np.float64]
 
 STATES = 6  # p, v and four feet
 

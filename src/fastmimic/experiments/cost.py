@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import OutputError
 from fastmimic.experiments.compare import RUNS
 from fastmimic.experiments.runs import Row, finished_row
@@ -20,7 +20,6 @@ from fastmimic.optimize.checkpoint import Checkpoint
 if TYPE_CHECKING:
     from fastmimic.learning.training import Evaluated
 
-Array = NDArray[np.float64]
 
 CONTROL_RATE_HZ: Final = 500.0
 """Of the control steps that are counted, those of the model-based controller and of a policy's joint targets alike."""

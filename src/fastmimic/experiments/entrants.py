@@ -5,7 +5,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -17,9 +17,7 @@ from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import MADE_WITH, Method, check_controller, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, Progress
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
+from fastmimic.robot import Robot
 
 MOTIONS: Final = "motions"
 DURATION_S: Final = 5.0
@@ -90,11 +88,11 @@ def check_methods(names: Sequence[str], policy: bool) -> None:
 def make_entrant(
     method: str,
     given: Motion,
-    robot: "Robot",
+    robot: Robot,
     search: Search,
     folder: Path,
     *,
-    policy: "tuple[MakeController, str] | None" = None,
+    policy: tuple[MakeController, str] | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Entrant:
     """A method with its motion; what it optimises is kept in `folder`, and read from there the next time.

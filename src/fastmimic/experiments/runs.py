@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import OutputError
 from fastmimic.base.files import replace_file
 from fastmimic.control.config import ControllerConfig, controller_config
@@ -38,7 +38,6 @@ from fastmimic.robot.kinematics import foot_positions
 if TYPE_CHECKING:
     from fastmimic.learning.policy import Policy
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 ROW: Final = "row.json"

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -23,11 +23,9 @@ from fastmimic.experiments.runs import Row, slug
 from fastmimic.imitation.imitate import default_duration
 from fastmimic.imitation.methods import ALL_METHODS, method_named
 from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import DISTURBANCES, PUSH_TIME_S, Disturbance, disturbance_named, known
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
 
 SUCCESS: Final = 0.95
 """Share of the episodes that a disturbance must leave without a fall to be withstood."""
@@ -128,7 +126,7 @@ def check_length(motion: Motion, names: Sequence[str], settings: StressSettings)
     return seconds
 
 
-def sweep(entrant: Entrant, disturbance: str, robot: "Robot", settings: StressSettings) -> list[Row]:
+def sweep(entrant: Entrant, disturbance: str, robot: Robot, settings: StressSettings) -> list[Row]:
     """Runs all levels of a disturbance.
 
     Returns:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -16,9 +16,7 @@ from fastmimic.imitation.imitate import evaluate
 from fastmimic.retarget.cycle import pose_mismatch
 from fastmimic.retarget.retarget import retarget
 from fastmimic.retarget.source import extract
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
+from fastmimic.robot import Robot
 
 EPISODES: Final = 4
 """One nominal, the others perturbed."""
@@ -107,7 +105,7 @@ def random_cycles(count: int, rng: np.random.Generator, folder: str | Path | Non
 
 def survey(
     clip: Clip,
-    robot: "Robot",
+    robot: Robot,
     *,
     duration_s: float = 10.0,
     method: str = "mbc",

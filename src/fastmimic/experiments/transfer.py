@@ -11,7 +11,7 @@ import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -24,11 +24,9 @@ from fastmimic.experiments.runs import Row, slug
 from fastmimic.identification.identify import identify
 from fastmimic.imitation.imitate import default_duration
 from fastmimic.imitation.methods import ALL_METHODS, method_named
+from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance, names_of
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
 
 _LOG: Final = logging.getLogger(__name__)
 PARTS: Final = "trials"
@@ -126,7 +124,7 @@ def trial_starts(trials: int, seed: int) -> Start:
 
 
 def run_trials(
-    entrant: Entrant, robot: "Robot", settings: TransferSettings, stages: Sequence[Stage] = STAGES
+    entrant: Entrant, robot: Robot, settings: TransferSettings, stages: Sequence[Stage] = STAGES
 ) -> list[Row]:
     """The trials of one method on one motion in all stages, or some, from the same starts.
 
@@ -168,7 +166,7 @@ def run_trials(
     return rows
 
 
-def identified_config(entrant: Entrant, robot: "Robot", settings: TransferSettings) -> ControllerConfig:
+def identified_config(entrant: Entrant, robot: Robot, settings: TransferSettings) -> ControllerConfig:
     """The controller with what one run in the conditions of `IDENTIFIED` says of friction and payload.
 
     The run is none of the trials: its start and its sensors' errors are its own. If nothing can be learnt from it,

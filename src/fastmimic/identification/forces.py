@@ -5,23 +5,20 @@ f = J⁻ᵀ (τ_free − τ), in the body frame, with J of the point under the f
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import LogError
 from fastmimic.base.rotations import matrix_from_quat
 from fastmimic.episode.run_log import RunLog
+from fastmimic.robot import Robot
 from fastmimic.robot.dynamics import leg_torques
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 SMOOTHING_S: Final = 0.03
 """Window of the quadratic that smooths and differentiates; short against a stance, long against the sensors' noise."""
@@ -75,7 +72,7 @@ class GroundForces:
         return np.asarray(np.einsum("tlij,tlj->tli", self.arm, self.free - torque))
 
 
-def ground_forces(log: RunLog, robot: "Robot") -> GroundForces:
+def ground_forces(log: RunLog, robot: Robot) -> GroundForces:
     """Forces and speeds of the feet in a log.
 
     Raises:
@@ -126,7 +123,7 @@ def _delayed(x: Array, steps: int) -> Array:
     return np.concatenate([np.repeat(x[:1], steps, axis=0), x[: len(x) - steps]]) if steps else x
 
 
-def _mean_torque(log: RunLog, robot: "Robot", late: int) -> Array:
+def _mean_torque(log: RunLog, robot: Robot, late: int) -> Array:
     """(t, 12) mean motor torque over each control step.
 
     The motor's law goes on while a command holds, so that torque falls off within the step; a reading is that at its
@@ -143,7 +140,7 @@ def _mean_torque(log: RunLog, robot: "Robot", late: int) -> Array:
     return np.asarray(log.reading["torque"] + 0.5 * (law(_delayed(q, 1), _delayed(dq, 1)) - law(q, dq)))
 
 
-def _contact_points(robot: "Robot", q: Array, up_b: Array) -> tuple[Array, Array]:
+def _contact_points(robot: Robot, q: Array, up_b: Array) -> tuple[Array, Array]:
     """Jacobians (t, 4, 3, 3) and places (t, 4, 3) in the body frame of the points under the feet's spheres, which turn
     with the calves; `up_b` (t, 3) is the ground's normal there."""
     jacobian, below = foot_jacobians(robot, q), -robot.foot_radius * up_b
@@ -179,7 +176,7 @@ def _settled(on: NDArray[np.bool_]) -> Array:
 
 
 def _vertical_need(
-    robot: "Robot", rotation: Array, q: Array, dq: Array, ddq: Array, gyro: Array, turning: Array, accel: Array
+    robot: Robot, rotation: Array, q: Array, dq: Array, ddq: Array, gyro: Array, turning: Array, accel: Array
 ) -> Array:
     """(t,) vertical force of the ground that moves the unloaded robot as the log says, by inverse dynamics, N."""
     import mujoco

@@ -6,18 +6,15 @@ says no more than that μ is above the ratio it held at.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.identification.forces import GroundForces
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
+from fastmimic.robot import Robot
 
 SLIDING_SPEED: Final = 0.15
 """m/s; five times what the estimator's velocity is wrong by."""
@@ -57,7 +54,7 @@ class Friction:
     slid_s: float
 
 
-def identify_friction(forces: GroundForces, robot: "Robot") -> Friction:
+def identify_friction(forces: GroundForces, robot: Robot) -> Friction:
     """The coefficient of friction with a 95 % interval: scatter of the slides and the torque sensors' gains."""
     events, bound = _slides(forces, robot), _bound(forces, robot)
     nothing = Friction(None, bound, None, 0, 0.0)
@@ -75,13 +72,13 @@ def identify_friction(forces: GroundForces, robot: "Robot") -> Friction:
     return Friction(value, max(0.0, value - spread), value + spread, len(events), seconds)
 
 
-def _pressed(forces: GroundForces, force: Array, robot: "Robot") -> NDArray[np.bool_]:
+def _pressed(forces: GroundForces, force: Array, robot: Robot) -> NDArray[np.bool_]:
     """(t, 4) where a ratio of forces means anything."""
     pressed = forces.loaded & (forces.settled_s >= EDGE_S) & forces.usable[:, None]
     return np.asarray(pressed & (force[..., 2] > PRESSED * robot.mass * GRAVITY))
 
 
-def _slides(forces: GroundForces, robot: "Robot") -> list[tuple[NDArray[np.intp], int]]:
+def _slides(forces: GroundForces, robot: Robot) -> list[tuple[NDArray[np.intp], int]]:
     """Samples and leg of each slide."""
     force = forces.force()
     speed = np.linalg.norm(forces.velocity, axis=-1)
@@ -123,7 +120,7 @@ def _gain_error(forces: GroundForces, estimate: Callable[[Array], float]) -> flo
     return float(np.sqrt(total))
 
 
-def _bound(forces: GroundForces, robot: "Robot") -> float:
+def _bound(forces: GroundForces, robot: Robot) -> float:
     """The ratio at which feet held, less what the torque sensors' gains may make of it; 0 if none was pressed."""
     force = forces.force()
     held = _pressed(forces, force, robot) & (np.linalg.norm(forces.velocity, axis=-1) < SLIDING_SPEED)

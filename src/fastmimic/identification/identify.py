@@ -3,7 +3,7 @@
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from fastmimic.base.errors import LogError
 from fastmimic.base.files import replace_file
@@ -13,9 +13,7 @@ from fastmimic.episode.run_log import RunLog
 from fastmimic.identification.forces import ground_forces
 from fastmimic.identification.friction import Friction, identify_friction
 from fastmimic.identification.payload import Payload, identify_payload
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
+from fastmimic.robot import Robot
 
 FRICTION_MARGIN: Final = 0.85
 """Share of the identified coefficient that the controller assumes, because its friction pyramid has edges √2 as far out
@@ -83,7 +81,7 @@ class Identification:
         replace_file(path, lambda file: file.write(text.encode()))
 
 
-def identify(log: RunLog, robot: "Robot", unloaded: RunLog | None = None) -> Identification:
+def identify(log: RunLog, robot: Robot, unloaded: RunLog | None = None) -> Identification:
     """Friction and payload out of the log of a run.
 
     Args:

@@ -5,19 +5,16 @@ as its gains. The log of the same robot without a payload takes the gains out.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import LogError
 from fastmimic.identification.forces import GroundForces
 from fastmimic.identification.friction import TORQUE_GAIN_ERROR
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
+from fastmimic.robot import Robot
 
 FOOT_GAIN_ERROR: Final = 0.1
 """Standard deviation of a foot sensor's gain, a fraction."""
@@ -53,7 +50,7 @@ class Payload:
         return self.mass if self.lower > 0 else 0.0
 
 
-def identify_payload(forces: GroundForces, robot: "Robot", unloaded: GroundForces | None = None) -> Payload:
+def identify_payload(forces: GroundForces, robot: Robot, unloaded: GroundForces | None = None) -> Payload:
     """The mass that the feet bear beyond the robot's.
 
     Args:

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import Clip
@@ -40,8 +40,6 @@ from fastmimic.primitive.rhythmic import N_BASIS
 from fastmimic.retarget.retarget import retarget
 from fastmimic.robot import Robot, load_robot
 from fastmimic.simulation.conditions import Conditions
-
-Array = NDArray[np.float64]
 
 EVALUATION_S: Final = 10.0
 """Length of an episode of a motion that repeats, if nothing is said."""

@@ -10,7 +10,6 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fastmimic.base.errors import CheckpointError, ConfigError, MotionError, OutputError
 from fastmimic.clips.catalogue import motion_names
@@ -27,8 +26,6 @@ from fastmimic.optimize.randomization import Randomization, randomization
 from fastmimic.optimize.stitched import StitchedProblem, parameters_of
 from fastmimic.robot import Robot, load_robot
 from fastmimic.stitching.join import stitch_motions
-
-Array = NDArray[np.float64]
 
 PART_CHECKPOINT: Final = "checkpoint-{}.npz"
 CHECKPOINT: Final = "checkpoint.npz"

@@ -2,16 +2,14 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import record_dtype
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
+from fastmimic.robot import Robot
 
 HISTORY: Final = 3
 """Policy steps of which sensors and actions are seen, the present one included."""
@@ -94,7 +92,7 @@ SETTINGS: Final = record_dtype(
 """`PolicyConfig` and the robot's limits in the form that kernels read."""
 
 
-def pack_settings(config: PolicyConfig, robot: "Robot") -> NDArray[Any]:
+def pack_settings(config: PolicyConfig, robot: Robot) -> NDArray[Any]:
     """An array of one `SETTINGS` record."""
     numerator, denominator = low_pass(config.filter_cutoff_hz, config.rate_hz)
     record = np.zeros(1, SETTINGS)
@@ -118,7 +116,7 @@ def low_pass(cutoff_hz: float, rate_hz: float) -> tuple[NDArray[np.float64], NDA
     return np.array([b, 2 * b, b]), np.array([1.0, 2 * (k * k - 1) / norm, (1 - np.sqrt(2.0) * k + k * k) / norm])
 
 
-def action_bounds(config: PolicyConfig, robot: "Robot") -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def action_bounds(config: PolicyConfig, robot: Robot) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Least and greatest action (12,): those whose joint targets are the joints' limits."""
     lower = (robot.joint_lower - robot.home_joint_pos) / config.action_scale
     upper = (robot.joint_upper - robot.home_joint_pos) / config.action_scale

@@ -1,11 +1,12 @@
 """A policy as a controller: what the closed loop steps in place of the model-based one."""
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import PolicyError
 from fastmimic.base.jit import kernel
 from fastmimic.control.config import ControllerConfig, pack_config
@@ -14,14 +15,10 @@ from fastmimic.episode.rollout import MakeController
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, pack_settings
 from fastmimic.learning.observation import act_robot, command_robot, make_senses, observe_robot
 from fastmimic.learning.policy import Policy, infer_robot
+from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import stack_tables
+from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, MEMORY
-
-if TYPE_CHECKING:
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @kernel
@@ -67,7 +64,7 @@ class PolicyController:
         command: (n,) of `COMMAND`, the last ones.
     """
 
-    def __init__(self, policy: Policy, robot: "Robot", motion: "Motion", n: int, config: ControllerConfig) -> None:
+    def __init__(self, policy: Policy, robot: Robot, motion: Motion, n: int, config: ControllerConfig) -> None:
         """
         Raises:
             PolicyError: the policy is for another robot, another motion, or another control rate.

@@ -11,23 +11,21 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig
 from fastmimic.learning.randomisation import Randomisation, random_world
 from fastmimic.learning.shard import Shard
 from fastmimic.learning.starts import DRAWS
+from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import reference_table
+from fastmimic.robot import Robot
 
-if TYPE_CHECKING:
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 Seen = NDArray[np.float32]
 
 EPISODE_S: Final = 10.0
@@ -73,8 +71,8 @@ class Episodes:
 
     def __init__(
         self,
-        robot: "Robot",
-        motion: "Motion",
+        robot: Robot,
+        motion: Motion,
         n: int,
         config: PolicyConfig | None = None,
         *,

@@ -10,7 +10,7 @@ import warnings
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,8 @@ from fastmimic.learning.config import ACTION_SIZE
 from fastmimic.learning.episodes import Episodes
 from fastmimic.learning.policy import Policy
 from fastmimic.learning.settings import TrainingSettings
-
-if TYPE_CHECKING:
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 
 _SMALL: Final = 0.01
 """Of the last layer's first weights: the first actions are those of the home pose."""
@@ -84,7 +82,7 @@ class Learner:
     """A policy under training, and the robots that it learns from."""
 
     def __init__(
-        self, robot: "Robot", motion: "Motion", settings: TrainingSettings, *, device: str = "cpu", threads: int = 1
+        self, robot: Robot, motion: Motion, settings: TrainingSettings, *, device: str = "cpu", threads: int = 1
     ) -> None:
         """
         Args:

@@ -12,11 +12,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.learning.config import FRAMES, HISTORY, IMU_SIZE
-
-Array = NDArray[np.float64]
 
 SENSES: Final = record_dtype(
     [

@@ -15,21 +15,19 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, PolicyError
 from fastmimic.base.files import replace_file
 from fastmimic.base.jit import inlined, kernel
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 
-if TYPE_CHECKING:
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 Weights = NDArray[np.float32]
 
 FORMAT_VERSION: Final = 1
@@ -153,7 +151,7 @@ class Policy:
         infer(self.network(), seen, actions)
         return actions
 
-    def check(self, robot: "Robot", motion: "Motion") -> None:
+    def check(self, robot: Robot, motion: Motion) -> None:
         """Raises `PolicyError` if the policy was trained for another robot or another motion."""
         if self.robot != robot.name:
             raise PolicyError(f"the policy is for robot '{self.robot}', not for '{robot.name}'; train one for it")

@@ -1,10 +1,11 @@
 """Some of the robots of a training, with a MuJoCo batch of their own, stepped by one thread."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import kernel
 from fastmimic.control.config import default_config
@@ -13,16 +14,13 @@ from fastmimic.learning.config import PolicyConfig, pack_settings
 from fastmimic.learning.observation import act, command, make_senses, observe
 from fastmimic.learning.randomisation import RandomWorld
 from fastmimic.learning.starts import BODY, COUNT, PLACE, begin_episodes
+from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import advance_clocks, make_clocks
+from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, MEMORY
 from fastmimic.simulation.mujoco_disturbed import DisturbedMujocoSimulation
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
-if TYPE_CHECKING:
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 Seen = NDArray[np.float32]
 
 
@@ -30,7 +28,7 @@ class Shard:
     """Some of the robots, stepped by one thread."""
 
     def __init__(
-        self, robot: "Robot", motion: "Motion", table: NDArray[Any], n: int, config: PolicyConfig, world: RandomWorld
+        self, robot: Robot, motion: Motion, table: NDArray[Any], n: int, config: PolicyConfig, world: RandomWorld
     ) -> None:
         self.simulation: MujocoSimulation = (
             DisturbedMujocoSimulation(robot, n, world.disturbances, control_rate_hz=config.control_rate_hz)

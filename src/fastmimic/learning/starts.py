@@ -5,12 +5,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.episode.rollout import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.robot.kinematics import leg_forward
-
-Array = NDArray[np.float64]
 
 DRAWS: Final = 16
 """Random numbers of a start: phase, 12 joints, 3 velocities."""

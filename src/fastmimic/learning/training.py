@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib import metadata
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,10 +18,8 @@ from fastmimic.learning.learner import Iteration, Learner
 from fastmimic.learning.policy import POLICY_FILE, Policy
 from fastmimic.learning.settings import TrainingSettings
 from fastmimic.learning.training_folder import EVALUATIONS, EVENTS, ONNX, Stopwatch, TrainingFolder
-
-if TYPE_CHECKING:
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 
 CHECKPOINT_S: Final = 60.0
 """Wall time between checkpoints; they do not change the course."""
@@ -67,8 +65,8 @@ class Advance:
 
 
 def train(
-    robot: "Robot",
-    motion: "Motion",
+    robot: Robot,
+    motion: Motion,
     steps: int,
     folder: TrainingFolder,
     settings: TrainingSettings | None = None,
@@ -214,7 +212,7 @@ class _Training:
         self._watch = Stopwatch(state["wall_s"], state["cpu_s"])
 
 
-def evaluate_policy(policy: Policy, robot: "Robot", motion: "Motion", steps: int, watch: Stopwatch) -> Evaluated:
+def evaluate_policy(policy: Policy, robot: Robot, motion: Motion, steps: int, watch: Stopwatch) -> Evaluated:
     """One nominal episode and several from perturbed starts, the same ones as in a comparison."""
     wall_s, cpu_s = watch.wall_s, watch.cpu_s
     seconds = min(EVALUATION_S, default_duration(motion, EVALUATION_S))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fastmimic.base.arrays import Array
 
 
 class Stance(NamedTuple):

@@ -13,21 +13,18 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINT_NAMES
 from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.base.files import replace_file
 from fastmimic.base.rotations import quat_continuous, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
+from fastmimic.robot import Robot
 
 EXPORTS: Final = {"mjlab": ".npz", "deepmimic": ".txt", "csv": ".csv"}
 """Formats and the ending of their files' names."""
@@ -67,7 +64,7 @@ class Frames:
 
 def export_motion(
     motion: Motion,
-    robot: "Robot",
+    robot: Robot,
     path: str | Path,
     form: str,
     *,
@@ -199,7 +196,7 @@ def _deepmimic(frames: Frames, robot: str, looping: bool) -> str:
     return f'{{\n{said}"Frames":\n[\n{listed}\n]\n}}\n'
 
 
-def _mjlab(frames: Frames, robot: "Robot") -> bytes:
+def _mjlab(frames: Frames, robot: Robot) -> bytes:
     sign = robot.joint_sign
     arrays: dict[str, Any] = {"fps": np.array([frames.fps]), "joint_pos": sign * frames.joint_pos}
     arrays |= {"joint_vel": sign * frames.joint_vel, **body_states(frames, robot)}
@@ -210,7 +207,7 @@ def _mjlab(frames: Frames, robot: "Robot") -> bytes:
     return out.getvalue()
 
 
-def body_states(frames: Frames, robot: "Robot") -> dict[str, NDArray[Any]]:
+def body_states(frames: Frames, robot: Robot) -> dict[str, NDArray[Any]]:
     """All bodies of the robot, the base first: `body_names` (b,), `body_pos_w` (t, b, 3), `body_quat_w` (t, b, 4),
     `body_lin_vel_w` and `body_ang_vel_w` (t, b, 3) of the bodies' frames in world axes."""
     import mujoco

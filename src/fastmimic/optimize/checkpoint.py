@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import CheckpointError
 from fastmimic.base.files import replace_file
-
-Array = NDArray[np.float64]
 
 FILE_NAME: Final = "checkpoint.npz"
 _VERSION: Final = 1

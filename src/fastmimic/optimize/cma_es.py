@@ -11,13 +11,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import CheckpointError, ConfigError
 from fastmimic.episode.rollout import Rollout, Start, nominal_start
 from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.optimize.problem import Problem
 from fastmimic.simulation.disturbances import Disturbance
-
-Array = NDArray[np.float64]
 
 CHECKPOINT_EVERY: Final = 5  # iterations
 VALIDATED: Final = 8  # candidates that compete for being the result

@@ -15,11 +15,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import available_cores
 from fastmimic.control.config import ControllerConfig, default_config
@@ -30,15 +31,11 @@ from fastmimic.optimize.randomization import Randomization
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.coordinates import FEET
 from fastmimic.reference.table import put_root, reference_table
+from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance
 from fastmimic.simulation.ranges import part as part_of
 from fastmimic.simulation.ranges import repeated
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 _CYCLES: Final = 1.5  # cycles in an episode, for a motion whose cycle is longer than the episode asked for
 
@@ -81,7 +78,7 @@ class Problem(ABC):
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         demonstration: Motion,
         parameters: Sequence[Parameter],
         *,
@@ -236,7 +233,7 @@ class ImitationProblem(Problem):
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         demonstration: Motion,
         dmp: MotionDmp,
         *,

@@ -12,13 +12,11 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.simulation.disturbances import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S, Disturbance
 from fastmimic.simulation.ranges import PUSH_WINDOW_S, Range, check_once, draw, parse_range, usual_range
-
-Array = NDArray[np.float64]
 
 ROBOTS: Final = 4
 """For each candidate, if nothing is said: a search takes as many times as long."""

@@ -9,11 +9,12 @@ stance in which it passes to that segment, the trunk over the transition.
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import (
     quat_conjugate,
@@ -35,12 +36,8 @@ from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.reach import foot_table
 from fastmimic.primitive.rhythmic import N_BASIS
 from fastmimic.reference.table import planar_turned, reference_table
+from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 _PLANAR = ("lin_vel", "ang_vel")
 
@@ -50,7 +47,7 @@ class StitchedProblem(Problem):
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         demonstration: Motion,
         *,
         start: Mapping[str, float] | Sequence[Mapping[str, float]] | None = None,
@@ -190,7 +187,7 @@ class StitchedProblem(Problem):
 
 
 def make_problem(
-    robot: "Robot",
+    robot: Robot,
     motion: Motion,
     *,
     objective: Objective | None = None,

@@ -4,8 +4,8 @@ from collections import deque
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.viewer.marks import TRAIL_POINTS, TRAIL_S
@@ -14,7 +14,6 @@ from fastmimic.viewer.take import Take, world_feet
 if TYPE_CHECKING:
     from fastmimic.play.session import LiveSession, Snapshot
 
-Array = NDArray[np.float64]
 
 RATE_HZ: Final = 100.0
 KEPT_S: Final = 2.0

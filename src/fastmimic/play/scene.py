@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from fastmimic.robot import Robot
 from fastmimic.viewer.bodies import Puppet
 from fastmimic.viewer.scene import RobotScene, linear
 
@@ -11,7 +12,6 @@ if TYPE_CHECKING:
     import viser
 
     from fastmimic.play.history import History
-    from fastmimic.robot import Robot
     from fastmimic.viewer.take import Take
 
 _GROUND: Final = (24.0, 24.0)
@@ -31,7 +31,7 @@ class LiveScene(RobotScene):
         history: what it does.
     """
 
-    def __init__(self, server: "viser.ViserServer", robot: "Robot", history: "History") -> None:
+    def __init__(self, server: "viser.ViserServer", robot: Robot, history: "History") -> None:
         self._history = history
         super().__init__(server, "/live", robot, Puppet(robot), history.take(), 0.0, _GROUND)
         self._push_arrow = server.scene.add_arrows(

@@ -5,11 +5,12 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError, MotionError, did_you_mean
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate_inverse, rotate_planar, yaw_from_quat
@@ -25,12 +26,8 @@ from fastmimic.reference.motion_set import STAND, Entry, Library
 from fastmimic.reference.stream import MODULATION, Stream, make_place
 from fastmimic.reference.table import CLOCK, SAMPLE
 from fastmimic.reference.transition import Transition
+from fastmimic.robot import Robot
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 METHODS: Final = ("mbc", "lh", "raibert")
 """The controllers that can be chosen while it runs."""
@@ -103,7 +100,7 @@ class LiveSession:
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         motions: Mapping[str, Motion] | Library,
         *,
         start: str | None = None,

@@ -4,15 +4,14 @@ import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
 
 if TYPE_CHECKING:
     from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
-Array = NDArray[np.float64]
 
 PUSH_S: Final = 0.1
 """Over which a push acts."""

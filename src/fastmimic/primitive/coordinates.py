@@ -9,15 +9,13 @@ the trunk does not point straight up or down. Feet are in the body frame and nee
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import quat_continuous, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive.twist import PlanarTwist
-
-Array = NDArray[np.float64]
 
 NAMES: Final = (
     *(f"root_{c}" for c in ("x", "y", "z", "roll", "pitch", "yaw")),

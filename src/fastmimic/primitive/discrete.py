@@ -19,15 +19,13 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
 from fastmimic.base.jit import kernel
 from fastmimic.primitive.fixed_order import product, solve_positive_definite
 from fastmimic.primitive.rhythmic import ALPHA, N_BASIS
 from fastmimic.primitive.samples import checked_samples
-
-Array = NDArray[np.float64]
 
 MAX_S: Final = 30.0
 """Of a motion; the fit takes memory and time with the square of it."""

@@ -5,11 +5,9 @@ same seed give other results, and a run unable to recognise its own checkpoint.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import kernel
-
-Array = NDArray[np.float64]
 
 
 def product(a: Array, b: Array) -> Array:

@@ -3,11 +3,9 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.primitive.rhythmic import RhythmicDmp
-
-Array = NDArray[np.float64]
 
 # Gauss–Legendre nodes and weights on [0, 1]
 _NODES: Final = 0.5 + np.array([-np.sqrt(0.15), 0.0, np.sqrt(0.15)])

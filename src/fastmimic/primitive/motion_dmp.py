@@ -5,8 +5,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError, did_you_mean
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive.coordinates import (
@@ -24,8 +24,6 @@ from fastmimic.primitive.reach import FootTable, foot_table
 from fastmimic.primitive.rhythmic import N_BASIS, RhythmicDmp
 from fastmimic.primitive.twist import PlanarTwist
 from fastmimic.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,9 +3,8 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fastmimic.base.arrays import Array
 
 _FLOOR: Final = 0.2
 """Share of the basis functions that is spread evenly whatever the motion does."""

@@ -5,11 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined, kernel
 from fastmimic.robot.kinematics import leg_forward, leg_inverse
 from fastmimic.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 class FootTable(NamedTuple):

@@ -17,11 +17,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.primitive.fixed_order import product, solve_positive_definite
 from fastmimic.primitive.placement import basis_widths, normalised_basis, place_basis
 from fastmimic.primitive.samples import checked_samples
-
-Array = NDArray[np.float64]
 
 N_BASIS: Final = 100
 ALPHA: Final = 25.0

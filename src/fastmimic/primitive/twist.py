@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import record_dtype
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, rotate_planar, yaw_from_quat
 from fastmimic.motion.contacts import stances_of
@@ -18,8 +19,6 @@ from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
 from fastmimic.stitching.switch import Cycle
-
-Array = NDArray[np.float64]
 
 COURSE: Final = record_dtype(
     [

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
+from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 from fastmimic.robot.state import COMMAND
 
 if TYPE_CHECKING:
-    from fastmimic.robot import Robot
     from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
-Array = NDArray[np.float64]
 
 LIMP_S: Final = 0.5
 FOLD_S: Final = 0.7
@@ -49,7 +49,7 @@ class Recovery:
         height: of its base then, m.
     """
 
-    def __init__(self, robot: "Robot", simulation: "MujocoSimulation", stand: Array, height: float, dt: float) -> None:
+    def __init__(self, robot: Robot, simulation: "MujocoSimulation", stand: Array, height: float, dt: float) -> None:
         self._simulation, self._dt = simulation, dt
         self._stand, self._height = stand, height
         self._path, self._folded_height = rising_path(robot, stand)
@@ -114,7 +114,7 @@ class Recovery:
         return float(quat_rotate(obs["root_quat"], np.array([0.0, 0.0, 1.0]))[2])
 
 
-def rising_path(robot: "Robot", stand: Array) -> tuple[Array, float]:
+def rising_path(robot: Robot, stand: Array) -> tuple[Array, float]:
     """From folded legs under the body straight up to a posture.
 
     Args:
@@ -140,7 +140,7 @@ def along(path: Array, share: float) -> Array:
     return np.asarray(path[low] + (at - low) * (path[low + 1] - path[low]))
 
 
-def standing_gains(robot: "Robot") -> tuple[float, float]:
+def standing_gains(robot: Robot) -> tuple[float, float]:
     """Stiffness and damping with which the joints carry the robot, N·m/rad and N·m·s/rad."""
     gain = robot.mass / _MASS_KG
     return _STIFFNESS * gain, _DAMPING * gain

@@ -4,13 +4,12 @@ The constants are those at which the motions still stood in `benchmarks/play.py`
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
+from fastmimic.robot import Robot
 
 SPEED: Final = (0.9, 1.25)
 """Factors on the phase's rate."""
@@ -50,7 +49,7 @@ def _common(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, floa
     return max(a[0], b[0]), min(a[1], b[1])
 
 
-def limits_of(course: NDArray[Any], joint_vel: NDArray[np.float64], robot: "Robot") -> Limits:
+def limits_of(course: NDArray[Any], joint_vel: NDArray[np.float64], robot: Robot) -> Limits:
     """Ranges of a cyclic motion.
 
     A motion in which a foot never lifts off has nothing that could be modulated. Speed and swing height end where the

@@ -160,7 +160,7 @@ class Library:
     def _stands(self, name: str) -> bool:
         return self.entry(name).stands
 
-    def _future(self, before: str, after: str) -> "Future[Transition | None]":
+    def _future(self, before: str, after: str) -> Future[Transition | None]:
         key = (before, after)
         if key not in self._transitions or _broke(self._transitions[key]):
             a, b = self.entry(before).motion, self.entry(after).motion
@@ -261,6 +261,6 @@ def _made_tempo(source: str, motion: Motion, speeds: tuple[float, ...]) -> Tempo
     return make_tempo(_ROBOTS[source], motion, speeds)
 
 
-def _broke(future: "Future[Any]") -> bool:
+def _broke(future: Future[Any]) -> bool:
     """Whether the process ended before it was done."""
     return future.done() and isinstance(future.exception(), BrokenExecutor)

@@ -8,19 +8,16 @@ centripetal force meet between them.
 Without modulation the reference is the motion's own.
 """
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import leg_inverse
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 PLACE: Final = record_dtype(
     [
@@ -54,7 +51,7 @@ def make_place() -> NDArray[Any]:
 class Stream:
     """Fills tables of one robot's reference. Not for several threads at once."""
 
-    def __init__(self, robot: "Robot", rate_hz: float) -> None:
+    def __init__(self, robot: Robot, rate_hz: float) -> None:
         self._geometry = robot.geometry.rows
         self._limits = np.stack([robot.joint_lower, robot.joint_upper])
         self._dt = 1.0 / rate_hz

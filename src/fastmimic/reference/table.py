@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import MotionError
 from fastmimic.base.jit import inlined, kernel, record_dtype
@@ -27,8 +28,6 @@ from fastmimic.base.rotations import (
 from fastmimic.motion.motion import Motion
 from fastmimic.retarget.dynamics import ground_demand
 from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 SAMPLE: Final = record_dtype(
     [

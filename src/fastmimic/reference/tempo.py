@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import course_of
@@ -23,8 +24,6 @@ from fastmimic.retarget.measure import feet_in_world
 from fastmimic.retarget.pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
 from fastmimic.retarget.spline import TrunkSpline
 from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 _RATES: Final = {
     "lin_vel": 1,

@@ -1,24 +1,18 @@
 """The animal at the robot's size: its keypoints in its own heading frame, moment by moment."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
+from fastmimic.clips.clip import Clip
 from fastmimic.clips.skeleton import Skeleton
+from fastmimic.motion.motion import Motion
 from fastmimic.render.playback import AnimalTrack
 from fastmimic.render.tracks import motion_track
 from fastmimic.retarget.config import RetargetConfig
 from fastmimic.retarget.retarget import choose_scale
 from fastmimic.retarget.source import extract
-
-if TYPE_CHECKING:
-    from fastmimic.clips.clip import Clip
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
+from fastmimic.robot import Robot
 
 
 class Animal:
@@ -36,7 +30,7 @@ class Animal:
         skeleton: of the clip, with radii at the robot's size.
     """
 
-    def __init__(self, clip: "Clip", robot: "Robot", motion: "Motion") -> None:
+    def __init__(self, clip: Clip, robot: Robot, motion: Motion) -> None:
         scale = choose_scale(clip, robot)
         source = extract(clip, scale, RetargetConfig().roll_share)
         ground = np.percentile(scale * clip.toes_w[..., 2], 10, axis=0).mean()
@@ -73,7 +67,7 @@ class Animal:
 
 
 def animal_track(
-    clip: "Clip", robot: "Robot", motion: "Motion", duration_s: float, title: str = "", caption: str = ""
+    clip: Clip, robot: Robot, motion: Motion, duration_s: float, title: str = "", caption: str = ""
 ) -> AnimalTrack:
     """The animal of a clip, moving along the path of the demonstration that was made of it, at its rate.
 

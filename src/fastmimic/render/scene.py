@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.render.quality import PREVIEW, Quality
 from fastmimic.render.style import DEMONSTRATION, LEG_LINES
+from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     import mujoco
 
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 _ROBOT: Final = "robot/"
 _GHOST: Final = "ghost/"
@@ -79,7 +78,7 @@ class Stage:
 
 
 def build_stage(
-    robot: "Robot",
+    robot: Robot,
     *,
     ghost: bool,
     width: int,
@@ -238,7 +237,7 @@ def _add_light(spec: "mujoco.MjSpec", quality: Quality) -> None:
     )
 
 
-def _bare_robot(robot: "Robot") -> "mujoco.MjSpec":
+def _bare_robot(robot: Robot) -> "mujoco.MjSpec":
     """The robot's model without a floor, lights or cameras of its own."""
     spec = robot.spec()
     for element in (*spec.worldbody.geoms, *spec.lights, *spec.cameras, *spec.keys):
@@ -247,7 +246,7 @@ def _bare_robot(robot: "Robot") -> "mujoco.MjSpec":
     return spec
 
 
-def _find(model: "mujoco.MjModel", robot: "Robot", prefix: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _find(model: "mujoco.MjModel", robot: Robot, prefix: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Indices in `qpos` (19,) and a mask of the geoms (ngeom,) of the copy of the robot with this prefix."""
     import mujoco
 

@@ -3,18 +3,16 @@
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
+from fastmimic.motion.motion import Motion
 from fastmimic.render.playback import Track
+from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 
 if TYPE_CHECKING:
     from fastmimic.episode.rollout import Rollout
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 LOADED_N: Final = 1.0
@@ -49,7 +47,7 @@ def rollout_track(rollout: "Rollout", title: str = "", episode: int = 0, note: s
 
 
 def motion_track(
-    motion: "Motion", duration_s: float, title: str = "", ghost: Track | None = None, caption: str = ""
+    motion: Motion, duration_s: float, title: str = "", ghost: Track | None = None, caption: str = ""
 ) -> Track:
     """A motion as it is written, without physics: its cycles one after another, or once if it has none.
 
@@ -73,7 +71,7 @@ def motion_track(
     return Track(position, quat, motion.joint_pos[sample], title, caption, ghost, motion.contact[sample])
 
 
-def realised_feet(rollout: "Rollout", robot: "Robot", episode: int = 0) -> Array:
+def realised_feet(rollout: "Rollout", robot: Robot, episode: int = 0) -> Array:
     """Foot centres of an episode in the body frame (t, 4, 3), m; NaN from the fall on."""
     assert rollout.log is not None, "the feet need a rollout with its log"
     feet = foot_positions(robot, rollout.log.observation["joint_pos"][episode])
@@ -81,7 +79,7 @@ def realised_feet(rollout: "Rollout", robot: "Robot", episode: int = 0) -> Array
     return feet
 
 
-def _cycle_origins(motion: "Motion", cycles: int) -> Array:
+def _cycle_origins(motion: Motion, cycles: int) -> Array:
     """(x, y, yaw) at which each cycle starts, (cycles, 3)."""
     origin = np.zeros((cycles, 3))
     for k in range(1, cycles):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import available_cores
 from fastmimic.base.rotations import quat_rotate, yaw_from_quat
@@ -22,16 +23,15 @@ from fastmimic.render.overlay import Overlay
 from fastmimic.render.playback import AnimalTrack, Track, resample, resample_contact, resample_points
 from fastmimic.render.quality import PREVIEW, Quality, quality_named
 from fastmimic.render.scene import TILE_M, Stage, build_stage, ghost_rgba, leg_rgba
+from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     import mujoco
 
     from fastmimic.render.view import View
-    from fastmimic.robot import Robot
 
 _LOG = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
 
 _CAMERA_AZIMUTH_DEG: Final = 122.0
 """From the robot's first heading: seen from its front right, so that it moves across the picture."""
@@ -117,7 +117,7 @@ class _Panel:
 
 
 def render_video(
-    robot: "Robot",
+    robot: Robot,
     tracks: Sequence[AnyTrack],
     path: str | Path,
     *,
@@ -204,7 +204,7 @@ def _painters(frames: int) -> int:
 class _Here(Executor):
     """Does at once what is submitted, in the thread that submits it."""
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
@@ -236,7 +236,7 @@ class _Painter:
             self._thread.shutdown()
             raise
 
-    def paint(self, frame: int) -> "Future[NDArray[np.uint8]]":
+    def paint(self, frame: int) -> Future[NDArray[np.uint8]]:
         """Begins to draw that frame (height, width, 3)."""
         return self._thread.submit(self._draw, frame)
 
@@ -293,7 +293,7 @@ def _samples(track: AnyTrack) -> int:
     return len(track.points_w if isinstance(track, AnimalTrack) else track.root_pos_w)
 
 
-def _shown(robot: "Robot", track: AnyTrack, rate_hz: float, times: Array, marks: bool) -> _Shown:
+def _shown(robot: Robot, track: AnyTrack, rate_hz: float, times: Array, marks: bool) -> _Shown:
     if isinstance(track, AnimalTrack):
         points = resample_points(track, rate_hz, times)
         bones = points[:, np.array(track.skeleton.bones)]
@@ -314,7 +314,7 @@ def _shown(robot: "Robot", track: AnyTrack, rate_hz: float, times: Array, marks:
     return _Shown(pose[:, :3], yaw, pose, ghost, feet, resample_contact(track, rate_hz, times))
 
 
-def _stage(robot: "Robot", shown: list[_Shown], size: tuple[int, int], quality: Quality, loop_m: float | None) -> Stage:
+def _stage(robot: Robot, shown: list[_Shown], size: tuple[int, int], quality: Quality, loop_m: float | None) -> Stage:
     paths = np.concatenate([path[:, :2] for s in shown for path in (s.root, s.ghost) if path is not None])
     tile = TILE_M
     if loop_m is not None and loop_m > 0:  # a whole number of the pattern's periods
@@ -341,7 +341,7 @@ def _overlay(
 
 
 def _panels(
-    stage: Stage, robot: "Robot", shown: list[_Shown], times: Array, size: tuple[int, int], columns: int
+    stage: Stage, robot: Robot, shown: list[_Shown], times: Array, size: tuple[int, int], columns: int
 ) -> list[_Panel]:
     """All panels look from the same side and distance, each following its own robot."""
     from fastmimic.render.view import View

@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.render.scene import GHOST_GROUP, LIGHT_DIR, Stage
 
-Array = NDArray[np.float64]
 Rgba = tuple[float, float, float, float]
 
 _ELEVATION_DEG: Final = -19.0

@@ -8,15 +8,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.tables import Summary
 from fastmimic.imitation.methods import ALL_METHODS, method_named
 from fastmimic.render.style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, new_figure, tidy
-
-Array = NDArray[np.float64]
 
 _STYLES: Final = {  # colours of Okabe and Ito, each with a hatch so that the bars read in grey
     "rl": ("#009e73", ".."),

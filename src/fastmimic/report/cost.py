@@ -8,13 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.experiments.cost import CONTROL_RATE_HZ, Course
 from fastmimic.imitation.methods import RL, method_named
 from fastmimic.render.style import INK, MUTED, Line, new_figure, tidy
-
-Array = NDArray[np.float64]
 
 _COLORS: Final = {"rl": "#009e73", "mbc-dmp": "#0072b2", "mbc": "#d55e00"}  # of Okabe and Ito, as in a comparison
 _LABELS: Final = {

@@ -7,12 +7,11 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
 from fastmimic.render.style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, STANCE, new_figure, save, tidy
 
 __all__ = ["convergence_figure", "save", "tracking_figure"]
-
-Array = NDArray[np.float64]
 
 
 def convergence_figure(

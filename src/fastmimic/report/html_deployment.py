@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINTS_PER_LEG
 from fastmimic.base.errors import ConfigError, DeploymentError
 from fastmimic.deploy.account import account_rows
@@ -16,8 +17,6 @@ from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.pilot import Phase
 from fastmimic.report.html_parts import Figure, Key, Page, Panel, numbers, pairs
 from fastmimic.report.html_traces import LIMIT, curve, greatest, layout_of, level
-
-Array = NDArray[np.float64]
 
 ROBOT: Final = Key("the robot", "var(--after)")
 BINS: Final = 60

@@ -3,8 +3,8 @@
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY, JOINTS_PER_LEG, LEGS
 from fastmimic.episode.rollout import Log
 from fastmimic.report.html_parts import Figure, Key, Panel, numbers
@@ -27,9 +27,6 @@ from fastmimic.report.html_traces import (
     whole_episode,
 )
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
-
-Array = NDArray[np.float64]
-
 
 LOADED: Final = 0.05
 """Share of the robot's weight above which a foot counts as loaded in the plot of friction."""

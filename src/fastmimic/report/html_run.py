@@ -7,11 +7,11 @@ checked against the rewards in `metrics.json`.
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.control.config import (
     ControllerConfig,
@@ -25,12 +25,7 @@ from fastmimic.control.config import (
 from fastmimic.episode.rollout import Rollout, run_episodes
 from fastmimic.motion.motion import Motion
 from fastmimic.report.run_folder import CONFIG, METRICS, MOTION, VIDEO, RunFolder
-from fastmimic.robot import load_robot
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
+from fastmimic.robot import Robot, load_robot
 
 _PARTS: Final = {"gait": GaitConfig, "stance": StanceConfig, "horizon": HorizonConfig, "swing": SwingConfig}
 _OPTIONAL: Final = {"load": LoadConfig, "recovery": RecoveryConfig}
@@ -60,7 +55,7 @@ class Episodes:
         differences: sentences about rewards that are not those of `metrics.json`; empty if all are.
     """
 
-    robot: "Robot"
+    robot: Robot
     motion: Motion
     config: ControllerConfig
     before: Rollout

@@ -7,12 +7,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.episode.rollout import Log, Rollout
 from fastmimic.report.html_parts import Key, numbers
 from fastmimic.report.html_run import Episodes
-
-Array = NDArray[np.float64]
-
 
 BEFORE: Final = Key("before: as retargeted", "var(--before)", "2px,5px")
 AFTER: Final = Key("after: optimised", "var(--after)", "solid")

@@ -1,24 +1,19 @@
 """The picture of one motion: its gait diagram, its trunk, and its joints against their limits."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.rotations import matrix_from_quat
+from fastmimic.motion.motion import Motion
 from fastmimic.render.style import AFTER, BEFORE, INK, LEG_LINES, LIMIT, MUTED, new_figure, tidy
-
-if TYPE_CHECKING:
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
+from fastmimic.robot import Robot
 
 
-def motion_figure(motion: "Motion", robot: "Robot", title: str | None = None) -> Figure:
+def motion_figure(motion: Motion, robot: Robot, title: str | None = None) -> Figure:
     """What a motion asks of the robot, over its samples (one cycle if it is periodic).
 
     Args:
@@ -53,7 +48,7 @@ def motion_figure(motion: "Motion", robot: "Robot", title: str | None = None) ->
     return figure
 
 
-def _heading(motion: "Motion", robot: "Robot") -> str:
+def _heading(motion: Motion, robot: Robot) -> str:
     text = f"{motion.name} on {robot.name}: {motion.period_s:.2f} s at {motion.rate_hz:g} Hz"
     if motion.cycle is None:
         return f"{text}, not periodic"

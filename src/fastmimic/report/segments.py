@@ -7,11 +7,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fastmimic.base.conventions import LEGS
+from fastmimic.clips.clip import Clip
 from fastmimic.clips.segment import DISCRETE, STAND, TURN
 from fastmimic.render.style import INK, LEG_LINES, MUTED, STANCE, new_figure, tidy
 
 if TYPE_CHECKING:
-    from fastmimic.clips.clip import Clip
     from fastmimic.clips.segment import Segment
 
 _GAIT_COLORS: Final = {
@@ -27,7 +27,7 @@ _GAIT_COLORS: Final = {
 }
 
 
-def segments_figure(clip: "Clip", segments: "list[Segment]", title: str) -> Figure:
+def segments_figure(clip: Clip, segments: "list[Segment]", title: str) -> Figure:
     """A take over time: its segments by name, the toes' fore-aft paths, and the trunk's speed and heading.
 
     Args:

@@ -20,14 +20,12 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.retarget.dynamics import Demand, push_directions
 from fastmimic.retarget.spline import TrunkSpline
 from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.retarget.signal import closing_error, extrapolate_next, resample_open, resample_periodic
 from fastmimic.retarget.source import Source
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int_]
 
 

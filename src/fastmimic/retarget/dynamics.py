@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import (
     quat_from_yaw,
     quat_rotate,
@@ -17,8 +18,6 @@ from fastmimic.motion.motion import Motion
 from fastmimic.retarget.measure import feet_in_world
 from fastmimic.retarget.signal import differentiate, pad_open
 from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 _PYRAMID: Final = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
 

@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.motion.contacts import Stance, Stances, swings_of
 from fastmimic.retarget.cycle import Track, WorldPath
-
-Array = NDArray[np.float64]
 
 _DEGREE = 3
 _AT_REST = 3

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.motion.contacts import Stances, duty_factors
 from fastmimic.retarget import measure
@@ -15,8 +15,6 @@ from fastmimic.retarget.gait import GaitChanges
 from fastmimic.retarget.report import RetargetReport, with_bounds
 from fastmimic.retarget.source import Source
 from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.motion.contacts import Stances, contact_mask
 from fastmimic.motion.motion import Motion
@@ -18,8 +18,6 @@ from fastmimic.retarget.pose import Pose, folding_rise, joint_velocity, root_vel
 from fastmimic.retarget.reach import Reach, footholds
 from fastmimic.retarget.spline import InnerSpline, TrunkSpline
 from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 _EVENNESS: Final = (0.1, 0.4, 1.6, 6.4)
 """Of the swings of a leg whose joints are too fast, tried one after the other."""

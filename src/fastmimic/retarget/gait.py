@@ -4,11 +4,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.motion.contacts import Stance, Stances, contact_mask, stances_of, swings_of
-
-Array = NDArray[np.float64]
 
 PAIRINGS: Final = {"diagonal": ((0, 3), (1, 2)), "lateral": ((0, 2), (1, 3)), "transverse": ((0, 1), (2, 3))}
 """Legs that move together in a trot, a pace and a bound, as indices into FR, FL, RR, RL."""

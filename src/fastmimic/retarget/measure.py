@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import (
     quat_conjugate,
     quat_from_rotvec,
@@ -19,8 +20,6 @@ from fastmimic.motion.motion import Motion
 from fastmimic.retarget.cycle import Track, WorldPath
 from fastmimic.retarget.signal import closing_error
 from fastmimic.retarget.source import Source
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import (
     quat_conjugate,
     quat_continuous,
@@ -19,8 +20,6 @@ from fastmimic.retarget.cycle import Track
 from fastmimic.retarget.signal import differentiate, pad_open
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
-
-Array = NDArray[np.float64]
 
 _STEP_M: Final = 0.005
 _RISE_S: Final = 0.1

@@ -10,15 +10,13 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.retarget.config import RetargetConfig
 from fastmimic.retarget.reach import Reach
 from fastmimic.retarget.report import MIN_CLEARANCE_SHARE
 from fastmimic.retarget.source import Source
 from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 _TALL_M: Final = 0.03
 """Frames that are so much lower than the tallest have 1/e of its weight."""

@@ -5,13 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEFT
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.motion.contacts import Stances, contact_mask
 from fastmimic.retarget.cycle import Track, WorldPath
 from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 _STEP = 5
 """Samples between the instants at which reach is checked."""

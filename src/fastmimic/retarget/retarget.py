@@ -16,8 +16,8 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.base.rotations import quat_rotate_inverse, rotate_planar
 from fastmimic.clips.clip import Clip
@@ -36,7 +36,6 @@ from fastmimic.robot import Robot
 
 __all__ = ["RetargetConfig", "RetargetReport", "choose_scale", "retarget"]
 
-Array = NDArray[np.float64]
 
 DOG_SCALE: Final = 0.825
 """The A1's size over the dog's (Peng et al. 2020)."""

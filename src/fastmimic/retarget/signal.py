@@ -6,9 +6,8 @@ half of an odd periodic signal (a sine series): value and slope are kept at both
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fastmimic.base.arrays import Array
 
 _FILTER_ORDER = 4
 

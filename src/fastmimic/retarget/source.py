@@ -3,12 +3,10 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import matrix_from_quat, rotate_planar
 from fastmimic.clips.clip import Clip
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

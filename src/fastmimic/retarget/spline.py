@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fastmimic.base.arrays import Array
 
 _AT_REST: Final = 3
 """Coefficients of a cubic B-spline that fix position, velocity and acceleration at an end."""

@@ -10,7 +10,7 @@ from fastmimic.robot.robot import Robot
 ROBOT_NAMES: Final = ("a1", "go1", "go2")
 
 
-def load_robot(robot: "str | Path | Robot") -> Robot:
+def load_robot(robot: str | Path | Robot) -> Robot:
     """Returns a built-in robot by name, or reads the user's own MJCF.
 
     Args:

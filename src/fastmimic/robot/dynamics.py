@@ -7,14 +7,12 @@ in the body frame, so that no transforms between link frames are needed.
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined, kernel
 
 if TYPE_CHECKING:
     from fastmimic.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @inlined

@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined, kernel
 
 if TYPE_CHECKING:
     from fastmimic.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 class LegGeometry(NamedTuple):

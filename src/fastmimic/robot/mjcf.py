@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.errors import RobotError
 from fastmimic.robot.robot import Robot
@@ -20,8 +20,6 @@ DEFAULT_JOINT_SPEED_LIMIT: Final = 21.0
 
 _AXES: Final = {"abduction": (1.0, 0.0, 0.0), "hip": (0.0, 1.0, 0.0), "knee": (0.0, 1.0, 0.0)}
 _AXIS_TOLERANCE: Final = 1e-6
-
-Array = NDArray[np.float64]
 
 
 def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:

@@ -6,14 +6,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fastmimic.base.arrays import Array
 
 if TYPE_CHECKING:
     import mujoco
 
     from fastmimic.robot.kinematics import LegGeometry
 
-Array = NDArray[np.float64]
 
 _NOWHERE: Final = re.compile(r' (pos="0 0 0"|quat="1 0 0 0")')
 _ROUNDED_ZERO: Final = re.compile(r"-?\d(\.\d+)?e-(1[2-9]|[2-9]\d)\b|(?<![\d.])-0(?![\d.])")

@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, did_you_mean
-
-Array = NDArray[np.float64]
 
 PUSH_TIME_S: Final = 2.0
 """After the start of an episode, if nothing is said: a push hits a robot that has settled into its gait."""

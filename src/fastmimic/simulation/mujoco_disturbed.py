@@ -1,14 +1,16 @@
 """MuJoCo with a robot or a ground that is not as expected: the disturbances of `fastmimic.simulation.disturbances`."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.rotations import matrix_from_quat, rotate_planar, yaw_from_quat
+from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.disturbances import (
     PAYLOAD_HEIGHT_M,
@@ -20,18 +22,13 @@ from fastmimic.simulation.disturbances import (
 from fastmimic.simulation.mujoco_sim import DEFAULT_PHYSICS_RATE_HZ, FLOOR, HeightField, MujocoSimulation, actuate
 from fastmimic.simulation.terrain import HALF_SIDE_M, rough_ground, turns
 
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
-
 
 class DisturbedMujocoSimulation(MujocoSimulation):
     """A batch of robots that differ from each other and from the model that their controllers know."""
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         n: int,
         disturbances: Sequence[Disturbance],
         *,

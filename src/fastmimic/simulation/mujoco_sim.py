@@ -4,22 +4,19 @@ The motor law τ + k_p (q* − q) + k_d (q̇* − q̇), clipped to the torque li
 joint has an affine actuator whose bias holds the gains, per robot and per step.
 """
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY, LEGS
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import kernel
+from fastmimic.robot import Robot
 from fastmimic.robot.state import OBSERVATION
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 FLOOR: Final = "fastmimic_floor"
 DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
@@ -39,7 +36,7 @@ class HeightField(NamedTuple):
 
 
 def build_model(
-    robot: "Robot", physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ, ground: HeightField | None = None
+    robot: Robot, physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ, ground: HeightField | None = None
 ) -> mujoco.MjModel:
     """The robot on a floor, with motors that take stiffness and damping, and sensors for the ground's force on each
     foot.
@@ -110,7 +107,7 @@ def build_model(
     return model
 
 
-def _before_feet(model: mujoco.MjModel, robot: "Robot") -> list[int]:
+def _before_feet(model: mujoco.MjModel, robot: Robot) -> list[int]:
     """Geoms on the feet's links that are as low as the foot, but for a share of its radius, in postures in which it
     stands on a level floor."""
     data, points, floor = mujoco.MjData(model), np.zeros(6), model.geom(FLOOR).id
@@ -196,7 +193,7 @@ class MujocoSimulation:
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         n: int,
         *,
         control_rate_hz: float = 500.0,

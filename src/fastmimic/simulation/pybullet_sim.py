@@ -13,23 +13,20 @@ import weakref
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY, LEGS
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate, yaw_from_quat
+from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import OBSERVATION
 from fastmimic.simulation.disturbances import PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M, Disturbance, driving_limit, make_world
 from fastmimic.simulation.terrain import CELL_M, rough_ground, turns
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
 
@@ -58,7 +55,7 @@ class PybulletSimulation:
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         n: int,
         *,
         disturbances: Sequence[Disturbance] = (),
@@ -295,7 +292,7 @@ class _Body:
         return np.array([link[4] for link in links])
 
 
-def _description(robot: "Robot") -> str:
+def _description(robot: Robot) -> str:
     """The robot's URDF without what only decorates."""
     import pybullet_data
 
@@ -334,7 +331,7 @@ def _changed(description: str, payload: float, com_x: float, com_y: float) -> st
     return ElementTree.tostring(tree, encoding="unicode")
 
 
-def _check_fit(body: _Body, robot: "Robot") -> None:
+def _check_fit(body: _Body, robot: Robot) -> None:
     """Refuses a robot of the same name with other legs."""
     rng = np.random.default_rng(0)
     for _ in range(3):

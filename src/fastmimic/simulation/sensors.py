@@ -4,23 +4,20 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix, transposed_times
 from fastmimic.estimation.estimator import turn_by
 from fastmimic.estimation.reading import READING
+from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 _BLOCK: Final = 128  # control steps for which noise is drawn at once
 _A1_GEAR: Final = 9.1
@@ -152,7 +149,7 @@ _CONFIG: Final = record_dtype(
 )
 
 
-def _pack(config: SensorConfig, robot: "Robot", rate_hz: float) -> NDArray[Any]:
+def _pack(config: SensorConfig, robot: Robot, rate_hz: float) -> NDArray[Any]:
     record = np.zeros(1, _CONFIG)
     for name in _CONFIG.names or ():
         if hasattr(config, name):
@@ -294,7 +291,7 @@ class Sensors:
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         n: int,
         rate_hz: float,
         config: SensorConfig | None = None,

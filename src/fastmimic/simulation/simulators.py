@@ -1,17 +1,13 @@
 """Which simulator episodes run in, behind one small interface."""
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
-import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
+from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 class Simulation(Protocol):
@@ -35,7 +31,7 @@ class Simulation(Protocol):
         """Applies commands (n,) of `COMMAND` for one control step and returns the new observation."""
 
 
-def check_simulator(robot: "Robot", simulator: str) -> None:
+def check_simulator(robot: Robot, simulator: str) -> None:
     """Makes sure that the simulator is there and knows the robot; for before long work.
 
     Raises:
@@ -48,7 +44,7 @@ def check_simulator(robot: "Robot", simulator: str) -> None:
 
 
 def make_simulation(
-    robot: "Robot", n: int, conditions: Conditions, *, control_rate_hz: float, threads: int = 1
+    robot: Robot, n: int, conditions: Conditions, *, control_rate_hz: float, threads: int = 1
 ) -> Simulation:
     """n robots in the simulator of the conditions, disturbed as they say.
 

@@ -3,11 +3,9 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.simulation.conditions import episode_generator
-
-Array = NDArray[np.float64]
 
 CELL_M: Final = 0.15
 CELLS: Final = 400

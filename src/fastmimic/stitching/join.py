@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_continuous, quat_rotate, rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
@@ -26,8 +27,6 @@ from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout, Segment, Span
 from fastmimic.stitching.switch import Cycle, Switch, best_switch
 from fastmimic.stitching.transition import make_transition
-
-Array = NDArray[np.float64]
 
 SEGMENT_S: Final = 3.0
 """Length of a segment if nothing is said, to whole cycles."""

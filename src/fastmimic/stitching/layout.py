@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
 from fastmimic.motion.motion import Motion
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

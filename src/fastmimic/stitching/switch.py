@@ -14,13 +14,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.motion.contacts import Stance, stances_of
 from fastmimic.motion.motion import Motion
 from fastmimic.retarget.reach import Reach
 from fastmimic.stitching.layout import Span
-
-Array = NDArray[np.float64]
 
 SEARCH_S: Final = 0.6
 """How far from whole cycles a switch may be, either way; half a cycle at most."""

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import quat_continuous
@@ -24,8 +25,6 @@ from fastmimic.retarget.spline import InnerSpline
 from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout, Span
 from fastmimic.stitching.switch import Cycle
-
-Array = NDArray[np.float64]
 
 _PAD: Final = 4
 """Samples beyond the rebuilt ones that derivatives are taken over."""

@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.clips.skeleton import KEYPOINTS
 from fastmimic.render import animal
@@ -12,7 +12,6 @@ from fastmimic.render import animal
 if TYPE_CHECKING:
     from fastmimic.viewer.take import Take
 
-Array = NDArray[np.float64]
 
 BONES: Final = KEYPOINTS.bones
 """Pairs of keypoints that are drawn as a line: trunk, girdles, and a straight line for each leg."""

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import quat_rotate
 from fastmimic.render.scene import GHOST_GROUP, build_stage
+from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     import mujoco
 
-    from fastmimic.robot import Robot
 
-Array = NDArray[np.float64]
 Rgb = tuple[int, int, int]
 
 _SLICES: Final = 20
@@ -71,7 +71,7 @@ class Puppet:
         ghost_bodies: the ghost's, likewise.
     """
 
-    def __init__(self, robot: "Robot") -> None:
+    def __init__(self, robot: Robot) -> None:
         import mujoco
 
         stage = build_stage(robot, ghost=True, width=64, height=64, floor=np.zeros((2, 2)))

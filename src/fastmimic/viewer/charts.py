@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
 from fastmimic.episode.reward import WEIGHTS
 from fastmimic.render.style import INK, LEG_LINES, MUTED
@@ -15,7 +16,6 @@ from fastmimic.viewer.take import term_names
 if TYPE_CHECKING:
     from fastmimic.viewer.take import Take
 
-Array = NDArray[np.float64]
 
 PLOT_POINTS: Final = 300
 _TERM_LINES: Final[tuple[tuple[str, list[int]], ...]] = (  # colour and dashes; Okabe and Ito's, as in the figures

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.viewer.bodies import revolved
 
 if TYPE_CHECKING:
     from fastmimic.viewer.take import Take
 
-Array = NDArray[np.float64]
 Mesh = tuple[Array, NDArray[np.int64]]
 
 TRAIL_S: Final = 1.0

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
+from fastmimic.robot import Robot
 from fastmimic.viewer.scene import LAYERS, line_up
 from fastmimic.viewer.server import FRAMES_PER_S, aim_at_first, default_camera, start_server, stop_server
 
 if TYPE_CHECKING:
-    from fastmimic.robot import Robot
     from fastmimic.viewer.take import Take
 
 SHOWN: Final = ("ghost", "contacts", "paths")
@@ -15,7 +15,7 @@ SHOWN: Final = ("ghost", "contacts", "paths")
 LONGEST_S: Final = 10.0
 
 
-def recorded_page(robot: "Robot", takes: Sequence["Take"], names: Sequence[str], longest_s: float = LONGEST_S) -> str:
+def recorded_page(robot: Robot, takes: Sequence["Take"], names: Sequence[str], longest_s: float = LONGEST_S) -> str:
     """The page: robots beside each other that do what they did, again and again.
 
     A server is started on loopback for as long as the recording takes, as viser's scenes belong to one.

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
 from fastmimic.render.scene import ghost_rgba
 from fastmimic.render.style import LEG_LINES
+from fastmimic.robot import Robot
 from fastmimic.viewer.animal import bone_segments
 from fastmimic.viewer.bodies import Puppet
 from fastmimic.viewer.marks import (
@@ -27,12 +29,10 @@ from fastmimic.viewer.marks import (
 if TYPE_CHECKING:
     import viser
 
-    from fastmimic.robot import Robot
     from fastmimic.viewer.animal import Animal
     from fastmimic.viewer.bodies import Body, Placed
     from fastmimic.viewer.take import Take
 
-Array = NDArray[np.float64]
 
 LAYERS: Final = {
     "ghost": "ghost (demonstration)",
@@ -54,19 +54,19 @@ _GHOST_RGB: Final = np.array([round(255 * c) for c in ghost_rgba()[:3]], dtype=n
 _ANIMAL_RGB: Final = (140, 84, 20)
 
 
-def gap(robot: "Robot") -> float:
+def gap(robot: Robot) -> float:
     """Between robots beside each other, m."""
     return 2.4 * robot.leg_length
 
 
-def animal_aside(robot: "Robot") -> float:
+def animal_aside(robot: Robot) -> float:
     """Where the animal stands, to the left of its robot, m."""
     return -0.7 * gap(robot)
 
 
 def line_up(
     server: "viser.ViserServer",
-    robot: "Robot",
+    robot: Robot,
     takes: "Sequence[Take]",
     animal: "Animal | None" = None,
     names: Sequence[str] | None = None,
@@ -121,8 +121,8 @@ class RobotScene:
         self,
         server: "viser.ViserServer",
         name: str,
-        robot: "Robot",
-        puppet: "Puppet",
+        robot: Robot,
+        puppet: Puppet,
         take: "Take",
         aside: float,
         ground: tuple[float, float],

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fastmimic.base.errors import ConfigError
+from fastmimic.robot import Robot
 from fastmimic.viewer.clock import Clock
 from fastmimic.viewer.panel import Panel
 from fastmimic.viewer.scene import animal_aside, line_up
@@ -21,7 +22,6 @@ from fastmimic.viewer.scene import animal_aside, line_up
 if TYPE_CHECKING:
     import viser
 
-    from fastmimic.robot import Robot
     from fastmimic.viewer.animal import Animal
     from fastmimic.viewer.take import Take
 
@@ -99,7 +99,7 @@ class Camera:
     look_at: tuple[float, float, float]
 
 
-def default_camera(robot: "Robot", beside: Sequence[float], yaw: float, aspect: float = 1.6) -> Camera:
+def default_camera(robot: Robot, beside: Sequence[float], yaw: float, aspect: float = 1.6) -> Camera:
     """From the robot's front right, high enough to see the ground under its feet, with all that is beside each other in
     the picture.
 
@@ -142,7 +142,7 @@ class Cameras:
         robot, beside, yaw: as for `default_camera`.
     """
 
-    def __init__(self, server: "viser.ViserServer", robot: "Robot", beside: Sequence[float], yaw: float) -> None:
+    def __init__(self, server: "viser.ViserServer", robot: Robot, beside: Sequence[float], yaw: float) -> None:
         self._server, self._robot, self._beside, self._yaw = server, robot, tuple(beside), yaw
         aim_at_first(server, default_camera(robot, beside, yaw))
         server.on_client_connect(self._welcome)
@@ -189,7 +189,7 @@ class Viewer:
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         shown: Sequence[Sequence["Take"]],
         heading: str,
         port: int = DEFAULT_PORT,

@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
 from fastmimic.episode.reward import TERMS
+from fastmimic.motion.motion import Motion
 from fastmimic.render.tracks import motion_track, rollout_track
+from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 
 if TYPE_CHECKING:
     from fastmimic.control.config import ControllerConfig
     from fastmimic.episode.rollout import Rollout
-    from fastmimic.motion.motion import Motion
     from fastmimic.render.playback import Track
-    from fastmimic.robot import Robot
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
@@ -96,8 +96,8 @@ class Take:
 
 def rollout_take(
     rollout: "Rollout",
-    motion: "Motion",
-    robot: "Robot",
+    motion: Motion,
+    robot: Robot,
     config: "ControllerConfig",
     title: str = "",
     episode: int = 0,
@@ -147,7 +147,7 @@ def rollout_take(
     )
 
 
-def motion_take(motion: "Motion", robot: "Robot", duration_s: float, title: str = "") -> Take:
+def motion_take(motion: Motion, robot: Robot, duration_s: float, title: str = "") -> Take:
     """A motion as it is written, without physics, with its demonstration as the reference if it has one.
 
     Args:
@@ -184,7 +184,7 @@ def motion_take(motion: "Motion", robot: "Robot", duration_s: float, title: str 
     )
 
 
-def demonstration_samples(demonstration: "Motion", joint_pos: Array) -> NDArray[np.int64]:
+def demonstration_samples(demonstration: Motion, joint_pos: Array) -> NDArray[np.int64]:
     """Samples (t,) of a demonstration that an episode went through, found by the joints (t, 12) of its first row; of
     repeated cycles the first one is taken."""
     found = np.flatnonzero((demonstration.joint_pos == joint_pos[0]).all(axis=1))
@@ -193,7 +193,7 @@ def demonstration_samples(demonstration: "Motion", joint_pos: Array) -> NDArray[
     return samples % n if demonstration.cycle is not None else np.minimum(samples, n - 1)
 
 
-def cycle_rows(demonstration: "Motion", samples: NDArray[np.int64]) -> NDArray[np.int64]:
+def cycle_rows(demonstration: Motion, samples: NDArray[np.int64]) -> NDArray[np.int64]:
     """Rows (k,) at which a cycle starts, the first one 0, from the sample (t,) of each row."""
     begins = np.isin(samples, demonstration.cycle_starts) & (np.diff(samples, prepend=-1) != 0)
     return np.unique(np.concatenate([[0], np.flatnonzero(begins)])).astype(np.int64)
@@ -206,7 +206,7 @@ def held(pose: Array) -> Array:
     return pose[last]
 
 
-def world_feet(robot: "Robot", pose: Array) -> Array:
+def world_feet(robot: Robot, pose: Array) -> Array:
     """Centres of the feet (t, 4, 3) at poses (t, 19), world, m."""
     feet = foot_positions(robot, np.ascontiguousarray(pose[:, 7:]))
     return np.asarray(pose[:, None, :3] + quat_rotate(pose[:, None, 3:7], feet))

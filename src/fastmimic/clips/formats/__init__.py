@@ -6,7 +6,7 @@ To add a format: write its module, then give it a line in `FORMATS`, in `detect_
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip
@@ -14,9 +14,7 @@ from fastmimic.clips.formats import bvh, csv_motion, deepmimic, keypoints, named
 from fastmimic.clips.formats.content import detect_content, read_content
 from fastmimic.clips.formats.points import PointMap, read_point_map
 from fastmimic.clips.formats.table import check_positive, check_rate
-
-if TYPE_CHECKING:
-    from fastmimic.robot.robot import Robot
+from fastmimic.robot.robot import Robot
 
 FORMATS: Final = {
     "keypoints": "dog keypoints, 81 columns of text",
@@ -46,12 +44,12 @@ def detect_format(path: str | Path) -> str:
 def read_clip(
     path: str | Path,
     *,
-    robot: "Robot | None" = None,
+    robot: Robot | None = None,
     fps: float | None = None,
     up: Literal["y", "z"] | str | None = None,
     scale: float | None = None,
     frames: tuple[int, int] | None = None,
-    point_map: "str | Path | PointMap | None" = None,
+    point_map: str | Path | PointMap | None = None,
 ) -> Clip:
     """Reads a clip in any of the text formats. `clip.meta` tells the `format` and what was `assumed`.
 
@@ -79,7 +77,7 @@ def read_clip(
 
 def _read(
     path: str | Path,
-    robot: "Robot | None",
+    robot: Robot | None,
     fps: float | None,
     up: str | None,
     scale: float | None,
@@ -106,7 +104,7 @@ def _read(
 
 
 def _parse(
-    name: str, text: str, robot: "Robot | None", fps: float | None, up: str | None, points: PointMap | None
+    name: str, text: str, robot: Robot | None, fps: float | None, up: str | None, points: PointMap | None
 ) -> Clip:
     if name == "bvh":
         return bvh.parse(text, fps=fps, up=up, point_map=points)

@@ -10,15 +10,13 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.points import PointMap, choose, clip_of
 from fastmimic.clips.formats.table import Row, check_frames, check_rate, is_number, to_array
 from fastmimic.clips.skeleton import Skeleton
-
-Array = NDArray[np.float64]
 
 KEYWORD: Final = "HIERARCHY"
 _CHANNELS: Final = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")

@@ -5,11 +5,11 @@ z, qx, qy, qz, qw and the joints in the order FR, FL, RR, RL, each abduction, hi
 """
 
 import re
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINT_NAMES, LEGS
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.rotations import quat_rotate
@@ -17,9 +17,7 @@ from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.quaternions import unit_wxyz_from_xyzw
 from fastmimic.clips.formats.robot_points import robot_points
 from fastmimic.clips.formats.table import LARGEST, Table, check_frames, check_rate, read_table, to_array
-
-if TYPE_CHECKING:
-    from fastmimic.robot.robot import Robot
+from fastmimic.robot.robot import Robot
 
 COLUMN_NAMES: Final = (
     *(f"root_{axis}" for axis in "xyz"),
@@ -51,10 +49,8 @@ _TIME_NAMES: Final = ("time", "t", "time_s", "timestamp", "seconds")
 _MAX_ANGLE: Final = 2 * np.pi
 _MIN_UPRIGHT: Final = 0.5
 
-Array = NDArray[np.float64]
 
-
-def parse(text: str, *, robot: "Robot", fps: float | None = None) -> Clip:
+def parse(text: str, *, robot: Robot, fps: float | None = None) -> Clip:
     """Reads the text of a retargeted motion.
 
     Args:

@@ -7,11 +7,11 @@ simulator to 1e-5 m. A file that names another `Robot`, as `fastmimic.motion.exp
 
 import json
 import re
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import FRONT, JOINT_NAMES, LEFT
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.rotations import quat_conjugate, quat_multiply
@@ -19,9 +19,7 @@ from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.quaternions import unit_wxyz_from_xyzw
 from fastmimic.clips.formats.robot_points import robot_points
 from fastmimic.clips.formats.table import LARGEST, check_frames, check_positive, check_rate
-
-if TYPE_CHECKING:
-    from fastmimic.robot.robot import Robot
+from fastmimic.robot.robot import Robot
 
 FRAME_NAMES: Final = (
     *(f"root {axis}" for axis in "xyz"),
@@ -45,10 +43,8 @@ _MODEL_TO_BODY_WXYZ: Final = np.array([0.5, 0.5, 0.5, 0.5])
 LEG_LENGTH_M: Final = float(np.hypot(0.1422, 0.20833) + np.hypot(0.022, 0.25))
 """Thigh plus calf in the leg's plane."""
 
-Array = NDArray[np.float64]
 
-
-def parse(text: str, *, robot: "Robot | None" = None, fps: float | None = None) -> Clip:
+def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) -> Clip:
     """Reads the text of a motion file.
 
     Args:
@@ -125,7 +121,7 @@ def _rotate_y(angle: Array, v: Array) -> Array:
     return np.stack([c * v[..., 0] + s * v[..., 2], v[..., 1], -s * v[..., 0] + c * v[..., 2]], axis=-1)
 
 
-def _named(name: Any, robot: "Robot | None") -> "Robot":
+def _named(name: Any, robot: Robot | None) -> Robot:
     """The robot whose joints a file says it holds."""
     from fastmimic.robot import ROBOT_NAMES, load_robot
 

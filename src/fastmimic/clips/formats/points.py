@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.clips.clip import POINT_NAMES, Clip
 from fastmimic.clips.skeleton import KEYPOINTS, Skeleton
 
-Array = NDArray[np.float64]
 PointMap = Mapping[str, str]
 
 AI4ANIMATION_DOG: Final[PointMap] = {

@@ -1,11 +1,9 @@
 """The ten keypoints of a robot: what a clip holds when the source is a robot's motion."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import quat_rotate
-
-Array = NDArray[np.float64]
 
 
 def robot_points(root_pos_w: Array, root_quat_wxyz: Array, hip_pos_b: Array, foot_pos_b: Array) -> Array:

@@ -8,7 +8,7 @@ turn. Legs come FR, FL, RR, RL, the quaternion w, x, y, z, angles and signs as i
 import importlib
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,7 @@ from fastmimic.base.errors import DriverError
 from fastmimic.deploy.driver import LowState, Packets, RobotDriver
 from fastmimic.deploy.identity import impossible_joint
 from fastmimic.estimation.reading import READING
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
+from fastmimic.robot import Robot
 
 MODULE: Final = "robot_interface"
 LOW_LEVEL: Final = 0xFF
@@ -45,7 +43,7 @@ class A1Driver(RobotDriver):
         say: is told what happens while it opens.
     """
 
-    def __init__(self, robot: "Robot", *, release: bool = True, say: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(self, robot: Robot, *, release: bool = True, say: Callable[[str], None] = lambda text: None) -> None:
         self._robot = robot
         self._release, self._say = release, say
         self.packets = Packets()

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,8 @@ from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowComma
 from fastmimic.deploy.go2.services import release_motion_service
 from fastmimic.deploy.identity import impossible_joint
 from fastmimic.estimation.reading import READING
+from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
 
 FIRST_STATE_S: Final = 3.0
 """Within which the first state has to come."""
@@ -51,7 +49,7 @@ class Go2Driver(RobotDriver):
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         *,
         domain: int = 0,
         interface: str = LOOPBACK,

@@ -2,21 +2,18 @@
 
 import dataclasses
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.deploy.driver import damping_command
+from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
 from fastmimic.simulation.sensors import SensorConfig, Sensors
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
-
-Array = NDArray[np.float64]
 
 PHYSICS_RATE_HZ: Final = 1000.0
 STATE_RATE_HZ: Final = 500.0
@@ -61,7 +58,7 @@ class MotionService:
         active: whether it has the motors.
     """
 
-    def __init__(self, robot: "Robot", lying: Array, *, active: bool) -> None:
+    def __init__(self, robot: Robot, lying: Array, *, active: bool) -> None:
         self._stand, self._lying = robot.home_joint_pos, lying
         self._from, self._to, self._time = self._stand, self._stand, _MOVE_S
         self._command = np.zeros(1, COMMAND)
@@ -118,7 +115,7 @@ class Body:
 
     def __init__(
         self,
-        robot: "Robot",
+        robot: Robot,
         start: Start = Start.LYING,
         sensors: SensorConfig | None = None,
         seed: int = 0,
@@ -177,7 +174,7 @@ class Body:
         landed = self.observation["other_contact"][0] > 0 and falling > _IMPACT
         self.fell = self.fell or bool(up < _TIPPED or landed)
 
-    def _place(self, robot: "Robot", joints: Array, start: Start) -> None:
+    def _place(self, robot: Robot, joints: Array, start: Start) -> None:
         feet = foot_positions(robot, joints[None])[0]
         height = robot.foot_radius - float(feet[:, 2].mean())
         zero = np.zeros((1, 3))
@@ -194,7 +191,7 @@ class Body:
             self._simulation.step(self.service.command(1.0 / PHYSICS_RATE_HZ) if standing else self._damping)
 
 
-def lying_joints(robot: "Robot") -> Array:
+def lying_joints(robot: Robot) -> Array:
     """(12,) with the legs folded under the body, feet below the hips as in the home pose, rad."""
     feet = foot_positions(robot, robot.home_joint_pos[None])[0]
     feet[:, 2] = robot.hip_pos_b[:, 2] - _FOLDED * robot.leg_length

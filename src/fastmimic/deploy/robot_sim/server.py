@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -17,11 +17,9 @@ from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowComma
 from fastmimic.deploy.robot_sim.body import COMMAND_TIMEOUT_S, MODE, PHYSICS_RATE_HZ, Body, Start
 from fastmimic.deploy.robot_sim.faults import Faults, FaultyLine
 from fastmimic.deploy.robot_sim.truth import TruthLog
+from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.sensors import SensorConfig
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
 
 MOST_BEHIND_S: Final = 0.05
 """What it still catches up with on a busy machine; the rest is lost, and the real-time factor says so."""
@@ -98,7 +96,7 @@ class RobotSim:
         DriverError: see `Participant`; or somebody else publishes states in the domain.
     """
 
-    def __init__(self, robot: "Robot", settings: SimSettings | None = None, log: TruthLog | None = None) -> None:
+    def __init__(self, robot: Robot, settings: SimSettings | None = None, log: TruthLog | None = None) -> None:
         self.settings = settings = settings if settings is not None else SimSettings()
         self.counts = SimCounts()
         self.realtime_factor = 1.0
