@@ -30,7 +30,7 @@ from fastmimic.episode.feasibility import demands, describe_fall, reasons
 from fastmimic.primitive import MotionDmp, RhythmicDmp
 from fastmimic.primitive.coordinates import FEET, phases, to_coordinates
 from fastmimic.primitive.discrete import MAX_S
-from fastmimic.retarget.retarget import retarget
+from fastmimic.retargeting.retarget import retarget
 
 TAKES = ("dog_walk00", "dog_walk03", "dog_walk09", "dog_run00", "dog_turn00")
 TURN = "dog_walk09:2404:2450"

@@ -25,8 +25,8 @@ from fastmimic.base.files import replace_file
 from fastmimic.base.rotations import yaw_from_quat
 from fastmimic.episode.rollout import ClosedLoop, nominal_start, swing_clearance
 from fastmimic.reference.table import planar_turned, reference_table
-from fastmimic.retarget.balance import BalanceConfig
-from fastmimic.retarget.config import RetargetConfig
+from fastmimic.retargeting.balance import BalanceConfig
+from fastmimic.retargeting.config import RetargetConfig
 
 CLAIMED = ("dog:pace", "dog:trot", "dog:right-turn", "anim:side-steps", "trot", "pace", "turn", "side-step")
 REPORTED = (

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from fastmimic.imitation.stitch import Stitching, stitch
     from fastmimic.optimize.randomization import Randomization
     from fastmimic.primitive import MotionDmp
-    from fastmimic.retarget.retarget import retarget
+    from fastmimic.retargeting.retarget import retarget
     from fastmimic.simulation.conditions import Conditions
 
 _WHERE = {
@@ -48,7 +48,7 @@ _WHERE = {
     "load_robot": "fastmimic.robot",
     "motion_names": "fastmimic.clips.catalogue",
     "open_clip": "fastmimic.clips.catalogue",
-    "retarget": "fastmimic.retarget.retarget",
+    "retarget": "fastmimic.retargeting.retarget",
     "Stitching": "fastmimic.imitation.stitch",
     "stitch": "fastmimic.imitation.stitch",
 }

@@ -23,7 +23,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.primitive import MotionDmp
 from fastmimic.render.offscreen import NoRendererError, Offscreen
 from fastmimic.render.playback import Track
-from fastmimic.retarget.retarget import retarget
+from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 
 EVALUATION_KEYS = {

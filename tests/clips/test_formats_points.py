@@ -13,7 +13,7 @@ from fastmimic.clips.clip import POINT_NAMES, Clip
 from fastmimic.clips.formats import detect_format, read_clip
 from fastmimic.clips.formats.points import AI4ANIMATION_DOG
 from fastmimic.clips.segment import find_segments
-from fastmimic.retarget.retarget import retarget
+from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import load_robot
 
 CM = 100.0

@@ -6,7 +6,7 @@ import pytest
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.clips.synthesis import GAITS, RATE_HZ, gait, generate
-from fastmimic.retarget.retarget import retarget
+from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot
 
 

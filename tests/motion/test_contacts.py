@@ -15,7 +15,7 @@ from fastmimic.motion.contacts import (
     stances_of,
     swings_of,
 )
-from fastmimic.retarget.gait import GaitConfig, make_consistent, with_steps
+from fastmimic.retargeting.gait import GaitConfig, make_consistent, with_steps
 
 RATE = 60.0
 N = 36

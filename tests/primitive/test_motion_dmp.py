@@ -11,7 +11,7 @@ from fastmimic.base.rotations import quat_conjugate, quat_multiply, rotvec_from_
 from fastmimic.clips.catalogue import RECORDED, open_clip
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive import FOOT_Z, NAMES, MotionDmp
-from fastmimic.retarget.retarget import retarget
+from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 from primitive.motions import SWING_HEIGHT, cyclic_motion

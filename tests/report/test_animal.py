@@ -12,7 +12,7 @@ from fastmimic.imitation.imitate import load_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.render.animal import animal_track
 from fastmimic.render.tracks import motion_track
-from fastmimic.retarget.retarget import choose_scale
+from fastmimic.retargeting.retarget import choose_scale
 from fastmimic.robot import Robot
 
 

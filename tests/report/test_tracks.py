@@ -8,7 +8,7 @@ from fastmimic.clips.catalogue import open_clip
 from fastmimic.imitation.imitate import evaluate
 from fastmimic.motion.motion import Motion
 from fastmimic.render.tracks import motion_track, realised_feet, rollout_track
-from fastmimic.retarget.retarget import retarget
+from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot
 
 

@@ -13,7 +13,7 @@ from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import RobotError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.export import export_motion
-from fastmimic.retarget.retarget import retarget
+from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import ROBOT_NAMES, load_robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 from robot.mjcf import (

@@ -11,7 +11,7 @@ from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_rotate, quat_rotate_inverse, rotate_planar, yaw_from_quat
 from fastmimic.motion.contacts import stances_of
 from fastmimic.motion.motion import Motion
-from fastmimic.retarget.measure import feet_in_world
+from fastmimic.retargeting.measure import feet_in_world
 from fastmimic.robot import Robot, load_robot
 from fastmimic.stitching.join import default_cycles, stitch_motions
 from fastmimic.stitching.layout import Layout

@@ -7,7 +7,7 @@ import numpy as np
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
-from fastmimic.retarget.retarget import choose_scale
+from fastmimic.retargeting.retarget import choose_scale
 from fastmimic.robot import Robot
 from fastmimic.viewer.animal import BONES, Animal, bone_segments
 from fastmimic.viewer.take import Take

@@ -43,7 +43,7 @@ class Inspect(MotionOptions):
         """The robot, its motion, and lines about the file that it is from."""
         from fastmimic.clips.catalogue import motion_names, open_clip
         from fastmimic.clips.formats import detect_format
-        from fastmimic.retarget.retarget import retarget
+        from fastmimic.retargeting.retarget import retarget
 
         is_file = self.source not in motion_names() and Path(self.source).is_file()
         if is_file and detect_format(self.source) == "npz":

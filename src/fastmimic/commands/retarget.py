@@ -24,7 +24,7 @@ class Retarget(MotionOptions):
         out = check_writable(self.out, ".npz")
         from fastmimic.clips.catalogue import open_clip
         from fastmimic.commands.provenance import assumed, provenance
-        from fastmimic.retarget.retarget import retarget
+        from fastmimic.retargeting.retarget import retarget
 
         overrides = self.overrides()
         robot = self.load_robot(self.clip)

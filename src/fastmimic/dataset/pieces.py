@@ -20,7 +20,7 @@ from fastmimic.clips.segment import DISCRETE, Segment, SegmentConfig, as_one_cyc
 from fastmimic.dataset.sources import Source
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive.discrete import MAX_S
-from fastmimic.retarget.retarget import is_one_cycle
+from fastmimic.retargeting.retarget import is_one_cycle
 
 SOURCES: Final = "sources"
 WHOLE: Final = "whole"

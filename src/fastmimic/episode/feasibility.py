@@ -18,8 +18,8 @@ from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, 
 from fastmimic.episode.reward import MAX_ANGLE, MAX_DISTANCE
 from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
-from fastmimic.retarget.dynamics import ground_demand, push_directions
-from fastmimic.retarget.measure import feet_in_world
+from fastmimic.retargeting.dynamics import ground_demand, push_directions
+from fastmimic.retargeting.measure import feet_in_world
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 from fastmimic.simulation.mujoco_sim import FLOOR, GROUND_FRICTION, build_model

@@ -17,8 +17,8 @@ from fastmimic.imitation.methods import METHODS, RL, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings
 from fastmimic.optimize.problem import Objective
-from fastmimic.retarget.config import RetargetConfig
-from fastmimic.retarget.retarget import retarget
+from fastmimic.retargeting.config import RetargetConfig
+from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
 
 if TYPE_CHECKING:

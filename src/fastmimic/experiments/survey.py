@@ -13,9 +13,9 @@ from fastmimic.clips.data import data_folder
 from fastmimic.clips.formats import read_clip
 from fastmimic.episode.feasibility import Demands, Fall, Reason, demands, describe_fall, reasons
 from fastmimic.imitation.imitate import evaluate
-from fastmimic.retarget.cycle import pose_mismatch
-from fastmimic.retarget.retarget import retarget
-from fastmimic.retarget.source import extract
+from fastmimic.retargeting.cycle import pose_mismatch
+from fastmimic.retargeting.retarget import retarget
+from fastmimic.retargeting.source import extract
 from fastmimic.robot import Robot
 
 EPISODES: Final = 4

@@ -37,7 +37,7 @@ from fastmimic.optimize.problem import Objective
 from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization, randomization
 from fastmimic.optimize.stitched import make_problem
 from fastmimic.primitive.rhythmic import N_BASIS
-from fastmimic.retarget.retarget import retarget
+from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
 from fastmimic.simulation.conditions import Conditions
 

@@ -17,7 +17,7 @@ from fastmimic.reference.course import course_of
 from fastmimic.reference.limits import Limits, limits_of
 from fastmimic.reference.tempo import Tempo, make_tempo
 from fastmimic.reference.transition import Transition, make_transition
-from fastmimic.retarget.retarget import retarget
+from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
 
 _Result = TypeVar("_Result")

@@ -26,7 +26,7 @@ from fastmimic.base.rotations import (
     yaw_from_quat,
 )
 from fastmimic.motion.motion import Motion
-from fastmimic.retarget.dynamics import ground_demand
+from fastmimic.retargeting.dynamics import ground_demand
 from fastmimic.robot import Robot
 
 SAMPLE: Final = record_dtype(

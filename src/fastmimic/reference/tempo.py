@@ -16,13 +16,13 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import course_of
-from fastmimic.retarget.balance import balance
-from fastmimic.retarget.config import RetargetConfig
-from fastmimic.retarget.cycle import Track
-from fastmimic.retarget.dynamics import Demand, ground_demand
-from fastmimic.retarget.measure import feet_in_world
-from fastmimic.retarget.pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
-from fastmimic.retarget.spline import TrunkSpline
+from fastmimic.retargeting.balance import balance
+from fastmimic.retargeting.config import RetargetConfig
+from fastmimic.retargeting.cycle import Track
+from fastmimic.retargeting.dynamics import Demand, ground_demand
+from fastmimic.retargeting.measure import feet_in_world
+from fastmimic.retargeting.pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
+from fastmimic.retargeting.spline import TrunkSpline
 from fastmimic.robot import Robot
 
 _RATES: Final = {

@@ -9,9 +9,9 @@ from fastmimic.clips.skeleton import Skeleton
 from fastmimic.motion.motion import Motion
 from fastmimic.render.playback import AnimalTrack
 from fastmimic.render.tracks import motion_track
-from fastmimic.retarget.config import RetargetConfig
-from fastmimic.retarget.retarget import choose_scale
-from fastmimic.retarget.source import extract
+from fastmimic.retargeting.config import RetargetConfig
+from fastmimic.retargeting.retarget import choose_scale
+from fastmimic.retargeting.source import extract
 from fastmimic.robot import Robot
 
 

@@ -19,10 +19,10 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_continuous, quat_rotate, rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
-from fastmimic.retarget.config import RetargetConfig
-from fastmimic.retarget.cycle import Track
-from fastmimic.retarget.pose import trunk_quaternion
-from fastmimic.retarget.reach import Reach
+from fastmimic.retargeting.config import RetargetConfig
+from fastmimic.retargeting.cycle import Track
+from fastmimic.retargeting.pose import trunk_quaternion
+from fastmimic.retargeting.reach import Reach
 from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout, Segment, Span
 from fastmimic.stitching.switch import Cycle, Switch, best_switch

@@ -18,7 +18,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.motion.contacts import Stance, stances_of
 from fastmimic.motion.motion import Motion
-from fastmimic.retarget.reach import Reach
+from fastmimic.retargeting.reach import Reach
 from fastmimic.stitching.layout import Span
 
 SEARCH_S: Final = 0.6

@@ -13,15 +13,15 @@ from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import quat_continuous
 from fastmimic.motion.contacts import Stance, Stances, stances_of
 from fastmimic.motion.motion import Motion
-from fastmimic.retarget.balance import balance
-from fastmimic.retarget.config import RetargetConfig
-from fastmimic.retarget.cycle import Track
-from fastmimic.retarget.dynamics import Demand, ground_demand
-from fastmimic.retarget.feet import plant_feet
-from fastmimic.retarget.measure import feet_in_world
-from fastmimic.retarget.pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
-from fastmimic.retarget.reach import Reach, footholds
-from fastmimic.retarget.spline import InnerSpline
+from fastmimic.retargeting.balance import balance
+from fastmimic.retargeting.config import RetargetConfig
+from fastmimic.retargeting.cycle import Track
+from fastmimic.retargeting.dynamics import Demand, ground_demand
+from fastmimic.retargeting.feet import plant_feet
+from fastmimic.retargeting.measure import feet_in_world
+from fastmimic.retargeting.pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
+from fastmimic.retargeting.reach import Reach, footholds
+from fastmimic.retargeting.spline import InnerSpline
 from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout, Span
 from fastmimic.stitching.switch import Cycle

@@ -8,12 +8,12 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.motion.contacts import Stances, duty_factors
-from fastmimic.retarget import measure
-from fastmimic.retarget.cycle import Track, cycle_displacement
-from fastmimic.retarget.fit import Fitted
-from fastmimic.retarget.gait import GaitChanges
-from fastmimic.retarget.report import RetargetReport, with_bounds
-from fastmimic.retarget.source import Source
+from fastmimic.retargeting import measure
+from fastmimic.retargeting.cycle import Track, cycle_displacement
+from fastmimic.retargeting.fit import Fitted
+from fastmimic.retargeting.gait import GaitChanges
+from fastmimic.retargeting.report import RetargetReport, with_bounds
+from fastmimic.retargeting.source import Source
 from fastmimic.robot import Robot
 
 

@@ -9,7 +9,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEFT
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.motion.contacts import Stances, contact_mask
-from fastmimic.retarget.cycle import Track, WorldPath
+from fastmimic.retargeting.cycle import Track, WorldPath
 from fastmimic.robot import Robot
 
 _STEP = 5

@@ -5,7 +5,7 @@ import pytest
 
 from fastmimic.clips.synthesis import generate
 from fastmimic.motion.motion import Motion
-from fastmimic.retarget.retarget import RetargetConfig, RetargetReport, retarget
+from fastmimic.retargeting.retarget import RetargetConfig, RetargetReport, retarget
 from fastmimic.robot import Robot
 
 RAW = RetargetConfig(consistent=False)

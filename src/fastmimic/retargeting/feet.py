@@ -7,7 +7,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.motion.contacts import Stance, Stances, swings_of
-from fastmimic.retarget.cycle import Track, WorldPath
+from fastmimic.retargeting.cycle import Track, WorldPath
 
 _DEGREE = 3
 _AT_REST = 3

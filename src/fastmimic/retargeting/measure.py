@@ -17,9 +17,9 @@ from fastmimic.base.rotations import (
 )
 from fastmimic.motion.contacts import Stances, swings_of
 from fastmimic.motion.motion import Motion
-from fastmimic.retarget.cycle import Track, WorldPath
-from fastmimic.retarget.signal import closing_error
-from fastmimic.retarget.source import Source
+from fastmimic.retargeting.cycle import Track, WorldPath
+from fastmimic.retargeting.signal import closing_error
+from fastmimic.retargeting.source import Source
 
 
 @dataclass(frozen=True)

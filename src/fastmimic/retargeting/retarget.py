@@ -23,15 +23,15 @@ from fastmimic.base.rotations import quat_rotate_inverse, rotate_planar
 from fastmimic.clips.clip import Clip
 from fastmimic.motion.contacts import ContactConfig, Stances, detect, foot_activity
 from fastmimic.motion.motion import Motion
-from fastmimic.retarget.config import RetargetConfig
-from fastmimic.retarget.cycle import Track, cycle_displacement, pose_mismatch, track_cycle, track_open
-from fastmimic.retarget.fidelity import Before, make_report
-from fastmimic.retarget.fit import Fitter
-from fastmimic.retarget.gait import GaitChanges, make_consistent, with_steps
-from fastmimic.retarget.posture import levelled, within_folded_legs
-from fastmimic.retarget.reach import Reach, foot_offsets
-from fastmimic.retarget.report import MIN_CLEARANCE_SHARE, RetargetReport
-from fastmimic.retarget.source import Source, extract
+from fastmimic.retargeting.config import RetargetConfig
+from fastmimic.retargeting.cycle import Track, cycle_displacement, pose_mismatch, track_cycle, track_open
+from fastmimic.retargeting.fidelity import Before, make_report
+from fastmimic.retargeting.fit import Fitter
+from fastmimic.retargeting.gait import GaitChanges, make_consistent, with_steps
+from fastmimic.retargeting.posture import levelled, within_folded_legs
+from fastmimic.retargeting.reach import Reach, foot_offsets
+from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE, RetargetReport
+from fastmimic.retargeting.source import Source, extract
 from fastmimic.robot import Robot
 
 __all__ = ["RetargetConfig", "RetargetReport", "choose_scale", "retarget"]

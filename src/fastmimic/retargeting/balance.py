@@ -23,8 +23,8 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.retarget.dynamics import Demand, push_directions
-from fastmimic.retarget.spline import TrunkSpline
+from fastmimic.retargeting.dynamics import Demand, push_directions
+from fastmimic.retargeting.spline import TrunkSpline
 from fastmimic.robot import Robot
 
 

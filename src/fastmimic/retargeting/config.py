@@ -3,9 +3,9 @@
 from dataclasses import dataclass, field
 
 from fastmimic.motion.contacts import ContactConfig
-from fastmimic.retarget.balance import BalanceConfig
-from fastmimic.retarget.feet import SwingConfig
-from fastmimic.retarget.gait import GaitConfig
+from fastmimic.retargeting.balance import BalanceConfig
+from fastmimic.retargeting.feet import SwingConfig
+from fastmimic.retargeting.gait import GaitConfig
 
 
 @dataclass(frozen=True)

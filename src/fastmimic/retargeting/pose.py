@@ -16,8 +16,8 @@ from fastmimic.base.rotations import (
     quat_rotate,
     quat_rotate_inverse,
 )
-from fastmimic.retarget.cycle import Track
-from fastmimic.retarget.signal import differentiate, pad_open
+from fastmimic.retargeting.cycle import Track
+from fastmimic.retargeting.signal import differentiate, pad_open
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 

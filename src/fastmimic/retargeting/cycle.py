@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar
-from fastmimic.retarget.signal import closing_error, extrapolate_next, resample_open, resample_periodic
-from fastmimic.retarget.source import Source
+from fastmimic.retargeting.signal import closing_error, extrapolate_next, resample_open, resample_periodic
+from fastmimic.retargeting.source import Source
 
 Indices = NDArray[np.int_]
 

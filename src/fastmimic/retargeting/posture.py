@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.retarget.config import RetargetConfig
-from fastmimic.retarget.reach import Reach
-from fastmimic.retarget.report import MIN_CLEARANCE_SHARE
-from fastmimic.retarget.source import Source
+from fastmimic.retargeting.config import RetargetConfig
+from fastmimic.retargeting.reach import Reach
+from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE
+from fastmimic.retargeting.source import Source
 from fastmimic.robot import Robot
 
 _TALL_M: Final = 0.03

@@ -11,7 +11,7 @@ from fastmimic.clips.clip import POINT_NAMES, Clip
 from fastmimic.clips.synthesis import GaitSpec, keypoints
 from fastmimic.episode.feasibility import demands
 from fastmimic.motion.motion import Motion
-from fastmimic.retarget.retarget import RetargetReport, retarget
+from fastmimic.retargeting.retarget import RetargetReport, retarget
 from fastmimic.robot import Robot
 
 RATE_HZ, FRAMES = 60.0, 90

@@ -17,12 +17,12 @@ from fastmimic.clips.formats import read_clip
 from fastmimic.clips.formats.robot_points import robot_points
 from fastmimic.clips.synthesis import generate
 from fastmimic.motion.motion import Motion
-from fastmimic.retarget.balance import BalanceConfig
-from fastmimic.retarget.cycle import planar_exp, planar_log
-from fastmimic.retarget.dynamics import ground_demand, push_directions
-from fastmimic.retarget.measure import feet_in_world
-from fastmimic.retarget.retarget import RetargetConfig, RetargetReport, retarget
-from fastmimic.retarget.signal import resample_open, resample_periodic
+from fastmimic.retargeting.balance import BalanceConfig
+from fastmimic.retargeting.cycle import planar_exp, planar_log
+from fastmimic.retargeting.dynamics import ground_demand, push_directions
+from fastmimic.retargeting.measure import feet_in_world
+from fastmimic.retargeting.retarget import RetargetConfig, RetargetReport, retarget
+from fastmimic.retargeting.signal import resample_open, resample_periodic
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
 

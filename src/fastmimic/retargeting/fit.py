@@ -9,14 +9,14 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.motion.contacts import Stances, contact_mask
 from fastmimic.motion.motion import Motion
-from fastmimic.retarget.balance import balance
-from fastmimic.retarget.config import RetargetConfig
-from fastmimic.retarget.cycle import Track
-from fastmimic.retarget.dynamics import Demand, ground_demand
-from fastmimic.retarget.feet import plant_feet
-from fastmimic.retarget.pose import Pose, folding_rise, joint_velocity, root_velocity, solve_pose, unlimited_pose
-from fastmimic.retarget.reach import Reach, footholds
-from fastmimic.retarget.spline import InnerSpline, TrunkSpline
+from fastmimic.retargeting.balance import balance
+from fastmimic.retargeting.config import RetargetConfig
+from fastmimic.retargeting.cycle import Track
+from fastmimic.retargeting.dynamics import Demand, ground_demand
+from fastmimic.retargeting.feet import plant_feet
+from fastmimic.retargeting.pose import Pose, folding_rise, joint_velocity, root_velocity, solve_pose, unlimited_pose
+from fastmimic.retargeting.reach import Reach, footholds
+from fastmimic.retargeting.spline import InnerSpline, TrunkSpline
 from fastmimic.robot import Robot
 
 _EVENNESS: Final = (0.1, 0.4, 1.6, 6.4)

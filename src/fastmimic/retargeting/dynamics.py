@@ -15,8 +15,8 @@ from fastmimic.base.rotations import (
     yaw_from_quat,
 )
 from fastmimic.motion.motion import Motion
-from fastmimic.retarget.measure import feet_in_world
-from fastmimic.retarget.signal import differentiate, pad_open
+from fastmimic.retargeting.measure import feet_in_world
+from fastmimic.retargeting.signal import differentiate, pad_open
 from fastmimic.robot import Robot
 
 _PYRAMID: Final = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
