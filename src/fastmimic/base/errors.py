@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 
 class FastMimicError(Exception):
-    """Base of all errors that a user can cause and mend."""
+    """Base of all errors that a user can cause and correct."""
 
 
 class RobotError(FastMimicError):
@@ -37,7 +37,7 @@ class OutputError(FastMimicError):
 
 
 class LogError(FastMimicError):
-    """The log of a run that cannot be read, or that nothing can be learnt from."""
+    """The log of a run that cannot be read or does not hold enough."""
 
 
 class PolicyError(FastMimicError):
@@ -53,11 +53,11 @@ class DeploymentError(FastMimicError):
 
 
 class WorkerError(FastMimicError):
-    """A job whose process or machine died each time that it was begun."""
+    """A job whose process or machine died at every attempt."""
 
 
 class ClusterError(FastMimicError):
-    """A cluster that jobs cannot be run on any more, whichever they are."""
+    """A cluster that cannot run any job any more."""
 
 
 class LibraryError(FastMimicError):
@@ -68,7 +68,13 @@ class CheckpointError(FastMimicError):
     """A checkpoint that is damaged or belongs to another problem."""
 
 
+def unknown(what: str, name: str, names: Iterable[str]) -> ConfigError:
+    """The error for a name that does not exist; it lists those that do."""
+    names = list(names)
+    return ConfigError(f"unknown {what} '{name}'; there are {', '.join(names)}{did_you_mean(name, names)}")
+
+
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """Returns `; did you mean 'a' or 'b'?` for the closest of `names`, or an empty string."""
+    """`; did you mean 'a' or 'b'?` for the closest of `names`, or an empty string."""
     close = difflib.get_close_matches(name, list(names), n=3, cutoff=0.5)
     return f"; did you mean {' or '.join(repr(c) for c in close)}?" if close else ""

@@ -1,4 +1,4 @@
-"""Writing files so that no half-written one is ever left in place of a whole one, and folders that work goes on in."""
+"""Files that are replaced whole or not at all, and folders of work that can be resumed."""
 
 import json
 import os
@@ -7,14 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from fastmimic.base.errors import ConfigError, OutputError
+from fastmimic.base.errors import ConfigError, FastMimicError, OutputError
+from fastmimic.base.text import plain
 
 
 def replace_file(path: str | Path, write: Callable[[BinaryIO], Any]) -> None:
     """Calls `write` with a temporary file in the same folder, then puts it in the place of `path`.
 
     Raises:
-        OutputError: the folder cannot be created or the file not written; `path` is as it was.
+        OutputError: the folder cannot be created or the file not written; `path` is unchanged.
     """
     path = Path(path)
     try:
@@ -37,6 +38,33 @@ def replace_file(path: str | Path, write: Callable[[BinaryIO], Any]) -> None:
         raise
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Replaces a file by a text; raises `OutputError`."""
+    replace_file(path, lambda file: file.write(text.encode()))
+
+
+def write_json(path: str | Path, value: Any, *, indent: int | None = 2) -> None:
+    """Replaces a file by a value as JSON (`fastmimic.base.text.plain`); raises `OutputError`."""
+    write_text(path, json.dumps(plain(value), indent=indent, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def read_json(path: str | Path, error: type[FastMimicError] = ConfigError) -> dict[str, Any]:
+    """The object that a JSON file holds.
+
+    Raises:
+        FastMimicError: of the given kind: no such file, a file that cannot be read, or one without an object.
+    """
+    try:
+        value = json.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise error(f"{path}: no such file") from None
+    except (OSError, ValueError) as problem:
+        raise error(f"{path}: cannot be read ({problem})") from None
+    if not isinstance(value, dict):
+        raise error(f"{path}: does not hold a JSON object")
+    return value
+
+
 def check_folder(folder: str | Path) -> None:
     """Makes sure that files can be written in a folder, creating it if need be; for before long work.
 
@@ -53,7 +81,7 @@ def check_folder(folder: str | Path) -> None:
 
 
 def remove_file(path: Path) -> None:
-    """Removes a file, if there is one, that is about to be written anew.
+    """Removes a file that is about to be written again, if it exists.
 
     Raises:
         OutputError: it cannot be removed.
@@ -65,10 +93,10 @@ def remove_file(path: Path) -> None:
 
 
 def read_section(path: Path, name: str) -> dict[str, Any] | None:
-    """One object of a JSON file's; None if there is no such file, or none with that object."""
+    """One object of a JSON file; None without such a file or object."""
     try:
-        section = json.loads(path.read_text(encoding="utf-8"))[name]
-    except (OSError, ValueError, KeyError, TypeError):
+        section = read_json(path).get(name)
+    except ConfigError:
         return None
     return section if isinstance(section, dict) else None
 
