@@ -156,9 +156,7 @@ def changed(settings: Any, changes: Mapping[str, Any], where: str) -> Any:
     new: dict[str, Any] = {}
     for name, value in changes.items():
         if name not in present:
-            raise ConfigError(
-                f"{where}: unknown '{name}'; there are {', '.join(present)}{did_you_mean(name, present)}"
-            )
+            raise ConfigError(f"{where}: unknown '{name}'; there are {', '.join(present)}{did_you_mean(name, present)}")
         if not dataclasses.is_dataclass(present[name]):
             new[name] = _like(present[name], value, f"{where}: '{name}'")
         elif isinstance(value, Mapping):
