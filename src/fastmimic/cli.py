@@ -16,6 +16,7 @@ from typing import Final, NamedTuple, NoReturn, Protocol
 
 from fastmimic import __version__
 from fastmimic.base.errors import FastMimicError
+from fastmimic.base.extensions import load_extensions
 from fastmimic.commands.console import EXIT_INTERRUPTED
 
 EXIT_ERROR: Final = 2
@@ -114,6 +115,7 @@ def _dispatch(arguments: list[str]) -> int:
     if first not in VERBS:
         return _fail(_unknown(first))
     _log_to_stderr()
+    load_extensions()
     try:
         return _parse(first, rest).run()
     except _UsageError as error:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
 from fastmimic.base.errors import FastMimicError
+from fastmimic.base.extensions import load_extensions
 
 ATTEMPTS: Final = 4
 """How often a job is begun, in all, whose process or machine dies."""
@@ -58,6 +59,7 @@ class Executor(Protocol):
 def attempt(work: Work, job: Any, report: Report) -> tuple[Any, FastMimicError | None]:
     """A job's result, or what it raised that a user can cause."""
     try:
+        load_extensions()  # a process of its own has not got them yet
         return work(job, report), None
     except FastMimicError as error:
         return None, error
