@@ -17,9 +17,11 @@ from itertools import product
 
 import numpy as np
 
+from fastmimic.play.motions import DEFAULTS, load_motions
 from fastmimic.play.session import LiveSession
-from fastmimic.reference.limits import Limits
-from fastmimic.reference.motion_set import DEFAULTS, IN_PLACE, STAND, Library, load_library_motions
+from fastmimic.reference.modulation_limits import Limits
+from fastmimic.reference.motion_set import IN_PLACE, MotionSet
+from fastmimic.reference.standing import STAND
 from fastmimic.robot import Robot, load_robot
 
 VALUES = {
@@ -34,7 +36,7 @@ WIDE = Limits(turn=(-3.0, 3.0), lift=(0.1, 3.0))
 SECONDS = 8.0
 
 
-def tried(robot: Robot, library: Library, name: str, asked: dict[str, float], impulse: float) -> tuple[bool, float]:
+def tried(robot: Robot, library: MotionSet, name: str, asked: dict[str, float], impulse: float) -> tuple[bool, float]:
     """Whether a motion stands with a modulation, and its mean reward."""
     session = LiveSession(robot, library, start=name)
     session.set_speed(asked["speed"])
@@ -52,7 +54,7 @@ def tried(robot: Robot, library: Library, name: str, asked: dict[str, float], im
     return True, float(np.mean(rewards))
 
 
-def widened(library: Library, speed: float) -> None:
+def widened(library: MotionSet, speed: float) -> None:
     """Lets all motions be modulated further than they may, balanced for a speed."""
     limits = replace(WIDE, speed=(min(speed, 1.0), max(speed, 1.0)))
     library.forget_tempos()
@@ -60,7 +62,7 @@ def widened(library: Library, speed: float) -> None:
         library.entries[name] = replace(entry, limits=limits)
 
 
-def ranges(robot: Robot, library: Library, names: list[str], impulse: float) -> Iterator[str]:
+def ranges(robot: Robot, library: MotionSet, names: list[str], impulse: float) -> Iterator[str]:
     """A line for each motion and quantity: the mean reward at each value, or a fall."""
     for name, (quantity, values) in product(names, VALUES.items()):
         cells = []
@@ -71,7 +73,7 @@ def ranges(robot: Robot, library: Library, names: list[str], impulse: float) -> 
         yield f"{name:14} {quantity:5}  " + "  ".join(cells)
 
 
-def corners(robot: Robot, library: Library, names: list[str], impulse: float) -> Iterator[str]:
+def corners(robot: Robot, library: MotionSet, names: list[str], impulse: float) -> Iterator[str]:
     """All combinations of a motion's limits."""
     for name in names:
         limits = library.entry(name).limits
@@ -83,7 +85,7 @@ def corners(robot: Robot, library: Library, names: list[str], impulse: float) ->
         yield f"{name:14} fell in {fell} of 8, least reward {worst:.2f}; {ends}"
 
 
-def pushes(robot: Robot, library: Library, names: list[str], impulse: float) -> Iterator[str]:
+def pushes(robot: Robot, library: MotionSet, names: list[str], impulse: float) -> Iterator[str]:
     """The motions as they are, pushed by multiples of an impulse."""
     for name in names:
         cells = []
@@ -93,7 +95,7 @@ def pushes(robot: Robot, library: Library, names: list[str], impulse: float) -> 
         yield f"{name:14} N·s  " + "  ".join(cells)
 
 
-def switches(robot: Robot, library: Library, names: list[str], impulse: float) -> Iterator[str]:
+def switches(robot: Robot, library: MotionSet, names: list[str], impulse: float) -> Iterator[str]:
     """From each motion to each other, one after the other."""
     for before, after in product(names, names):
         if before == after:
@@ -121,7 +123,7 @@ def main() -> None:
     parser.add_argument("--pushes", action="store_true", help="the motions themselves, pushed ever harder")
     given = parser.parse_args()
     robot = load_robot(given.robot)
-    library = Library(robot, load_library_motions(given.motions, robot))
+    library = MotionSet(robot, load_motions(given.motions, robot))
     moving = [name for name in library.names if name != STAND]
     what = switches if given.switches else corners if given.corners else pushes if given.pushes else ranges
     for line in what(robot, library, list(library.names) if given.switches else moving, given.impulse):

@@ -7,7 +7,7 @@ from fastmimic.control.config import default_config
 from fastmimic.deploy.itinerary import Itinerary, make_itinerary
 from fastmimic.imitation.imitate import load_motion
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.motion_set import standing
+from fastmimic.reference.standing import standing
 from fastmimic.robot import Robot
 
 

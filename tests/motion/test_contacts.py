@@ -15,7 +15,7 @@ from fastmimic.motion.contacts import (
     stances_of,
     swings_of,
 )
-from fastmimic.retargeting.gait import GaitConfig, make_consistent, with_steps
+from fastmimic.retargeting.contact_schedule import ContactScheduleConfig, make_consistent, with_steps
 
 RATE = 60.0
 N = 36
@@ -82,7 +82,7 @@ def test_stances_and_mask_are_inverse(on: list[bool], periodic: bool) -> None:
 
 
 def consistent(stances: list[list[Stance]], n: int, straight: bool = True, longest_s: float = 10.0):  # type: ignore[no-untyped-def]
-    return make_consistent(stances, n, 100.0, True, straight, longest_s, GaitConfig())
+    return make_consistent(stances, n, 100.0, True, straight, longest_s, ContactScheduleConfig())
 
 
 def test_diagonal_pairs_get_common_times_and_one_duty() -> None:
@@ -136,11 +136,11 @@ def test_a_leg_that_stands_through_a_cycle_that_travels_is_given_a_step() -> Non
     activity = np.zeros((n, 4))
     activity[80:100, 0] = 0.2
     travel = np.array([0.1, 0.1, 0.1, 0.001])
-    stances, added = with_steps([[Stance(0, n)], *others], travel, activity, rate, GaitConfig())
+    stances, added = with_steps([[Stance(0, n)], *others], travel, activity, rate, ContactScheduleConfig())
     assert added == 1
     assert stances[1:] == others
     lift_off, touch_down = swings_of(stances[0], n, True)[0]
-    assert touch_down - lift_off == round(GaitConfig().step_s * rate)
+    assert touch_down - lift_off == round(ContactScheduleConfig().step_s * rate)
     swing = ~contact_mask(stances, n)[:, 0]
     assert not swing[:60].any()  # the others' swings
     assert swing[80:100].all()
@@ -148,4 +148,4 @@ def test_a_leg_that_stands_through_a_cycle_that_travels_is_given_a_step() -> Non
 
 def test_a_leg_that_would_not_slide_keeps_standing() -> None:
     standing = [[Stance(0, 120)] for _ in range(4)]
-    assert with_steps(standing, np.full(4, 0.004), np.ones((120, 4)), 100.0, GaitConfig()) == (standing, 0)
+    assert with_steps(standing, np.full(4, 0.004), np.ones((120, 4)), 100.0, ContactScheduleConfig()) == (standing, 0)

@@ -20,7 +20,8 @@ from fastmimic.cli import main
 from fastmimic.play.history import History
 from fastmimic.play.session import LiveSession
 from fastmimic.play.steering import IDLE, read_steering, steering_script
-from fastmimic.reference.motion_set import IN_PLACE, STAND
+from fastmimic.reference.motion_set import IN_PLACE
+from fastmimic.reference.standing import STAND
 from fastmimic.robot import Robot
 from fastmimic.viewer.server import HOST
 from view.browsing import PATIENCE_S, errors_of, picture, until

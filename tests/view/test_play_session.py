@@ -15,12 +15,14 @@ from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, 
 from fastmimic.episode.rollout import run_episodes
 from fastmimic.imitation.imitate import load_motion
 from fastmimic.motion.motion import Motion
+from fastmimic.play.motions import DEFAULTS, load_motions
 from fastmimic.play.pacing import MOST_BEHIND_S, Pacer
 from fastmimic.play.session import METHODS, RATES, LiveSession
 from fastmimic.primitive import FOOT_Z, MotionDmp
 from fastmimic.reference.course import course_of, since_middle
-from fastmimic.reference.limits import LIFT, SPEED, TURN_ACCELERATION
-from fastmimic.reference.motion_set import DEFAULTS, IN_PLACE, STAND, Library, load_library_motions
+from fastmimic.reference.modulation_limits import LIFT, SPEED, TURN_ACCELERATION
+from fastmimic.reference.motion_set import IN_PLACE, MotionSet
+from fastmimic.reference.standing import STAND
 from fastmimic.reference.stream import MODULATION, Stream, make_place
 from fastmimic.reference.table import SAMPLE, reference_table
 from fastmimic.reference.tempo import make_tempo
@@ -29,9 +31,9 @@ from fastmimic.viewer.take import world_feet
 
 
 @pytest.fixture(scope="module")
-def library(a1: Robot) -> Library:
+def library(a1: Robot) -> MotionSet:
     """All that is played by default; transitions are made as they are needed, once for all tests."""
-    return Library(a1, load_library_motions(DEFAULTS, a1))
+    return MotionSet(a1, load_motions(DEFAULTS, a1))
 
 
 def modulation(speed: float = 1.0, turn: float = 0.0, lift: float = 1.0) -> np.ndarray:
@@ -83,7 +85,7 @@ def test_left_alone_the_stream_is_the_motions_own_table(a1: Robot, trot: Motion)
         stream.advance(course, None, place, modulation(), np.zeros(2))
 
 
-def test_left_alone_the_session_is_the_rollout(a1: Robot, trot: Motion, library: Library) -> None:
+def test_left_alone_the_session_is_the_rollout(a1: Robot, trot: Motion, library: MotionSet) -> None:
     session = LiveSession(a1, library, start="trot")
     rewards = []
     for _ in range(1000):
@@ -126,7 +128,7 @@ def test_since_middle_is_time_in_stance_and_returns_in_swing() -> None:
     assert not since_middle(np.ones(8, dtype=bool), 10.0, periodic=True).any()
 
 
-def test_switching_among_all_defaults_does_not_fall(a1: Robot, library: Library) -> None:
+def test_switching_among_all_defaults_does_not_fall(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library)
     assert session.motion == STAND
     for name in (*DEFAULTS[1:], STAND):
@@ -136,7 +138,7 @@ def test_switching_among_all_defaults_does_not_fall(a1: Robot, library: Library)
         assert session.snapshot().reward > 0.9
 
 
-def test_the_reference_of_a_switch_is_one_that_joints_can_follow(a1: Robot, library: Library) -> None:
+def test_the_reference_of_a_switch_is_one_that_joints_can_follow(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start="trot")
     session.switch("pace")
     before, fastest, states = None, 0.0, set()
@@ -151,7 +153,7 @@ def test_the_reference_of_a_switch_is_one_that_joints_can_follow(a1: Robot, libr
     assert fastest < 1.05  # a seam would show as a jump of the joints
 
 
-def test_speed_is_what_was_asked_for(a1: Robot, library: Library) -> None:
+def test_speed_is_what_was_asked_for(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start="walk")
     session.run(1.0)
     own = mean_velocity(session, 1.6)[0]
@@ -162,7 +164,7 @@ def test_speed_is_what_was_asked_for(a1: Robot, library: Library) -> None:
     assert session.falls == 0
 
 
-def test_turning_is_what_was_asked_for(a1: Robot, library: Library) -> None:
+def test_turning_is_what_was_asked_for(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start="trot")
     for rate in (0.4, -0.4):
         session.set_turn(rate)
@@ -171,7 +173,7 @@ def test_turning_is_what_was_asked_for(a1: Robot, library: Library) -> None:
     assert session.falls == 0
 
 
-def test_swing_height_is_what_was_asked_for(a1: Robot, library: Library) -> None:
+def test_swing_height_is_what_was_asked_for(a1: Robot, library: MotionSet) -> None:
     peaks = []
     for factor in (0.6, 1.5):
         session = LiveSession(a1, library, start="in-place")
@@ -187,7 +189,7 @@ def test_swing_height_is_what_was_asked_for(a1: Robot, library: Library) -> None
     assert peaks[1] / peaks[0] == pytest.approx(1.5 / 0.6, rel=0.25)
 
 
-def test_what_is_asked_for_is_cut_to_the_limits_and_followed_at_a_limited_rate(a1: Robot, library: Library) -> None:
+def test_what_is_asked_for_is_cut_to_the_limits_and_followed_at_a_limited_rate(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start="trot")
     session.set_turn(10.0)
     session.set_lift(10.0)
@@ -203,7 +205,7 @@ def test_what_is_asked_for_is_cut_to_the_limits_and_followed_at_a_limited_rate(a
         session.set_speed(math.nan)
 
 
-def test_a_transition_waits_for_the_motions_own_speed(a1: Robot, library: Library) -> None:
+def test_a_transition_waits_for_the_motions_own_speed(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start="trot")
     session.set_speed(1.1)
     session.run(1.0)
@@ -224,7 +226,7 @@ def test_a_faster_motion_is_balanced_anew(a1: Robot, trot: Motion) -> None:
     np.testing.assert_allclose(between["root_z"], 0.5 * (own["root_z"] + fast["root_z"]))
 
 
-def test_a_push_changes_the_velocity(a1: Robot, library: Library) -> None:
+def test_a_push_changes_the_velocity(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start=IN_PLACE)
     session.run(0.5)
     for direction, axis, sign in ((math.pi / 2, 1, 1), (-math.pi / 2, 1, -1), (0.0, 0, 1), (math.pi, 0, -1)):
@@ -243,7 +245,7 @@ def test_a_push_changes_the_velocity(a1: Robot, library: Library) -> None:
             session.push(wrong)
 
 
-def test_payload_and_friction_reach_the_simulation(a1: Robot, library: Library) -> None:
+def test_payload_and_friction_reach_the_simulation(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library)
     session.run(0.5)
     assert session.snapshot().measured.all()  # each foot carries a quarter of the weight
@@ -267,7 +269,7 @@ def test_payload_and_friction_reach_the_simulation(a1: Robot, library: Library) 
             session.world.set_friction(wrong)
 
 
-def test_it_gets_up_and_goes_on(a1: Robot, library: Library) -> None:
+def test_it_gets_up_and_goes_on(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start="trot")
     session.run(1.0)
     session.fall()
@@ -279,7 +281,7 @@ def test_it_gets_up_and_goes_on(a1: Robot, library: Library) -> None:
     assert session.snapshot().reward > 0.9
 
 
-def test_from_its_back_it_gets_up_in_place_facing_the_same_way(a1: Robot, library: Library) -> None:
+def test_from_its_back_it_gets_up_in_place_facing_the_same_way(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start="turn")
     session.run(1.0)
     session.push(60.0, math.pi / 2)  # no robot stands that
@@ -295,7 +297,7 @@ def test_from_its_back_it_gets_up_in_place_facing_the_same_way(a1: Robot, librar
     assert after[2] == pytest.approx(library.entry(STAND).motion.root_pos_w[0, 2], abs=0.03)
 
 
-def test_the_controller_changes_while_it_runs(a1: Robot, library: Library) -> None:
+def test_the_controller_changes_while_it_runs(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start="trot")
     for method in (*METHODS[1:], METHODS[0]):
         session.set_method(method)
@@ -329,16 +331,16 @@ def test_an_optimised_motion_is_followed_and_scored_against_its_demonstration(a1
     assert session.modulation["speed"] == pytest.approx(0.95)
 
 
-def test_what_cannot_be_played_is_refused(a1: Robot, trot: Motion, library: Library) -> None:
+def test_what_cannot_be_played_is_refused(a1: Robot, trot: Motion, library: MotionSet) -> None:
     session = LiveSession(a1, library)
     with pytest.raises(ConfigError, match="did you mean 'trot'"):
         session.switch("trott")
     with pytest.raises(MotionError, match="does not repeat"):
-        Library(a1, {"once": dataclasses.replace(trot, cycle=None)})
+        MotionSet(a1, {"once": dataclasses.replace(trot, cycle=None)})
     with pytest.raises(MotionError, match="samples a second"):
-        Library(a1, {"trot": trot}, rate_hz=400.0)
+        MotionSet(a1, {"trot": trot}, rate_hz=400.0)
     with pytest.raises(MotionError, match="is for robot 'go1'"):
-        Library(a1, {"trot": dataclasses.replace(trot, meta={**trot.meta, "robot": "go1"})})
+        MotionSet(a1, {"trot": dataclasses.replace(trot, meta={**trot.meta, "robot": "go1"})})
 
 
 class _Dead(Executor):
@@ -349,7 +351,7 @@ class _Dead(Executor):
 
 
 def test_without_the_other_process_this_one_makes_what_is_needed(a1: Robot) -> None:
-    library = Library(a1, {}, executor=_Dead())
+    library = MotionSet(a1, {}, executor=_Dead())
     library.prepare(STAND)
     found = library.next_hop(STAND, IN_PLACE)
     assert found is not None
@@ -358,10 +360,10 @@ def test_without_the_other_process_this_one_makes_what_is_needed(a1: Robot) -> N
 
 
 def test_two_of_one_name_are_told_apart(a1: Robot) -> None:
-    assert tuple(load_library_motions(["trot", "trot", STAND], a1)) == ("trot", "trot (2)", STAND)
+    assert tuple(load_motions(["trot", "trot", STAND], a1)) == ("trot", "trot (2)", STAND)
 
 
-def test_real_time_neither_drifts_nor_catches_up_for_ever(a1: Robot, library: Library) -> None:
+def test_real_time_neither_drifts_nor_catches_up_for_ever(a1: Robot, library: MotionSet) -> None:
     pacer = Pacer(LiveSession(a1, library))
     for _ in range(100):
         pacer.advance(0.0103)

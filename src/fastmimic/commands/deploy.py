@@ -133,7 +133,7 @@ class Deploy(MotionOptions):
         from fastmimic.deploy.drivers import robot_driven
         from fastmimic.imitation.imitate import load_motion
         from fastmimic.imitation.stitch import motion_source
-        from fastmimic.reference.motion_set import standing
+        from fastmimic.reference.standing import standing
         from fastmimic.robot import load_robot
 
         source = STAND if self.motion == STAND else str(motion_source(self.motion))

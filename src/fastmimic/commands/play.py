@@ -40,9 +40,10 @@ class Play:
         from fastmimic.commands.options import DEFAULT_ROBOT, robot_of
         from fastmimic.control.config import controller_config
         from fastmimic.imitation.stitch import motion_source
+        from fastmimic.play.motions import DEFAULTS, load_motions
         from fastmimic.play.page import PlayPage
         from fastmimic.play.session import LiveSession, check_method
-        from fastmimic.reference.motion_set import DEFAULTS, Library, load_library_motions, warm_up
+        from fastmimic.reference.motion_set import MotionSet, warm_up
         from fastmimic.robot import load_robot
 
         check_method(self.method)
@@ -55,8 +56,8 @@ class Play:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_behind_the_scenes) as executor:
             executor.submit(warm_up, name)  # which starts, while this one is busy loading
             with slow_start():
-                motions = load_library_motions(sources, robot)
-                library = Library(robot, motions, executor=executor, source=name)
+                motions = load_motions(sources, robot)
+                library = MotionSet(robot, motions, executor=executor, source=name)
                 session = LiveSession(robot, library, method=self.method, config=config)
             try:
                 with PlayPage(session, f"{robot.name}, live", self.port) as page:

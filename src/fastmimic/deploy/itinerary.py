@@ -19,8 +19,10 @@ from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar
 from fastmimic.control.config import ControllerConfig
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import course_of
-from fastmimic.reference.motion_set import STAND, Library, standing
+from fastmimic.reference.course_transition import CourseTransition
+from fastmimic.reference.motion_set import MotionSet
 from fastmimic.reference.resync import advance_recovering
+from fastmimic.reference.standing import STAND, standing
 from fastmimic.reference.stream import MODULATION, Stream, make_place
 from fastmimic.reference.table import (
     CLOCK,
@@ -31,7 +33,6 @@ from fastmimic.reference.table import (
     reference_table,
     world_root,
 )
-from fastmimic.reference.transition import Transition
 from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout
 
@@ -169,7 +170,7 @@ def make_itinerary(robot: Robot, motion: Motion, config: ControllerConfig) -> It
     if motion.contact.all():
         return _standing(robot, motion, config)
     start, end = f"{motion.name} (start)", f"{motion.name} (end)"
-    library = Library(robot, {start: first.motion, end: last.motion}, config.rate_hz)
+    library = MotionSet(robot, {start: first.motion, end: last.motion}, config.rate_hz)
     ahead = _looked_ahead(config)
     hold = max(1, round(STAND_S * config.rate_hz))
     stand = library.entry(STAND)
@@ -252,9 +253,9 @@ def _looked_ahead(config: ControllerConfig) -> int:
     return math.ceil((config.horizon.steps + 1) * config.horizon.step_s * config.rate_hz) + 2
 
 
-def _way(library: Library, start: str, goal: str) -> list[tuple[str, Transition]]:
+def _way(library: MotionSet, start: str, goal: str) -> list[tuple[str, CourseTransition]]:
     """What one passes through from one motion of the library to another."""
-    hops: list[tuple[str, Transition]] = []
+    hops: list[tuple[str, CourseTransition]] = []
     now = start
     while now != goal:
         hop = library.next_hop(now, goal)
@@ -266,7 +267,7 @@ def _way(library: Library, start: str, goal: str) -> list[tuple[str, Transition]
 
 
 def _stretches(
-    library: Library, start: str, hops: list[tuple[str, Transition]], first: int, hold: int
+    library: MotionSet, start: str, hops: list[tuple[str, CourseTransition]], first: int, hold: int
 ) -> list[_Stretch]:
     """Rows of the motions and transitions on a way, from row `first` of its first motion, there for `hold` at least."""
     found, name, row, least = [], start, first, hold

@@ -15,7 +15,7 @@ from fastmimic.deploy.safety import Guard, NotingGuard, Violation
 from fastmimic.episode.rollout import LoopController, MakeController
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.estimation.estimator import START, Estimator
-from fastmimic.reference.getting_up import along, rising_path, smooth, standing_gains
+from fastmimic.reference.standing import along, rising_path, smooth, standing_gains
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND, OBSERVATION

@@ -10,7 +10,7 @@ from fastmimic.deploy.clock import Clock, VirtualClock
 from fastmimic.deploy.driver import LowState, Packets, RobotDriver, damping_command
 from fastmimic.deploy.link import Link, LinkConfig, Receiver
 from fastmimic.estimation.reading import READING
-from fastmimic.reference.getting_up import rising_path, standing_gains
+from fastmimic.reference.standing import rising_path, standing_gains
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, OBSERVATION
 from fastmimic.simulation.conditions import Conditions, episode_generator

@@ -15,7 +15,7 @@ from fastmimic.episode.feasibility import Demands, Fall, Reason, demands, descri
 from fastmimic.imitation.imitate import evaluate
 from fastmimic.retargeting.cycle import pose_mismatch
 from fastmimic.retargeting.retarget import retarget
-from fastmimic.retargeting.source import extract
+from fastmimic.retargeting.scaled_clip import extract
 from fastmimic.robot import Robot
 
 EPISODES: Final = 4

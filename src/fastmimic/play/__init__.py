@@ -5,7 +5,7 @@
     limits      how far each motion may be modulated
     transition  from one motion to another, by stitching
     library     the motions by name, and their transitions, made in the background
-    recovery    getting up after a fall
+    getting_up  getting up after a fall
     world       pushes, friction, payload
     session     all of it; what a script, a test or a page drives
     pacing      real time

@@ -19,13 +19,14 @@ from fastmimic.control.controller import Controller
 from fastmimic.episode.reward import TALLY, WEIGHTS, score_step
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
+from fastmimic.play.getting_up import GettingUp, GettingUpPhase
 from fastmimic.play.world import World
-from fastmimic.reference.getting_up import Phase, Recovery
-from fastmimic.reference.limits import Limits
-from fastmimic.reference.motion_set import STAND, Entry, Library
+from fastmimic.reference.course_transition import CourseTransition
+from fastmimic.reference.modulation_limits import Limits
+from fastmimic.reference.motion_set import Entry, MotionSet
+from fastmimic.reference.standing import STAND
 from fastmimic.reference.stream import MODULATION, Stream, make_place
 from fastmimic.reference.table import CLOCK, SAMPLE
-from fastmimic.reference.transition import Transition
 from fastmimic.robot import Robot
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
@@ -82,7 +83,7 @@ class LiveSession:
 
     Args:
         robot: the robot.
-        motions: cyclic motions by name, or a `Library` of them.
+        motions: cyclic motions by name, or a `MotionSet` of them.
         start: the motion to begin with; "stand" if None.
         method: the controller, one of `METHODS`.
         config: its parameters, or the name of a set.
@@ -101,7 +102,7 @@ class LiveSession:
     def __init__(
         self,
         robot: Robot,
-        motions: Mapping[str, Motion] | Library,
+        motions: Mapping[str, Motion] | MotionSet,
         *,
         start: str | None = None,
         method: str = "mbc",
@@ -111,7 +112,7 @@ class LiveSession:
         self._given = controller_config(config) if isinstance(config, str) else config
         self.rate_hz = self._given.rate_hz
         self.dt = 1.0 / self.rate_hz
-        self.library = motions if isinstance(motions, Library) else Library(robot, motions, self.rate_hz)
+        self.library = motions if isinstance(motions, MotionSet) else MotionSet(robot, motions, self.rate_hz)
         self.simulation = MujocoSimulation(robot, 1, control_rate_hz=self.rate_hz)
         self.world = World(self.simulation)
         self._stream = Stream(robot, self.rate_hz)
@@ -123,12 +124,12 @@ class LiveSession:
         self._work = np.zeros((2, 3, 3))
         self._truth = np.zeros(1, SAMPLE)
         stand = self.library.entry(STAND).motion
-        self._recovery = Recovery(robot, self.simulation, stand.joint_pos[0], float(stand.root_pos_w[0, 2]), self.dt)
+        self._recovery = GettingUp(robot, self.simulation, stand.joint_pos[0], float(stand.root_pos_w[0, 2]), self.dt)
         self.falls = 0
         self.steps = 0
         self._control_s: deque[float] = deque(maxlen=_TIMINGS)
-        self._transition: Transition | None = None
-        self._armed: tuple[str, Transition] | None = None
+        self._transition: CourseTransition | None = None
+        self._armed: tuple[str, CourseTransition] | None = None
         self.trouble: str | None = None
         """Why the robot does not go where it was asked to; None if it does."""
         self.method = ""
@@ -186,7 +187,7 @@ class LiveSession:
 
     def fall(self) -> None:
         """Lets the robot go limp, as after a fall."""
-        if self._recovery.phase is Phase.DONE:
+        if self._recovery.phase is GettingUpPhase.DONE:
             self._has_fallen()
 
     # what is the case
@@ -209,7 +210,7 @@ class LiveSession:
     @property
     def fallen(self) -> bool:
         """Whether it lies or gets up."""
-        return self._recovery.phase is not Phase.DONE
+        return self._recovery.phase is not GettingUpPhase.DONE
 
     @property
     def state(self) -> str:
@@ -318,7 +319,7 @@ class LiveSession:
             quat_rotate_inverse(tilt, turning)[None],
             row["joint_vel"][None],
         )
-        self._recovery.phase = Phase.DONE
+        self._recovery.phase = GettingUpPhase.DONE
         self._begin_control()
 
     def step(self) -> None:
@@ -477,7 +478,7 @@ class LiveSession:
 
     def _get_up(self) -> None:
         observation = self.simulation.step(self._recovery.step(self.simulation.observation))
-        if self._recovery.phase is not Phase.DONE:
+        if self._recovery.phase is not GettingUpPhase.DONE:
             return
         self._enter(self.library.entry(STAND))
         obs = observation[0]

@@ -45,7 +45,7 @@ _NODE_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18.0
 """Gauss–Legendre on [0, 1]."""
 
 
-class Course(NamedTuple):
+class DiscreteTerms(NamedTuple):
     """A discrete primitive at t samples: y = rest + pull g + a shape.
 
     Attributes:
@@ -159,12 +159,12 @@ class DiscreteDmp:
         x = np.asarray(phase, dtype=np.float64)
         return x[..., None] * product(_basis(x, self.centres), self.weights.T)
 
-    def course(self, n_samples: int) -> Course:
+    def course(self, n_samples: int) -> DiscreteTerms:
         """The primitive at so many samples (at least 2), from its start to its end."""
         spring = _spring(self.alpha, self.duration_s)
         rest, pull = _unforced(self.start, self.start_rate, n_samples, spring)
         weights = self.weights.T * (self.duration_s / self.tau_s) ** 2  # time is in units of T here
-        return Course(rest, pull, _response(weights, self.centres, n_samples, spring, self.decay))
+        return DiscreteTerms(rest, pull, _response(weights, self.centres, n_samples, spring, self.decay))
 
     def position(self, n_samples: int, goal: Array | None = None, amplitude: Array | float = 1.0) -> Array:
         """y (t, d) at so many samples from start to end; `goal` and `amplitude` (d,) modulate it."""

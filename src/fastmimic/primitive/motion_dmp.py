@@ -19,8 +19,8 @@ from fastmimic.primitive.coordinates import (
     to_coordinates,
     twist_of,
 )
-from fastmimic.primitive.discrete import Course, DiscreteDmp
-from fastmimic.primitive.reach import FootTable, foot_table
+from fastmimic.primitive.discrete import DiscreteDmp, DiscreteTerms
+from fastmimic.primitive.foot_table import FootTable, foot_table
 from fastmimic.primitive.rhythmic import N_BASIS, RhythmicDmp
 from fastmimic.primitive.twist import PlanarTwist
 from fastmimic.robot.robot import Robot
@@ -170,13 +170,13 @@ class MotionDmp:
 
     def _course(self, goal: Array, amplitude: Array, dimensions: slice = slice(None)) -> Array:
         """Some of the dimensions (..., t, d) modulated by (..., 1 or t, d)."""
-        if isinstance(self._linear, Course):
+        if isinstance(self._linear, DiscreteTerms):
             rest, pull, shape = self._linear
             return rest[:, dimensions] + pull * goal + amplitude * shape[:, dimensions]
         return goal + amplitude * self._linear[:, dimensions]
 
     @cached_property
-    def _linear(self) -> Array | Course:
+    def _linear(self) -> Array | DiscreteTerms:
         """What the fitted motion's samples are linear in: s (t, 24) of a cycle."""
         if isinstance(self.primitive, DiscreteDmp):
             return self.primitive.course(self.fitted.n_samples)

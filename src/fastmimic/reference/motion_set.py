@@ -1,32 +1,26 @@
 """The motions that can be played, and their transitions, made in the background."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import ConfigError, MotionError, did_you_mean
-from fastmimic.clips.synthesis import GAITS, GaitSpec, keypoints
-from fastmimic.imitation.imitate import load_motion
-from fastmimic.imitation.stitch import motion_source
+from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import course_of
-from fastmimic.reference.limits import Limits, limits_of
+from fastmimic.reference.course_transition import CourseTransition, make_course_transition
+from fastmimic.reference.modulation_limits import Limits, limits_of
+from fastmimic.reference.standing import STAND, standing
 from fastmimic.reference.tempo import Tempo, make_tempo
-from fastmimic.reference.transition import Transition, make_transition
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
 
 _Result = TypeVar("_Result")
 
-STAND: Final = "stand"
 IN_PLACE: Final = "in-place"
-DEFAULTS: Final = (STAND, IN_PLACE, "walk", "trot", "pace", "turn", "side-step", "spin", "backward-trot", "bound")
-"""What is played if nothing is named."""
-_STAND: Final = GaitSpec(about="stand", lift=0.0, bob=0.0, pitch=0.0, yaw=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +46,7 @@ class Entry:
         return bool(self.motion.contact.all())
 
 
-class Library:
+class MotionSet:
     """Motions by name. "stand" and "in-place" are always there: getting up ends in the one, and any motion that does
     not pass into another directly does so by the other.
 
@@ -78,13 +72,13 @@ class Library:
     ) -> None:
         self.robot = robot
         self._executor, self._source = executor, source if source is not None else robot.name
-        self._transitions: dict[tuple[str, str], Future[Transition | None]] = {}
+        self._transitions: dict[tuple[str, str], Future[CourseTransition | None]] = {}
         self._tempos: dict[str, Future[Tempo]] = {}
         self._busy: Future[Any] | None = None
         self.entries: dict[str, Entry] = {}
         always: dict[str, Callable[[], Motion]] = {
             STAND: lambda: standing(robot),
-            IN_PLACE: lambda: load_motion("trot", robot, speed=0.0),
+            IN_PLACE: lambda: in_place(robot),
         }
         for name, make in always.items():
             if name not in motions:
@@ -105,7 +99,7 @@ class Library:
             )
         return self.entries[name]
 
-    def next_hop(self, now: str, goal: str) -> tuple[str, Transition] | None:
+    def next_hop(self, now: str, goal: str) -> tuple[str, CourseTransition] | None:
         """Where to go from a motion on the way to another, and how; None while that is being made.
 
         Raises:
@@ -160,11 +154,11 @@ class Library:
     def _stands(self, name: str) -> bool:
         return self.entry(name).stands
 
-    def _future(self, before: str, after: str) -> Future[Transition | None]:
+    def _future(self, before: str, after: str) -> Future[CourseTransition | None]:
         key = (before, after)
         if key not in self._transitions or _broke(self._transitions[key]):
             a, b = self.entry(before).motion, self.entry(after).motion
-            self._transitions[key] = self._made(_made, make_transition, a, b)
+            self._transitions[key] = self._made(_made, make_course_transition, a, b)
         return self._transitions[key]
 
     def _made(self, there: Callable[..., _Result], here: Callable[..., _Result], *given: Any) -> "Future[_Result]":
@@ -190,54 +184,10 @@ def _entry(name: str, motion: Motion, robot: Robot, rate_hz: float) -> Entry:
     return Entry(name, motion, course, demonstration, limits_of(course, motion.joint_vel, robot))
 
 
-def standing(robot: Robot) -> Motion:
-    """The animal standing still, retargeted like any other motion."""
-    motion, _ = retarget(keypoints(_STAND, {"name": STAND}), robot)
+def in_place(robot: Robot) -> Motion:
+    """The built-in trot without travel."""
+    motion, _ = retarget(open_clip("trot", robot=robot, speed=0.0), robot)
     return motion
-
-
-def load_library_motions(
-    sources: Sequence[str], robot: Robot, progress: Callable[[int, int], None] | None = None
-) -> dict[str, Motion]:
-    """Motions by the names under which they are played.
-
-    Args:
-        sources: names, clips, robot motions (.npz) or folders of runs; "stand" and "in-place" besides.
-        robot: the robot.
-        progress: called with how many are loaded and how many there are.
-
-    Raises:
-        FastMimicError: nothing of that name, or a file that cannot be read.
-    """
-    found: dict[str, Motion] = {}
-    for i, source in enumerate(sources):
-        if source == STAND:
-            name, motion = STAND, standing(robot)
-        elif source == IN_PLACE:
-            name, motion = IN_PLACE, load_motion("trot", robot, speed=0.0)
-        else:
-            motion = load_motion(motion_source(source), robot)
-            name = source if source in GAITS or ":" in source else _short(source, motion)
-        if name in found:
-            name = _distinct(name, found)
-        found[name] = motion
-        if progress is not None:
-            progress(i + 1, len(sources))
-    return found
-
-
-def _short(source: str, motion: Motion) -> str:
-    path = Path(source)
-    if path.is_dir():
-        return path.resolve().name
-    return motion.name if path.stem == "motion" else path.stem
-
-
-def _distinct(name: str, taken: Mapping[str, Motion]) -> str:
-    k = 2
-    while f"{name} ({k})" in taken:
-        k += 1
-    return f"{name} ({k})"
 
 
 _ROBOTS: dict[str, Robot] = {}
@@ -249,10 +199,10 @@ def warm_up(source: str) -> None:
         _ROBOTS[source] = load_robot(source)
 
 
-def _made(source: str, before: Motion, after: Motion) -> Transition | None:
-    """`make_transition` in another process."""
+def _made(source: str, before: Motion, after: Motion) -> CourseTransition | None:
+    """`make_course_transition` in another process."""
     warm_up(source)
-    return make_transition(_ROBOTS[source], before, after)
+    return make_course_transition(_ROBOTS[source], before, after)
 
 
 def _made_tempo(source: str, motion: Motion, speeds: tuple[float, ...]) -> Tempo:

@@ -18,8 +18,8 @@ from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import course_of
 from fastmimic.retargeting.balance import balance
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.cycle import Track
-from fastmimic.retargeting.dynamics import Demand, ground_demand
+from fastmimic.retargeting.cycle import TrunkTrack
+from fastmimic.retargeting.dynamics import GroundDemand, ground_demand
 from fastmimic.retargeting.measure import feet_in_world
 from fastmimic.retargeting.pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
 from fastmimic.retargeting.spline import TrunkSpline
@@ -103,7 +103,7 @@ def at_speed(robot: Robot, motion: Motion, speed: float, config: RetargetConfig 
     spline = TrunkSpline(motion.n_samples, rate, periodic=True, hz=config.balance.hz)
     sample = np.arange(0, motion.n_samples, max(1, round(config.balance.sample_s * rate)))
 
-    def demand_of(coefficients: Array) -> Demand:
+    def demand_of(coefficients: Array) -> GroundDemand:
         moved = track.deviated(spline.values(coefficients))
         pose = unlimited_pose(robot, moved, feet_w, height)
         return ground_demand(robot, _motion(pose, moved, motion, rate), sample)
@@ -113,7 +113,7 @@ def at_speed(robot: Robot, motion: Motion, speed: float, config: RetargetConfig 
     return _motion(pose, balanced, motion, rate)
 
 
-def _track(motion: Motion) -> Track:
+def _track(motion: Motion) -> TrunkTrack:
     quat = motion.root_quat_wxyz
     w, x, y, z = quat.T
     heading = np.unwrap(yaw_from_quat(quat))
@@ -121,7 +121,7 @@ def _track(motion: Motion) -> Track:
     pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
     feet = feet_in_world(motion)
     planar = rotate_planar(-heading[:, None], feet[..., :2] - motion.root_pos_w[:, None, :2])
-    return Track(
+    return TrunkTrack(
         root_xy=np.array(motion.root_pos_w[:, :2]),
         root_z=np.array(motion.root_pos_w[:, 2]),
         heading=heading,
@@ -132,7 +132,7 @@ def _track(motion: Motion) -> Track:
     )
 
 
-def _motion(pose: Pose, track: Track, like: Motion, rate_hz: float) -> Motion:
+def _motion(pose: Pose, track: TrunkTrack, like: Motion, rate_hz: float) -> Motion:
     linear, angular = root_velocity(pose, track, rate_hz)
     return Motion(
         rate_hz=rate_hz,

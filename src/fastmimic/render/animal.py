@@ -11,7 +11,7 @@ from fastmimic.render.playback import AnimalTrack
 from fastmimic.render.tracks import motion_track
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.retarget import choose_scale
-from fastmimic.retargeting.source import extract
+from fastmimic.retargeting.scaled_clip import extract
 from fastmimic.robot import Robot
 
 

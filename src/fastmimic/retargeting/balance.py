@@ -23,7 +23,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.retargeting.dynamics import Demand, push_directions
+from fastmimic.retargeting.dynamics import GroundDemand, push_directions
 from fastmimic.retargeting.spline import TrunkSpline
 from fastmimic.robot import Robot
 
@@ -67,7 +67,9 @@ _ENOUGH: Final = 0.01
 """Relative gain at which the solver stops."""
 
 
-def balance(robot: Robot, spline: TrunkSpline, demand_of: Callable[[Array], Demand], config: BalanceConfig) -> Array:
+def balance(
+    robot: Robot, spline: TrunkSpline, demand_of: Callable[[Array], GroundDemand], config: BalanceConfig
+) -> Array:
     """The trunk's deviation that makes a motion feasible at the least change.
 
     Args:
@@ -102,7 +104,7 @@ class _Problem:
     """The problem linearised about one deviation. Per sample (k of them): 6 residuals, 24 coefficients, 16 pushes."""
 
     def __init__(
-        self, robot: Robot, spline: TrunkSpline, demand: Demand, present: Array, config: BalanceConfig
+        self, robot: Robot, spline: TrunkSpline, demand: GroundDemand, present: Array, config: BalanceConfig
     ) -> None:
         self._present = present
         self._epsilon = config.force_weight

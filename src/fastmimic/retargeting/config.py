@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 
 from fastmimic.motion.contacts import ContactConfig
 from fastmimic.retargeting.balance import BalanceConfig
-from fastmimic.retargeting.feet import SwingConfig
-from fastmimic.retargeting.gait import GaitConfig
+from fastmimic.retargeting.contact_schedule import ContactScheduleConfig
+from fastmimic.retargeting.feet import SwingPathConfig
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class RetargetConfig:
     rest_m_per_s: float = 0.15
     rest_rad_per_s: float = 0.5
     contact: ContactConfig = field(default_factory=ContactConfig)
-    gait: GaitConfig = field(default_factory=GaitConfig)
-    swing: SwingConfig = field(default_factory=SwingConfig)
+    gait: ContactScheduleConfig = field(default_factory=ContactScheduleConfig)
+    swing: SwingPathConfig = field(default_factory=SwingPathConfig)
     balance: BalanceConfig = field(default_factory=BalanceConfig)
     consistent: bool = True

@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar
+from fastmimic.retargeting.scaled_clip import ScaledClip
 from fastmimic.retargeting.signal import closing_error, extrapolate_next, resample_open, resample_periodic
-from fastmimic.retargeting.source import Source
 
 Indices = NDArray[np.int_]
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class TrunkTrack:
     """Trunk and animal's foot paths on the output grid; the samples of a cycle repeat, moved by `cycle`.
 
     Attributes:
@@ -35,7 +35,7 @@ class Track:
     toe_height: Array
     cycle: Array | None
 
-    def deviated(self, deviation: Array) -> "Track":
+    def deviated(self, deviation: Array) -> "TrunkTrack":
         """The trunk moved by (t, 6): x, y, z in the heading frame, m; roll, pitch, yaw, rad. The animal's toes do not
         move."""
         root_xy = self.root_xy + rotate_planar(self.heading, deviation[:, :2])
@@ -77,7 +77,7 @@ class Track:
 class WorldPath:
     """A path (n, 3) in the world that can be read and written beyond the seam of a cycle."""
 
-    def __init__(self, samples: Array, track: Track) -> None:
+    def __init__(self, samples: Array, track: TrunkTrack) -> None:
         self.samples = samples.copy()
         self.track = track
         self.n = len(samples)
@@ -121,7 +121,7 @@ def planar_log(displacement: Array) -> Array:
     return np.array([(a * x + b * y) / square, (-b * x + a * y) / square, angle])
 
 
-def cycle_displacement(source: Source) -> Array:
+def cycle_displacement(source: ScaledClip) -> Array:
     """(dx, dy, dyaw) of one period of a clip whose frame t would repeat frame 0, in frame 0's heading frame."""
     steps = rotate_planar(-source.heading[:-1], np.diff(source.root_xy, axis=0))
     last = rotate_planar(source.heading[-1], 0.5 * (steps[0] + steps[-1]))
@@ -130,7 +130,7 @@ def cycle_displacement(source: Source) -> Array:
     return np.array([dx, dy, extrapolate_next(source.heading) - source.heading[0]])
 
 
-def pose_mismatch(source: Source) -> float:
+def pose_mismatch(source: ScaledClip) -> float:
     """How far the frame after the last is from frame 0, relative to how far poses differ within the clip.
 
     Feet against the hips and height of feet and root enter, all in metres. 0 for a perfect cycle; about 1.4 for two
@@ -142,7 +142,7 @@ def pose_mismatch(source: Source) -> float:
     return float(np.linalg.norm(closing_error(pose)) / max(spread, 1e-6))
 
 
-def track_cycle(source: Source, n_out: int, trunk_hz: float, foot_hz: float, travels: bool = True) -> Track:
+def track_cycle(source: ScaledClip, n_out: int, trunk_hz: float, foot_hz: float, travels: bool = True) -> TrunkTrack:
     """A cycle on `n_out` samples, closed and low-passed; without `travels` it ends where it began.
 
     Planar motion is taken relative to the constant-twist motion exp(share · log(dx, dy, dyaw)), in its moving frame,
@@ -171,7 +171,7 @@ def track_cycle(source: Source, n_out: int, trunk_hz: float, foot_hz: float, tra
     end, end_angle = frame(np.ones(()))
     displacement = end + rotate_planar(end_angle, local_xy[0]) - root_xy[0]
     dx, dy = rotate_planar(-heading[0], displacement)
-    return Track(
+    return TrunkTrack(
         root_xy=root_xy,
         root_z=smooth(source.root_z, trunk_hz),
         heading=heading,
@@ -182,13 +182,13 @@ def track_cycle(source: Source, n_out: int, trunk_hz: float, foot_hz: float, tra
     )
 
 
-def track_open(source: Source, n_out: int, trunk_hz: float, foot_hz: float) -> Track:
+def track_open(source: ScaledClip, n_out: int, trunk_hz: float, foot_hz: float) -> TrunkTrack:
     """A recording that is not a cycle on `n_out` samples, low-passed."""
 
     def smooth(values: Array, cutoff_hz: float) -> Array:
         return resample_open(values, source.rate_hz, n_out, cutoff_hz)
 
-    return Track(
+    return TrunkTrack(
         root_xy=smooth(source.root_xy, trunk_hz),
         root_z=smooth(source.root_z, trunk_hz),
         heading=smooth(source.heading, trunk_hz),

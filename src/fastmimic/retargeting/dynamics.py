@@ -23,7 +23,7 @@ _PYRAMID: Final = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], 
 
 
 @dataclass(frozen=True, eq=False)
-class Demand:
+class GroundDemand:
     """What a motion asks of the ground at some of its samples, heading frame, about the centre of mass.
 
     Attributes:
@@ -41,7 +41,7 @@ class Demand:
     joint_torque: Array
 
 
-def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> Demand:
+def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> GroundDemand:
     """Inverse dynamics of the whole robot, legs included: the wrench that the ground has to give."""
     import mujoco
 
@@ -64,7 +64,7 @@ def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> Dem
     base, unturn = motion.root_pos_w[sample], quat_from_yaw(-yaw_from_quat(quat[sample]))
     moment = quat_rotate(quat[sample], wrench[:, 3:]) + np.cross(base - com, wrench[:, :3])
     contact = feet_in_world(motion)[sample] - np.array([0.0, 0.0, robot.foot_radius])
-    return Demand(
+    return GroundDemand(
         sample=sample,
         wrench=np.concatenate([quat_rotate(unturn, wrench[:, :3]), quat_rotate(unturn, moment)], axis=1),
         arm=quat_rotate(unturn[:, None], contact - com[:, None]),
@@ -73,7 +73,7 @@ def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> Dem
     )
 
 
-def push_directions(demand: Demand, friction: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+def push_directions(demand: GroundDemand, friction: float) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Pushes of 1 N normal force along the edges of each foot's friction pyramid.
 
     Returns:

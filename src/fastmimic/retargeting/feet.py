@@ -7,7 +7,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.motion.contacts import Stance, Stances, swings_of
-from fastmimic.retargeting.cycle import Track, WorldPath
+from fastmimic.retargeting.cycle import TrunkTrack, WorldPath
 
 _DEGREE = 3
 _AT_REST = 3
@@ -20,7 +20,7 @@ _CLEARANCE_ROUNDS = 4
 
 
 @dataclass(frozen=True)
-class SwingConfig:
+class SwingPathConfig:
     """How a swing is fitted.
 
     Attributes:
@@ -42,13 +42,13 @@ class SwingConfig:
 
 def plant_feet(
     raw_w: Array,
-    track: Track,
+    track: TrunkTrack,
     stances: Stances,
     holds: list[list[Array]],
     highest: float,
     ground_z: float,
     rate_hz: float,
-    config: SwingConfig,
+    config: SwingPathConfig,
     evenness: Sequence[float] | None = None,
 ) -> Array:
     """Consistent foot paths: fixed in the world in stance, the animal's path between footholds in swing.
@@ -83,7 +83,7 @@ def _plant(
     holds: list[Array],
     highest: float,
     rate_hz: float,
-    config: SwingConfig,
+    config: SwingPathConfig,
 ) -> Array:
     n = path.n
     if not stances:
@@ -105,7 +105,7 @@ def _plant(
 
 
 def _swing(
-    raw: Array, before: Array | None, after: Array | None, clearance: float, rate_hz: float, config: SwingConfig
+    raw: Array, before: Array | None, after: Array | None, clearance: float, rate_hz: float, config: SwingPathConfig
 ) -> Array:
     """A smooth path (m, 3) near `raw`, from rest at `before` to rest at `after`; None where the recording ends in
     mid-air."""

@@ -9,11 +9,11 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.motion.contacts import Stances, duty_factors
 from fastmimic.retargeting import measure
-from fastmimic.retargeting.cycle import Track, cycle_displacement
+from fastmimic.retargeting.contact_schedule import GaitChanges
+from fastmimic.retargeting.cycle import TrunkTrack, cycle_displacement
 from fastmimic.retargeting.fit import Fitted
-from fastmimic.retargeting.gait import GaitChanges
 from fastmimic.retargeting.report import RetargetReport, with_bounds
-from fastmimic.retargeting.source import Source
+from fastmimic.retargeting.scaled_clip import ScaledClip
 from fastmimic.robot import Robot
 
 
@@ -37,14 +37,14 @@ class Before:
     duration_s: float
     cycle_reason: str
     aligned: float
-    track: Track
+    track: TrunkTrack
     stances: Stances
     offset: Array
     changes: GaitChanges
     raised_m: float
 
 
-def make_report(fitted: Fitted, robot: Robot, source: Source, stances: Stances, before: Before) -> RetargetReport:
+def make_report(fitted: Fitted, robot: Robot, source: ScaledClip, stances: Stances, before: Before) -> RetargetReport:
     """The figures of one retargeting, held against the bounds."""
     motion, track, pose = fitted.motion, fitted.track, fitted.pose
     n, periodic = motion.n_samples, track.cycle is not None
@@ -103,7 +103,7 @@ def make_report(fitted: Fitted, robot: Robot, source: Source, stances: Stances, 
     return with_bounds(report)
 
 
-def _travel_of_source(source: Source, periodic: bool) -> tuple[float, float]:
+def _travel_of_source(source: ScaledClip, periodic: bool) -> tuple[float, float]:
     """Mean speed and heading change of the scaled animal, over one cycle or from the first frame to the last."""
     steps = np.diff(source.root_xy, axis=0)
     middle = 0.5 * (source.heading[1:] + source.heading[:-1])

@@ -11,8 +11,8 @@ from fastmimic.motion.contacts import Stances, contact_mask
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.balance import balance
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.cycle import Track
-from fastmimic.retargeting.dynamics import Demand, ground_demand
+from fastmimic.retargeting.cycle import TrunkTrack
+from fastmimic.retargeting.dynamics import GroundDemand, ground_demand
 from fastmimic.retargeting.feet import plant_feet
 from fastmimic.retargeting.pose import Pose, folding_rise, joint_velocity, root_velocity, solve_pose, unlimited_pose
 from fastmimic.retargeting.reach import Reach, footholds
@@ -36,7 +36,7 @@ class Fitted:
     """
 
     motion: Motion
-    track: Track
+    track: TrunkTrack
     raw_w: Array
     pose: Pose
     smoothed: tuple[int, int, int, int]
@@ -56,7 +56,7 @@ class Fitter:
     """
 
     robot: Robot
-    track: Track
+    track: TrunkTrack
     stances: Stances
     height: float
     rate_hz: float
@@ -112,7 +112,7 @@ class Fitter:
         pose = self._pose(self.track, feet_w, 0.0)
         return Fitted(self._motion(pose, self.track), self.track, raw_w, pose, (0, 0, 0, 0))
 
-    def _pose(self, track: Track, feet_w: Array, max_raising: float) -> Pose:
+    def _pose(self, track: TrunkTrack, feet_w: Array, max_raising: float) -> Pose:
         lowering, margin = self.config.max_lowering_m, self.config.limit_margin_rad
         return solve_pose(self.robot, track, feet_w, self.height, lowering, max_raising, margin)
 
@@ -123,7 +123,7 @@ class Fitter:
         xy = track.root_xy[:, None] + rotate_planar(track.heading[:, None], local)
         return np.concatenate([xy, track.toe_height[..., None]], axis=-1)
 
-    def _balanced(self, raw_w: Array) -> tuple[Track, Array]:
+    def _balanced(self, raw_w: Array) -> tuple[TrunkTrack, Array]:
         """The trunk as the standing feet can move it, and the foot paths shifted under it."""
         n = len(raw_w)
         # how a recording that does not repeat begins and ends is its own: a trunk that is free to move there falls
@@ -131,7 +131,7 @@ class Fitter:
         spline = TrunkSpline(n, self.rate_hz, True, hz) if self.periodic else InnerSpline(n, self.rate_hz, hz)
         sample = np.arange(0, n, max(1, round(self.config.balance.sample_s * self.rate_hz)))
 
-        def applied(coefficients: Array) -> tuple[Track, Array]:
+        def applied(coefficients: Array) -> tuple[TrunkTrack, Array]:
             # a constant shift of the trunk over its feet is given to the feet: a turning robot would travel at
             # another speed
             deviation = spline.values(coefficients)
@@ -141,7 +141,7 @@ class Fitter:
             moved_w[..., :2] -= rotate_planar(self.track.heading, np.broadcast_to(shift, (n, 2)))[:, None]
             return self.track.deviated(deviation), moved_w
 
-        def demand_of(coefficients: Array) -> Demand:
+        def demand_of(coefficients: Array) -> GroundDemand:
             track, moved_w = applied(coefficients)
             feet_w = self._planted(moved_w, self._footholds(moved_w, self.track), None)
             pose = unlimited_pose(self.robot, track, feet_w, self.height)
@@ -149,7 +149,7 @@ class Fitter:
 
         return applied(balance(self.robot, spline, demand_of, self.config.balance))
 
-    def _footholds(self, raw_w: Array, track: Track) -> list[list[Array]]:
+    def _footholds(self, raw_w: Array, track: TrunkTrack) -> list[list[Array]]:
         linger = round(self.config.swing.linger_s * self.rate_hz)
         return footholds(raw_w, track, self.stances, self.reach, linger)
 
@@ -166,7 +166,7 @@ class Fitter:
             evenness,
         )
 
-    def _motion(self, pose: Pose, track: Track) -> Motion:
+    def _motion(self, pose: Pose, track: TrunkTrack) -> Motion:
         linear, angular = root_velocity(pose, track, self.rate_hz)
         return Motion(
             rate_hz=self.rate_hz,

@@ -17,9 +17,9 @@ from fastmimic.base.rotations import (
 )
 from fastmimic.motion.contacts import Stances, swings_of
 from fastmimic.motion.motion import Motion
-from fastmimic.retargeting.cycle import Track, WorldPath
+from fastmimic.retargeting.cycle import TrunkTrack, WorldPath
+from fastmimic.retargeting.scaled_clip import ScaledClip
 from fastmimic.retargeting.signal import closing_error
-from fastmimic.retargeting.source import Source
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def feet_in_world(motion: Motion) -> Array:
     return motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
 
 
-def slip(feet_w: Array, track: Track, stances: Stances) -> Array:
+def slip(feet_w: Array, track: TrunkTrack, stances: Stances) -> Array:
     """Largest horizontal distance (4,) of each foot from where it touched down, within a stance, m."""
     worst = np.zeros(4)
     for leg, spans in enumerate(stances):
@@ -56,7 +56,7 @@ def mean_clearance(height: Array, stances: Stances, periodic: bool) -> Array:
     return result
 
 
-def closure_of_source(source: Source) -> Closure:
+def closure_of_source(source: ScaledClip) -> Closure:
     """How badly a cut cycle closes: feet against the hips, heights, roll and pitch."""
     feet = np.concatenate([source.toe_from_hip, source.toe_height[..., None]], axis=-1)
     distance = np.linalg.norm(closing_error(feet), axis=-1).max()
@@ -66,7 +66,7 @@ def closure_of_source(source: Source) -> Closure:
     )
 
 
-def closure_of_motion(motion: Motion, track: Track) -> Closure:
+def closure_of_motion(motion: Motion, track: TrunkTrack) -> Closure:
     """Sample 0 moved by `cycle` against the last sample continued by its velocity and acceleration."""
     assert motion.cycle is not None
     ahead = _continued(motion.root_pos_w[-3:])
@@ -99,7 +99,7 @@ def mean_speed(velocity_xy: Array, heading: Array) -> float:
     return float(np.linalg.norm(rotate_planar(-heading, velocity_xy).mean(axis=0)))
 
 
-def trunk_change(animal: Track, robot: Track) -> Array:
+def trunk_change(animal: TrunkTrack, robot: TrunkTrack) -> Array:
     """RMS change (6,) of the trunk's path about its mean: x, y, z in the heading frame, m; roll, pitch, yaw, rad."""
     planar = rotate_planar(-animal.heading, robot.root_xy - animal.root_xy)
     turned = (robot.heading - animal.heading)[:, None]

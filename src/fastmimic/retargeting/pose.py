@@ -16,7 +16,7 @@ from fastmimic.base.rotations import (
     quat_rotate,
     quat_rotate_inverse,
 )
-from fastmimic.retargeting.cycle import Track
+from fastmimic.retargeting.cycle import TrunkTrack
 from fastmimic.retargeting.signal import differentiate, pad_open
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
@@ -62,7 +62,7 @@ def trunk_quaternion(heading: Array, tilt: Array) -> Array:
 
 def solve_pose(
     robot: Robot,
-    track: Track,
+    track: TrunkTrack,
     feet_w: Array,
     height: float,
     max_lowering: float,
@@ -119,7 +119,7 @@ def solve_pose(
 
 
 def folding_rise(
-    robot: Robot, track: Track, feet_w: Array, height: float, max_raising: float, margin_rad: float, rate_hz: float
+    robot: Robot, track: TrunkTrack, feet_w: Array, height: float, max_raising: float, margin_rad: float, rate_hz: float
 ) -> Array:
     """How much higher the base must be at each moment for folded legs to keep within their limits and their knees off
     the ground, (t,) m: as little as it takes in steps of 5 mm, at most `max_raising`, and smooth.
@@ -153,7 +153,7 @@ def folding_rise(
     return np.asarray(gaussian_filter1d(wide_rise, 0.5 * _RISE_S * rate_hz, mode="nearest"))
 
 
-def unlimited_pose(robot: Robot, track: Track, feet_w: Array, height: float) -> Pose:
+def unlimited_pose(robot: Robot, track: TrunkTrack, feet_w: Array, height: float) -> Pose:
     """Like `solve_pose` at one height and without joint limits: a smooth function of its arguments."""
     quat = trunk_quaternion(track.heading, track.tilt)
     joints, reachable = _joints(robot, track, quat, feet_w, height)
@@ -168,12 +168,14 @@ def unlimited_pose(robot: Robot, track: Track, feet_w: Array, height: float) -> 
     )
 
 
-def _root(track: Track, height: float) -> Array:
+def _root(track: TrunkTrack, height: float) -> Array:
     z = track.root_z - track.root_z.mean() + height
     return np.concatenate([track.root_xy, z[:, None]], axis=1)
 
 
-def _joints(robot: Robot, track: Track, quat: Array, feet_w: Array, height: float) -> tuple[Array, NDArray[np.bool_]]:
+def _joints(
+    robot: Robot, track: TrunkTrack, quat: Array, feet_w: Array, height: float
+) -> tuple[Array, NDArray[np.bool_]]:
     foot_b = quat_rotate_inverse(quat[:, None], feet_w - _root(track, height)[:, None])
     return inverse_kinematics(robot, foot_b)
 
@@ -195,7 +197,7 @@ def joint_velocity(joint_pos: Array, rate_hz: float, periodic: bool) -> Array:
     return differentiate(_pad(joint_pos, periodic), 1.0 / rate_hz)
 
 
-def root_velocity(pose: Pose, track: Track, rate_hz: float) -> tuple[Array, Array]:
+def root_velocity(pose: Pose, track: TrunkTrack, rate_hz: float) -> tuple[Array, Array]:
     """Linear and angular velocity of the base, (t, 3) each, world, m/s and rad/s."""
     position = _pad(pose.root_pos_w, track.cycle is not None)
     quat = _pad(pose.root_quat_wxyz, track.cycle is not None)

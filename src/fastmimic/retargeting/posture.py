@@ -15,7 +15,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.reach import Reach
 from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE
-from fastmimic.retargeting.source import Source
+from fastmimic.retargeting.scaled_clip import ScaledClip
 from fastmimic.robot import Robot
 
 _TALL_M: Final = 0.03
@@ -26,13 +26,13 @@ _SOFT_M: Final = 0.02
 """Over which a girdle comes to rest at its lowest height."""
 
 
-def levelled(source: Source) -> Source:
+def levelled(source: ScaledClip) -> ScaledClip:
     """With the attitude that it has where it stands tallest taken for level; before, it was the mean."""
     weight = np.exp((source.root_z - source.root_z.max()) / _TALL_M)
     return replace(source, tilt=source.tilt - weight @ source.tilt / weight.sum())
 
 
-def within_folded_legs(source: Source, robot: Robot, lowered_m: float, config: RetargetConfig) -> Source:
+def within_folded_legs(source: ScaledClip, robot: Robot, lowered_m: float, config: RetargetConfig) -> ScaledClip:
     """With shoulders and hips no lower than legs that are folded, and lifted as the animal's, need: the trunk is raised
     as a whole, and levelled as far as its other end would be higher than it stands.
 

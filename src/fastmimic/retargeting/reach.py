@@ -9,7 +9,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEFT
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.motion.contacts import Stances, contact_mask
-from fastmimic.retargeting.cycle import Track, WorldPath
+from fastmimic.retargeting.cycle import TrunkTrack, WorldPath
 from fastmimic.robot import Robot
 
 _STEP = 5
@@ -75,7 +75,7 @@ class Reach:
         return sweep / max(speed, 1e-3) - 2 * linger_s
 
 
-def foot_offsets(robot: Robot, track: Track, stances: Stances, stance_width: float) -> Array:
+def foot_offsets(robot: Robot, track: TrunkTrack, stances: Stances, stance_width: float) -> Array:
     """Constant shifts (4, 2) of the feet against the robot's hips, m.
 
     Where shoulder, hip and toe markers sit is the animal's build, not its motion. The mean footholds are put where the
@@ -94,7 +94,7 @@ def foot_offsets(robot: Robot, track: Track, stances: Stances, stance_width: flo
     return np.stack([np.full(4, forward), side * (width - outward)], axis=-1)
 
 
-def footholds(raw_w: Array, track: Track, stances: Stances, reach: Reach, linger: int) -> list[list[Array]]:
+def footholds(raw_w: Array, track: TrunkTrack, stances: Stances, reach: Reach, linger: int) -> list[list[Array]]:
     """Where each foot stands in each of its stances, (2,) in the world, m.
 
     The mean of the animal's path in stance, weighted towards mid-stance, moved by what it lacks to be within reach from
@@ -129,7 +129,7 @@ def _mean_foothold(raw: Array) -> Array:
     return np.asarray(weight @ raw[:, :2] / weight.sum())
 
 
-def _into_reach(hold: Array, leg: int, trunk: Array, track: Track, when: NDArray[np.int_], reach: Reach) -> Array:
+def _into_reach(hold: Array, leg: int, trunk: Array, track: TrunkTrack, when: NDArray[np.int_], reach: Reach) -> Array:
     """The displacement (2,), world, that brings a foothold into reach of a trunk at (k, 3) (x, y, height against its
     mean)."""
     heading = track.heading_at(when)

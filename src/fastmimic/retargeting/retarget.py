@@ -24,14 +24,14 @@ from fastmimic.clips.clip import Clip
 from fastmimic.motion.contacts import ContactConfig, Stances, detect, foot_activity
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.cycle import Track, cycle_displacement, pose_mismatch, track_cycle, track_open
+from fastmimic.retargeting.contact_schedule import GaitChanges, make_consistent, with_steps
+from fastmimic.retargeting.cycle import TrunkTrack, cycle_displacement, pose_mismatch, track_cycle, track_open
 from fastmimic.retargeting.fidelity import Before, make_report
 from fastmimic.retargeting.fit import Fitter
-from fastmimic.retargeting.gait import GaitChanges, make_consistent, with_steps
 from fastmimic.retargeting.posture import levelled, within_folded_legs
 from fastmimic.retargeting.reach import Reach, foot_offsets
 from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE, RetargetReport
-from fastmimic.retargeting.source import Source, extract
+from fastmimic.retargeting.scaled_clip import ScaledClip, extract
 from fastmimic.robot import Robot
 
 __all__ = ["RetargetConfig", "RetargetReport", "choose_scale", "retarget"]
@@ -154,7 +154,7 @@ def is_one_cycle(clip: Clip, config: RetargetConfig | None = None) -> bool:
     return _decide_cycle(clip, extract(clip, clip.scale or 1.0, config.roll_share), None, config)[0]
 
 
-def _decide_cycle(clip: Clip, source: Source, cycle: bool | None, config: RetargetConfig) -> tuple[bool, str]:
+def _decide_cycle(clip: Clip, source: ScaledClip, cycle: bool | None, config: RetargetConfig) -> tuple[bool, str]:
     if cycle is not None:
         return cycle, "taken as one cycle, as asked" if cycle else "not a cycle, as asked"
     if clip.is_cycle is not None:
@@ -167,7 +167,7 @@ def _decide_cycle(clip: Clip, source: Source, cycle: bool | None, config: Retarg
     return closes, f"taken as one cycle ({found})" if closes else f"not a cycle ({found})"
 
 
-def _held_frames(source: Source, config: RetargetConfig) -> int:
+def _held_frames(source: ScaledClip, config: RetargetConfig) -> int:
     """For how many frames the last pose of a recording that does not repeat is held: none unless it ends standing, on
     all feet and with its trunk at rest."""
     end = slice(-1 - max(1, round(_END_S * source.rate_hz)), None)
@@ -187,7 +187,7 @@ def _held_frames(source: Source, config: RetargetConfig) -> int:
     return frames if stands else 0
 
 
-def _align(source: Source, periodic: bool, config: RetargetConfig) -> tuple[Source, bool, float]:
+def _align(source: ScaledClip, periodic: bool, config: RetargetConfig) -> tuple[ScaledClip, bool, float]:
     """Turns the trunk into the direction of travel if the gait is straight; returns source, straightness, angle in
     rad."""
     if not periodic:
@@ -204,7 +204,7 @@ def _align(source: Source, periodic: bool, config: RetargetConfig) -> tuple[Sour
     return source.turned(angle), True, angle
 
 
-def _activity(source: Source, n: int, periodic: bool, config: ContactConfig) -> Array:
+def _activity(source: ScaledClip, n: int, periodic: bool, config: ContactConfig) -> Array:
     """The animal's feet's activity (n, 4) on the output grid; between frames it is linear."""
     frames = foot_activity(source.toe_height, source.toe_speed, source.rate_hz, periodic, config)
     if periodic:
@@ -218,7 +218,7 @@ def _stands(stances: Stances, n: int) -> bool:
     return all(leg and leg[0].duration >= n for leg in stances)
 
 
-def _travel(robot: Robot, track: Track) -> Array:
+def _travel(robot: Robot, track: TrunkTrack) -> Array:
     """How far each hip (4,) is from where it is a cycle later, m."""
     hips = track.root_xy[0] + rotate_planar(track.heading[0], robot.hip_pos_b[:, :2])
     return np.asarray(np.linalg.norm(track.moved(hips, 1) - hips, axis=-1))
@@ -242,7 +242,7 @@ def _for_own_body(config: RetargetConfig) -> RetargetConfig:
     return replace(config, contact=contact, balance=replace(config.balance, rounds=0), max_raising_m=0.0)
 
 
-def _raise(reach: Reach, track: Track, config: RetargetConfig) -> float:
+def _raise(reach: Reach, track: TrunkTrack, config: RetargetConfig) -> float:
     """How much the base must be higher for its folded legs to fit under it and be lifted, m: an animal sits and
     crouches lower than a robot's knees bend."""
     if not config.consistent or config.max_raising_m == 0:
@@ -251,6 +251,6 @@ def _raise(reach: Reach, track: Track, config: RetargetConfig) -> float:
     return max(0.0, lift - reach.clearance)
 
 
-def _speed(track: Track, duration_s: float) -> float:
+def _speed(track: TrunkTrack, duration_s: float) -> float:
     """Mean horizontal speed along the trunk's path, m/s."""
     return float(np.linalg.norm(np.diff(track.root_xy, axis=0), axis=1).sum() / duration_s)

@@ -20,11 +20,11 @@ from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_continuous, quat_rotate, rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.cycle import Track
+from fastmimic.retargeting.cycle import TrunkTrack
 from fastmimic.retargeting.pose import trunk_quaternion
 from fastmimic.retargeting.reach import Reach
 from fastmimic.robot import Robot
-from fastmimic.stitching.layout import Layout, Segment, Span
+from fastmimic.stitching.layout import Layout, Span, StitchedSegment
 from fastmimic.stitching.switch import Cycle, Switch, best_switch
 from fastmimic.stitching.transition import make_transition
 
@@ -173,7 +173,9 @@ def _layout(
                 Span(max(s.start + at, bounds[i - 1]), min(s.end + at, bounds[i + 1]), s.stands) for s in switch.feet
             ]
             feet = (legs[0], legs[1], legs[2], legs[3])
-        segments.append(Segment(motion.name, index[i], counts[i], bounds[i], bounds[i + 1], shifts[i], trunk, feet))
+        segments.append(
+            StitchedSegment(motion.name, index[i], counts[i], bounds[i], bounds[i + 1], shifts[i], trunk, feet)
+        )
     for segment, (a, b) in zip(segments, pairwise(bounds), strict=True):
         if b <= a:
             _raise_too_short(segment.name, segment.cycles)
@@ -198,7 +200,7 @@ def _raise_too_short(name: str, cycles: int) -> None:
     raise MotionError(f"segment '{name}' with {cycles} cycles is too short for its transitions; give it more cycles")
 
 
-def _samples(parts: Sequence[Motion], layout: Layout, track: Track) -> dict[str, Any]:
+def _samples(parts: Sequence[Motion], layout: Layout, track: TrunkTrack) -> dict[str, Any]:
     """The arrays of the whole, each sample from the part of the segment that it lies in; the root from the track."""
     n = layout.n
     out: dict[str, Any] = {
@@ -222,7 +224,7 @@ def _samples(parts: Sequence[Motion], layout: Layout, track: Track) -> dict[str,
     return out
 
 
-def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[Track, Array, NDArray[np.bool_]]:
+def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[TrunkTrack, Array, NDArray[np.bool_]]:
     """The blended trunk, the feet's paths (n, 4, 3) under it (world; z above the ground) and the contacts (n, 4).
 
     The trunk's planar path is the integral of the blended velocity in the heading frame, so it is continuous in
@@ -262,11 +264,13 @@ def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[Track, Ar
     raw_w = np.array(local_feet)
     raw_w[..., :2] = root_xy[:, None] + rotate_planar(heading[:, None], local_feet[..., :2])
     raw_w[..., 2] = local_feet[..., 2]
-    track = Track(root_xy, root_z, heading, tilt, local_feet[..., :2], local_feet[..., 2], None)
+    track = TrunkTrack(root_xy, root_z, heading, tilt, local_feet[..., :2], local_feet[..., 2], None)
     return track, raw_w, contact
 
 
-def _pass_in_swing(feet: Array, span: Span, parts: Sequence[Motion], before: Segment, after: Segment, leg: int) -> None:
+def _pass_in_swing(
+    feet: Array, span: Span, parts: Sequence[Motion], before: StitchedSegment, after: StitchedSegment, leg: int
+) -> None:
     """One foot (n, 3), heading frame, in a swing that begins as one motion's and ends as the other's: their two swings,
     stretched to its duration, blended."""
     t = np.arange(span.start, span.end)

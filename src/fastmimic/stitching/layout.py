@@ -26,7 +26,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Segment:
+class StitchedSegment:
     """One stretch of a stitched motion.
 
     Attributes:
@@ -55,7 +55,7 @@ class Segment:
 class Layout:
     """The segments of a stitched motion in order of time; `n` samples in all."""
 
-    segments: tuple[Segment, ...]
+    segments: tuple[StitchedSegment, ...]
     n: int
 
     @classmethod
@@ -99,7 +99,7 @@ def _shares(steps: Array) -> Array:
     return steps - np.concatenate([steps[1:], np.zeros_like(steps[:1])])
 
 
-def _segment(found: dict[str, Any]) -> Segment:
+def _segment(found: dict[str, Any]) -> StitchedSegment:
     def span(value: dict[str, Any] | None) -> Span | None:
         return None if value is None else Span(int(value["start"]), int(value["end"]))
 
@@ -107,7 +107,7 @@ def _segment(found: dict[str, Any]) -> Segment:
     legs = None if feet is None else tuple(Span(int(f["start"]), int(f["end"]), bool(f["stands"])) for f in feet)
     if legs is not None and len(legs) != 4:
         raise ValueError("'feet' has not four entries")
-    return Segment(
+    return StitchedSegment(
         name=str(found["name"]),
         part=int(found["part"]),
         cycles=int(found["cycles"]),

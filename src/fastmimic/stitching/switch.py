@@ -124,7 +124,7 @@ def best_switch(a: Cycle, b: Cycle, out: int, rate_hz: float, reach: Reach, ling
         out: sample of `a`, not wrapped.
         rate_hz: of the samples.
         reach: of the legs, which limits how long a foot can stand at the speed of the moment.
-        linger_s: see `SwingConfig`.
+        linger_s: see `SwingPathConfig`.
     """
     step = max(1, round(_STEP_S * rate_hz))
 

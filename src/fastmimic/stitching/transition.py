@@ -15,8 +15,8 @@ from fastmimic.motion.contacts import Stance, Stances, stances_of
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.balance import balance
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.cycle import Track
-from fastmimic.retargeting.dynamics import Demand, ground_demand
+from fastmimic.retargeting.cycle import TrunkTrack
+from fastmimic.retargeting.dynamics import GroundDemand, ground_demand
 from fastmimic.retargeting.feet import plant_feet
 from fastmimic.retargeting.measure import feet_in_world
 from fastmimic.retargeting.pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
@@ -60,7 +60,7 @@ def make_transition(
     robot: Robot,
     layout: Layout,
     index: int,
-    track: Track,
+    track: TrunkTrack,
     raw_w: Array,
     contact: NDArray[np.bool_],
     own: tuple[Cycle, Cycle],
@@ -94,7 +94,7 @@ def make_transition(
             " cycles"
         )
     part = slice(window.start, window.end)
-    local = Track(
+    local = TrunkTrack(
         root_xy=track.root_xy[part],
         root_z=track.root_z[part],
         heading=track.heading[part],
@@ -109,7 +109,7 @@ def make_transition(
     raw[..., 2] = np.maximum(raw[..., 2] - robot.foot_radius, 0.0)
     linger = round(config.swing.linger_s * rate_hz)
 
-    def held(under: Track) -> list[list[Array]]:
+    def held(under: TrunkTrack) -> list[list[Array]]:
         holds = footholds(raw, under, plan.stances, reach, linger)
         for leg in range(4):
             for k, at in enumerate(plan.fixed[leg]):
@@ -133,7 +133,7 @@ def make_transition(
     standing = contact[part]
     first = planted(held(local), None)
 
-    def demand_of(coefficients: Array) -> Demand:
+    def demand_of(coefficients: Array) -> GroundDemand:
         moved = local.deviated(spline.values(coefficients))
         pose = unlimited_pose(robot, moved, first, height)
         return ground_demand(robot, _motion(pose, moved, standing, rate_hz), sample)
@@ -152,15 +152,15 @@ def make_transition(
 
 
 def _within_limits(
-    robot: Robot, track: Track, planted: Callable[[Array], Array], rate_hz: float, config: RetargetConfig
-) -> tuple[Track, Pose]:
+    robot: Robot, track: TrunkTrack, planted: Callable[[Array], Array], rate_hz: float, config: RetargetConfig
+) -> tuple[TrunkTrack, Pose]:
     """Trunk and joints with the fewest samples beyond the joints' limits and speeds: the swings of a leg that is
     beyond them made more even, and the trunk lowered smoothly, by as little as it takes."""
     limit = config.speed_share * robot.joint_speed_limit
     n = len(track.root_z)
     edge = Span(0, max(1, round(_LOWERING_SHARE * n)))
     shape = edge.smooth_step(np.arange(n)) * edge.smooth_step(np.arange(n)[::-1])
-    best: tuple[int, Track, Pose] | None = None
+    best: tuple[int, TrunkTrack, Pose] | None = None
     for lowering in np.arange(0.0, config.max_lowering_m + 1e-9, 0.005):
         lowered = replace(track, root_z=track.root_z - lowering * shape)
         evenness = np.full(4, config.swing.evenness)
@@ -256,7 +256,7 @@ def _plan(layout: Layout, index: int, contact: NDArray[np.bool_], own: tuple[Cyc
     return _Plan(window, tuple(rebuilt), inside, kept)
 
 
-def _motion(pose: Pose, track: Track, contact: NDArray[np.bool_], rate_hz: float) -> Motion:
+def _motion(pose: Pose, track: TrunkTrack, contact: NDArray[np.bool_], rate_hz: float) -> Motion:
     linear, angular = root_velocity(pose, track, rate_hz)
     return Motion(
         rate_hz=rate_hz,
@@ -272,7 +272,7 @@ def _motion(pose: Pose, track: Track, contact: NDArray[np.bool_], rate_hz: float
 
 
 def _measure(
-    robot: Robot, motion: Motion, pose: Pose, before: Track, after: Track, plan: _Plan, rate_hz: float
+    robot: Robot, motion: Motion, pose: Pose, before: TrunkTrack, after: TrunkTrack, plan: _Plan, rate_hz: float
 ) -> dict[str, Any]:
     """What a transition asks of the robot."""
     inner = slice(_PAD, motion.n_samples - _PAD)

@@ -13,7 +13,7 @@ from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import bvh, csv_motion, deepmimic, keypoints, named_points
 from fastmimic.clips.formats.content import detect_content, read_content
 from fastmimic.clips.formats.points import PointMap, read_point_map
-from fastmimic.clips.formats.table import check_positive, check_rate
+from fastmimic.clips.formats.text_table import check_positive, check_rate
 from fastmimic.robot.robot import Robot
 
 FORMATS: Final = {

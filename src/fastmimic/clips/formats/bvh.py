@@ -15,7 +15,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.points import PointMap, choose, clip_of
-from fastmimic.clips.formats.table import Row, check_frames, check_rate, is_number, to_array
+from fastmimic.clips.formats.text_table import Row, check_frames, check_rate, is_number, to_array
 from fastmimic.clips.skeleton import Skeleton
 
 KEYWORD: Final = "HIERARCHY"

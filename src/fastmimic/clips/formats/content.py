@@ -8,7 +8,7 @@ from typing import Final
 
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.formats import bvh, csv_motion, keypoints, named_points
-from fastmimic.clips.formats.table import read_table
+from fastmimic.clips.formats.text_table import read_table
 
 EXPECTED: Final = (
     f"expected {keypoints.COLUMNS} columns (dog keypoints), {csv_motion.COLUMNS} columns or a header with"

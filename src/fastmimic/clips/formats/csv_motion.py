@@ -16,7 +16,7 @@ from fastmimic.base.rotations import quat_rotate
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.quaternions import unit_wxyz_from_xyzw
 from fastmimic.clips.formats.robot_points import robot_points
-from fastmimic.clips.formats.table import LARGEST, Table, check_frames, check_rate, read_table, to_array
+from fastmimic.clips.formats.text_table import LARGEST, Table, check_frames, check_rate, read_table, to_array
 from fastmimic.robot.robot import Robot
 
 COLUMN_NAMES: Final = (

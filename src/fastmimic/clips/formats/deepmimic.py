@@ -18,7 +18,7 @@ from fastmimic.base.rotations import quat_conjugate, quat_multiply
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.quaternions import unit_wxyz_from_xyzw
 from fastmimic.clips.formats.robot_points import robot_points
-from fastmimic.clips.formats.table import LARGEST, check_frames, check_positive, check_rate
+from fastmimic.clips.formats.text_table import LARGEST, check_frames, check_positive, check_rate
 from fastmimic.robot.robot import Robot
 
 FRAME_NAMES: Final = (

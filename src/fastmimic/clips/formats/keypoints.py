@@ -8,7 +8,7 @@ from typing import Final
 
 from fastmimic.clips.clip import POINT_NAMES, Clip
 from fastmimic.clips.formats.points import clip_of
-from fastmimic.clips.formats.table import check_frames, check_rate, read_table, to_array
+from fastmimic.clips.formats.text_table import check_frames, check_rate, read_table, to_array
 from fastmimic.clips.skeleton import DOG
 
 COLUMNS: Final = 81

@@ -13,7 +13,7 @@ import numpy as np
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.points import PointMap, choose, clip_of
-from fastmimic.clips.formats.table import check_frames, check_rate, read_table, to_array
+from fastmimic.clips.formats.text_table import check_frames, check_rate, read_table, to_array
 
 _COLUMN: Final = re.compile(r"(.+?)[\s._:/\-]([xyz])", re.IGNORECASE)
 _TIMES: Final = ("time", "time_s", "t")

@@ -1,37 +1,29 @@
-"""Getting up where it lies: legs limp, legs under the body, up; from its side or back it is set on its belly first."""
+"""Getting up after a fall: relax the joints, fold the legs, rise; a robot on its side or back is set upright first."""
 
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
+from fastmimic.reference.standing import along, rising_path, smooth, standing_gains
 from fastmimic.robot import Robot
-from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 from fastmimic.robot.state import COMMAND
-
-if TYPE_CHECKING:
-    from fastmimic.simulation.mujoco_sim import MujocoSimulation
-
+from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
 LIMP_S: Final = 0.5
 FOLD_S: Final = 0.7
 RISE_S: Final = 1.0
 SETTLE_S: Final = 0.3
 _UPRIGHT: Final = 0.7
-"""Least cosine of the trunk's tilt from which the legs can push it up."""
-_FOLDED: Final = 0.3
-"""Height of the hips over the feet with folded legs, share of the leg's length."""
-_STIFFNESS: Final = 120.0  # N·m/rad; for a robot of 12.5 kg, others by their weight
-_DAMPING: Final = 3.0
-_MASS_KG: Final = 12.5
+"""The legs can push the trunk up if the cosine of its tilt is at least this."""
 _TRIES: Final = 3
 
 
-class Phase(Enum):
-    """Of getting up."""
+class GettingUpPhase(Enum):
+    """Phases of getting up."""
 
     LIMP = "fallen"
     FOLD = "folding its legs"
@@ -39,7 +31,7 @@ class Phase(Enum):
     DONE = "up"
 
 
-class Recovery:
+class GettingUp:
     """One attempt after the other until the robot stands in a given posture.
 
     Args:
@@ -49,20 +41,20 @@ class Recovery:
         height: of its base then, m.
     """
 
-    def __init__(self, robot: Robot, simulation: "MujocoSimulation", stand: Array, height: float, dt: float) -> None:
+    def __init__(self, robot: Robot, simulation: MujocoSimulation, stand: Array, height: float, dt: float) -> None:
         self._simulation, self._dt = simulation, dt
         self._stand, self._height = stand, height
         self._path, self._folded_height = rising_path(robot, stand)
         self._stiffness, self._damping = standing_gains(robot)
         self.command = np.zeros(1, COMMAND)
-        self.phase = Phase.DONE
+        self.phase = GettingUpPhase.DONE
         self._time, self._tries = 0.0, 0
         self._from = self._path[0]
         self.was_set_up = False
 
     def begin(self) -> None:
         """The robot has fallen."""
-        self.phase, self._time, self._tries, self.was_set_up = Phase.LIMP, 0.0, 0, False
+        self.phase, self._time, self._tries, self.was_set_up = GettingUpPhase.LIMP, 0.0, 0, False
 
     def step(self, observation: NDArray[Any]) -> NDArray[Any]:
         """Commands (1,) of `COMMAND` for the next control step, from an observation (1,)."""
@@ -73,30 +65,30 @@ class Recovery:
         if not np.isfinite(obs["root_pos"]).all() or not np.isfinite(obs["joint_pos"]).all():
             self._set_on_belly(np.zeros(2), 0.0)
             obs = self._simulation.observation[0]
-        if self.phase is Phase.LIMP:
+        if self.phase is GettingUpPhase.LIMP:
             command["stiffness"], command["damping"] = 0.0, 2.0 * self._damping
             command["joint_pos"] = obs["joint_pos"]
             if self._time >= LIMP_S:
                 if self._up(obs) < _UPRIGHT or self._tries >= _TRIES:
                     self._set_on_belly(obs["root_pos"][:2], float(yaw_from_quat(obs["root_quat"])))
                 else:
-                    self._go(Phase.FOLD, obs)
+                    self._go(GettingUpPhase.FOLD, obs)
             return command
         command["stiffness"], command["damping"] = self._stiffness, self._damping
-        if self.phase is Phase.FOLD:
+        if self.phase is GettingUpPhase.FOLD:
             share = smooth(self._time / FOLD_S)
             command["joint_pos"] = self._from + share * (self._path[0] - self._from)
             if self._time >= FOLD_S:
-                self._go(Phase.RISE, obs)
+                self._go(GettingUpPhase.RISE, obs)
         else:
             command["joint_pos"] = along(self._path, self._time / RISE_S)
             if self._time >= RISE_S + SETTLE_S:
                 stands = self._up(obs) > 0.95 and obs["root_pos"][2] > 0.7 * self._height
                 self._tries += 1
-                self._go(Phase.DONE if stands and obs["other_contact"] < 0.5 else Phase.LIMP, obs)
+                self._go(GettingUpPhase.DONE if stands and obs["other_contact"] < 0.5 else GettingUpPhase.LIMP, obs)
         return command
 
-    def _go(self, phase: Phase, obs: Any) -> None:
+    def _go(self, phase: GettingUpPhase, obs: Any) -> None:
         self.phase, self._time, self._from = phase, 0.0, np.array(obs["joint_pos"])
 
     def _set_on_belly(self, xy: Array, yaw: float) -> None:
@@ -106,47 +98,9 @@ class Recovery:
         self._simulation.reset(position, quat_from_yaw(np.array([yaw])), self._path[:1], zero, zero, np.zeros((1, 12)))
         self.was_set_up = True
         self._tries = 0
-        self._go(Phase.RISE, self._simulation.observation[0])
+        self._go(GettingUpPhase.RISE, self._simulation.observation[0])
 
     @staticmethod
     def _up(obs: Any) -> float:
         """Cosine of the trunk's tilt."""
         return float(quat_rotate(obs["root_quat"], np.array([0.0, 0.0, 1.0]))[2])
-
-
-def rising_path(robot: Robot, stand: Array) -> tuple[Array, float]:
-    """From folded legs under the body straight up to a posture.
-
-    Args:
-        robot: the robot.
-        stand: (12,) joints of the posture, rad.
-
-    Returns:
-        Joints (33, 12) on the way, rad, and the height of the base over the ground on folded legs, m.
-    """
-    feet = foot_positions(robot, stand[None])[0]
-    folded = np.array(feet)
-    folded[:, 2] = robot.hip_pos_b[:, 2] - _FOLDED * robot.leg_length
-    path = np.stack(
-        [inverse_kinematics(robot, (feet + share * (folded - feet))[None])[0][0] for share in np.linspace(1, 0, 33)]
-    )
-    return np.clip(path, robot.joint_lower, robot.joint_upper), float(-folded[:, 2].mean()) + robot.foot_radius
-
-
-def along(path: Array, share: float) -> Array:
-    """The posture (12,) at a share in [0, 1] of a path (t, 12), with a smooth start and end."""
-    at = smooth(share) * (len(path) - 1)
-    low = min(int(at), len(path) - 2)
-    return np.asarray(path[low] + (at - low) * (path[low + 1] - path[low]))
-
-
-def standing_gains(robot: Robot) -> tuple[float, float]:
-    """Stiffness and damping with which the joints carry the robot, N·m/rad and N·m·s/rad."""
-    gain = robot.mass / _MASS_KG
-    return _STIFFNESS * gain, _DAMPING * gain
-
-
-def smooth(u: float) -> float:
-    """From 0 to 1 with a smooth start and end."""
-    u = min(max(u, 0.0), 1.0)
-    return u * u * (3 - 2 * u)

@@ -10,7 +10,7 @@ from fastmimic.clips.clip import Clip
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class ScaledClip:
     """What retargeting takes from a clip, already at the robot's scale, frame by frame.
 
     Attributes:
@@ -35,7 +35,7 @@ class Source:
     toe_height: Array
     toe_speed: Array
 
-    def held(self, frames: int) -> "Source":
+    def held(self, frames: int) -> "ScaledClip":
         """The same recording with its last frame so many times more, at rest."""
 
         def more(values: Array) -> Array:
@@ -52,12 +52,12 @@ class Source:
             toe_speed=np.concatenate([self.toe_speed, np.zeros((frames, 4))]),
         )
 
-    def turned(self, angle: float) -> "Source":
+    def turned(self, angle: float) -> "ScaledClip":
         """The same motion with the trunk's heading turned by `angle` rad; nothing moves in the world."""
         return replace(self, heading=self.heading + angle, toe_from_hip=rotate_planar(-angle, self.toe_from_hip))
 
 
-def extract(clip: Clip, scale: float, roll_share: float) -> Source:
+def extract(clip: Clip, scale: float, roll_share: float) -> ScaledClip:
     """Trunk pose and toe targets of a clip, scaled.
 
     Heading and pitch are those of the line from pelvis to neck, roll that of the mean of the lines between left and
@@ -89,7 +89,7 @@ def extract(clip: Clip, scale: float, roll_share: float) -> Source:
     velocity = np.gradient(toes[..., :2], 1.0 / clip.rate_hz, axis=0)
     hip_to_toe = (toes - scale * clip.hips_w)[..., :2]
     root = scale * 0.5 * (neck + pelvis)
-    return Source(
+    return ScaledClip(
         rate_hz=clip.rate_hz,
         root_xy=root[:, :2],
         root_z=root[:, 2] - ground.mean(),

@@ -23,7 +23,7 @@ _MODULATED: Final = ("root_z", "lin_vel", "ang_vel", "foot")
 
 
 @dataclass(frozen=True, eq=False)
-class Transition:
+class CourseTransition:
     """A course between two cyclic motions.
 
     Attributes:
@@ -54,7 +54,7 @@ class Transition:
         )
 
 
-def make_transition(robot: Robot, before: Motion, after: Motion) -> Transition | None:
+def make_course_transition(robot: Robot, before: Motion, after: Motion) -> CourseTransition | None:
     """The transition between two cyclic motions, optimised or not; None if stitching finds none.
 
     It is that of their demonstrations; what an optimised motion differs from its own in passes over with the feet.
@@ -80,7 +80,7 @@ def make_transition(robot: Robot, before: Motion, after: Motion) -> Transition |
             share = feet[i][..., None] if name == "foot" else trunk[i]
             change = (own[name] - target[name])[at]
             course[name] += (share if change.ndim in (1, 3) else share[:, None]) * change
-    return Transition(
+    return CourseTransition(
         course=course[rows],
         demonstration=demonstration[rows],
         first=start - int(rows[0]),

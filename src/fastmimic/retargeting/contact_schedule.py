@@ -13,7 +13,7 @@ PAIRINGS: Final = {"diagonal": ((0, 3), (1, 2)), "lateral": ((0, 2), (1, 3)), "t
 
 
 @dataclass(frozen=True)
-class GaitConfig:
+class ContactScheduleConfig:
     """How contacts are made consistent.
 
     Attributes:
@@ -58,7 +58,7 @@ def make_consistent(
     periodic: bool,
     straight: bool,
     longest_s: float,
-    config: GaitConfig,
+    config: ContactScheduleConfig,
 ) -> tuple[Stances, GaitChanges]:
     """Cleans detected contacts by one rule for every gait.
 
@@ -90,7 +90,7 @@ def make_consistent(
 
 
 def with_steps(
-    stances: Stances, travel: Array, activity: Array, rate_hz: float, config: GaitConfig
+    stances: Stances, travel: Array, activity: Array, rate_hz: float, config: ContactScheduleConfig
 ) -> tuple[Stances, int]:
     """Gives a step to every leg that stands throughout a cycle whose end is elsewhere: it would have to slide.
 

@@ -1,0 +1,60 @@
+"""Loading the motions that a live session plays."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from fastmimic.clips.synthesis import GAITS
+from fastmimic.imitation.imitate import load_motion
+from fastmimic.imitation.stitch import motion_source
+from fastmimic.motion.motion import Motion
+from fastmimic.reference.motion_set import IN_PLACE, in_place
+from fastmimic.reference.standing import STAND, standing
+from fastmimic.robot import Robot
+
+DEFAULTS: Final = (STAND, IN_PLACE, "walk", "trot", "pace", "turn", "side-step", "spin", "backward-trot", "bound")
+"""The motions that are played by default."""
+
+
+def load_motions(
+    sources: Sequence[str], robot: Robot, progress: Callable[[int, int], None] | None = None
+) -> dict[str, Motion]:
+    """Motions by the names under which they are played.
+
+    Args:
+        sources: names, clips, robot motions (.npz) or folders of runs; "stand" and "in-place" besides.
+        robot: the robot.
+        progress: called with how many are loaded and how many there are.
+
+    Raises:
+        FastMimicError: nothing of that name, or a file that cannot be read.
+    """
+    found: dict[str, Motion] = {}
+    for i, source in enumerate(sources):
+        if source == STAND:
+            name, motion = STAND, standing(robot)
+        elif source == IN_PLACE:
+            name, motion = IN_PLACE, in_place(robot)
+        else:
+            motion = load_motion(motion_source(source), robot)
+            name = source if source in GAITS or ":" in source else _short(source, motion)
+        if name in found:
+            name = _distinct(name, found)
+        found[name] = motion
+        if progress is not None:
+            progress(i + 1, len(sources))
+    return found
+
+
+def _short(source: str, motion: Motion) -> str:
+    path = Path(source)
+    if path.is_dir():
+        return path.resolve().name
+    return motion.name if path.stem == "motion" else path.stem
+
+
+def _distinct(name: str, taken: Mapping[str, Motion]) -> str:
+    k = 2
+    while f"{name} ({k})" in taken:
+        k += 1
+    return f"{name} ({k})"

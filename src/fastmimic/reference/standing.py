@@ -1,0 +1,68 @@
+"""Standing: the motion of a robot that stands, the joint path up to it, and the gains that carry it."""
+
+from typing import Final
+
+import numpy as np
+
+from fastmimic.base.arrays import Array
+from fastmimic.clips.synthesis import GaitSpec, keypoints
+from fastmimic.motion.motion import Motion
+from fastmimic.retargeting.retarget import retarget
+from fastmimic.robot import Robot
+from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
+
+STAND: Final = "stand"
+_STILL: Final = GaitSpec(about="stand", lift=0.0, bob=0.0, pitch=0.0, yaw=0.0)
+_FOLDED: Final = 0.3
+"""Height of the hips above the feet with folded legs, as a share of the leg length."""
+_STIFFNESS: Final = 120.0  # N·m/rad for a robot of `_MASS_KG`; scaled with the mass
+_DAMPING: Final = 3.0  # N·m·s/rad
+_MASS_KG: Final = 12.5
+_PATH_ROWS: Final = 33
+
+
+def standing(robot: Robot) -> Motion:
+    """An animal that stands still, retargeted like any other motion."""
+    motion, _ = retarget(keypoints(_STILL, {"name": STAND}), robot)
+    return motion
+
+
+def rising_path(robot: Robot, stand: Array) -> tuple[Array, float]:
+    """From folded legs under the body straight up to a posture.
+
+    Args:
+        robot: the robot.
+        stand: (12,) joints of the posture, rad.
+
+    Returns:
+        Joints (33, 12) on the way, rad, and the height of the base over the ground on folded legs, m.
+    """
+    feet = foot_positions(robot, stand[None])[0]
+    folded = np.array(feet)
+    folded[:, 2] = robot.hip_pos_b[:, 2] - _FOLDED * robot.leg_length
+    path = np.stack(
+        [
+            inverse_kinematics(robot, (feet + share * (folded - feet))[None])[0][0]
+            for share in np.linspace(1, 0, _PATH_ROWS)
+        ]
+    )
+    return np.clip(path, robot.joint_lower, robot.joint_upper), float(-folded[:, 2].mean()) + robot.foot_radius
+
+
+def along(path: Array, share: float) -> Array:
+    """The posture (12,) at a share in [0, 1] of a path (t, 12), with a smooth start and end."""
+    at = smooth(share) * (len(path) - 1)
+    low = min(int(at), len(path) - 2)
+    return np.asarray(path[low] + (at - low) * (path[low + 1] - path[low]))
+
+
+def standing_gains(robot: Robot) -> tuple[float, float]:
+    """Stiffness and damping with which the joints carry the robot, N·m/rad and N·m·s/rad."""
+    gain = robot.mass / _MASS_KG
+    return _STIFFNESS * gain, _DAMPING * gain
+
+
+def smooth(u: float) -> float:
+    """From 0 to 1 with a smooth start and end."""
+    u = min(max(u, 0.0), 1.0)
+    return u * u * (3 - 2 * u)
