@@ -4,7 +4,7 @@ import pytest
 
 from deploy.rig import Rig
 from fastmimic.control.config import default_config
-from fastmimic.deploy.itinerary import Itinerary, make_itinerary
+from fastmimic.deploy.sequence import MotionSequence, make_sequence
 from fastmimic.imitation.imitate import load_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.standing import standing
@@ -17,22 +17,22 @@ def trot(a1: Robot) -> Motion:
 
 
 @pytest.fixture(scope="session")
-def way(a1: Robot, trot: Motion) -> Itinerary:
-    return make_itinerary(a1, trot, default_config())
+def way(a1: Robot, trot: Motion) -> MotionSequence:
+    return make_sequence(a1, trot, default_config())
 
 
 @pytest.fixture(scope="session")
-def standstill(a1: Robot) -> Itinerary:
-    return make_itinerary(a1, standing(a1), default_config())
+def standstill(a1: Robot) -> MotionSequence:
+    return make_sequence(a1, standing(a1), default_config())
 
 
 @pytest.fixture
-def trotting(a1: Robot, way: Itinerary) -> Rig:
+def trotting(a1: Robot, way: MotionSequence) -> Rig:
     """A deployment of the trot in lock step."""
     return Rig(a1, way)
 
 
 @pytest.fixture
-def stands(a1: Robot, standstill: Itinerary) -> Rig:
+def stands(a1: Robot, standstill: MotionSequence) -> Rig:
     """A deployment that only stands up, stands and sits down: short."""
     return Rig(a1, standstill)

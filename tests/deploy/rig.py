@@ -7,17 +7,17 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.deploy.clock import VirtualClock
 from fastmimic.deploy.deployment import Deployment, deploy
-from fastmimic.deploy.driver import LowState, Packets, RobotDriver
-from fastmimic.deploy.itinerary import Itinerary
-from fastmimic.deploy.limits import SafetyLimits
-from fastmimic.deploy.pilot import Pilot
+from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage
+from fastmimic.deploy.emergency_stop import StopSwitch
+from fastmimic.deploy.loop_clock import VirtualClock
+from fastmimic.deploy.safety_limits import SafetyLimits
+from fastmimic.deploy.sequence import MotionSequence
 from fastmimic.deploy.sim import SimDriver
-from fastmimic.deploy.stopping import StopSwitch
+from fastmimic.deploy.state_machine import StateMachine
 from fastmimic.robot import Robot
 
-Watch = Callable[[Pilot, NDArray[Any]], None]
+Watch = Callable[[StateMachine, NDArray[Any]], None]
 
 
 class Tampered:
@@ -30,7 +30,7 @@ class Tampered:
 
     def __init__(self, driver: RobotDriver) -> None:
         self.driver = driver
-        self.change: Callable[[LowState], LowState | None] = lambda state: state
+        self.change: Callable[[StateMessage], StateMessage | None] = lambda state: state
         self.written: list[NDArray[Any]] = []
         self.opened = self.closed = 0
 
@@ -46,7 +46,7 @@ class Tampered:
         self.opened += 1
         self.driver.open()
 
-    def read(self, timeout_s: float = 0.0) -> LowState | None:
+    def read(self, timeout_s: float = 0.0) -> StateMessage | None:
         state = self.driver.read(timeout_s)
         return None if state is None else self.change(state)
 
@@ -77,8 +77,8 @@ class Rig:
         switch: a person's hand, without a terminal.
     """
 
-    def __init__(self, robot: Robot, itinerary: Itinerary) -> None:
-        self.robot, self.itinerary = robot, itinerary
+    def __init__(self, robot: Robot, sequence: MotionSequence) -> None:
+        self.robot, self.sequence = robot, sequence
         self.clock = VirtualClock()
         self.switch = StopSwitch(stream=None)
         self.put_in(SimDriver(robot, self.clock))
@@ -89,14 +89,14 @@ class Rig:
 
     def run(self, *, watch: Watch | None = None, limits: SafetyLimits | None = None, **arguments: Any) -> Deployment:
         """A short deployment, unless the arguments say otherwise."""
-        repeats = self.itinerary.motion.cycle is not None
+        repeats = self.sequence.motion.cycle is not None
         if repeats and not {"cycles", "endless", "duration_s"} & arguments.keys():
             arguments["duration_s"] = 0.2
         return deploy(
-            self.itinerary.motion,
+            self.sequence.motion,
             self.robot,
             self.driver,
-            itinerary=self.itinerary,
+            sequence=self.sequence,
             limits=limits,
             clock=self.clock,
             switch=self.switch,
@@ -105,15 +105,15 @@ class Rig:
         )
 
 
-def once(when: Callable[[Pilot], bool], act: Callable[[Pilot], None]) -> Watch:
+def once(when: Callable[[StateMachine], bool], act: Callable[[StateMachine], None]) -> Watch:
     """Acts at the first period in which something is so."""
     done = False
 
-    def watch(pilot: Pilot, command: NDArray[Any]) -> None:
+    def watch(machine: StateMachine, command: NDArray[Any]) -> None:
         nonlocal done
-        if not done and when(pilot):
+        if not done and when(machine):
             done = True
-            act(pilot)
+            act(machine)
 
     return watch
 

@@ -8,15 +8,15 @@ import pytest
 from deploy.rig import Rig, once
 from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.control.config import RecoveryConfig, default_config
-from fastmimic.deploy.clock import VirtualClock
 from fastmimic.deploy.deployment import Deployment
-from fastmimic.deploy.itinerary import Follower, Itinerary, make_itinerary
-from fastmimic.deploy.link import LinkConfig
 from fastmimic.deploy.log import DeploymentLog
-from fastmimic.deploy.pilot import Phase
+from fastmimic.deploy.loop_clock import VirtualClock
 from fastmimic.deploy.safety import StopReason
 from fastmimic.deploy.scoring import score_log
+from fastmimic.deploy.sequence import Follower, MotionSequence, make_sequence
 from fastmimic.deploy.sim import SimDriver
+from fastmimic.deploy.simulated_link import LinkFaults
+from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.imitation.imitate import evaluate, load_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
@@ -26,7 +26,7 @@ from fastmimic.stitching.join import stitch_motions
 
 
 @pytest.fixture(scope="module")
-def trotted(a1: Robot, way: Itinerary) -> tuple[Rig, Deployment]:
+def trotted(a1: Robot, way: MotionSequence) -> tuple[Rig, Deployment]:
     """Six cycles of the trot. Not to be changed."""
     rig = Rig(a1, way)
     return rig, rig.run(cycles=6)
@@ -38,15 +38,15 @@ def test_it_stands_up_trots_and_sits_down(trotted: tuple[Rig, Deployment]) -> No
     assert done.outcome.stopped_by is StopReason.CYCLES
     assert not result["fell"]
     phases = done.log.rows["phase"]
-    assert list(dict.fromkeys(phases.tolist())) == [int(p) for p in Phase if p < Phase.DONE]
+    assert list(dict.fromkeys(phases.tolist())) == [int(p) for p in DeploymentPhase if p < DeploymentPhase.DONE]
     truth = done.log.truth
     assert truth is not None
     walked = truth["root_pos"][-1, :2] - truth["root_pos"][0, :2]
     assert walked[0] > 2.0, "m, forwards"
     height = truth["root_pos"][:, 2]
-    assert height[phases == Phase.SETTLE].min() > 0.25, "m: it stands"
+    assert height[phases == DeploymentPhase.SETTLE].min() > 0.25, "m: it stands"
     assert height[-1] < 0.15, "m: it lies"
-    assert truth["other_contact"][phases == Phase.FOLLOW].max() == 0.0
+    assert truth["other_contact"][phases == DeploymentPhase.FOLLOW].max() == 0.0
     last = done.log.rows["command"][-1]
     assert last["stiffness"].max() < 1e-9, "it has been let go"
     assert 6.0 <= result["cycles"] <= 7.1
@@ -66,21 +66,21 @@ def test_everything_that_is_sent_is_within_the_limits(trotted: tuple[Rig, Deploy
 def test_the_reward_is_that_of_the_closed_loop_with_sensors(trotted: tuple[Rig, Deployment], a1: Robot) -> None:
     rig, done = trotted
     conditions = Conditions(observe="sensors")
-    loop = evaluate(rig.itinerary.motion, a1, duration_s=3.0, conditions=conditions).rollout
+    loop = evaluate(rig.sequence.motion, a1, duration_s=3.0, conditions=conditions).rollout
     assert done.result["reward_truth_mean"] == pytest.approx(loop.reward[0], abs=0.02)
     lifted = np.array(done.result["swing_clearance_truth_m"])
     np.testing.assert_allclose(lifted, loop.clearance[0], atol=0.005)  # m
     assert done.result["reward_mean"] == pytest.approx(done.result["reward_truth_mean"], abs=0.05)
 
 
-def test_lock_step_is_the_same_every_time(a1: Robot, standstill: Itinerary) -> None:
+def test_lock_step_is_the_same_every_time(a1: Robot, standstill: MotionSequence) -> None:
     first, second = Rig(a1, standstill).run(), Rig(a1, standstill).run()
     assert first.log.rows.tobytes() == second.log.rows.tobytes()
     assert first.result == second.result
 
 
 def test_a_wire_that_loses_and_delays_is_survived(trotting: Rig, a1: Robot) -> None:
-    trotting.put_in(SimDriver(a1, trotting.clock, link=LinkConfig(latency_s=0.004, loss=0.05)))
+    trotting.put_in(SimDriver(a1, trotting.clock, link=LinkFaults(latency_s=0.004, loss=0.05)))
     done = trotting.run(duration_s=3.0)
     assert done.outcome.stopped_by is StopReason.DURATION
     assert not done.result["fell"]
@@ -90,7 +90,7 @@ def test_a_wire_that_loses_and_delays_is_survived(trotting: Rig, a1: Robot) -> N
 
 
 def test_what_is_wrong_with_messages_is_counted_and_not_used(stands: Rig, a1: Robot) -> None:
-    link = LinkConfig(duplicated=0.05, reordered=0.05, corrupted=0.05, not_finite=0.02)
+    link = LinkFaults(duplicated=0.05, reordered=0.05, corrupted=0.05, not_finite=0.02)
     stands.put_in(SimDriver(a1, stands.clock, link=link))
     done = stands.run()
     assert done.outcome.stopped_by is StopReason.DURATION
@@ -102,20 +102,20 @@ def test_what_is_wrong_with_messages_is_counted_and_not_used(stands: Rig, a1: Ro
 
 
 def test_a_person_has_it_sit_down(trotting: Rig) -> None:
-    def press(pilot: object) -> None:
+    def press(machine: object) -> None:
         trotting.switch.leave = True
 
-    done = trotting.run(endless=True, watch=once(lambda pilot: pilot.in_motion, press))
+    done = trotting.run(endless=True, watch=once(lambda machine: machine.in_motion, press))
     assert done.outcome.stopped_by is StopReason.ASKED
     assert 0.0 < done.result["cycles"] <= 1.1
-    assert done.log.rows["phase"][-1] == Phase.RELEASE
+    assert done.log.rows["phase"][-1] == DeploymentPhase.RELEASE
 
 
 def test_asked_while_it_stands_up_it_does_not_begin_to_step(trotting: Rig) -> None:
     trotting.switch.leave = True
     done = trotting.run()
     assert done.outcome.stopped_by is StopReason.ASKED
-    assert Phase.FOLLOW not in done.log.rows["phase"]
+    assert DeploymentPhase.FOLLOW not in done.log.rows["phase"]
     assert done.result["reward_mean"] is None
 
 
@@ -123,20 +123,20 @@ def test_a_robot_that_stands_already_does_not_lie_down_first(stands: Rig, a1: Ro
     stands.put_in(SimDriver(a1, stands.clock, start="standing"))
     done = stands.run()
     assert done.outcome.stopped_by is StopReason.DURATION
-    assert Phase.FOLD not in done.log.rows["phase"]
+    assert DeploymentPhase.FOLD not in done.log.rows["phase"]
     truth = done.log.truth
     assert truth is not None
-    assert truth["root_pos"][done.log.rows["phase"] <= Phase.FOLLOW, 2].min() > 0.2
+    assert truth["root_pos"][done.log.rows["phase"] <= DeploymentPhase.FOLLOW, 2].min() > 0.2
 
 
-def test_the_reference_goes_on_where_one_stretch_ends_and_the_next_begins(way: Itinerary, a1: Robot) -> None:
-    tables = [way.way_in.table[0], way.main.table[0], way.way_out.table[0]]
-    ends = (tables[0][way.way_in.last], tables[1][way.main.first]), (tables[1][way.main.last], tables[2][0])
+def test_the_reference_goes_on_where_one_stretch_ends_and_the_next_begins(way: MotionSequence, a1: Robot) -> None:
+    tables = [way.blend_in.table[0], way.main.table[0], way.blend_out.table[0]]
+    ends = (tables[0][way.blend_in.last], tables[1][way.main.first]), (tables[1][way.main.last], tables[2][0])
     for before, after in ends:
         np.testing.assert_allclose(before["joint_pos"], after["joint_pos"], atol=0.01)
         np.testing.assert_array_equal(before["contact"], after["contact"])
         assert before["root_pos"][2] == pytest.approx(after["root_pos"][2], abs=1e-6)
-    for table in (tables[0][: way.way_in.last], tables[2]):
+    for table in (tables[0][: way.blend_in.last], tables[2]):
         speed = np.abs(np.diff(table["joint_pos"], axis=0)).max() * 500.0
         assert speed < a1.joint_speed_limit.min()
         moved = np.linalg.norm(np.diff(table["root_pos"], axis=0), axis=1).max() * 500.0
@@ -145,7 +145,7 @@ def test_the_reference_goes_on_where_one_stretch_ends_and_the_next_begins(way: I
 
 def test_a_stitched_motion_is_done_once(a1: Robot, trot: Motion) -> None:
     stitched = stitch_motions(a1, [trot, load_motion("turn", a1)], [2, 2])
-    way = make_itinerary(a1, stitched, default_config())
+    way = make_sequence(a1, stitched, default_config())
     follower = Follower(way)
     seen, steps, feet = np.zeros(1, OBSERVATION), 0, []
     while not follower.done:
@@ -164,7 +164,7 @@ def test_the_reference_yields_to_a_robot_that_was_pushed(trotting: Rig) -> None:
     )
     moved = {}
     for name, chosen in (("on", config), ("off", default_config())):
-        rig = Rig(trotting.robot, trotting.itinerary)
+        rig = Rig(trotting.robot, trotting.sequence)
         done = rig.run(cycles=2, config=chosen)
         assert done.outcome.stopped_by is StopReason.CYCLES
         rows = done.log.rows[done.log.rows["in_motion"]]
@@ -199,7 +199,7 @@ def test_a_long_run_keeps_its_end(stands: Rig, monkeypatch: pytest.MonkeyPatch) 
     rows = done.log.rows
     assert len(rows) < done.result["periods"]
     np.testing.assert_allclose(np.diff(rows["time_s"]), 0.002, atol=1e-9)
-    assert rows["phase"][-1] == Phase.RELEASE
+    assert rows["phase"][-1] == DeploymentPhase.RELEASE
     assert "not in the log" in said[0]
 
 
@@ -208,13 +208,13 @@ def test_a_dry_run_sends_nothing(stands: Rig) -> None:
     assert stands.driver.written == []
     assert done.outcome.stopped_by is StopReason.DURATION, "it went through all of it"
     assert not done.log.rows["sent"].any()
-    standing = done.log.rows[done.log.rows["phase"] == Phase.SETTLE]["command"]
+    standing = done.log.rows[done.log.rows["phase"] == DeploymentPhase.SETTLE]["command"]
     assert standing["stiffness"].min() > 100.0, "the commands were computed"
     assert any("posture" in line for line in done.noted), "the robot lay all the time"
 
 
 def test_no_state_within_three_seconds(stands: Rig, a1: Robot) -> None:
-    stands.put_in(SimDriver(a1, stands.clock, link=LinkConfig(loss=1.0)))
+    stands.put_in(SimDriver(a1, stands.clock, link=LinkFaults(loss=1.0)))
     with pytest.raises(DriverError, match="no state of the robot within 3 s"):
         stands.run()
     assert stands.clock.now() == pytest.approx(3.0, abs=0.01)
@@ -291,5 +291,5 @@ def test_a_simulated_robot_that_nobody_looked_at_stood_still(a1: Robot) -> None:
 
 def test_a_link_says_what_it_cannot_be() -> None:
     with pytest.raises(ConfigError, match="loss must be a share"):
-        LinkConfig(loss=1.5)
-    assert dataclasses.replace(LinkConfig(), latency_s=0.01).perfect
+        LinkFaults(loss=1.5)
+    assert dataclasses.replace(LinkFaults(), latency_s=0.01).perfect

@@ -329,10 +329,10 @@ def test_a_missing_library_is_one_line_with_the_command_that_mends_it(
     go2: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from fastmimic.deploy.dds import domain
-    from fastmimic.deploy.dds.library import library
+    from fastmimic.deploy.dds.cyclone import cyclone
 
     monkeypatch.setitem(__import__("sys").modules, "cyclonedds.internal", None)
-    monkeypatch.setattr(domain, "library", library.__wrapped__)
+    monkeypatch.setattr(domain, "cyclone", cyclone.__wrapped__)
     with pytest.raises(DriverError, match=r"pip install 'fastmimic\[go2\]'"):
         Go2Driver(go2).open()
 

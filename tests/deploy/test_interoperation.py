@@ -23,8 +23,8 @@ pytest.importorskip("cyclonedds", reason="CycloneDDS is not installed")
 from deploy.dds_domains import free_domain
 from fastmimic.deploy.dds import configuration
 from fastmimic.deploy.go2.driver import Go2Driver
-from fastmimic.deploy.robot_sim.server import RobotSim, SimSettings
-from fastmimic.deploy.robot_sim.truth import TruthLog
+from fastmimic.deploy.robot_sim.ground_truth import GroundTruthLog
+from fastmimic.deploy.robot_sim.sim_server import SimServer, SimSettings
 from fastmimic.robot import load_robot
 from fastmimic.robot.state import COMMAND
 
@@ -111,8 +111,8 @@ def test_a_driver_reads_a_robot_on_0_10_and_commands_it(start: Callable[..., sub
 
 def test_a_client_on_0_10_reads_and_commands_the_simulated_robot(start: Callable[..., subprocess.Popen[str]]) -> None:
     domain = free_domain()
-    stop, log = threading.Event(), TruthLog()
-    with RobotSim(load_robot("go2"), SimSettings(domain=domain), log) as sim:
+    stop, log = threading.Event(), GroundTruthLog()
+    with SimServer(load_robot("go2"), SimSettings(domain=domain), log) as sim:
         client = start(domain, "client")
         runner = threading.Thread(target=sim.run, args=(stop, 60.0))
         runner.start()

@@ -22,10 +22,10 @@ from fastmimic.cli import main
 from fastmimic.deploy.dds import Participant
 from fastmimic.deploy.go2 import services
 from fastmimic.deploy.go2.driver import Go2Driver
-from fastmimic.deploy.robot_sim.body import PHYSICS_RATE_HZ, Body, Start
 from fastmimic.deploy.robot_sim.faults import Faults, FaultyLine
-from fastmimic.deploy.robot_sim.server import RobotSim, SimSettings
-from fastmimic.deploy.robot_sim.truth import TruthLog, load_truth
+from fastmimic.deploy.robot_sim.ground_truth import GroundTruthLog, load_ground_truth
+from fastmimic.deploy.robot_sim.sim_server import SimServer, SimSettings
+from fastmimic.deploy.robot_sim.simulated_body import PHYSICS_RATE_HZ, SimulatedBody, Start
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.state import COMMAND, OBSERVATION
 from fastmimic.simulation.sensors import ideal_sensors
@@ -43,7 +43,7 @@ def hold(robot: Robot, stiffness: float = 120.0) -> np.ndarray[Any, Any]:
     return command
 
 
-def passed(body: Body, seconds: float, command: np.ndarray[Any, Any] | None = None) -> None:
+def passed(body: SimulatedBody, seconds: float, command: np.ndarray[Any, Any] | None = None) -> None:
     """So many s, with a command in each step."""
     for _ in range(round(seconds * PHYSICS_RATE_HZ)):
         if command is not None:
@@ -51,12 +51,12 @@ def passed(body: Body, seconds: float, command: np.ndarray[Any, Any] | None = No
         body.step()
 
 
-def height(body: Body) -> float:
+def height(body: SimulatedBody) -> float:
     return float(body.observation["root_pos"][0, 2])
 
 
 def test_lying_it_stays_down_and_damps(go2: Robot) -> None:
-    body = Body(go2)
+    body = SimulatedBody(go2)
     passed(body, 1.0)
     assert body.damped
     assert body.damped_s == pytest.approx(1.0)
@@ -65,7 +65,7 @@ def test_lying_it_stays_down_and_damps(go2: Robot) -> None:
 
 
 def test_standing_its_own_service_holds_it(go2: Robot) -> None:
-    body = Body(go2, Start.STANDING)
+    body = SimulatedBody(go2, Start.STANDING)
     passed(body, 2.0)
     assert body.service.active
     assert not body.damped
@@ -73,7 +73,7 @@ def test_standing_its_own_service_holds_it(go2: Robot) -> None:
 
 
 def test_the_service_lies_down_and_gets_up(go2: Robot) -> None:
-    body = Body(go2, Start.STANDING)
+    body = SimulatedBody(go2, Start.STANDING)
     body.service.lie_down()
     passed(body, 2.0)
     assert height(body) < 0.5 * go2.home_height
@@ -84,7 +84,7 @@ def test_the_service_lies_down_and_gets_up(go2: Robot) -> None:
 
 
 def test_without_commands_for_20_ms_it_damps_and_obeys_again_with_the_next(go2: Robot) -> None:
-    body = Body(go2, Start.STANDING)
+    body = SimulatedBody(go2, Start.STANDING)
     body.service.active = False
     passed(body, 0.5, hold(go2))
     passed(body, 0.019)
@@ -99,8 +99,8 @@ def test_without_commands_for_20_ms_it_damps_and_obeys_again_with_the_next(go2: 
 
 
 def test_its_motors_are_those_of_the_simulation_and_their_limits_too(go2: Robot) -> None:
-    body = Body(go2, Start.STANDING, ideal_sensors())
-    simulation = Body(go2, Start.STANDING, ideal_sensors())._simulation  # whose motor law has tests of its own
+    body = SimulatedBody(go2, Start.STANDING, ideal_sensors())
+    simulation = SimulatedBody(go2, Start.STANDING, ideal_sensors())._simulation  # whose motor law has tests of its own
     body.service.active = False
     command = hold(go2)
     command["torque"], command["joint_vel"] = 2.0, 0.5
@@ -115,7 +115,7 @@ def test_its_motors_are_those_of_the_simulation_and_their_limits_too(go2: Robot)
 
 
 def test_it_notices_that_it_has_fallen(go2: Robot) -> None:
-    body = Body(go2, Start.STANDING)
+    body = SimulatedBody(go2, Start.STANDING)
     body.service.active = False
     limp = np.zeros(1, COMMAND)
     passed(body, 1.0, limp)
@@ -123,7 +123,7 @@ def test_it_notices_that_it_has_fallen(go2: Robot) -> None:
 
 
 def test_its_sensors_are_not_the_truth_but_near_it(go2: Robot) -> None:
-    body = Body(go2, Start.STANDING, seed=3)
+    body = SimulatedBody(go2, Start.STANDING, seed=3)
     passed(body, 1.0)
     off = body.reading["joint_pos"] - body.observation["joint_pos"]
     assert 0 < abs(off).max() < 0.03
@@ -163,13 +163,13 @@ def test_faults_are_shares_and_seconds(wrong: dict[str, float]) -> None:
 
 
 def test_a_log_is_read_back_as_it_was_written(tmp_path: Path) -> None:
-    log, rng = TruthLog(), np.random.default_rng(0)
+    log, rng = GroundTruthLog(), np.random.default_rng(0)
     observation, command = np.zeros(1, OBSERVATION), np.zeros(1, COMMAND)
     for k in range(5000):
         observation["root_pos"], command["torque"] = rng.standard_normal(3), k
         log.add(0.002 * k, 2 * k, observation, command, k % 2 == 0, k < 3)
     log.save(tmp_path / "truth.npz")
-    truth, read = log.truth(), load_truth(tmp_path / "truth.npz")
+    truth, read = log.truth(), load_ground_truth(tmp_path / "truth.npz")
     assert len(read.time) == 5000
     for name in truth._fields:
         assert (getattr(read, name) == getattr(truth, name)).all(), name
@@ -178,10 +178,10 @@ def test_a_log_is_read_back_as_it_was_written(tmp_path: Path) -> None:
 def test_another_file_is_no_log(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", a=1)
     with pytest.raises(OutputError, match="not a log"):
-        load_truth(tmp_path / "other.npz")
+        load_ground_truth(tmp_path / "other.npz")
 
 
-def running(sim: RobotSim) -> Iterator[None]:
+def running(sim: SimServer) -> Iterator[None]:
     stop = threading.Event()
     thread = threading.Thread(target=sim.run, args=(stop, 120.0))
     thread.start()
@@ -193,12 +193,12 @@ def running(sim: RobotSim) -> Iterator[None]:
 
 
 @pytest.fixture
-def simulated(go2: Robot) -> Iterator[Callable[..., RobotSim]]:
+def simulated(go2: Robot) -> Iterator[Callable[..., SimServer]]:
     """Starts robots that are one until the end of the test."""
-    open_ones: list[tuple[RobotSim, Iterator[None]]] = []
+    open_ones: list[tuple[SimServer, Iterator[None]]] = []
 
-    def call(**settings: Any) -> RobotSim:
-        sim = RobotSim(go2, SimSettings(domain=free_domain(), **settings), TruthLog())
+    def call(**settings: Any) -> SimServer:
+        sim = SimServer(go2, SimSettings(domain=free_domain(), **settings), GroundTruthLog())
         runner = running(sim)
         next(runner)
         open_ones.append((sim, runner))
@@ -211,7 +211,7 @@ def simulated(go2: Robot) -> Iterator[Callable[..., RobotSim]]:
 
 
 def test_the_driver_finds_its_service_has_it_lie_down_and_let_go(
-    go2: Robot, simulated: Callable[..., RobotSim]
+    go2: Robot, simulated: Callable[..., SimServer]
 ) -> None:
     sim, said = simulated(start=Start.STANDING), []
     with Go2Driver(go2, domain=sim.settings.domain, say=said.append) as driver:
@@ -225,7 +225,7 @@ def test_the_driver_finds_its_service_has_it_lie_down_and_let_go(
 
 
 def test_a_robot_that_does_not_lie_down_is_not_let_go_of(
-    go2: Robot, simulated: Callable[..., RobotSim], monkeypatch: pytest.MonkeyPatch
+    go2: Robot, simulated: Callable[..., SimServer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sim = simulated(start=Start.STANDING)
     monkeypatch.setattr(services, "LIE_DOWN_S", 0.2)
@@ -235,7 +235,7 @@ def test_a_robot_that_does_not_lie_down_is_not_let_go_of(
     assert sim.body.service.active
 
 
-def test_commands_are_ignored_while_its_service_is_active(go2: Robot, simulated: Callable[..., RobotSim]) -> None:
+def test_commands_are_ignored_while_its_service_is_active(go2: Robot, simulated: Callable[..., SimServer]) -> None:
     sim = simulated(start=Start.STANDING)
     with Go2Driver(go2, domain=sim.settings.domain, release=False) as driver:
         wait_for(lambda: driver.write(hold(go2)) or sim.counts.commands_ignored > 5)
@@ -243,15 +243,15 @@ def test_commands_are_ignored_while_its_service_is_active(go2: Robot, simulated:
     assert sim.body.service.active
 
 
-def test_a_service_answers_what_it_does_not_know_with_a_code(simulated: Callable[..., RobotSim]) -> None:
+def test_a_service_answers_what_it_does_not_know_with_a_code(simulated: Callable[..., SimServer]) -> None:
     sim = simulated(start=Start.STANDING)
     with Participant(sim.settings.domain) as participant:
-        client = services.Client(participant, services.SPORT)
+        client = services.ServiceClient(participant, services.SPORT)
         assert client.find(10.0)
         assert client.ask(4711).code == services.NOT_IMPLEMENTED
 
 
-def test_corrupted_states_are_rejected_and_lost_ones_counted(go2: Robot, simulated: Callable[..., RobotSim]) -> None:
+def test_corrupted_states_are_rejected_and_lost_ones_counted(go2: Robot, simulated: Callable[..., SimServer]) -> None:
     sim = simulated(states=Faults(corrupt=0.2, loss=0.2, duplicate=0.2, reorder=0.1))
     with Go2Driver(go2, domain=sim.settings.domain) as driver:
         wait_for(lambda: driver.read(0.01) is not None and driver.packets.received > 300)
@@ -260,7 +260,7 @@ def test_corrupted_states_are_rejected_and_lost_ones_counted(go2: Robot, simulat
     assert packets.lost > 0.15 * packets.received
 
 
-def test_corrupted_commands_are_rejected(go2: Robot, simulated: Callable[..., RobotSim]) -> None:
+def test_corrupted_commands_are_rejected(go2: Robot, simulated: Callable[..., SimServer]) -> None:
     sim = simulated(commands=Faults(corrupt=0.5))
     with Go2Driver(go2, domain=sim.settings.domain) as driver:
         wait_for(
@@ -268,7 +268,7 @@ def test_corrupted_commands_are_rejected(go2: Robot, simulated: Callable[..., Ro
         )
 
 
-def test_a_dead_robot_is_silent_and_limp(go2: Robot, simulated: Callable[..., RobotSim]) -> None:
+def test_a_dead_robot_is_silent_and_limp(go2: Robot, simulated: Callable[..., SimServer]) -> None:
     sim = simulated(dead_after_s=3.0)
     with Go2Driver(go2, domain=sim.settings.domain) as driver:
         wait_for(lambda: driver.write(hold(go2)) or sim.body.time > 3.1)
@@ -329,7 +329,7 @@ def test_a_process_is_stood_up_over_the_wire_and_ends_at_ctrl_c(
     assert account["commands_rejected"] == 0
     assert account["damped"] >= 1
     assert not account["fell"]
-    truth = load_truth(tmp_path / "truth.npz")
+    truth = load_ground_truth(tmp_path / "truth.npz")
     at = int(np.searchsorted(truth.tick, state.sequence))
     assert truth.tick[at] == state.sequence
     assert truth.observation["root_pos"][at, 2] == pytest.approx(go2.home_height, abs=0.03)
@@ -338,7 +338,7 @@ def test_a_process_is_stood_up_over_the_wire_and_ends_at_ctrl_c(
 
 
 def test_a_second_robot_in_the_domain_ends_with_one_line_and_the_first_goes_on(
-    simulated: Callable[..., RobotSim], capsys: pytest.CaptureFixture[str]
+    simulated: Callable[..., SimServer], capsys: pytest.CaptureFixture[str]
 ) -> None:
     sim = simulated()
     assert main(["robot-sim", "--domain", str(sim.settings.domain), "--duration", "30"]) == 2

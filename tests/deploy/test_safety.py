@@ -14,21 +14,21 @@ import pytest
 from deploy.rig import Rig, assert_damped, once
 from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.deploy.deployment import Deployment
-from fastmimic.deploy.driver import LowState
-from fastmimic.deploy.limits import SafetyLimits, read_limits
-from fastmimic.deploy.link import LinkConfig
-from fastmimic.deploy.pilot import Phase, Pilot
+from fastmimic.deploy.driver import StateMessage
+from fastmimic.deploy.emergency_stop import StopSwitch
 from fastmimic.deploy.safety import Guard, StopReason
+from fastmimic.deploy.safety_limits import SafetyLimits, read_limits
 from fastmimic.deploy.sim import SimDriver
-from fastmimic.deploy.stopping import StopSwitch
+from fastmimic.deploy.simulated_link import LinkFaults
+from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.state import COMMAND
 from robot.mjcf import a1_tree, heavier, write
 
 
-def following(pilot: Pilot) -> bool:
-    return pilot.phase is Phase.FOLLOW and bool(pilot.follower.clock["sample"][0] > 100)
+def following(machine: StateMachine) -> bool:
+    return machine.phase is DeploymentPhase.FOLLOW and bool(machine.follower.clock["sample"][0] > 100)
 
 
 def assert_stopped(rig: Rig, done: Deployment, reason: StopReason, text: str) -> None:
@@ -39,21 +39,21 @@ def assert_stopped(rig: Rig, done: Deployment, reason: StopReason, text: str) ->
     assert "\n" not in done.outcome.text
     assert_damped(rig)
     rows = done.log.rows
-    assert rows["phase"][-1] == Phase.DAMP
-    damped = rows[rows["phase"] == Phase.DAMP]
+    assert rows["phase"][-1] == DeploymentPhase.DAMP
+    damped = rows[rows["phase"] == DeploymentPhase.DAMP]
     assert len(damped) == round(SafetyLimits().damping_s * 500)
     np.testing.assert_array_equal(damped["command"]["stiffness"], 0.0)
     assert done.result["periods"] == len(rows)
 
 
-def tampered(rig: Rig, field: str, value: Any) -> Callable[[Pilot], None]:
+def tampered(rig: Rig, field: str, value: Any) -> Callable[[StateMachine], None]:
     """From now on a field of each state is something else."""
 
-    def change(state: LowState) -> LowState:
+    def change(state: StateMessage) -> StateMessage:
         state.reading[field][0] = value(state.reading[field][0])
         return state
 
-    def act(pilot: Pilot) -> None:
+    def act(machine: StateMachine) -> None:
         rig.driver.change = change
 
     return act
@@ -99,7 +99,7 @@ def test_a_state_beyond_the_limits(case: str, stands: Rig) -> None:
 
 
 def test_a_robot_that_is_tipped_over(stands: Rig) -> None:
-    def tip(pilot: Pilot) -> None:
+    def tip(machine: StateMachine) -> None:
         state = stands.sim.truth[-1]
         roll = np.array([[np.cos(0.4), np.sin(0.4), 0.0, 0.0]])
         still = np.zeros((1, 3))
@@ -115,7 +115,7 @@ def test_a_robot_that_is_tipped_over(stands: Rig) -> None:
 def test_a_base_that_sinks(stands: Rig) -> None:
     """The legs fold under it: the motors of a real robot may lose their power."""
 
-    def weaken(pilot: Pilot) -> None:
+    def weaken(machine: StateMachine) -> None:
         stands.sim._command["stiffness"] = 0.0
         stands.sim._commands.send = lambda *_: None  # no command arrives any more
         stands.sim._commanded = 1e9  # and its watchdog does not mind
@@ -129,7 +129,7 @@ def test_a_base_that_sinks(stands: Rig) -> None:
 
 
 def test_a_robot_that_falls_silent(stands: Rig) -> None:
-    def silence(pilot: Pilot) -> None:
+    def silence(machine: StateMachine) -> None:
         stands.driver.change = lambda state: None
 
     done = stands.run(watch=once(following, silence))
@@ -137,8 +137,8 @@ def test_a_robot_that_falls_silent(stands: Rig) -> None:
 
 
 def test_a_wire_on_which_all_is_damaged(stands: Rig, a1: Robot) -> None:
-    def cut(pilot: Pilot) -> None:
-        stands.sim._states.config = LinkConfig(corrupted=1.0)
+    def cut(machine: StateMachine) -> None:
+        stands.sim._states.config = LinkFaults(corrupted=1.0)
 
     done = stands.run(watch=once(following, cut))
     assert_stopped(stands, done, StopReason.STALE_STATE, "no state")
@@ -146,21 +146,21 @@ def test_a_wire_on_which_all_is_damaged(stands: Rig, a1: Robot) -> None:
 
 
 def test_a_computer_that_is_too_slow(stands: Rig) -> None:
-    def delay(pilot: Pilot) -> None:
-        step = pilot.controller.step
+    def delay(machine: StateMachine) -> None:
+        step = machine.controller.step
 
         def slow(*arguments: Any) -> Any:
             stands.clock.time_s += 0.06
             return step(*arguments)
 
-        pilot.controller.step = slow  # type: ignore[method-assign]
+        machine.controller.step = slow  # type: ignore[method-assign]
 
     done = stands.run(watch=once(following, delay))
     assert_stopped(stands, done, StopReason.OVERRUN, "a command was 58.0 ms late; 50 are allowed")
 
 
 def test_a_delay_that_is_short_is_counted_and_survived(stands: Rig) -> None:
-    def pause(pilot: Pilot) -> None:
+    def pause(machine: StateMachine) -> None:
         stands.clock.time_s += 0.007
 
     done = stands.run(watch=once(following, pause))
@@ -172,11 +172,11 @@ def test_a_delay_that_is_short_is_counted_and_survived(stands: Rig) -> None:
 def test_a_state_that_arrives_just_after_a_pause_is_in_time(stands: Rig) -> None:
     """Of a computer on which everything paused, the robot's messages included."""
 
-    def pause(pilot: Pilot) -> None:
+    def pause(machine: StateMachine) -> None:
         stands.clock.time_s += 0.03
         read = stands.driver.read
 
-        def not_yet(timeout_s: float = 0.0) -> LowState | None:
+        def not_yet(timeout_s: float = 0.0) -> StateMessage | None:
             if timeout_s == 0.0:
                 return None
             stands.driver.read = read  # type: ignore[method-assign]
@@ -190,7 +190,7 @@ def test_a_state_that_arrives_just_after_a_pause_is_in_time(stands: Rig) -> None
 
 
 def test_a_period_that_takes_too_long_is_a_miss(stands: Rig) -> None:
-    def delay(pilot: Pilot) -> None:
+    def delay(machine: StateMachine) -> None:
         write = stands.driver.write
 
         def slow(command: np.ndarray) -> None:
@@ -206,18 +206,18 @@ def test_a_period_that_takes_too_long_is_a_miss(stands: Rig) -> None:
 
 
 def test_forces_that_cannot_be_computed(stands: Rig) -> None:
-    def spoil(pilot: Pilot) -> None:
-        pilot.controller._config["q_weight"] = np.nan  # type: ignore[attr-defined]
+    def spoil(machine: StateMachine) -> None:
+        machine.controller._config["q_weight"] = np.nan  # type: ignore[attr-defined]
 
     done = stands.run(watch=once(following, spoil))
     assert_stopped(stands, done, StopReason.QP_FAILURE, "6 times in a row; 5 are allowed")
 
 
 def test_a_command_that_is_no_number(stands: Rig) -> None:
-    def spoil(pilot: Pilot) -> None:
+    def spoil(machine: StateMachine) -> None:
         command = np.zeros(1, COMMAND)
         command["torque"][0, 5] = np.nan
-        pilot.controller.step = lambda *_: command  # type: ignore[method-assign]
+        machine.controller.step = lambda *_: command  # type: ignore[method-assign]
 
     done = stands.run(watch=once(following, spoil))
     assert_stopped(stands, done, StopReason.NOT_FINITE, "a command of the controller is not finite")
@@ -225,27 +225,27 @@ def test_a_command_that_is_no_number(stands: Rig) -> None:
 
 
 def test_an_estimate_that_is_no_number(stands: Rig) -> None:
-    def spoil(pilot: Pilot) -> None:
-        pilot.estimator.state["estimate"] = np.nan
+    def spoil(machine: StateMachine) -> None:
+        machine.estimator.state["estimate"] = np.nan
 
     done = stands.run(watch=once(following, spoil))
     assert_stopped(stands, done, StopReason.NOT_FINITE, "the estimate of the robot's state is not finite")
 
 
 def test_a_robot_that_cannot_stand_up(stands: Rig, a1: Robot) -> None:
-    def blocked(state: LowState) -> LowState:
+    def blocked(state: StateMessage) -> StateMessage:
         state.reading["joint_pos"][0, 8] = -2.5  # a knee that stays bent
         return state
 
     stands.driver.change = blocked
     done = stands.run()
     assert_stopped(stands, done, StopReason.POSTURE, "RR_knee")
-    assert Phase.FOLLOW not in done.log.rows["phase"]
+    assert DeploymentPhase.FOLLOW not in done.log.rows["phase"]
 
 
 @pytest.mark.parametrize("broken", ["read", "write"])
 def test_a_driver_that_fails(stands: Rig, broken: str) -> None:
-    def fail(pilot: Pilot) -> None:
+    def fail(machine: StateMachine) -> None:
         def failing(*_: Any) -> Any:
             raise DriverError("the socket is gone")
 
@@ -258,7 +258,7 @@ def test_a_driver_that_fails(stands: Rig, broken: str) -> None:
 
 
 def test_a_bug_in_the_loop_damps_the_robot_as_well(stands: Rig) -> None:
-    def fail(pilot: Pilot) -> None:
+    def fail(machine: StateMachine) -> None:
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
@@ -272,19 +272,19 @@ def test_a_bug_in_the_loop_damps_the_robot_as_well(stands: Rig) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal(stands: Rig, number: signal.Signals) -> None:
     before = signal.getsignal(number)
-    done = stands.run(watch=once(following, lambda pilot: os.kill(os.getpid(), number)))
+    done = stands.run(watch=once(following, lambda machine: os.kill(os.getpid(), number)))
     assert_stopped(stands, done, StopReason.SIGNAL, "a signal")
     assert signal.getsignal(number) is before
 
 
 def test_a_second_signal_does_not_wait_for_the_damping(stands: Rig) -> None:
-    def twice(pilot: Pilot) -> None:
+    def twice(machine: StateMachine) -> None:
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGINT)
 
     done = stands.run(watch=once(following, twice))
     assert done.outcome.stopped_by is StopReason.SIGNAL
-    assert (done.log.rows["phase"] == Phase.DAMP).sum() == 1
+    assert (done.log.rows["phase"] == DeploymentPhase.DAMP).sum() == 1
     np.testing.assert_array_equal(stands.driver.written[-1]["stiffness"], 0.0)
 
 
@@ -294,7 +294,7 @@ def test_a_key_in_the_terminal(stands: Rig, key: str) -> None:
     with os.fdopen(terminal, "r") as stream:
         stands.switch = StopSwitch(stream)
 
-        def press(pilot: Pilot) -> None:
+        def press(machine: StateMachine) -> None:
             os.write(keyboard, key.encode())
             time.sleep(0.01)  # for the terminal to pass it on
 

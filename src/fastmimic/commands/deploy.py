@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
     from fastmimic.deploy.deployment import Deployment
     from fastmimic.deploy.driver import RobotDriver
-    from fastmimic.deploy.limits import SafetyLimits
-    from fastmimic.deploy.pilot import Pilot
-    from fastmimic.deploy.stopping import StopSwitch
+    from fastmimic.deploy.emergency_stop import StopSwitch
+    from fastmimic.deploy.safety_limits import SafetyLimits
+    from fastmimic.deploy.state_machine import StateMachine
 
 EXIT_VIOLATION: Final = 3
 """The robot was damped because something was beyond its limits."""
@@ -93,7 +93,7 @@ class Deploy(MotionOptions):
         """Does it, writes the folder, prints the figures; returns the exit status."""
         from fastmimic.deploy.drivers import SIM, check_driver
         from fastmimic.deploy.files import MOTION, open_deployment
-        from fastmimic.deploy.limits import read_limits
+        from fastmimic.deploy.safety_limits import read_limits
 
         check_driver(self.driver)
         self._check(SIM)
@@ -162,12 +162,12 @@ class Deploy(MotionOptions):
         return folder, folder / LOG if self.log is None else check_writable(self.log, ".npz")
 
     def _deploy(self, robot: Robot, motion: Motion, limits: "SafetyLimits", policy: Any) -> "Deployment":
-        from fastmimic.deploy.clock import SHORT_SPIN_S, SPIN_S, Clock, RealClock, VirtualClock
         from fastmimic.deploy.deployment import deploy
         from fastmimic.deploy.drivers import SIM, make_driver
-        from fastmimic.deploy.stopping import StopSwitch
+        from fastmimic.deploy.emergency_stop import StopSwitch
+        from fastmimic.deploy.loop_clock import SHORT_SPIN_S, SPIN_S, LoopClock, RealClock, VirtualClock
 
-        clock: Clock = VirtualClock() if self.lock_step else RealClock(SHORT_SPIN_S if self.real_time else SPIN_S)
+        clock: LoopClock = VirtualClock() if self.lock_step else RealClock(SHORT_SPIN_S if self.real_time else SPIN_S)
         switch, ask, dry = StopSwitch(), None, self.dry_run
         if self.driver == SIM:
             driver = self._simulated(robot, clock)
@@ -203,12 +203,12 @@ class Deploy(MotionOptions):
             )
 
     def _simulated(self, robot: Robot, clock: Any) -> "RobotDriver":
-        from fastmimic.deploy.link import LinkConfig
         from fastmimic.deploy.sim import SimDriver
+        from fastmimic.deploy.simulated_link import LinkFaults
         from fastmimic.simulation.conditions import Conditions
 
         conditions = Conditions(observe="sensors", seed=self.seed, disturbances=self.disturb)  # type: ignore[arg-type]
-        link = LinkConfig(latency_s=1e-3 * self.latency_ms, loss=self.loss, seed=self.seed)
+        link = LinkFaults(latency_s=1e-3 * self.latency_ms, loss=self.loss, seed=self.seed)
         return SimDriver(robot, clock, conditions=conditions, link=link)
 
     def _write_result(self, found: "Deployment", folder: Path) -> None:
@@ -221,18 +221,18 @@ class Deploy(MotionOptions):
         write_json(folder / RESULT, {"arguments": arguments, **about, "result": found.result, "versions": versions()})
 
     def _report(self, found: "Deployment", log: Path) -> None:
-        from fastmimic.deploy.account import account, commands_shown
+        from fastmimic.deploy.summary import command_table, summary_lines
         from fastmimic.report.run_folder import finite
 
         if self.dry_run:
-            for line in commands_shown(found.log):
+            for line in command_table(found.log):
                 (note if self.json else put)(line)
             for line in found.noted:
                 note(f"fastmimic: dry run: {line}")
         if self.json:
             put(json.dumps(finite({**found.result, "log": str(log)}), allow_nan=False))
             return
-        for line in account(found.result, table):
+        for line in summary_lines(found.result, table):
             put(line)
         put(f"log in {log}")
 
@@ -268,8 +268,8 @@ class _Watch:
     def __init__(self, started: Callable[[], None]) -> None:
         self._started, self._last = started, ""
 
-    def __call__(self, pilot: "Pilot", command: "NDArray[Any]") -> None:
-        if pilot.doing is not self._last:
+    def __call__(self, machine: "StateMachine", command: "NDArray[Any]") -> None:
+        if machine.doing is not self._last:
             self._started()
-            self._last = pilot.doing
+            self._last = machine.doing
             note(self._last)

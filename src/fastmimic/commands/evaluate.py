@@ -114,7 +114,7 @@ class Evaluate(MotionOptions):
         """The figures of a deployment, out of its log."""
         from fastmimic.commands.options import DEFAULT_ROBOT
         from fastmimic.deploy.log import DeploymentLog
-        from fastmimic.deploy.robot_sim.truth import load_truth
+        from fastmimic.deploy.robot_sim.ground_truth import load_ground_truth
         from fastmimic.deploy.scoring import evaluation_of, true_states
         from fastmimic.report.html_run import controller_from
         from fastmimic.robot import ROBOT_NAMES, load_robot
@@ -129,7 +129,7 @@ class Evaluate(MotionOptions):
             raise ConfigError(f"{self.motion} is the log of a deployment, which is over: leave out --{given[0]}")
         log = DeploymentLog.load(self.motion)
         if self.truth is not None:
-            found = load_truth(self.truth)
+            found = load_ground_truth(self.truth)
             log = dataclasses.replace(log, truth=true_states(log, found.observation, found.tick))
         name = str(log.meta.get("robot", DEFAULT_ROBOT))
         if self.robot is None and name not in ROBOT_NAMES:

@@ -16,8 +16,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.commands.console import note, put, slow_start
 
 if TYPE_CHECKING:
-    from fastmimic.deploy.robot_sim.server import RobotSim as Server
-    from fastmimic.deploy.robot_sim.server import SimSettings
+    from fastmimic.deploy.robot_sim.sim_server import SimServer, SimSettings
 
 WIRED: Final = ("go2",)
 
@@ -73,17 +72,17 @@ class RobotSim:
     def run(self) -> int:
         """Is a robot until Ctrl-C or the end; returns the exit status."""
         from fastmimic.commands.options import check_duration, check_writable
-        from fastmimic.deploy.robot_sim.server import RobotSim as Server
-        from fastmimic.deploy.robot_sim.truth import TruthLog
+        from fastmimic.deploy.robot_sim.ground_truth import GroundTruthLog
+        from fastmimic.deploy.robot_sim.sim_server import SimServer
         from fastmimic.robot import load_robot
 
         settings = self._settings()
         duration = math.inf if self.duration is None else check_duration(self.duration)
         if self.log is not None:
             check_writable(self.log, ".npz")
-        log = TruthLog() if self.log is not None else None
+        log = GroundTruthLog() if self.log is not None else None
         with slow_start():
-            server = Server(load_robot(self.robot), settings, log)
+            server = SimServer(load_robot(self.robot), settings, log)
         with server, _until_interrupted() as stop:
             note(f"a {self.robot}, {self.start}, in DDS domain {self.domain} on '{self.interface}'; Ctrl-C ends it")
             server.run(stop, duration, _status)
@@ -96,9 +95,9 @@ class RobotSim:
     def _settings(self) -> "SimSettings":
         """What was asked for, once it is certain that it can be."""
         from fastmimic.deploy.dds import check_interface
-        from fastmimic.deploy.robot_sim.body import Start
         from fastmimic.deploy.robot_sim.faults import Faults
-        from fastmimic.deploy.robot_sim.server import SimSettings
+        from fastmimic.deploy.robot_sim.sim_server import SimSettings
+        from fastmimic.deploy.robot_sim.simulated_body import Start
         from fastmimic.robot import ROBOT_NAMES
         from fastmimic.simulation.sensors import ideal_sensors
 
@@ -127,7 +126,7 @@ class RobotSim:
             dead_after_s=math.inf if self.dead_after is None else self.dead_after,
         )
 
-    def _account(self, server: "Server") -> None:
+    def _account(self, server: "SimServer") -> None:
         summary = {"robot": self.robot, **server.summary()}
         if self.json:
             put(json.dumps(summary, indent=1))
@@ -154,7 +153,7 @@ def _check_choice(option: str, found: str, allowed: list[str]) -> None:
         raise ConfigError(f"{option} takes {' or '.join(allowed)}, found '{found}'")
 
 
-def _status(server: "Server") -> None:
+def _status(server: "SimServer") -> None:
     counts, body = server.counts, server.body
     height = float(body.observation["root_pos"][0, 2])
     who = "its own service" if body.service.active else "damped" if body.damped else "commanded"

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.control.config import ControllerConfig
-from fastmimic.deploy.clock import SHORT_SPIN_S, SPIN_S, Clock, RealClock, undisturbed
 from fastmimic.deploy.driver import RobotDriver
-from fastmimic.deploy.itinerary import Itinerary, make_itinerary
-from fastmimic.deploy.limits import SafetyLimits
+from fastmimic.deploy.emergency_stop import StopSwitch
 from fastmimic.deploy.log import LOST_ROWS, DeploymentLog, Recorder
-from fastmimic.deploy.loop import Ending, Loop, Outcome
-from fastmimic.deploy.pilot import Phase, Pilot
-from fastmimic.deploy.safety import Guard, NotingGuard, StopReason
+from fastmimic.deploy.loop import EndCondition, Loop, LoopOutcome
+from fastmimic.deploy.loop_clock import SHORT_SPIN_S, SPIN_S, LoopClock, RealClock, undisturbed
+from fastmimic.deploy.safety import DryRunGuard, Guard, StopReason
+from fastmimic.deploy.safety_limits import SafetyLimits
 from fastmimic.deploy.scoring import figures, score_log, true_states
-from fastmimic.deploy.stopping import StopSwitch
+from fastmimic.deploy.sequence import MotionSequence, make_sequence
+from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 from fastmimic.episode.rollout import MakeController
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.imitation.methods import check_controller, controller_for
@@ -45,7 +45,7 @@ class Deployment:
         noted: in a dry run, what was beyond the limits, a line for each kind.
     """
 
-    outcome: Outcome
+    outcome: LoopOutcome
     log: DeploymentLog
     noted: tuple[str, ...] = ()
 
@@ -100,17 +100,17 @@ def deploy(
     policy: MakeController | None = None,
     solve_rate_hz: float | None = None,
     estimator: EstimatorConfig | None = None,
-    itinerary: Itinerary | None = None,
+    sequence: MotionSequence | None = None,
     cycles: int | None = None,
     duration_s: float | None = None,
     endless: bool = False,
     limits: SafetyLimits | None = None,
-    clock: Clock | None = None,
+    clock: LoopClock | None = None,
     switch: StopSwitch | None = None,
     dry_run: bool = False,
     real_time: bool = False,
     on_ready: Callable[[], bool] | None = None,
-    watch: Callable[[Pilot, NDArray[Any]], None] | None = None,
+    watch: Callable[[StateMachine, NDArray[Any]], None] | None = None,
     note: Callable[[str], None] | None = None,
 ) -> Deployment:
     """Has a robot stand up, do a motion, and sit down.
@@ -122,7 +122,7 @@ def deploy(
         method, config, policy: as in `fastmimic.imitation.imitate.evaluate`.
         solve_rate_hz: of planning ahead; at the loop's rate if None.
         estimator: its parameters.
-        itinerary: of this motion and controller, if it was made before.
+        sequence: of this motion and controller, if it was made before.
         cycles, duration_s, endless: how many cycles, or how long, or until a person ends it; 10 s if none is given.
         limits: of safety; `SafetyLimits.of` the robot if None.
         clock: the computer's if None. A simulated robot has to have the same.
@@ -130,7 +130,7 @@ def deploy(
         dry_run: compute everything and send nothing.
         real_time: ask the system for real-time scheduling and locked memory.
         on_ready: called when all is prepared and there are states, before the first command; False calls it off.
-        watch: called after each period with the pilot and its command.
+        watch: called after each period with the machine and its command.
         note: takes lines for a person.
 
     Raises:
@@ -144,10 +144,10 @@ def deploy(
     ending, seconds = _ending(motion, cycles, duration_s, endless)
     limits = limits if limits is not None else SafetyLimits.of(robot)
     rate_hz = config.rate_hz
-    guard = (NotingGuard if dry_run else Guard)(robot, limits, rate_hz)
-    itinerary = itinerary if itinerary is not None else make_itinerary(robot, motion, config)
-    pilot = Pilot(robot, itinerary, guard, config, estimator=estimator, policy=policy)
-    around = itinerary.way_in.last + itinerary.way_out.last + round(_MARGIN_S * rate_hz)
+    guard = (DryRunGuard if dry_run else Guard)(robot, limits, rate_hz)
+    sequence = sequence if sequence is not None else make_sequence(robot, motion, config)
+    machine = StateMachine(robot, sequence, guard, config, estimator=estimator, policy=policy)
+    around = sequence.blend_in.last + sequence.blend_out.last + round(_MARGIN_S * rate_hz)
     steps = around + round(seconds * rate_hz) + motion.n_samples if math.isfinite(seconds) else None
     recorder = Recorder(min(steps or round(LOGGED_S * rate_hz), around + round(LOGGED_S * rate_hz)))
     clock = clock if clock is not None else RealClock(SHORT_SPIN_S if real_time else SPIN_S)
@@ -157,7 +157,7 @@ def deploy(
         with switch if switch is not None else StopSwitch() as hand:
             loop = Loop(
                 driver,
-                pilot,
+                machine,
                 guard,
                 recorder,
                 clock,
@@ -175,7 +175,7 @@ def deploy(
         "driver": type(driver).__name__,
         "method": method,
         "config": config.as_dict(),
-        "latency_s": pilot.estimator.config.latency_s,
+        "latency_s": machine.estimator.config.latency_s,
         "limits": dataclasses.asdict(limits),
         "torque_limit": robot.torque_limit.tolist(),
         "joint_speed_limit": robot.joint_speed_limit.tolist(),
@@ -188,7 +188,7 @@ def deploy(
     if recorder.periods > len(log.rows):
         _say(note, LOST_ROWS.format((recorder.periods - len(log.rows)) / rate_hz, len(log.rows) / rate_hz))
     meta["result"] = _result(robot, log, outcome, recorder.periods)
-    noted = tuple(found.text for found in guard.noted.values()) if isinstance(guard, NotingGuard) else ()
+    noted = tuple(found.text for found in guard.noted.values()) if isinstance(guard, DryRunGuard) else ()
     return Deployment(outcome, log, noted)
 
 
@@ -197,7 +197,7 @@ def _say(note: Callable[[str], None] | None, line: str) -> None:
         note(line)
 
 
-def _ending(motion: Motion, cycles: int | None, duration_s: float | None, endless: bool) -> tuple[Ending, float]:
+def _ending(motion: Motion, cycles: int | None, duration_s: float | None, endless: bool) -> tuple[EndCondition, float]:
     """When the motion is left, and after how long at most, s."""
     given = [name for name, value in (("cycles", cycles), ("duration", duration_s), ("endless", endless)) if value]
     if len(given) > 1:
@@ -209,22 +209,23 @@ def _ending(motion: Motion, cycles: int | None, duration_s: float | None, endles
     if motion.cycle is None:
         if given:
             raise ConfigError(f"motion '{motion.name}' does not repeat: it is done once; leave out {given[0]}")
-        return Ending(), motion.period_s
+        return EndCondition(), motion.period_s
     if cycles is not None:
-        return Ending(cycles=cycles), cycles * motion.period_s
+        return EndCondition(cycles=cycles), cycles * motion.period_s
     if endless:
-        return Ending(), math.inf
+        return EndCondition(), math.inf
     duration_s = DEFAULT_S if duration_s is None else duration_s
-    return Ending(steps=max(1, round(duration_s * motion.rate_hz))), duration_s
+    return EndCondition(steps=max(1, round(duration_s * motion.rate_hz))), duration_s
 
 
-def _result(robot: Robot, log: DeploymentLog, outcome: Outcome, periods: int) -> dict[str, Any]:
+def _result(robot: Robot, log: DeploymentLog, outcome: LoopOutcome, periods: int) -> dict[str, Any]:
     rows, dt = log.rows, 1.0 / log.rate_hz
     estimated = score_log(robot, log)
     true = None if log.truth is None else score_log(robot, log, log.truth)
-    computed = rows[rows["phase"] == Phase.FOLLOW]
-    solved = rows["solve_s"][(rows["solve_s"] > 0) & (rows["phase"] == Phase.FOLLOW)]
+    computed = rows[rows["phase"] == DeploymentPhase.FOLLOW]
+    solved = rows["solve_s"][(rows["solve_s"] > 0) & (rows["phase"] == DeploymentPhase.FOLLOW)]
     sent = rows[rows["sent"]]
+    undamped = rows[rows["phase"] != DeploymentPhase.DAMP]
     found = {
         "fell": outcome.stopped_by in FELL or bool(true is not None and true.fell[0]),
         "stopped_by": outcome.stopped_by.value,
@@ -234,7 +235,7 @@ def _result(robot: Robot, log: DeploymentLog, outcome: Outcome, periods: int) ->
         "rate_hz": log.rate_hz,
         "deadline_misses": outcome.deadline_misses,
         "periods_skipped": outcome.skipped,
-        "period_error_us": percentiles(np.abs(np.diff(rows["time_s"][rows["phase"] != Phase.DAMP]) - dt), 1e6),
+        "period_error_us": percentiles(np.abs(np.diff(undamped["time_s"]) - dt), 1e6),
         "control_us": percentiles(computed["control_s"], 1e6),
         "solve_us": percentiles(solved, 1e6),
         "read_us": percentiles(rows["read_s"], 1e6),

@@ -15,7 +15,7 @@ from fastmimic.robot.state import COMMAND
 
 
 @dataclass(frozen=True, eq=False)
-class LowState:
+class StateMessage:
     """One state message.
 
     Attributes:
@@ -60,7 +60,7 @@ class RobotDriver(Protocol):
     def open(self) -> None:
         """Connects, and waits for the first state. Sends no command."""
 
-    def read(self, timeout_s: float = 0.0) -> LowState | None:
+    def read(self, timeout_s: float = 0.0) -> StateMessage | None:
         """The newest state that arrived since the last call, waiting for one up to `timeout_s`; None if there is
         none. States that fail the checks of `Packets.rejected` are counted and never returned."""
 

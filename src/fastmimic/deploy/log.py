@@ -50,9 +50,9 @@ ROW: Final = np.dtype(
 )
 """One period: when it began, from the start of the run, and by how much too late; how long reading, computing and
 writing took; from the state's arrival to the command's departure; the age of the state when it was used, its sequence
-number, and whether it was a new one; the `Phase`, whether it was in the motion itself, the sample and the origin of the
-reference; the state, the estimate, the command, whether it was sent, and how many of its numbers were cut; leg states,
-the forces asked for (heading frame, N), the time to plan ahead, and the controller's counts."""
+number, and whether it was a new one; the `DeploymentPhase`, whether it was in the motion itself, the sample and the
+origin of the reference; the state, the estimate, the command, whether it was sent, and how many of its numbers were
+cut; leg states, the forces asked for (heading frame, N), the time to plan ahead, and the controller's counts."""
 
 LOST_ROWS: Final = "the first {:.0f} s are not in the log, which holds the last {:.0f} s"
 

@@ -7,12 +7,12 @@ from typing import Any, Final
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.clock import Clock
-from fastmimic.deploy.driver import LowState, Packets, RobotDriver, damping_command
+from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage, damping_command
+from fastmimic.deploy.emergency_stop import StopSwitch
 from fastmimic.deploy.log import Recorder
-from fastmimic.deploy.pilot import Phase, Pilot
+from fastmimic.deploy.loop_clock import LoopClock
 from fastmimic.deploy.safety import Guard, StopReason, Violation
-from fastmimic.deploy.stopping import StopSwitch
+from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 
 FIRST_STATE_S: Final = 3.0
 _AT_ONCE: Final = 2
@@ -24,7 +24,7 @@ class CalledOffError(DriverError):
 
 
 @dataclass(frozen=True)
-class Ending:
+class EndCondition:
     """When the motion is left.
 
     Attributes:
@@ -35,17 +35,17 @@ class Ending:
     cycles: int | None = None
     steps: int | None = None
 
-    def reached(self, pilot: Pilot) -> StopReason | None:
+    def reached(self, machine: StateMachine) -> StopReason | None:
         """Why the motion is to be left by now."""
-        if self.cycles is not None and pilot.cycles >= self.cycles:
+        if self.cycles is not None and machine.cycles >= self.cycles:
             return StopReason.CYCLES
-        if self.steps is not None and pilot.follower.steps >= self.steps:
+        if self.steps is not None and machine.follower.steps >= self.steps:
             return StopReason.DURATION
         return None
 
 
 @dataclass(frozen=True)
-class Outcome:
+class LoopOutcome:
     """How a run of the loop ended.
 
     Attributes:
@@ -59,7 +59,7 @@ class Outcome:
 
     stopped_by: StopReason
     text: str
-    phase: Phase
+    phase: DeploymentPhase
     deadline_misses: int
     skipped: int
     packets: Packets
@@ -71,21 +71,21 @@ class Loop:
     def __init__(
         self,
         driver: RobotDriver,
-        pilot: Pilot,
+        machine: StateMachine,
         guard: Guard,
         recorder: Recorder,
-        clock: Clock,
+        clock: LoopClock,
         rate_hz: float,
         *,
-        ending: Ending,
+        ending: EndCondition,
         switch: StopSwitch,
         dry: bool = False,
-        watch: Callable[[Pilot, NDArray[Any]], None] | None = None,
+        watch: Callable[[StateMachine, NDArray[Any]], None] | None = None,
     ) -> None:
         """
         Args:
             driver: open, and of nobody else.
-            pilot: what is sent.
+            machine: what is sent.
             guard: what may be.
             recorder: takes a row for each period.
             clock: of the deadlines; the driver's states were received on the same.
@@ -93,18 +93,18 @@ class Loop:
             ending: when the motion is left.
             switch: a person's hand.
             dry: whether nothing is sent.
-            watch: called at the end of each period with the pilot and the command (1,) of `COMMAND`.
+            watch: called at the end of each period with the machine and the command (1,) of `COMMAND`.
         """
-        self._driver, self._pilot, self._guard = driver, pilot, guard
+        self._driver, self._machine, self._guard = driver, machine, guard
         self._recorder, self._clock, self._dt = recorder, clock, 1.0 / rate_hz
         self._ending, self._switch, self._dry, self._watch = ending, switch, dry, watch
         self._damping = damping_command(guard.limits.damping)
-        self._state: LowState | None = None
+        self._state: StateMessage | None = None
         self._before = Packets()
         self._late = 0.0
         self._misses = self._skipped = 0
 
-    def run(self, on_ready: Callable[[], bool] | None = None) -> Outcome:
+    def run(self, on_ready: Callable[[], bool] | None = None) -> LoopOutcome:
         """Until the robot lies again.
 
         Args:
@@ -136,9 +136,9 @@ class Loop:
                 f"no state of the robot within {FIRST_STATE_S:g} s: is it switched on, in low-level mode, and on this"
                 " network?"
             )
-        self._pilot.warm_up(state.reading)
+        self._machine.warm_up(state.reading)
         self._began = self._start = self._deadline = self._clock.now()
-        self._record(state, True, Phase.HOLD, False, self._damping, False, (0.0, 0.0, 0.0))
+        self._record(state, True, DeploymentPhase.HOLD, False, self._damping, False, (0.0, 0.0, 0.0))
         self._recorder.periods = 0
 
     def _begin(self) -> None:
@@ -147,30 +147,30 @@ class Loop:
         if self._state is None:
             raise DriverError(f"the robot has fallen silent: no state for {FIRST_STATE_S:g} s")
         self._before = replace(self._driver.packets)
-        found = self._pilot.begin(self._state.reading)
+        found = self._machine.begin(self._state.reading)
         if found is not None:
             raise DriverError(f"the robot is not fit to begin: {found.text}")
 
-    def _follow(self) -> Outcome:
-        pilot, ended_by = self._pilot, None
-        while pilot.phase is not Phase.DONE:
+    def _follow(self) -> LoopOutcome:
+        machine, ended_by = self._machine, None
+        while machine.phase is not DeploymentPhase.DONE:
             self._wait()
             violation = self._emergency() or self._period()
             if violation is not None:
                 return self._end(violation)
-            if ended_by is None and pilot.phase <= Phase.FOLLOW:
-                ended_by = self._ending.reached(pilot) if pilot.in_motion else None
+            if ended_by is None and machine.phase <= DeploymentPhase.FOLLOW:
+                ended_by = self._ending.reached(machine) if machine.in_motion else None
                 ended_by = StopReason.ASKED if self._switch.leave else ended_by
                 if ended_by is not None:
-                    pilot.leave()
+                    machine.leave()
         if ended_by is None:
             ended_by = StopReason.END
-        return self._outcome(ended_by, "", Phase.DONE)
+        return self._outcome(ended_by, "", DeploymentPhase.DONE)
 
-    def _outcome(self, reason: StopReason, text: str, phase: Phase) -> Outcome:
+    def _outcome(self, reason: StopReason, text: str, phase: DeploymentPhase) -> LoopOutcome:
         now, before = asdict(self._driver.packets), asdict(self._before)
         packets = Packets(**{name: count - before[name] for name, count in now.items()})
-        return Outcome(reason, text, phase, self._misses, self._skipped, packets)
+        return LoopOutcome(reason, text, phase, self._misses, self._skipped, packets)
 
     def _wait(self) -> None:
         """Until the next period; those that were missed altogether are left out."""
@@ -192,7 +192,7 @@ class Loop:
 
     def _period(self) -> Violation | None:
         """One period: read, compute, write, record."""
-        clock, pilot = self._clock, self._pilot
+        clock, machine = self._clock, self._machine
         fresh = self._read()
         read = clock.now()
         assert self._state is not None
@@ -203,10 +203,10 @@ class Loop:
             read = clock.now()
             violation = self._guard.check_age(read - self._state.received)
         state = self._state
-        phase, command = pilot.phase, self._damping
+        phase, command = machine.phase, self._damping
         if violation is None:
-            command = pilot.step(state.reading)
-            violation = pilot.violation
+            command = machine.step(state.reading)
+            violation = machine.violation
         ready = clock.now()
         if violation is None:
             violation = self._guard.check_lateness(max(self._late, ready - self._deadline - self._dt))
@@ -214,12 +214,12 @@ class Loop:
         if send:
             self._driver.write(command)
         done = clock.now()
-        self._record(state, fresh, phase, pilot.in_motion, command, send, (read, ready, done))
+        self._record(state, fresh, phase, machine.in_motion, command, send, (read, ready, done))
         if done > self._deadline + self._dt:
             self._misses += 1
         self._deadline += self._dt
-        if self._watch is not None and pilot.phase is not Phase.DONE:
-            self._watch(pilot, command)
+        if self._watch is not None and machine.phase is not DeploymentPhase.DONE:
+            self._watch(machine, command)
         return violation
 
     def _read(self, timeout_s: float = 0.0) -> bool:
@@ -232,30 +232,30 @@ class Loop:
 
     def _record(
         self,
-        state: LowState,
+        state: StateMessage,
         fresh: bool,
-        phase: Phase,
+        phase: DeploymentPhase,
         moving: bool,
         command: NDArray[Any],
         sent: bool,
         times: tuple[float, float, float],
     ) -> None:
-        row, pilot, began = self._recorder.next_row(), self._pilot, self._began
+        row, machine, began = self._recorder.next_row(), self._machine, self._began
         read, ready, done = times
-        memory, clock = pilot.controller.memory[0], pilot.follower.clock[0]
+        memory, clock = machine.controller.memory[0], machine.follower.clock[0]
         row["time_s"], row["late_s"] = began - self._start, self._late
         row["read_s"], row["control_s"], row["write_s"] = read - began, ready - read, done - ready
         row["round_trip_s"], row["age_s"] = done - state.received, read - state.received
         row["sequence"], row["fresh"], row["phase"], row["in_motion"] = state.sequence, fresh, phase, moving
         row["sample"], row["origin"] = clock["sample"], clock["origin"]
-        row["reading"], row["estimate"], row["command"] = state.reading[0], pilot.observation[0], command[0]
+        row["reading"], row["estimate"], row["command"] = state.reading[0], machine.observation[0], command[0]
         row["sent"], row["cut"], row["stance"] = sent, self._guard.cut, memory["stance"]
         row["force"], row["solve_s"] = memory["force"], memory["solve_time"]
         row["early_touchdowns"], row["qp_failures"] = memory["early_touchdowns"], memory["qp_failures"]
 
-    def _end(self, violation: Violation) -> Outcome:
+    def _end(self, violation: Violation) -> LoopOutcome:
         """Damps the robot for a while, and says why."""
-        phase = self._pilot.phase
+        phase = self._machine.phase
         try:
             for _ in range(max(1, round(self._guard.limits.damping_s / self._dt))):
                 self._damped_period()
@@ -274,7 +274,7 @@ class Loop:
         assert state is not None
         times = (sent, sent, clock.now())
         self._began = sent
-        self._record(state, fresh, Phase.DAMP, False, self._damping, not self._dry, times)
+        self._record(state, fresh, DeploymentPhase.DAMP, False, self._damping, not self._dry, times)
         self._deadline = max(self._deadline, sent) + self._dt
         clock.sleep_until(self._deadline)
 

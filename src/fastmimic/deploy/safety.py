@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.conventions import JOINT_NAMES
 from fastmimic.base.jit import inlined, kernel, record_dtype
-from fastmimic.deploy.limits import SafetyLimits
+from fastmimic.deploy.safety_limits import SafetyLimits
 from fastmimic.reference.table import CLOCK, SAMPLE
 from fastmimic.robot import Robot
 
@@ -296,7 +296,7 @@ class Guard:
         return Violation(StopReason.NOT_FINITE, "a command of the controller is not finite")
 
 
-class NotingGuard(Guard):
+class DryRunGuard(Guard):
     """Notes what is beyond the limits and lets it pass: for a robot that gets no commands and so is not where they
     would have it.
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import ConfigError
-from fastmimic.deploy.clock import Clock, VirtualClock
-from fastmimic.deploy.driver import LowState, Packets, RobotDriver, damping_command
-from fastmimic.deploy.link import Link, LinkConfig, Receiver
+from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage, damping_command
+from fastmimic.deploy.loop_clock import LoopClock, VirtualClock
+from fastmimic.deploy.simulated_link import LinkFaults, Receiver, SimulatedLink
 from fastmimic.estimation.reading import READING
 from fastmimic.reference.standing import rising_path, standing_gains
 from fastmimic.robot import Robot
@@ -40,11 +40,11 @@ class SimDriver(RobotDriver):
     def __init__(
         self,
         robot: Robot,
-        clock: Clock | None = None,
+        clock: LoopClock | None = None,
         *,
         rate_hz: float = 500.0,
         conditions: Conditions | None = None,
-        link: LinkConfig | None = None,
+        link: LinkFaults | None = None,
         start: str = "lying",
     ) -> None:
         """
@@ -62,9 +62,9 @@ class SimDriver(RobotDriver):
         if start not in STARTS:
             raise ConfigError(f"a simulated robot starts {' or '.join(STARTS)}, not '{start}'")
         self.robot = robot
-        self._clock: Clock = clock if clock is not None else VirtualClock()
+        self._clock: LoopClock = clock if clock is not None else VirtualClock()
         self._conditions = conditions if conditions is not None else Conditions(observe="sensors")
-        self._link = link if link is not None else LinkConfig()
+        self._link = link if link is not None else LinkFaults()
         self._dt = 1.0 / rate_hz
         self._start = start
         self._simulation = make_simulation(robot, 1, self._conditions, control_rate_hz=rate_hz)
@@ -80,7 +80,7 @@ class SimDriver(RobotDriver):
     def _reset(self) -> None:
         self.packets = Packets()
         self.tick, self.damped = 0, False
-        self._states, self._commands = Link(self._link, self._dt, 0), Link(self._link, self._dt, 1)
+        self._states, self._commands = SimulatedLink(self._link, self._dt, 0), SimulatedLink(self._link, self._dt, 1)
         self._from_robot = Receiver(READING, self.packets)
         self._at_robot = Receiver(COMMAND)
         self._command = self._idle.copy()
@@ -103,7 +103,7 @@ class SimDriver(RobotDriver):
         self._states.send(self._epoch - self._link.latency_s, 0, reading)
         self._open = True
 
-    def read(self, timeout_s: float = 0.0) -> LowState | None:
+    def read(self, timeout_s: float = 0.0) -> StateMessage | None:
         """The newest state; `timeout_s` is time that the simulated robot gets to send one."""
         assert self._open
         end = self._clock.now() + timeout_s

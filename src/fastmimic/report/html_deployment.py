@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINTS_PER_LEG
 from fastmimic.base.errors import ConfigError, DeploymentError
-from fastmimic.deploy.account import account_rows
 from fastmimic.deploy.files import LOG, RESULT
 from fastmimic.deploy.log import DeploymentLog
-from fastmimic.deploy.pilot import Phase
+from fastmimic.deploy.state_machine import DeploymentPhase
+from fastmimic.deploy.summary import summary_rows
 from fastmimic.report.html_parts import Figure, Key, Page, Panel, numbers, pairs
 from fastmimic.report.html_traces import LIMIT, curve, greatest, layout_of, level
 
@@ -47,7 +47,7 @@ def deployment_page(path: Path) -> tuple[Page, tuple[str, ...]]:
     if missing:
         page.add(f'<div class="notes" id="notes"><ul>{"".join(f"<li>{escape(m)}</li>" for m in missing)}</ul></div>')
     page.section("figures", "In numbers")
-    page.add(pairs(dict(account_rows(result))))
+    page.add(pairs(dict(summary_rows(result))))
     if log is not None:
         _plots(page, log, result)
     page.section("run", "What was run")
@@ -85,7 +85,7 @@ def _plots(page: Page, log: DeploymentLog, result: dict[str, Any]) -> None:
 
 
 def _base(time: Array, rows: NDArray[Any], log: DeploymentLog) -> Figure:
-    following = rows["phase"] == Phase.FOLLOW
+    following = rows["phase"] == DeploymentPhase.FOLLOW
     height = np.where(following, rows["estimate"]["root_pos"][:, 2], np.nan)
     q = rows["reading"]["quat"]
     tilt = np.arccos(np.clip(1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2), -1.0, 1.0))
@@ -138,7 +138,7 @@ def _periods(time: Array, rows: NDArray[Any], log: DeploymentLog) -> Figure:
 
 
 def _histograms(rows: NDArray[Any]) -> Figure:
-    following = rows[rows["phase"] == Phase.FOLLOW]
+    following = rows[rows["phase"] == DeploymentPhase.FOLLOW]
     panels, said = [], []
     for title, name, values in (
         ("State in hand to command ready", "control", following["control_s"]),

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.driver import LowState, Packets, RobotDriver
+from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage
 from fastmimic.deploy.identity import impossible_joint
 from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot
@@ -70,13 +70,13 @@ class A1Driver(RobotDriver):
             raise
         self.packets = Packets()
 
-    def read(self, timeout_s: float = 0.0) -> LowState | None:
+    def read(self, timeout_s: float = 0.0) -> StateMessage | None:
         """See `RobotDriver`."""
         end = time.perf_counter() + timeout_s
         while True:
             reading = self._newest()
             if reading is not None:
-                return LowState(reading, self._sequence, time.perf_counter())
+                return StateMessage(reading, self._sequence, time.perf_counter())
             left = end - time.perf_counter()
             if left <= 0:
                 return None

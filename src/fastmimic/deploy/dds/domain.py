@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.dds.library import checked, library, loaned
+from fastmimic.deploy.dds.cyclone import checked, cyclone, loaned
 from fastmimic.deploy.dds.types import Message, described
 
 LOOPBACK: Final = "lo"
@@ -70,7 +70,7 @@ _domains_lock: Final = threading.Lock()
 
 
 def enter_domain(domain: int, interface: str) -> None:
-    dds = library()
+    dds = cyclone()
     with _domains_lock:
         found = _domains.get(domain)
         if found is None:
@@ -94,7 +94,7 @@ def _why_not(code: int, domain: int, interface: str) -> str:
             f"no place left in DDS domain {domain} on '{interface}': {MAX_PARTICIPANTS} programs of this computer are"
             " in it; end some, or take another domain"
         )
-    reason = library().dds_strretcode(code).decode()
+    reason = cyclone().dds_strretcode(code).decode()
     return f"DDS cannot use '{interface}' ({reason}): is it up, and has it an IPv4 address?"
 
 
@@ -119,7 +119,7 @@ def leave_domain(domain: int) -> None:
         found.users -= 1
         if found.users == 0:
             del _domains[domain]
-            library().dds_delete(found.handle)
+            cyclone().dds_delete(found.handle)
 
 
 class Participant:
@@ -137,7 +137,7 @@ class Participant:
         if not 0 <= domain <= MAX_DOMAIN:
             raise DriverError(f"a DDS domain is a number from 0 to {MAX_DOMAIN}, found {domain}")
         check_interface(interface)
-        dds = library()
+        dds = cyclone()
         enter_domain(domain, interface)
         self.domain, self.interface = domain, interface
         self._topics: dict[str, tuple[type[Message], int]] = {}
@@ -153,14 +153,14 @@ class Participant:
         if known is None:
             descriptor, memory = described(message)
             self._kept += [descriptor, memory]
-            handle = library().dds_create_topic(self._handle, ctypes.byref(descriptor), name.encode(), None, None)
+            handle = cyclone().dds_create_topic(self._handle, ctypes.byref(descriptor), name.encode(), None, None)
             known = self._topics[name] = (message, checked(handle, f"topic {name}"))
         assert known[0] is message
         return known[1]
 
     def publishers(self, topic: str) -> list[str]:
         """The types of all writers that are known of a topic, ours included."""
-        dds = library()
+        dds = cyclone()
         reader = checked(dds.dds_create_reader(self._handle, _PUBLICATIONS, None, None), "the built-in topic")
         found = loaned(reader, 256, _Endpoint, lambda e: (e.topic_name.decode(), e.type_name.decode()))
         dds.dds_delete(reader)
@@ -174,7 +174,7 @@ class Participant:
     def close(self) -> None:
         """Leaves the domain with all readers and writers; closing twice is allowed."""
         if self._handle > 0:
-            library().dds_delete(self._handle)
+            cyclone().dds_delete(self._handle)
             self._handle = 0
             leave_domain(self.domain)
 

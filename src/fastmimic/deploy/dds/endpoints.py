@@ -7,8 +7,8 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.deploy.dds.cyclone import Matched, SampleInfo, checked, cyclone, loaned
 from fastmimic.deploy.dds.domain import Participant
-from fastmimic.deploy.dds.library import Matched, SampleInfo, checked, library, loaned
 from fastmimic.deploy.dds.types import Message, fixed_size
 
 T = TypeVar("T")
@@ -21,7 +21,7 @@ class _Qos:
     """Quality of service while an entity is created. CDR of version 1, as 0.10 writes."""
 
     def __init__(self, reliable: bool, depth: int) -> None:
-        dds = library()
+        dds = cyclone()
         self._qos = dds.dds_create_qos()
         dds.dds_qset_reliability(self._qos, _RELIABLE if reliable else _BEST_EFFORT, 0)
         dds.dds_qset_history(self._qos, _KEEP_LAST, depth)
@@ -32,7 +32,7 @@ class _Qos:
         return self._qos
 
     def __exit__(self, *_: object) -> None:
-        library().dds_delete_qos(self._qos)
+        cyclone().dds_delete_qos(self._qos)
 
 
 class Writer:
@@ -48,10 +48,10 @@ class Writer:
         self.message = message()
         self.record = np.frombuffer(memoryview(self.message), np.dtype(message)) if fixed_size(message) else None
         with _Qos(True, depth) as qos:
-            handle = library().dds_create_writer(participant.handle, participant.topic(topic, message), qos, None)
+            handle = cyclone().dds_create_writer(participant.handle, participant.topic(topic, message), qos, None)
         self._handle = checked(handle, f"a writer of {topic}")
         self._address = ctypes.addressof(self.message)
-        self._write = library().dds_write
+        self._write = cyclone().dds_write
 
     def write(self) -> bool:
         """Sends `message`; False if it had to be dropped."""
@@ -60,7 +60,7 @@ class Writer:
     def matched(self) -> int:
         """How many readers there are now."""
         status = Matched()
-        library().dds_get_publication_matched_status(self._handle, ctypes.byref(status))
+        cyclone().dds_get_publication_matched_status(self._handle, ctypes.byref(status))
         return int(status.current)
 
 
@@ -82,7 +82,7 @@ class Reader:
 
     def __init__(self, participant: Participant, topic: str, message: type[Message], depth: int = 64) -> None:
         assert fixed_size(message)
-        dds, size = library(), ctypes.sizeof(message)
+        dds, size = cyclone(), ctypes.sizeof(message)
         self._participant, self._depth = participant, depth
         self._memory = (message * depth)()
         self._infos = (SampleInfo * depth)()
@@ -113,13 +113,13 @@ class Reader:
     def matched(self) -> int:
         """How many writers there are now."""
         status = Matched()
-        library().dds_get_subscription_matched_status(self._handle, ctypes.byref(status))
+        cyclone().dds_get_subscription_matched_status(self._handle, ctypes.byref(status))
         return int(status.current)
 
     def close(self) -> None:
         """Stops listening, before its participant does."""
-        library().dds_delete(self._waitset)
-        library().dds_delete(self._handle)
+        cyclone().dds_delete(self._waitset)
+        cyclone().dds_delete(self._handle)
 
 
 class TextReader:
@@ -128,7 +128,7 @@ class TextReader:
     def __init__(self, participant: Participant, topic: str, message: type[Message], depth: int = 16) -> None:
         self._participant, self._message, self._depth = participant, message, depth
         with _Qos(True, depth) as qos:
-            handle = library().dds_create_reader(participant.handle, participant.topic(topic, message), qos, None)
+            handle = cyclone().dds_create_reader(participant.handle, participant.topic(topic, message), qos, None)
         self._handle = checked(handle, f"a reader of {topic}")
 
     def take(self, convert: Callable[[Any], T]) -> list[T]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
 from fastmimic.deploy.dds import LOOPBACK, Participant, Reader, Writer
-from fastmimic.deploy.driver import LowState, Packets, RobotDriver
+from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage
 from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowCommand, Received, StateWire
 from fastmimic.deploy.go2.services import release_motion_service
@@ -91,7 +91,7 @@ class Go2Driver(RobotDriver):
             self.close()
             raise
 
-    def read(self, timeout_s: float = 0.0) -> LowState | None:
+    def read(self, timeout_s: float = 0.0) -> StateMessage | None:
         """See `RobotDriver`."""
         newest = self._newest(self._reader.take())
         if newest is None and timeout_s > 0:
@@ -99,7 +99,7 @@ class Go2Driver(RobotDriver):
             while newest is None and (left := end - time.perf_counter()) > 0:
                 self._reader.wait(left)
                 newest = self._newest(self._reader.take())
-        return None if newest is None else LowState(newest, self._sequence, time.perf_counter())
+        return None if newest is None else StateMessage(newest, self._sequence, time.perf_counter())
 
     def write(self, command: NDArray[Any]) -> None:
         """See `RobotDriver`.

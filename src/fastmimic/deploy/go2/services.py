@@ -78,7 +78,7 @@ class Answer(NamedTuple):
     data: dict[str, Any]
 
 
-class Client:
+class ServiceClient:
     """Asks one service of a robot."""
 
     def __init__(self, participant: Participant, service: str) -> None:
@@ -117,7 +117,7 @@ class Client:
         raise DriverError(f"the robot's service '{self._service}' does not answer request {api_id}")
 
 
-class Server:
+class ServiceServer:
     """Answers requests to one service: for the simulated robot.
 
     Args:
@@ -162,7 +162,7 @@ def release_motion_service(
         DriverError: there is no such service on another computer, which a robot is; or it does not answer, does not lie
             the robot down, or does not let go.
     """
-    switcher = Client(participant, MOTION_SWITCHER)
+    switcher = ServiceClient(participant, MOTION_SWITCHER)
     here = participant.interface == LOOPBACK
     if not switcher.find(FIND_S if here else FIND_FAR_S):
         if here:
@@ -188,7 +188,7 @@ def release_motion_service(
 
 
 def _lie_down(participant: Participant, lies: Callable[[], bool]) -> None:
-    sport = Client(participant, SPORT)
+    sport = ServiceClient(participant, SPORT)
     code = sport.ask(STAND_DOWN).code if sport.find() else None
     end = time.monotonic() + LIE_DOWN_S
     while not lies():
@@ -205,7 +205,7 @@ def _lie_down(participant: Participant, lies: Callable[[], bool]) -> None:
     time.sleep(SETTLE_S)
 
 
-def _active_mode(switcher: Client) -> str | None:
+def _active_mode(switcher: ServiceClient) -> str | None:
     answer = switcher.ask(CHECK_MODE)
     if answer.code != 0:
         raise DriverError(f"the robot does not say whether its motion service is active (code {answer.code})")

@@ -7,17 +7,17 @@ import numpy as np
 
 from fastmimic.base.conventions import JOINT_NAMES, LEGS
 from fastmimic.deploy.log import DeploymentLog
-from fastmimic.deploy.pilot import Phase
+from fastmimic.deploy.state_machine import DeploymentPhase
 
 _NONE: Final = "–"
 
 
-def account(result: dict[str, Any], table: Callable[..., list[str]]) -> list[str]:
+def summary_lines(result: dict[str, Any], table: Callable[..., list[str]]) -> list[str]:
     """Lines for the terminal; `table` aligns rows."""
-    return table(account_rows(result))
+    return table(summary_rows(result))
 
 
-def account_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
+def summary_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     """Names and values of a deployment's figures."""
     r = result
     rows = [
@@ -51,13 +51,13 @@ def account_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def commands_shown(log: DeploymentLog) -> list[str]:
+def command_table(log: DeploymentLog) -> list[str]:
     """What was commanded in each phase, a table for a person to check before a robot gets it."""
     rows = log.rows
     lines = []
-    for phase in Phase:
+    for phase in DeploymentPhase:
         part = rows[rows["phase"] == phase]
-        if not len(part) or phase in (Phase.DONE, Phase.DAMP):
+        if not len(part) or phase in (DeploymentPhase.DONE, DeploymentPhase.DAMP):
             continue
         command, reading = part["command"], part["reading"]
         lines.append(f"{phase.text}, {len(part) / log.rate_hz:.1f} s")

@@ -20,7 +20,7 @@ STATE_RATE_HZ: Final = 500.0
 PER_STATE: Final = 2
 """Physics steps from one measurement to the next."""
 COMMAND_TIMEOUT_S: Final = 0.02
-"""Of a `Body`: ten commands."""
+"""Of a `SimulatedBody`: ten commands."""
 MODE: Final = "normal"
 """The name of the motion service's mode while it is active."""
 
@@ -92,7 +92,7 @@ class MotionService:
         self._from, self._to, self._time = self._command["joint_pos"][0].copy(), to, 0.0
 
 
-class Body:
+class SimulatedBody:
     """A robot in MuJoCo, one physics step after the other.
 
     Args:

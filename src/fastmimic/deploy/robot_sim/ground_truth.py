@@ -14,7 +14,7 @@ FORMAT_VERSION: Final = 1
 _CHUNK: Final = 4096
 
 
-class Truth(NamedTuple):
+class GroundTruth(NamedTuple):
     """Of each state that a simulated robot measured, whether or not it arrived anywhere.
 
     Attributes:
@@ -34,8 +34,8 @@ class Truth(NamedTuple):
     service: NDArray[np.bool_]
 
 
-def load_truth(path: str | Path) -> Truth:
-    """Reads what `TruthLog.save` wrote.
+def load_ground_truth(path: str | Path) -> GroundTruth:
+    """Reads what `GroundTruthLog.save` wrote.
 
     Raises:
         OutputError: not such a file.
@@ -50,13 +50,13 @@ def load_truth(path: str | Path) -> Truth:
                 observation[name] = file[name]
             for name in COMMAND.names or ():
                 command[name] = file[f"command_{name}"]
-            return Truth(file["time"], file["tick"], observation, command, file["damped"], file["service"])
+            return GroundTruth(file["time"], file["tick"], observation, command, file["damped"], file["service"])
     except (OSError, ValueError, KeyError) as error:
         raise OutputError(f"{path}: not a log of 'fastmimic robot-sim' ({type(error).__name__})") from None
 
 
-class TruthLog:
-    """Gathers a `Truth`.
+class GroundTruthLog:
+    """Gathers a `GroundTruth`.
 
     The file is an `.npz` without pickles: `format_version`; `time`, `tick`, `damped`, `service` (t,); the fields of
     `OBSERVATION` under their names, such as `root_pos` (t, 3); those of `COMMAND` with `command_` before them.
@@ -89,10 +89,10 @@ class TruthLog:
         row["observation"], row["command"] = observation[0], command[0]
         self._used += 1
 
-    def truth(self) -> Truth:
+    def truth(self) -> GroundTruth:
         """What was gathered so far."""
         rows = np.concatenate([*self._full, self._chunk[: self._used]])
-        return Truth(*(rows[name] for name in Truth._fields))
+        return GroundTruth(*(rows[name] for name in GroundTruth._fields))
 
     def save(self, path: str | Path) -> None:
         """Writes the file, whole or not at all.

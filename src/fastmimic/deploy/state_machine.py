@@ -10,8 +10,8 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import yaw_from_quat
 from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.control.controller import Controller
-from fastmimic.deploy.itinerary import Follower, Itinerary
-from fastmimic.deploy.safety import Guard, NotingGuard, Violation
+from fastmimic.deploy.safety import DryRunGuard, Guard, Violation
+from fastmimic.deploy.sequence import Follower, MotionSequence
 from fastmimic.episode.rollout import LoopController, MakeController
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.estimation.estimator import START, Estimator
@@ -33,7 +33,7 @@ _WARM_UP: Final = 20
 _LEGS: Final = np.ones((1, 4), np.int64)
 
 
-class Phase(IntEnum):
+class DeploymentPhase(IntEnum):
     """Of a deployment."""
 
     HOLD = 0
@@ -54,32 +54,32 @@ class Phase(IntEnum):
 
 
 _WORDS: Final = {
-    Phase.HOLD: "taking hold",
-    Phase.FOLD: "folding its legs",
-    Phase.RISE: "standing up",
-    Phase.SETTLE: "standing",
-    Phase.FOLLOW: "on its way",
-    Phase.SIT: "sitting down",
-    Phase.RELEASE: "letting go",
-    Phase.DONE: "done",
-    Phase.DAMP: "damped",
+    DeploymentPhase.HOLD: "taking hold",
+    DeploymentPhase.FOLD: "folding its legs",
+    DeploymentPhase.RISE: "standing up",
+    DeploymentPhase.SETTLE: "standing",
+    DeploymentPhase.FOLLOW: "on its way",
+    DeploymentPhase.SIT: "sitting down",
+    DeploymentPhase.RELEASE: "letting go",
+    DeploymentPhase.DONE: "done",
+    DeploymentPhase.DAMP: "damped",
 }
 _LASTS_S: Final = {
-    Phase.HOLD: HOLD_S,
-    Phase.FOLD: FOLD_S,
-    Phase.RISE: RISE_S,
-    Phase.SETTLE: SETTLE_S,
-    Phase.SIT: SIT_S,
-    Phase.RELEASE: RELEASE_S,
+    DeploymentPhase.HOLD: HOLD_S,
+    DeploymentPhase.FOLD: FOLD_S,
+    DeploymentPhase.RISE: RISE_S,
+    DeploymentPhase.SETTLE: SETTLE_S,
+    DeploymentPhase.SIT: SIT_S,
+    DeploymentPhase.RELEASE: RELEASE_S,
 }
 
 
-class Pilot:
+class StateMachine:
     """Commands for one robot, a control step after the other.
 
     Attributes:
         phase: the present one.
-        follower: where in the itinerary it is, in the phase `FOLLOW`.
+        follower: where in the sequence it is, in the phase `FOLLOW`.
         observation: (1,) of `OBSERVATION`, what the controller is told; all 0 before the robot stands.
         violation: what it found wrong in the last step.
         cycles: of the motion that are complete.
@@ -88,7 +88,7 @@ class Pilot:
     def __init__(
         self,
         robot: Robot,
-        itinerary: Itinerary,
+        sequence: MotionSequence,
         guard: Guard,
         config: ControllerConfig,
         *,
@@ -98,14 +98,14 @@ class Pilot:
         """
         Args:
             robot: the robot.
-            itinerary: where it goes.
+            sequence: where it goes.
             guard: what it may do.
             config: of the controller.
             estimator: of the estimator.
             policy: makes the controller of the motion itself; the model-based one goes there and back.
         """
-        motion = itinerary.motion
-        self.robot, self.itinerary, self.guard = robot, itinerary, guard
+        motion = sequence.motion
+        self.robot, self.sequence, self.guard = robot, sequence, guard
         self._dt = 1.0 / config.rate_hz
         self._model_based = Controller(robot, [motion], 1, config)
         self._own: LoopController = self._model_based if policy is None else policy(robot, motion.target, 1, config)
@@ -113,16 +113,16 @@ class Pilot:
         self._failed = self.controller.memory["failed_in_a_row"]
         self.estimator = Estimator(robot, 1, config.rate_hz, estimator)
         recovers = config.recovery.enabled and policy is None
-        self.follower = Follower(itinerary, pack_config(config, robot) if recovers else None)
-        self._path, _ = rising_path(robot, itinerary.stand)
+        self.follower = Follower(sequence, pack_config(config, robot) if recovers else None)
+        self._path, _ = rising_path(robot, sequence.stand)
         self._stiffness, self._damping = standing_gains(robot)
-        self._reach = _height(robot, itinerary.stand)
+        self._reach = _height(robot, sequence.stand)
         self._command = np.zeros(1, COMMAND)
         self._words = f"passing into {motion.name}", motion.name, f"passing out of {motion.name}"
         self._nothing = np.zeros(1, OBSERVATION)
-        self._from = itinerary.stand
+        self._from = sequence.stand
         self._estimating, self._folded, self._leave_early = False, True, False
-        self.phase, self._steps = Phase.HOLD, 0
+        self.phase, self._steps = DeploymentPhase.HOLD, 0
         self.violation: Violation | None = None
 
     def begin(self, reading: NDArray[Any]) -> Violation | None:
@@ -131,28 +131,28 @@ class Pilot:
         found = self.guard.check_state(reading)
         if found is None:
             self._estimating = False
-            self._go(Phase.HOLD, reading)
+            self._go(DeploymentPhase.HOLD, reading)
         return found
 
     def warm_up(self, reading: NDArray[Any]) -> None:
         """Has everything compiled and in the caches; nothing of it is remembered."""
-        way, guard = self.itinerary, self.guard
-        self.guard = NotingGuard(self.robot, guard.limits, 1.0 / self._dt)
-        for phase in Phase:
+        way, guard = self.sequence, self.guard
+        self.guard = DryRunGuard(self.robot, guard.limits, 1.0 / self._dt)
+        for phase in DeploymentPhase:
             if phase in _LASTS_S:
                 self._estimating = False
                 self._go(phase, reading)
                 self.step(reading)
-        for leg in (way.way_in, way.main, way.way_out):
+        for part in (way.blend_in, way.main, way.blend_out):
             self._start_estimating(reading)
             self._start_following()
-            self.follower.enter(leg, np.zeros(3))
+            self.follower.enter(part, np.zeros(3))
             self._switch_controller()
-            self.phase = Phase.FOLLOW
+            self.phase = DeploymentPhase.FOLLOW
             for _ in range(_WARM_UP):
                 self.step(reading)
         self.guard, self._estimating, self.violation = guard, False, None
-        self._go(Phase.HOLD, reading)
+        self._go(DeploymentPhase.HOLD, reading)
 
     @property
     def observation(self) -> NDArray[Any]:
@@ -161,19 +161,19 @@ class Pilot:
     @property
     def doing(self) -> str:
         """What it does, in words."""
-        if self.phase is not Phase.FOLLOW:
+        if self.phase is not DeploymentPhase.FOLLOW:
             return _WORDS[self.phase]
-        way, leg = self.itinerary, self.follower.leg
-        return self._words[0 if leg is way.way_in else 1 if leg is way.main else 2]
+        way, part = self.sequence, self.follower.part
+        return self._words[0 if part is way.blend_in else 1 if part is way.main else 2]
 
     @property
     def in_motion(self) -> bool:
         """Whether the robot does the motion itself at present, neither on its way there nor back."""
-        return self.phase is Phase.FOLLOW and self.follower.in_motion
+        return self.phase is DeploymentPhase.FOLLOW and self.follower.in_motion
 
     @property
     def cycles(self) -> int:
-        return self.follower.steps // self.itinerary.motion.n_samples
+        return self.follower.steps // self.sequence.motion.n_samples
 
     def leave(self) -> None:
         """Has the robot go back to standing and sit down as soon as the motion can be left."""
@@ -189,7 +189,7 @@ class Pilot:
         Returns:
             (1,) of `COMMAND`, overwritten by the next call. Where `violation` is set it is not to be sent.
         """
-        following = self.phase is Phase.FOLLOW
+        following = self.phase is DeploymentPhase.FOLLOW
         follower = self.follower
         if following:
             self.violation = self.guard.check_state(reading, follower.table, follower.clock)
@@ -200,14 +200,14 @@ class Pilot:
         self._look(reading)
         if following:
             command = self._follow()
-            if self.phase is Phase.FOLLOW or self.violation is not None:
+            if self.phase is DeploymentPhase.FOLLOW or self.violation is not None:
                 return command
         return self._posture(reading)
 
     def _look(self, reading: NDArray[Any]) -> None:
         """Takes in the state, where there is an estimate."""
         if self._estimating:
-            following = self.phase is Phase.FOLLOW
+            following = self.phase is DeploymentPhase.FOLLOW
             self.estimator.step(reading, self.controller.memory["stance"] if following else _LEGS)
 
     def _follow(self) -> NDArray[Any]:
@@ -222,7 +222,7 @@ class Pilot:
             last, joints = self.controller.command[0], observation["joint_pos"][0]
             torque = last["torque"] + last["stiffness"] * (last["joint_pos"] - joints)
             self._from = joints + torque / self._stiffness  # so that the joints go on pushing as they do
-            self.phase, self._steps = Phase.SIT, 0
+            self.phase, self._steps = DeploymentPhase.SIT, 0
             return self._command
         command = self._drive()
         self.violation = self.guard.check_solver(int(self._failed[0]))
@@ -242,15 +242,15 @@ class Pilot:
         self._steps += 1
         stiffness, damping = 1.0, 1.0
         path = self._path
-        if self.phase is Phase.HOLD:
+        if self.phase is DeploymentPhase.HOLD:
             joints, stiffness = self._from, smooth(share)
-        elif self.phase is Phase.FOLD:
+        elif self.phase is DeploymentPhase.FOLD:
             joints = self._from + smooth(share) * (path[0] - self._from)
-        elif self.phase is Phase.RISE:
+        elif self.phase is DeploymentPhase.RISE:
             joints = along(path, share) if self._folded else self._from + smooth(share) * (path[-1] - self._from)
-        elif self.phase is Phase.SETTLE:
+        elif self.phase is DeploymentPhase.SETTLE:
             joints = path[-1]
-        elif self.phase is Phase.SIT:
+        elif self.phase is DeploymentPhase.SIT:
             # from wherever the controller left the joints
             joints = along(path, 1.0 - share) + (1.0 - smooth(min(1.0, 3.0 * share))) * (self._from - path[-1])
         else:
@@ -268,23 +268,23 @@ class Pilot:
 
     def _next(self, reading: NDArray[Any]) -> None:
         """The next phase, with this state."""
-        if self.phase is Phase.HOLD:
+        if self.phase is DeploymentPhase.HOLD:
             self._folded = _height(self.robot, reading["joint_pos"][0]) < _STANDING * self._reach
-            self._go(Phase.FOLD if self._folded else Phase.RISE, reading)
-        elif self.phase is Phase.RISE:
+            self._go(DeploymentPhase.FOLD if self._folded else DeploymentPhase.RISE, reading)
+        elif self.phase is DeploymentPhase.RISE:
             self._start_estimating(reading)
-            self._go(Phase.SETTLE, reading)
-        elif self.phase is Phase.SETTLE:
-            self.violation = self.guard.check_posture(reading, self.itinerary.stand)
+            self._go(DeploymentPhase.SETTLE, reading)
+        elif self.phase is DeploymentPhase.SETTLE:
+            self.violation = self.guard.check_posture(reading, self.sequence.stand)
             if self.violation is None and self._leave_early:
-                self._go(Phase.SIT, reading)
+                self._go(DeploymentPhase.SIT, reading)
             elif self.violation is None:
                 self._start_following()
-                self.phase = Phase.FOLLOW
-        elif self.phase is not Phase.DONE:
-            self._go(Phase(self.phase + 1), reading)
+                self.phase = DeploymentPhase.FOLLOW
+        elif self.phase is not DeploymentPhase.DONE:
+            self._go(DeploymentPhase(self.phase + 1), reading)
 
-    def _go(self, phase: Phase, reading: NDArray[Any]) -> None:
+    def _go(self, phase: DeploymentPhase, reading: NDArray[Any]) -> None:
         self.phase, self._steps = phase, 0
         self._from = np.array(reading["joint_pos"][0])
 
@@ -303,12 +303,12 @@ class Pilot:
         """Whose turn it is, with the table of the present stretch."""
         follower = self.follower
         chosen = self._own if follower.in_motion else self._model_based
-        begins = follower.leg is self.itinerary.way_in
+        begins = follower.part is self.sequence.blend_in
         if chosen is not self.controller or begins:
             self.controller, self._failed = chosen, chosen.memory["failed_in_a_row"]
-            chosen.tables = follower.leg.table
+            chosen.tables = follower.part.table
             chosen.reset(follower.clock["sample"])
-        chosen.tables = follower.leg.table
+        chosen.tables = follower.part.table
 
 
 def _height(robot: Robot, joints: Array) -> float:

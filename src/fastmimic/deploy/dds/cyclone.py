@@ -77,7 +77,7 @@ _PROTOTYPES: Final[dict[str, tuple[Any, ...]]] = {
 
 
 @functools.cache
-def library() -> ctypes.CDLL:
+def cyclone() -> ctypes.CDLL:
     """The one that the package `cyclonedds` brings or was built against."""
     try:
         from cyclonedds.internal import CycloneDDSLoaderException, load_cyclonedds
@@ -99,13 +99,13 @@ def library() -> ctypes.CDLL:
 def checked(code: int, what: str) -> int:
     """A handle or count as it is; raises `DriverError` for an error's code."""
     if code < 0:
-        raise DriverError(f"{what}: CycloneDDS says '{library().dds_strretcode(code).decode()}'")
+        raise DriverError(f"{what}: CycloneDDS says '{cyclone().dds_strretcode(code).decode()}'")
     return code
 
 
 def loaned(reader: int, depth: int, structure: Any, convert: Callable[[Any], T]) -> list[T]:
     """Takes messages in the library's memory, converts them, and hands the memory back."""
-    dds = library()
+    dds = cyclone()
     pointers, infos = (ctypes.c_void_p * depth)(), (SampleInfo * depth)()
     taken = checked(dds.dds_take(reader, pointers, infos, depth, depth), "taking messages")
     try:

@@ -18,7 +18,7 @@ PRIORITY: Final = 60
 _MCL_CURRENT_AND_FUTURE: Final = 3
 
 
-class Clock(Protocol):
+class LoopClock(Protocol):
     """A monotonic clock, s."""
 
     def now(self) -> float: ...

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import ConfigError
-from fastmimic.deploy.driver import LowState, Packets
+from fastmimic.deploy.driver import Packets, StateMessage
 
 
 @dataclass(frozen=True)
-class LinkConfig:
+class LinkFaults:
     """A wire's faults, the same in both directions. The default has none.
 
     Attributes:
@@ -47,11 +47,11 @@ class LinkConfig:
     @property
     def perfect(self) -> bool:
         """Whether nothing ever goes wrong."""
-        return self == LinkConfig(latency_s=self.latency_s, seed=self.seed)
+        return self == LinkFaults(latency_s=self.latency_s, seed=self.seed)
 
 
 @dataclass(frozen=True, order=True)
-class Message:
+class Packet:
     """Bytes on their way.
 
     Attributes:
@@ -69,10 +69,10 @@ class Message:
     checksum: int
 
 
-class Link:
+class SimulatedLink:
     """One direction of a wire."""
 
-    def __init__(self, config: LinkConfig, period_s: float, stream: int) -> None:
+    def __init__(self, config: LinkFaults, period_s: float, stream: int) -> None:
         """
         Args:
             config: its faults.
@@ -81,7 +81,7 @@ class Link:
         """
         self.config, self._period_s = config, period_s
         self._rng = np.random.default_rng(np.random.SeedSequence([config.seed, stream]))
-        self._under_way: list[Message] = []
+        self._under_way: list[Packet] = []
         self._sent = 0
 
     def send(self, now: float, sequence: int, record: NDArray[Any]) -> None:
@@ -103,9 +103,9 @@ class Link:
         arrival = now + config.latency_s + (1.5 * self._period_s if late < config.reordered else 0.0)
         for _ in range(2 if doubled < config.duplicated else 1):
             self._sent += 1
-            heapq.heappush(self._under_way, Message(arrival, self._sent, sequence, content, checksum))
+            heapq.heappush(self._under_way, Packet(arrival, self._sent, sequence, content, checksum))
 
-    def arrived(self, now: float) -> list[Message]:
+    def arrived(self, now: float) -> list[Packet]:
         """What has arrived by now, in its order."""
         found = []
         while self._under_way and self._under_way[0].arrival <= now + 1e-9:
@@ -125,7 +125,7 @@ class Receiver:
         self.packets = packets if packets is not None else Packets()
         self._last: int | None = None
 
-    def take(self, message: Message) -> LowState | None:
+    def take(self, message: Packet) -> StateMessage | None:
         """The record of a message; None if it is rejected."""
         record = np.frombuffer(bytearray(message.content), self._dtype)
         whole = message.checksum == _checksum(message.sequence, message.content)
@@ -137,7 +137,7 @@ class Receiver:
             self.packets.lost += message.sequence - self._last - 1
         self._last = message.sequence
         self.packets.received += 1
-        return LowState(record, message.sequence, message.arrival)
+        return StateMessage(record, message.sequence, message.arrival)
 
 
 def _checksum(sequence: int, content: bytes) -> int:

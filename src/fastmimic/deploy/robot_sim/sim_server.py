@@ -14,9 +14,9 @@ from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.deploy.dds import LOOPBACK, Participant, Reader, Writer
 from fastmimic.deploy.go2 import messages, services
 from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowCommand, StateWire, roll_pitch_yaw
-from fastmimic.deploy.robot_sim.body import COMMAND_TIMEOUT_S, MODE, PHYSICS_RATE_HZ, Body, Start
 from fastmimic.deploy.robot_sim.faults import Faults, FaultyLine
-from fastmimic.deploy.robot_sim.truth import TruthLog
+from fastmimic.deploy.robot_sim.ground_truth import GroundTruthLog
+from fastmimic.deploy.robot_sim.simulated_body import COMMAND_TIMEOUT_S, MODE, PHYSICS_RATE_HZ, SimulatedBody, Start
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.sensors import SensorConfig
@@ -79,7 +79,7 @@ class SimCounts:
     damped: int = 0
 
 
-class RobotSim:
+class SimServer:
     """A robot on the Go2's wire. A context manager.
 
     Args:
@@ -96,14 +96,16 @@ class RobotSim:
         DriverError: see `Participant`; or somebody else publishes states in the domain.
     """
 
-    def __init__(self, robot: Robot, settings: SimSettings | None = None, log: TruthLog | None = None) -> None:
+    def __init__(self, robot: Robot, settings: SimSettings | None = None, log: GroundTruthLog | None = None) -> None:
         self.settings = settings = settings if settings is not None else SimSettings()
         self.counts = SimCounts()
         self.realtime_factor = 1.0
         self._log = log
         self._participant = participant = Participant(settings.domain, settings.interface)
         try:
-            self.body = Body(robot, settings.start, settings.sensors, settings.seed, settings.command_timeout_s)
+            self.body = SimulatedBody(
+                robot, settings.start, settings.sensors, settings.seed, settings.command_timeout_s
+            )
             _check_alone(participant)
             self._connect(participant)
         except BaseException:
@@ -131,10 +133,10 @@ class RobotSim:
         self.body.sensors.to_motors(self._command)
         self._servers = self._serve(participant)
 
-    def _serve(self, participant: Participant) -> tuple[services.Server, ...]:
+    def _serve(self, participant: Participant) -> tuple[services.ServiceServer, ...]:
         """The services of its own software."""
         return (
-            services.Server(
+            services.ServiceServer(
                 participant,
                 services.MOTION_SWITCHER,
                 {
@@ -143,7 +145,7 @@ class RobotSim:
                     services.RELEASE_MODE: lambda _: self._release(),
                 },
             ),
-            services.Server(
+            services.ServiceServer(
                 participant,
                 services.SPORT,
                 {
@@ -157,7 +159,7 @@ class RobotSim:
         self,
         stop: threading.Event,
         duration_s: float = math.inf,
-        report: Callable[["RobotSim"], None] = lambda sim: None,
+        report: Callable[["SimServer"], None] = lambda sim: None,
         every_s: float = 1.0,
     ) -> None:
         """Is a robot, in real time, until `stop` is set or so many s of its own time have passed.

@@ -43,8 +43,8 @@ _VECTORS: Final = ("lin_vel", "ang_vel", "lin_acc", "ang_acc", "leg_lin_acc", "l
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
-    """A stretch of the way.
+class SequencePart:
+    """A piece of the way.
 
     Attributes:
         table: (1, t) of `SAMPLE`.
@@ -64,26 +64,26 @@ class Leg:
 
 
 @dataclass(frozen=True, eq=False)
-class Itinerary:
+class MotionSequence:
     """The way from standing to standing.
 
     Attributes:
         motion: what is done in the middle.
-        way_in, main, way_out: one after the other.
+        blend_in, main, blend_out: one after the other.
         height: of the base when it stands, m.
         stand: (12,) joints then, rad.
     """
 
     motion: Motion
-    way_in: Leg
-    main: Leg
-    way_out: Leg
+    blend_in: SequencePart
+    main: SequencePart
+    blend_out: SequencePart
     height: float
     stand: Array
 
 
 @dataclass(frozen=True, eq=False)
-class _Stretch:
+class _CourseSlice:
     """Rows `first` to `last`, exclusive, of a course that repeats; `last` may be beyond its end."""
 
     course: NDArray[Any]
@@ -92,69 +92,69 @@ class _Stretch:
 
 
 class Follower:
-    """Where in an itinerary the robot is. One control step after the other; nothing is allocated that matters.
+    """Where in an sequence the robot is. One control step after the other; nothing is allocated that matters.
 
     Attributes:
-        leg: the present one.
+        part: the present one.
         table: (t,) of `SAMPLE`, its samples.
-        clock: (1,) of `CLOCK`, of the present leg.
+        clock: (1,) of `CLOCK`, of the present part.
         steps: control steps in the motion itself so far.
         leaving: whether the motion is to be left where it can be.
         done: whether the way out has come to its end.
     """
 
-    def __init__(self, itinerary: Itinerary, recovery: NDArray[Any] | None = None) -> None:
+    def __init__(self, sequence: MotionSequence, recovery: NDArray[Any] | None = None) -> None:
         """
         Args:
-            itinerary: the way.
+            sequence: the way.
             recovery: packed configuration of a controller whose reference yields to a robot that was pushed.
         """
-        self.itinerary, self._recovery = itinerary, recovery
+        self.sequence, self._recovery = sequence, recovery
         self.begin(np.zeros(3))
 
     def begin(self, pose: Array) -> None:
         """Starts where the robot stands: (3,) x, y, yaw in the world, m and rad."""
         self.steps, self.leaving, self.done = 0, False, False
-        self.enter(self.itinerary.way_in, pose)
+        self.enter(self.sequence.blend_in, pose)
 
     @property
     def in_motion(self) -> bool:
         """Whether the present sample is one of the motion itself."""
-        return self.leg is self.itinerary.main
+        return self.part is self.sequence.main
 
     def advance(self, observation: NDArray[Any]) -> bool:
-        """One control step on; returns whether another leg has begun.
+        """One control step on; returns whether another part has begun.
 
         Args:
             observation: (1,) of `OBSERVATION`; x and y are synchronised to where the robot is where a cycle starts.
         """
         if self.done:
             return False
-        way, leg = self.itinerary, self.leg
-        if leg is way.main:
+        way, part = self.sequence, self.part
+        if part is way.main:
             self.steps += 1
-        if self._recovery is not None and leg is way.main:
-            advance_recovering(self._recovery, self.clock, leg.table, observation)
+        if self._recovery is not None and part is way.main:
+            advance_recovering(self._recovery, self.clock, part.table, observation)
         else:
-            advance_clocks(self.clock, leg.table, observation["root_pos"])
+            advance_clocks(self.clock, part.table, observation["root_pos"])
         sample = int(self.clock["sample"][0])
-        if leg is way.way_out:
-            self.done = sample >= leg.last
+        if part is way.blend_out:
+            self.done = sample >= part.last
             return False
-        left = sample == leg.last and (not leg.repeats or self.leaving)
+        left = sample == part.last and (not part.repeats or self.leaving)
         if left:
-            following = way.main if leg is way.way_in else way.way_out
-            position, quat = world_root(leg.table[0], self.clock["sample"], self.clock["origin"])
+            following = way.main if part is way.blend_in else way.blend_out
+            position, quat = world_root(part.table[0], self.clock["sample"], self.clock["origin"])
             self.enter(following, np.array([*position[0, :2], yaw_from_quat(quat)[0]]))
         return left
 
-    def enter(self, leg: Leg, pose: Array) -> None:
-        """Begins a leg with its first sample's root at (3,) x, y, yaw in the world, m and rad."""
-        self.leg, self.table, self.clock = leg, leg.table[0], leg.clock.copy()
-        place_clocks(self.clock, np.array([leg.first]), self.table, pose[None])
+    def enter(self, part: SequencePart, pose: Array) -> None:
+        """Begins a part with its first sample's root at (3,) x, y, yaw in the world, m and rad."""
+        self.part, self.table, self.clock = part, part.table[0], part.clock.copy()
+        place_clocks(self.clock, np.array([part.first]), self.table, pose[None])
 
 
-def make_itinerary(robot: Robot, motion: Motion, config: ControllerConfig) -> Itinerary:
+def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionSequence:
     """The way into a motion and out of it.
 
     Args:
@@ -178,27 +178,27 @@ def make_itinerary(robot: Robot, motion: Motion, config: ControllerConfig) -> It
     hops = _way(library, STAND, start)
     whole = course_of(motion, robot)
     arrive = (hops[-1][1].arrive + first.shift) % first.motion.n_samples
-    way_in = _stretches(library, STAND, hops, 0, hold)
-    way_in.append(_Stretch(whole, arrive, arrive + ahead))
-    table, at = _table(robot, way_in, config.rate_hz)
-    into = _leg(table, 0, at[-1])
+    blend_in = _slices(library, STAND, hops, 0, hold)
+    blend_in.append(_CourseSlice(whole, arrive, arrive + ahead))
+    table, at = _table(robot, blend_in, config.rate_hz)
+    into = _part(table, 0, at[-1])
 
     hops = _way(library, end, STAND)
     n = last.motion.n_samples
     # so early that the controller, which looks ahead, sees where it goes
     begins = (hops[0][1].leave - ahead) % n if motion.cycle is not None else (motion.n_samples - 1 - last.shift) % n
     ends = begins if motion.cycle is not None else motion.n_samples - 1
-    way_out = _stretches(library, end, hops, begins, 0)
-    way_out.append(_Stretch(stand.course, hops[-1][1].arrive, hops[-1][1].arrive + hold + ahead))
-    table, at = _table(robot, way_out, config.rate_hz)
-    out = _leg(table, 0, at[-1] + hold)
+    blend_out = _slices(library, end, hops, begins, 0)
+    blend_out.append(_CourseSlice(stand.course, hops[-1][1].arrive, hops[-1][1].arrive + hold + ahead))
+    table, at = _table(robot, blend_out, config.rate_hz)
+    out = _part(table, 0, at[-1] + hold)
 
-    main = Leg(reference_table(motion, robot)[None], arrive, ends, make_clocks(motion, 1))
+    main = SequencePart(reference_table(motion, robot)[None], arrive, ends, make_clocks(motion, 1))
     height = float(stand.motion.root_pos_w[0, 2])
-    return Itinerary(motion, into, main, out, height, np.array(stand.motion.joint_pos[0]))
+    return MotionSequence(motion, into, main, out, height, np.array(stand.motion.joint_pos[0]))
 
 
-def _standing(robot: Robot, motion: Motion, config: ControllerConfig) -> Itinerary:
+def _standing(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionSequence:
     """A motion that only stands: nothing has to be passed through.
 
     Raises:
@@ -213,10 +213,12 @@ def _standing(robot: Robot, motion: Motion, config: ControllerConfig) -> Itinera
             " robot stands: no way leads there without a step"
         )
     course = course_of(stand, robot)
-    table, _ = _table(robot, [_Stretch(course, 0, hold + _looked_ahead(config))], config.rate_hz)
-    way = _leg(table, 0, hold)
-    main = Leg(reference_table(motion, robot)[None], 0, 0, make_clocks(motion, 1))
-    return Itinerary(motion, way, main, _leg(table, 0, hold), float(stand.root_pos_w[0, 2]), stand.joint_pos[0].copy())
+    table, _ = _table(robot, [_CourseSlice(course, 0, hold + _looked_ahead(config))], config.rate_hz)
+    way = _part(table, 0, hold)
+    main = SequencePart(reference_table(motion, robot)[None], 0, 0, make_clocks(motion, 1))
+    return MotionSequence(
+        motion, way, main, _part(table, 0, hold), float(stand.root_pos_w[0, 2]), stand.joint_pos[0].copy()
+    )
 
 
 class _End(NamedTuple):
@@ -266,9 +268,9 @@ def _way(library: MotionSet, start: str, goal: str) -> list[tuple[str, CourseTra
     return hops
 
 
-def _stretches(
+def _slices(
     library: MotionSet, start: str, hops: list[tuple[str, CourseTransition]], first: int, hold: int
-) -> list[_Stretch]:
+) -> list[_CourseSlice]:
     """Rows of the motions and transitions on a way, from row `first` of its first motion, there for `hold` at least."""
     found, name, row, least = [], start, first, hold
     for following, transition in hops:
@@ -277,17 +279,17 @@ def _stretches(
         last = row + (transition.leave - row) % n
         last += n if last == row else 0
         last += n * math.ceil(max(0, least - (last - row)) / n)
-        found.append(_Stretch(course, row, last))
-        found.append(_Stretch(transition.course, transition.first, transition.last))
+        found.append(_CourseSlice(course, row, last))
+        found.append(_CourseSlice(transition.course, transition.first, transition.last))
         name, row, least = following, transition.arrive, 0
     return found
 
 
-def _table(robot: Robot, stretches: list[_Stretch], rate_hz: float) -> tuple[NDArray[Any], list[int]]:
+def _table(robot: Robot, slices: list[_CourseSlice], rate_hz: float) -> tuple[NDArray[Any], list[int]]:
     """Stretches one after the other as a table (t,) of `SAMPLE`, relative to the heading frame of its first row.
 
     Returns:
-        The table, and the sample at which each stretch begins.
+        The table, and the sample at which each piece begins.
     """
     stream, place, row = Stream(robot, rate_hz), make_place(), np.zeros(1, SAMPLE)
     modulation = np.zeros(1, MODULATION)
@@ -296,15 +298,15 @@ def _table(robot: Robot, stretches: list[_Stretch], rate_hz: float) -> tuple[NDA
     poses: list[Array] = []
     begins: list[int] = []
     pose = np.zeros(3)
-    for stretch, following in pairwise([*stretches, stretches[-1]]):
-        course = stretch.course
+    for piece, following in pairwise([*slices, slices[-1]]):
+        course = piece.course
         n = len(course)
         begins.append(len(rows))
-        for i in range(stretch.first, stretch.last):
+        for i in range(piece.first, piece.last):
             at = i % n
             place["position"] = at
             # interpolation looks a few rows beyond the end, into what follows
-            place["exit"] = at + stretch.last - i if stretch is not following else -1
+            place["exit"] = at + piece.last - i if piece is not following else -1
             place["entry"] = following.first % len(following.course)
             stream.fill(course, following.course, place, modulation, row)
             row["sync"] = course["sync"][at]
@@ -325,5 +327,5 @@ def _placed(table: NDArray[Any], pose: Array) -> NDArray[Any]:
     return table
 
 
-def _leg(table: NDArray[Any], first: int, last: int) -> Leg:
-    return Leg(table[None], first, last, np.zeros(1, CLOCK))
+def _part(table: NDArray[Any], first: int, last: int) -> SequencePart:
+    return SequencePart(table[None], first, last, np.zeros(1, CLOCK))
