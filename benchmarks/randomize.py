@@ -22,7 +22,8 @@ from marked import put
 
 import fastmimic as fm
 from fastmimic.base.files import replace_file
-from fastmimic.episode.rollout import nominal_start, run_episodes, swing_clearance
+from fastmimic.episode.metrics import swing_clearance
+from fastmimic.episode.rollout import nominal_start, run_episodes
 from fastmimic.experiments.entrants import Entrant
 from fastmimic.experiments.transfer import LAST, STAGES, TransferSettings, run_trials
 from fastmimic.imitation.imitate import default_duration

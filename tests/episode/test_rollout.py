@@ -12,6 +12,7 @@ from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_rotate, rotate_planar, yaw_from_quat
 from fastmimic.control.config import default_config
+from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.reward import TERMS, WEIGHTS
 from fastmimic.episode.rollout import (
     JOINT_NOISE,
@@ -22,7 +23,6 @@ from fastmimic.episode.rollout import (
     nominal_start,
     perturbed_start,
     run_episodes,
-    swing_clearance,
 )
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import reference_table

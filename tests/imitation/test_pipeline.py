@@ -10,9 +10,10 @@ import fastmimic as fm
 from control.motions import gait
 from fastmimic.base.errors import CheckpointError, ConfigError, FastMimicError, MotionError, RobotError
 from fastmimic.clips.catalogue import open_clip
+from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.reward import TERMS
-from fastmimic.episode.rollout import nominal_start, run_episodes, swing_clearance
-from fastmimic.imitation.imitate import Imitation, evaluate, imitate, load_motion, numbers
+from fastmimic.episode.rollout import nominal_start, run_episodes
+from fastmimic.imitation.imitate import Imitation, evaluate, imitate, load_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es
 from fastmimic.robot import Robot
@@ -202,9 +203,6 @@ class TestMetrics:
         for p, value in zip(parameters, imitation.values, strict=True):
             assert set(p) == {"name", "unit", "lower", "upper", "initial", "value"}
             assert p["lower"] <= p["value"] == value <= p["upper"]
-
-    def test_what_does_not_exist_is_null(self) -> None:
-        assert numbers(np.array([1.0, np.nan, np.inf])) == [1.0, None, None]
 
 
 class TestEvaluate:

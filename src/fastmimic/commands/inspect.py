@@ -62,7 +62,7 @@ def describe_motion(motion: Motion, robot: Robot) -> list[str]:
 
     from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
     from fastmimic.commands.provenance import assumed, provenance
-    from fastmimic.episode.rollout import swing_clearance
+    from fastmimic.episode.metrics import swing_clearance
 
     def legs(values: "np.ndarray", form: str) -> str:
         return ", ".join(f"{leg} {format(v, form)}" for leg, v in zip(LEGS, values, strict=True))

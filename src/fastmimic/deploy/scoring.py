@@ -1,6 +1,6 @@
 """What a deployment was worth: the reward of what was done in the motion itself, out of its log."""
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,8 @@ from fastmimic.base.errors import DeploymentError
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.deploy.log import DeploymentLog
-from fastmimic.episode.reward import TALLY, TERMS, score_step
+from fastmimic.episode.metrics import Metrics
+from fastmimic.episode.reward import TALLY, score_step
 from fastmimic.episode.rollout import Rollout, summarised
 from fastmimic.imitation.imitate import Evaluation
 from fastmimic.motion.motion import Motion
@@ -18,6 +19,15 @@ from fastmimic.reference.table import advance_clocks, make_clocks, reference_tab
 from fastmimic.robot import Robot
 from fastmimic.robot.state import MEMORY
 from fastmimic.simulation.conditions import Conditions
+
+_FIGURES: Final = (
+    "reward_mean",
+    "components",
+    "swing_clearance_m",
+    "drift_m_per_s",
+    "early_contacts_per_s",
+    "stance_slip_m",
+)
 
 
 def score_log(robot: Robot, log: DeploymentLog, observation: NDArray[Any] | None = None) -> Rollout | None:
@@ -89,16 +99,8 @@ def figures(rollout: Rollout | None) -> dict[str, Any]:
     """Of an episode, JSON-serialisable; None for each if there is none."""
     if rollout is None:
         return {"reward_mean": None, "components": None, "swing_clearance_m": None, "motion_s": 0.0}
-    clearance = [float(c) if np.isfinite(c) else None for c in rollout.clearance[0]]
-    return {
-        "reward_mean": float(rollout.reward[0]),
-        "components": {name: float(v) for name, v in zip(TERMS, rollout.terms[0], strict=True)},
-        "swing_clearance_m": clearance,
-        "drift_m_per_s": float(rollout.drift[0]),
-        "early_contacts_per_s": float(rollout.early_contacts[0]),
-        "stance_slip_m": float(rollout.slip.mean()),
-        "motion_s": rollout.duration_s,
-    }
+    found = Metrics.of(rollout).as_dict()
+    return {name: found[name] for name in _FIGURES} | {"motion_s": rollout.duration_s}
 
 
 def true_states(log: DeploymentLog, truth: NDArray[Any], sequence: NDArray[np.int64]) -> NDArray[Any]:

@@ -495,28 +495,6 @@ def _lift_to_ground(robot: Robot, position: Array, quat: Array, joints: Array) -
     return np.maximum(0.0, robot.foot_radius - feet[..., 2].min(axis=1))
 
 
-def swing_clearance(motion: Motion, foot_radius: float) -> Array:
-    """Mean over the swings of each foot's greatest height above the ground in a reference, (4,) m; NaN without
-    swings. A swing that a motion's end cuts off is none."""
-    feet = motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
-    height = feet[..., 2] - foot_radius
-    out = np.full(4, np.nan)
-    for leg in range(4):
-        swing = ~motion.contact[:, leg]
-        if not swing.any() or swing.all():
-            continue
-        h = height[:, leg]
-        if motion.cycle is not None:
-            first = int(np.flatnonzero(motion.contact[:, leg])[0])  # start in a stance, so that no swing is cut in two
-            swing, h = np.roll(swing, -first), np.roll(h, -first)
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], swing.view(np.int8), [0]]))).reshape(-1, 2)
-        if motion.cycle is None:
-            edges = edges[edges[:, 1] < len(h)]  # as the episodes count: what has come down
-        if len(edges):
-            out[leg] = np.mean([h[a:b].max() for a, b in edges])
-    return out
-
-
 def run_episodes(
     robot: Robot,
     motion: Motion,

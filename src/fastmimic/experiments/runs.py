@@ -22,8 +22,9 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import OutputError
 from fastmimic.base.files import replace_file
 from fastmimic.control.config import ControllerConfig, controller_config
+from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.reward import TERMS
-from fastmimic.episode.rollout import MakeController, Rollout, perturbed_start, run_episodes, swing_clearance
+from fastmimic.episode.rollout import MakeController, Rollout, perturbed_start, run_episodes
 from fastmimic.episode.style import style_distance
 from fastmimic.experiments.ablations import ablation_named
 from fastmimic.imitation.imitate import Imitation, default_duration, imitate, versions

@@ -13,12 +13,12 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
+from fastmimic.base.text import plain
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import detect_format
 from fastmimic.control.config import ControllerConfig, controller_config
-from fastmimic.episode.observer import EstimationErrors
-from fastmimic.episode.reward import TERMS
+from fastmimic.episode.metrics import Metrics, swing_clearance
 from fastmimic.episode.rollout import (
     MakeController,
     Rollout,
@@ -26,7 +26,6 @@ from fastmimic.episode.rollout import (
     perturbed_start,
     run_episodes,
     run_log,
-    swing_clearance,
 )
 from fastmimic.episode.run_log import RunLog
 from fastmimic.imitation.methods import RL, Method, check_controller, controller_for, made_with, method_named
@@ -43,6 +42,7 @@ from fastmimic.simulation.conditions import Conditions
 
 EVALUATION_S: Final = 10.0
 """Length of an episode of a motion that repeats, if nothing is said."""
+_BEFORE_AND_AFTER: Final = ("early_contacts_per_s", "stance_slip_m", "foot_z_rmse_m", "foot_x_rmse_m", "qp_failures")
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +72,8 @@ class HeldOut:
 
 
 def _over_robots(rollout: Rollout) -> dict[str, float]:
-    return {
-        "mean": float(rollout.reward.mean()),
-        "std": float(rollout.reward.std()),
-        "worst": float(rollout.reward.min()),
-        "fell": float(rollout.fell.mean()),
-    }
+    found = Metrics.of(rollout)
+    return {"mean": found.reward_mean, "std": found.reward_std, "worst": found.reward_worst, "fell": found.fell}
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +123,12 @@ class Imitation:
 
     def metrics(self) -> dict[str, Any]:
         """All figures of the run, JSON-serialisable; numbers that do not exist (no swing, no step) are None."""
-        before, after = self.before, self.after
-        return {
+        before, after = Metrics.of(self.before), Metrics.of(self.after)
+
+        def both(name: str) -> dict[str, Any]:
+            return {"before": getattr(before, name), "after": getattr(after, name)}
+
+        found = {
             "motion": self.motion.name,
             "robot": self.robot.name,
             "method": self.method,
@@ -136,27 +136,18 @@ class Imitation:
             "seed": self.seed,
             "duration_s": self.duration_s,
             "reward": {
-                "before": float(before.reward[0]),
-                "after": float(after.reward[0]),
-                "components_before": before.components(0),
-                "components_after": after.components(0),
+                **both("reward_mean"),
+                "components_before": before.components,
+                "components_after": after.components,
             },
             **({"randomization": self.held_out.as_dict()} if self.held_out is not None else {}),
-            "fell": {"before": bool(before.fell[0]), "after": bool(after.fell[0])},
-            "drift_m_per_s": {"before": float(before.drift[0]), "after": float(after.drift[0])},
+            "fell": both("fell_once"),
+            "drift_m_per_s": both("drift_m_per_s"),
             "swing_clearance_m": {
-                "demonstration": numbers(swing_clearance(self.demonstration, self.robot.foot_radius)),
-                "before": numbers(before.clearance[0]),
-                "after": numbers(after.clearance[0]),
+                "demonstration": swing_clearance(self.demonstration, self.robot.foot_radius),
+                **both("swing_clearance_m"),
             },
-            "early_contacts_per_s": {
-                "before": float(before.early_contacts[0]),
-                "after": float(after.early_contacts[0]),
-            },
-            "stance_slip_m": {"before": float(np.mean(before.slip[0])), "after": float(np.mean(after.slip[0]))},
-            "foot_z_rmse_m": {"before": _rms(before.foot_rmse[0, :, 2]), "after": _rms(after.foot_rmse[0, :, 2])},
-            "foot_x_rmse_m": {"before": _rms(before.foot_rmse[0, :, 0]), "after": _rms(after.foot_rmse[0, :, 0])},
-            "qp_failures": {"before": int(before.qp_failures[0]), "after": int(after.qp_failures[0])},
+            **{name: both(name) for name in _BEFORE_AND_AFTER},
             "evaluations": self.evaluations,
             "iterations": self.iterations,
             "interrupted": self.interrupted,
@@ -177,21 +168,23 @@ class Imitation:
             ],
             "versions": versions(),
         }
+        return plain(found)
 
     def _segments(self) -> list[dict[str, Any]]:
         """Figures of each segment of a stitched motion; empty for others."""
         rate, found = self.demonstration.rate_hz, []
         segments = self.demonstration.meta.get("stitch", {}).get("segments", [])
-        for segment, before, after in zip(segments, self.before.parts, self.after.parts, strict=True):
+        for segment, *parts in zip(segments, self.before.parts, self.after.parts, strict=True):
+            before, after = (Metrics.of(part) for part in parts)
             found.append(
                 {
                     "motion": segment["name"],
                     "cycles": segment["cycles"],
                     "first_s": segment["first"] / rate,
                     "last_s": segment["last"] / rate,
-                    "reward": {"before": float(before.reward[0]), "after": float(after.reward[0])},
-                    "fell": {"before": bool(before.fell[0]), "after": bool(after.fell[0])},
-                    "swing_clearance_m": {"before": numbers(before.clearance[0]), "after": numbers(after.clearance[0])},
+                    "reward": {"before": before.reward_mean, "after": after.reward_mean},
+                    "fell": {"before": before.fell_once, "after": after.fell_once},
+                    "swing_clearance_m": {"before": before.swing_clearance_m, "after": after.swing_clearance_m},
                 }
             )
         return found
@@ -397,37 +390,12 @@ class Evaluation:
 
     def as_dict(self) -> dict[str, Any]:
         """Figures over all episodes; means over legs and episodes where there are several."""
-        r = self.rollout
         return {
             "motion": self.motion.name,
             "method": self.method,
             "config": self.config.name,
-            "episodes": len(r.reward),
-            "duration_s": r.duration_s,
-            "reward_mean": float(r.reward.mean()),
-            "reward_std": float(r.reward.std()),
-            "components": {name: float(r.terms[:, i].mean()) for i, name in enumerate(TERMS)},
-            "fell": float(r.fell.mean()),
-            "drift_m_per_s": float(r.drift.mean()),
-            "swing_clearance_m": numbers(_mean_over_episodes(r.clearance)),
-            "early_contacts_per_s": float(r.early_contacts.mean()),
-            "stance_slip_m": float(r.slip.mean()),
-            "foot_z_rmse_m": _rms(r.foot_rmse[..., 2]),
-            "foot_x_rmse_m": _rms(r.foot_rmse[..., 0]),
-            **(_estimation_figures(r.estimation) if r.estimation is not None else {}),
+            **Metrics.of(self.rollout).as_dict(),
         }
-
-
-def _estimation_figures(errors: EstimationErrors) -> dict[str, float | None]:
-    """Root mean squares over the episodes, and the mean drift of those that travelled; None if none did."""
-    drift = errors.position_drift[np.isfinite(errors.position_drift)]
-    return {
-        "estimate_drift_percent": float(drift.mean()) if len(drift) else None,
-        "estimate_velocity_rmse_m_per_s": _rms(errors.velocity_rmse),
-        "estimate_height_rmse_m": _rms(errors.height_rmse),
-        "estimate_tilt_rmse_rad": _rms(errors.tilt_rmse),
-        "estimate_heading_error_rad": _rms(errors.heading_error),
-    }
 
 
 def evaluate(
@@ -505,20 +473,5 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: metadata.version(name) for name in names}}
 
 
-def numbers(values: Array) -> list[float | None]:
-    """A list for JSON, which knows no NaN."""
-    return [float(v) if np.isfinite(v) else None for v in values]
-
-
-def _mean_over_episodes(values: Array) -> Array:
-    present = np.isfinite(values)
-    total = np.where(present, values, 0.0).sum(axis=0)
-    return np.where(present.any(axis=0), total / np.maximum(present.sum(axis=0), 1), np.nan)
-
-
 def _configured(method: Method, config: ControllerConfig | str) -> ControllerConfig:
     return method.configure(controller_config(config) if isinstance(config, str) else config)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

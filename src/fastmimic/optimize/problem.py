@@ -24,7 +24,8 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import available_cores
 from fastmimic.control.config import ControllerConfig, default_config
-from fastmimic.episode.rollout import ClosedLoop, Rollout, Start, nominal_start, perturbed_start, swing_clearance
+from fastmimic.episode.metrics import swing_clearance
+from fastmimic.episode.rollout import ClosedLoop, Rollout, Start, nominal_start, perturbed_start
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FOOT_HEIGHT, Parameter, begun_at, parameters_of_group
 from fastmimic.optimize.randomization import Randomization

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from fastmimic.base.conventions import GRAVITY, LEGS
+from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.reward import TERMS, WEIGHTS
-from fastmimic.episode.rollout import swing_clearance
 from fastmimic.render.tracks import realised_feet
 from fastmimic.report.html_parts import Figure, Key, Panel, numbers
 from fastmimic.report.html_run import Episodes

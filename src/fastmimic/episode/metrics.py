@@ -1,0 +1,158 @@
+"""The figures of a rollout: one record, from which files, tables and reports take theirs."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.rotations import quat_rotate
+from fastmimic.base.text import plain
+from fastmimic.episode.reward import TERMS
+from fastmimic.episode.rollout import Rollout
+from fastmimic.motion.motion import Motion
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimationMetrics:
+    """How far the state estimate was from the truth: root mean squares over the episodes.
+
+    Attributes:
+        drift_percent: mean over the episodes that travelled; NaN if none did.
+    """
+
+    drift_percent: float
+    velocity_rmse_m_per_s: float
+    height_rmse_m: float
+    tilt_rmse_rad: float
+    heading_error_rad: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metrics:
+    """Figures over the episodes of a rollout; NaN where there is no value (no swing).
+
+    Attributes:
+        episodes: how many.
+        duration_s: length of each.
+        reward_mean, reward_std, reward_worst: over the episodes; steps after a fall count 0.
+        components: mean of each term of the reward, by name.
+        fell: share of the episodes that ended in a fall, in [0, 1].
+        drift_m_per_s: speed that the synchronisation of the reference hides.
+        swing_clearance_m: (4,) mean greatest height of each foot in its swings.
+        early_contacts_per_s: touch-downs before their time.
+        stance_slip_m: mean path that a loaded foot slides in a stance.
+        foot_x_rmse_m, foot_z_rmse_m: against the demonstration, body frame.
+        qp_failures: steps in which the stance QP failed, in all episodes.
+        estimate: None if the controller was told the true state.
+    """
+
+    episodes: int
+    duration_s: float
+    reward_mean: float
+    reward_std: float
+    reward_worst: float
+    components: dict[str, float]
+    fell: float
+    drift_m_per_s: float
+    swing_clearance_m: tuple[float, ...]
+    early_contacts_per_s: float
+    stance_slip_m: float
+    foot_x_rmse_m: float
+    foot_z_rmse_m: float
+    qp_failures: int
+    estimate: EstimationMetrics | None = None
+
+    @classmethod
+    def of(cls, rollout: Rollout) -> "Metrics":
+        """The figures of all episodes of a rollout."""
+        r = rollout
+        return cls(
+            episodes=len(r.reward),
+            duration_s=r.duration_s,
+            reward_mean=float(r.reward.mean()),
+            reward_std=float(r.reward.std()),
+            reward_worst=float(r.reward.min()),
+            components={name: float(r.terms[:, i].mean()) for i, name in enumerate(TERMS)},
+            fell=float(r.fell.mean()),
+            drift_m_per_s=float(r.drift.mean()),
+            swing_clearance_m=tuple(_mean_over_episodes(r.clearance).tolist()),
+            early_contacts_per_s=float(r.early_contacts.mean()),
+            stance_slip_m=float(r.slip.mean()),
+            foot_x_rmse_m=rms(r.foot_rmse[..., 0]),
+            foot_z_rmse_m=rms(r.foot_rmse[..., 2]),
+            qp_failures=int(r.qp_failures.sum()),
+            estimate=_estimation(r),
+        )
+
+    @property
+    def fell_once(self) -> bool:
+        """Whether any episode ended in a fall."""
+        return self.fell > 0.0
+
+    @property
+    def mean_clearance_m(self) -> float:
+        """Mean of the feet's swing clearances; NaN without swings."""
+        return mean_of_known(np.array(self.swing_clearance_m))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything by name, as JSON has it: None for NaN, the estimation's figures with the prefix `estimate_`."""
+        found = plain(self)
+        estimate = found.pop("estimate")
+        return found | {f"estimate_{name}": value for name, value in (estimate or {}).items()}
+
+
+def _estimation(rollout: Rollout) -> EstimationMetrics | None:
+    errors = rollout.estimation
+    if errors is None:
+        return None
+    return EstimationMetrics(
+        drift_percent=mean_of_known(errors.position_drift),
+        velocity_rmse_m_per_s=rms(errors.velocity_rmse),
+        height_rmse_m=rms(errors.height_rmse),
+        tilt_rmse_rad=rms(errors.tilt_rmse),
+        heading_error_rad=rms(errors.heading_error),
+    )
+
+
+def rms(values: Array) -> float:
+    """Root mean square of all values."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def mean_of_known(values: Array) -> float:
+    """Mean of the values that are finite; NaN if none is."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else float("nan")
+
+
+def _mean_over_episodes(values: Array) -> Array:
+    """Mean over the first axis of the values that are finite; NaN where none is."""
+    present = np.isfinite(values)
+    total = np.where(present, values, 0.0).sum(axis=0)
+    return np.where(present.any(axis=0), total / np.maximum(present.sum(axis=0), 1), np.nan)
+
+
+def swing_clearance(motion: Motion, foot_radius: float) -> Array:
+    """Each foot's greatest height above the ground in a motion, mean over its swings, m.
+
+    Returns:
+        (4,); NaN without swings. A swing that the motion's end cuts off does not count.
+    """
+    feet = motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
+    height = feet[..., 2] - foot_radius
+    out = np.full(4, np.nan)
+    for leg in range(4):
+        swing = ~motion.contact[:, leg]
+        if not swing.any() or swing.all():
+            continue
+        h = height[:, leg]
+        if motion.cycle is not None:
+            first = int(np.flatnonzero(motion.contact[:, leg])[0])  # start in a stance, so that no swing is cut in two
+            swing, h = np.roll(swing, -first), np.roll(h, -first)
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], swing.view(np.int8), [0]]))).reshape(-1, 2)
+        if motion.cycle is None:
+            edges = edges[edges[:, 1] < len(h)]  # as the episodes count: what has come down
+        if len(edges):
+            out[leg] = np.mean([h[a:b].max() for a, b in edges])
+    return out
