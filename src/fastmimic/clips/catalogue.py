@@ -4,20 +4,17 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, data_folder, dataset_of, find_file
-from fastmimic.clips.formats import read_clip, with_scale
+from fastmimic.clips.formats import ReadOptions, read_with, suffixes, with_scale
+from fastmimic.clips.formats.points import PointMap
+from fastmimic.clips.synthesis import GAITS, GaitSpec, generate
 from fastmimic.robot.robot import Robot
 
-if TYPE_CHECKING:
-    from fastmimic.clips.formats.points import PointMap
-    from fastmimic.clips.synthesis import GaitSpec
-
 BUILT_IN_LICENCE: Final = "that of fastmimic"
-_FILE_SUFFIXES: Final = (".txt", ".csv", ".json", ".npz", ".bvh")
 
 
 @dataclass(frozen=True)
@@ -87,15 +84,11 @@ class MotionRow:
 
 def motion_names() -> tuple[str, ...]:
     """All names that `open_clip` knows."""
-    from fastmimic.clips.synthesis import GAITS
-
     return (*GAITS, *RECORDED)
 
 
 def describe(folder: str | Path | None = None) -> list[MotionRow]:
     """One row for each name, the built-in ones first."""
-    from fastmimic.clips.synthesis import GAITS
-
     licences = {dataset.name: dataset.licence for dataset in DATASETS}
     built_in = [
         MotionRow(name, spec.about, _speed(spec), "built in", BUILT_IN_LICENCE, True) for name, spec in GAITS.items()
@@ -126,18 +119,18 @@ def open_clip(
     yaw_rate: float | None = None,
     duty: float | None = None,
     folder: str | Path | None = None,
-    point_map: "str | Path | PointMap | None" = None,
+    point_map: str | Path | PointMap | None = None,
     discrete: bool = False,
 ) -> Clip:
     """Opens a motion by its name, or reads a file. A name goes before a file of the same name (use ./NAME).
 
     Args:
         name_or_path: one of `motion_names()`, or the path of a clip.
-        robot, fps, up, scale, point_map: see `read_clip`.
+        robot, fps, up, scale, point_map: see `fastmimic.clips.formats.ReadOptions`.
         frames: (first, end) 0-based, end exclusive; of the named clip, if it is a name.
         speed, yaw_rate, duty: of a built-in gait, m/s, rad/s and share of stance; its own if None.
         folder: the data folder (see `data_folder`).
-        discrete: take it for a movement that does not repeat, whatever it or its source says.
+        discrete: whether the clip is a movement that does not repeat, whatever its source says.
 
     Returns:
         The clip, with `name`, `source`, `licence` and `credit` in its `meta`.
@@ -146,7 +139,16 @@ def open_clip(
         ClipError: unknown name (lists the closest), data not fetched, unreadable file, or an option that does
             not apply to this motion.
     """
-    clip = _opened(name_or_path, robot, fps, up, scale, frames, speed, yaw_rate, duty, folder, point_map)
+    name, options = str(name_or_path), ReadOptions(robot, fps, up, scale, frames, point_map)
+    gait_options = {"speed": speed, "yaw_rate": yaw_rate, "duty": duty}
+    if name in motion_names() and point_map is not None:
+        raise ClipError(f"a point map cannot be given for '{name}': its points are known")
+    if name in GAITS:
+        _refuse(name, "it is generated, not read from a file", {"frame rate": fps, "vertical axis": up})
+        clip = _built_in(name, options, gait_options)
+    else:
+        _refuse(name, f"only the built-in gaits can be varied ({', '.join(GAITS)})", gait_options)
+        clip = _recorded(name, options, folder) if name in RECORDED else _file(name_or_path, options)
     return replace(clip, is_cycle=False) if discrete else clip
 
 
@@ -162,69 +164,28 @@ def check_name(name: str, folder: str | Path | None = None) -> None:
         _recording(name, folder)
 
 
-def _opened(
-    name_or_path: str | Path,
-    robot: Robot | None,
-    fps: float | None,
-    up: str | None,
-    scale: float | None,
-    frames: tuple[int, int] | None,
-    speed: float | None,
-    yaw_rate: float | None,
-    duty: float | None,
-    folder: str | Path | None,
-    point_map: "str | Path | PointMap | None",
-) -> Clip:
-    from fastmimic.clips.synthesis import GAITS
-
-    name = str(name_or_path)
-    if point_map is not None and (name in GAITS or name in RECORDED):
-        raise ClipError(f"a point map cannot be given for '{name}': its points are known")
-    gait_options = {"speed": speed, "yaw rate": yaw_rate, "duty factor": duty}
-    if name in GAITS:
-        _refuse(name, "it is generated, not read from a file", {"frame rate": fps, "vertical axis": up})
-        return _built_in(name, speed, yaw_rate, duty, scale, frames)
-    _refuse(name, f"only the built-in gaits can be varied ({', '.join(GAITS)})", gait_options)
-    if name in RECORDED:
-        return _recorded(name, fps, up, scale, frames, folder)
-    path = Path(name_or_path)
-    if not os.path.exists(path) and not _looks_like_path(name):
-        raise _unknown(name)
-    clip = read_clip(path, robot=robot, fps=fps, up=up, scale=scale, frames=frames, point_map=point_map)
+def _file(path: str | Path, options: ReadOptions) -> Clip:
+    if not os.path.exists(path) and not _looks_like_path(str(path)):
+        raise _unknown(str(path))
+    clip = read_with(path, options)
     dataset = dataset_of(path)
     if dataset is None:
         return clip
     return replace(clip, meta=clip.meta | {"licence": dataset.licence, "credit": dataset.credit})
 
 
-def _built_in(
-    name: str,
-    speed: float | None,
-    yaw_rate: float | None,
-    duty: float | None,
-    scale: float | None,
-    frames: tuple[int, int] | None,
-) -> Clip:
-    from fastmimic.clips.synthesis import generate
-
-    clip = generate(name, speed=speed, yaw_rate=yaw_rate, duty=duty)
+def _built_in(name: str, options: ReadOptions, gait_options: Mapping[str, float | None]) -> Clip:
+    clip = generate(name, **gait_options)
     meta = {"format": "built-in", "source": "built in", "licence": BUILT_IN_LICENCE, "assumed": []}
     clip = replace(clip, meta=meta | clip.meta | {"name": name})
-    clip = clip if scale is None else with_scale(clip, scale)
-    return clip if frames is None else _cut(name, clip, frames)
+    clip = clip if options.scale is None else with_scale(clip, options.scale)
+    return clip if options.frames is None else _cut(name, clip, options.frames)
 
 
-def _recorded(
-    name: str,
-    fps: float | None,
-    up: str | None,
-    scale: float | None,
-    frames: tuple[int, int] | None,
-    folder: str | Path | None,
-) -> Clip:
+def _recorded(name: str, options: ReadOptions, folder: str | Path | None) -> Clip:
     motion = RECORDED[name]
     path = _recording(name, folder)
-    clip = read_clip(path, fps=fps, up=up, scale=scale, frames=motion.frames)
+    clip = read_with(path, replace(options, robot=None, frames=motion.frames))
     dataset = next(d for d in DATASETS if d.name == motion.dataset)
     assumed = list(clip.meta["assumed"])
     if dataset_of(path) is None:
@@ -237,7 +198,7 @@ def _recorded(
         "assumed": assumed,
     }
     clip = replace(clip, is_cycle=True, meta=clip.meta | provenance)
-    return clip if frames is None else _cut(name, clip, frames)
+    return clip if options.frames is None else _cut(name, clip, options.frames)
 
 
 def _recording(name: str, folder: str | Path | None) -> Path:
@@ -271,10 +232,10 @@ def _refuse(name: str, why: str, options: Mapping[str, float | str | None]) -> N
 
 
 def _looks_like_path(name: str) -> bool:
-    return "/" in name or "\\" in name or Path(name).suffix.lower() in _FILE_SUFFIXES
+    return "/" in name or "\\" in name or Path(name).suffix.lower() in suffixes()
 
 
-def _speed(spec: "GaitSpec") -> str:
+def _speed(spec: GaitSpec) -> str:
     sideways = f"{spec.lateral_speed:.3g} m/s sideways" if spec.lateral_speed else ""
     turning = f"{spec.yaw_rate:+.2g} rad/s" if spec.yaw_rate else ""
     forward = "" if (sideways or turning) and not spec.speed else f"{spec.speed:.3g} m/s"

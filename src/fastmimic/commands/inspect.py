@@ -93,7 +93,7 @@ def _describe_clip(clip: Clip) -> list[str]:
     name = str(clip.meta.get("format", "unknown"))
     cycle = {None: "not said by the source", True: "yes", False: "no"}[clip.is_cycle]
     lines = [
-        f"format     {FORMATS.get(name, name)}",
+        f"format     {FORMATS[name].about if name in FORMATS else name}",
         f"frames     {clip.n_frames} at {clip.rate_hz:g} Hz, {clip.n_frames / clip.rate_hz:.3f} s",
         f"one cycle  {cycle}",
     ]

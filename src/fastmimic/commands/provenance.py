@@ -14,7 +14,7 @@ def provenance(motion: Motion) -> str:
     if "frames" in source:
         parts.append("frames {}:{}".format(*source["frames"]))
     if source.get("format") in FORMATS:
-        parts.append(FORMATS[source["format"]])
+        parts.append(FORMATS[source["format"]].about)
     if "scale" in retargeting:
         parts.append(f"scale {retargeting['scale']:.3f}")
     parts.append(f"{motion.period_s:.3f} s" + (" a cycle" if motion.cycle is not None else f", {_once(motion)}"))

@@ -13,9 +13,8 @@ from typing import Any, Final
 
 from fastmimic.base.errors import LibraryError
 from fastmimic.clips.catalogue import check_name
+from fastmimic.clips.formats import suffixes
 
-SUFFIXES: Final = (".txt", ".csv", ".bvh", ".json", ".npz")
-"""Files of a folder that may be clips; what they are is told by their content."""
 NO_CLIPS: Final = ("license*", "licence*", "copying*", "notice*", "readme*", "changelog*", "requirements*.txt", ".*")
 """Files of a folder that are never clips, whatever their suffix."""
 _LICENCES: Final = ("LICENSE", "LICENSE.txt", "LICENSE.md", "LICENCE", "LICENCE.txt", "COPYING")
@@ -83,7 +82,7 @@ def find_sources(
     if path.is_dir():
         found = _in_folder(path, exclude, licence, credit)
         if not found:
-            raise LibraryError(f"{path}: no clips in this folder; files that may be end in {', '.join(SUFFIXES)}")
+            raise LibraryError(f"{path}: no clips in this folder; files that may be end in {', '.join(suffixes())}")
         return found
     if path.suffix == ".list" or (path.suffix == ".csv" and _is_list(path)):
         return _of_list(path, licence, credit)
@@ -101,7 +100,7 @@ def _in_folder(folder: Path, exclude: Sequence[str], licence: str | None, credit
         left_out = any(fnmatch.fnmatch(name, pattern) for pattern in NO_CLIPS) or any(
             fnmatch.fnmatch(path.name, p) or fnmatch.fnmatch(str(path.relative_to(folder)), p) for p in exclude
         )
-        if path.is_file() and path.suffix.lower() in SUFFIXES and not left_out:
+        if path.is_file() and path.suffix.lower() in suffixes() and not left_out:
             found.append(Source(str(path.resolve()), licence=licence or _beside(path, folder), credit=credit))
     return found
 

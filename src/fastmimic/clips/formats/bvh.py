@@ -14,6 +14,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip
+from fastmimic.clips.formats.format import Format
 from fastmimic.clips.formats.points import PointMap, choose, clip_of
 from fastmimic.clips.formats.text_table import Row, check_frames, check_rate, is_number, to_array
 from fastmimic.clips.skeleton import Skeleton
@@ -163,3 +164,13 @@ def _positions(joints: list[_Joint], values: Array) -> Array:
             positions[:, i] = positions[:, joint.parent] + np.einsum("tij,tj->ti", above, translation)
             rotations[i] = above @ local
     return positions
+
+
+FORMAT: Final = Format(
+    name="bvh",
+    about="BVH, a hierarchy of joints",
+    suffixes=(".bvh",),
+    detect=lambda content: content.start.startswith(KEYWORD),
+    parse=parse,
+    takes=("fps", "up", "point_map"),
+)

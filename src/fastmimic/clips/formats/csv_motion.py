@@ -14,6 +14,7 @@ from fastmimic.base.conventions import JOINT_NAMES, LEGS
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.rotations import quat_rotate
 from fastmimic.clips.clip import Clip
+from fastmimic.clips.formats.format import Content, Format
 from fastmimic.clips.formats.quaternions import unit_wxyz_from_xyzw
 from fastmimic.clips.formats.robot_points import robot_points
 from fastmimic.clips.formats.text_table import LARGEST, Table, check_frames, check_rate, read_table, to_array
@@ -50,7 +51,7 @@ _MAX_ANGLE: Final = 2 * np.pi
 _MIN_UPRIGHT: Final = 0.5
 
 
-def parse(text: str, *, robot: Robot, fps: float | None = None) -> Clip:
+def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
     """Reads the text of a retargeted motion.
 
     Args:
@@ -63,6 +64,8 @@ def parse(text: str, *, robot: Robot, fps: float | None = None) -> Clip:
     """
     from fastmimic.robot.kinematics import foot_positions
 
+    if robot is None:
+        raise ClipError("a retargeted CSV holds joint angles: the robot that they belong to is needed")
     table = read_table(text)
     header = table.header if table.header is not None and names_joints(table.header) else None
     columns, names = _columns(table, header)
@@ -185,3 +188,18 @@ def _check_radians(table: Table, joints: Array, names: list[str]) -> None:
         raise ClipError(
             f"line {table.rows[i].number}, {names[j]}: {joints[i, j]:g} is more than a turn; joints are in radians"
         )
+
+
+def _detect(content: Content) -> bool:
+    header = content.table.header
+    return (header is not None and names_joints(header)) or COLUMNS in content.columns
+
+
+FORMAT: Final = Format(
+    name="csv",
+    about=f"retargeted robot motion, {COLUMNS} columns of text (root xyz, quaternion xyzw, 12 joints) or a header",
+    suffixes=(".csv",),
+    detect=_detect,
+    parse=parse,
+    takes=("robot", "fps"),
+)

@@ -16,6 +16,7 @@ from fastmimic.base.conventions import FRONT, JOINT_NAMES, LEFT
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.rotations import quat_conjugate, quat_multiply
 from fastmimic.clips.clip import Clip
+from fastmimic.clips.formats.format import Format
 from fastmimic.clips.formats.quaternions import unit_wxyz_from_xyzw
 from fastmimic.clips.formats.robot_points import robot_points
 from fastmimic.clips.formats.text_table import LARGEST, check_frames, check_positive, check_rate
@@ -203,3 +204,13 @@ def _rate(document: dict[str, Any]) -> float:
 
 def _listed(names: dict[str, Any]) -> str:
     return ", ".join(repr(name[:30]) for name in list(names)[:6]) or "nothing"
+
+
+FORMAT: Final = Format(
+    name="deepmimic",
+    about="DeepMimic-style JSON of the Laikago, or of the robot that it names, 19 numbers a frame",
+    suffixes=(".txt", ".json"),
+    detect=lambda content: content.start[:1] in ("{", "["),
+    parse=parse,
+    takes=("robot", "fps"),
+)

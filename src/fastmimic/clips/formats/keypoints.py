@@ -7,6 +7,7 @@ The form in which Peng et al. (2020) distribute the dog motions of Zhang et al. 
 from typing import Final
 
 from fastmimic.clips.clip import POINT_NAMES, Clip
+from fastmimic.clips.formats.format import Format
 from fastmimic.clips.formats.points import clip_of
 from fastmimic.clips.formats.text_table import check_frames, check_rate, read_table, to_array
 from fastmimic.clips.skeleton import DOG
@@ -52,3 +53,13 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None) -> Clip
 
 def _column_name(column: int) -> str:
     return f"point {column // 3} {'xyz'[column % 3]}"
+
+
+FORMAT: Final = Format(
+    name="keypoints",
+    about=f"dog keypoints, {COLUMNS} columns of text",
+    suffixes=(".txt",),
+    detect=lambda content: COLUMNS in content.columns,
+    parse=parse,
+    takes=("fps", "up"),
+)

@@ -11,18 +11,14 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.errors import ClipError
-from fastmimic.clips.clip import Clip
+from fastmimic.clips.clip import POINT_NAMES, Clip
+from fastmimic.clips.formats.format import Content, Format
 from fastmimic.clips.formats.points import PointMap, choose, clip_of
 from fastmimic.clips.formats.text_table import check_frames, check_rate, read_table, to_array
 
 _COLUMN: Final = re.compile(r"(.+?)[\s._:/\-]([xyz])", re.IGNORECASE)
 _TIMES: Final = ("time", "time_s", "t")
 _UNEVEN: Final = 0.02  # of the time of a frame
-
-
-def names_points(header: Sequence[str]) -> bool:
-    """Whether a header names at least ten points by three columns each."""
-    return len(_points(header)) >= 10
 
 
 def parse(text: str, *, fps: float | None = None, up: str | None = None, point_map: PointMap | None = None) -> Clip:
@@ -71,3 +67,18 @@ def _rate(header: Sequence[str], values: np.ndarray) -> float:
                 raise ClipError(f"the column '{name}' does not rise by equal steps; give the frame rate (--fps)")
             return 1.0 / step
     raise ClipError("there is no column 'time'; give the frame rate (--fps)")
+
+
+def _detect(content: Content) -> bool:
+    header = content.table.header
+    return header is not None and len(_points(header)) >= len(POINT_NAMES)
+
+
+FORMAT: Final = Format(
+    name="points",
+    about="keypoints by name, a header with NAME_x, NAME_y, NAME_z of ten points",
+    suffixes=(".csv",),
+    detect=_detect,
+    parse=parse,
+    takes=("fps", "up", "point_map"),
+)

@@ -1,0 +1,162 @@
+"""`Format`: a kind of motion file, how its content is recognised and read, and the registry of all formats."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+from fastmimic.base.errors import ClipError
+from fastmimic.base.registry import Registry
+from fastmimic.clips.clip import Clip
+from fastmimic.clips.formats.points import PointMap
+from fastmimic.clips.formats.text_table import Table, read_table
+from fastmimic.robot.robot import Robot
+
+_LINES_READ: Final = 2000
+"""Lines in which a table is looked for: enough for any comment at the top."""
+_ROWS_COUNTED: Final = 20
+
+
+@dataclass(frozen=True)
+class Content:
+    """The content of a file."""
+
+    data: bytes
+
+    @classmethod
+    def of(cls, path: str | Path) -> "Content":
+        """Reads a file; raises `ClipError` if it is missing, a folder or cannot be read."""
+        try:
+            return cls(Path(path).read_bytes())
+        except FileNotFoundError:
+            raise ClipError("no such file") from None
+        except IsADirectoryError:
+            raise ClipError("is a folder; expected a motion file") from None
+        except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+            raise ClipError(f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
+
+    @cached_property
+    def text(self) -> str:
+        """The file as UTF-8 text, with or without a byte-order mark; empty for a binary file."""
+        try:
+            text = self.data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            return ""
+        return "" if "\0" in text else text
+
+    @cached_property
+    def start(self) -> str:
+        """The text from its first character that is no white space."""
+        return self.text.lstrip()
+
+    @cached_property
+    def table(self) -> Table:
+        """The first lines of the text as a table."""
+        return read_table("\n".join(self.text.split("\n", _LINES_READ)[:_LINES_READ]))
+
+    @property
+    def columns(self) -> Counter[int]:
+        """How many of the first rows have so many columns; empty if the table has a header of its own."""
+        if self.table.header is not None and not self.table.header_is_comment:
+            return Counter()
+        return Counter(len(row.fields) for row in self.table.rows[:_ROWS_COUNTED])
+
+    def problem(self) -> str:
+        """What the content is, if no format recognises it."""
+        if not self.text:
+            return "the file is empty" if not self.data else _binary(self.data)
+        if not self.start:
+            return "the file is empty"
+        header, rows = self.table.header, self.table.rows
+        if not rows:
+            return "the file holds no numbers"
+        if header is not None and not self.table.header_is_comment:
+            shown = ", ".join(header[:4]) + (", …" if len(header) > 4 else "")
+            return f"the first line ({shown[:80]}) is neither numbers nor names of joints or points"
+        return f"line {rows[0].number} has {len(rows[0].fields)} columns"
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What a user says about a clip file in place of what the file says.
+
+    Attributes:
+        robot: the robot of a file of joint angles.
+        fps: frames a second.
+        up: the vertical axis, "y" or "z".
+        scale: factor from the size in the file to the robot's.
+        frames: (first, end) 0-based, end exclusive.
+        point_map: which of the file's points the ten of `POINT_NAMES` are, or a JSON file that says so.
+    """
+
+    robot: Robot | None = None
+    fps: float | None = None
+    up: str | None = None
+    scale: float | None = None
+    frames: tuple[int, int] | None = None
+    point_map: "str | Path | PointMap | None" = None
+
+
+@dataclass(frozen=True)
+class Format:
+    """A kind of motion file.
+
+    Attributes:
+        name: in `clip.meta["format"]`.
+        about: one line for users.
+        suffixes: of its files' names; only for listing folders, since the content decides.
+        detect: whether a file is of this format.
+        parse: the clip of a text (of the bytes, if `binary`), called with the options named in `takes`. It raises
+            `ClipError` that says where in the file.
+        takes: those of `ReadOptions` that `parse` has parameters for: "fps", "up", "point_map", "robot".
+        binary: whether its files are not text.
+    """
+
+    name: str
+    about: str
+    suffixes: tuple[str, ...]
+    detect: Callable[[Content], bool]
+    parse: Callable[..., Clip]
+    takes: tuple[str, ...] = ("fps",)
+    binary: bool = False
+
+    def read(self, content: Content, options: ReadOptions) -> Clip:
+        """The clip of a file's content; raises `ClipError` for an option that does not apply."""
+        if options.point_map is not None and "point_map" not in self.takes:
+            raise ClipError(f"a point map does not apply to {self.about}; leave it out")
+        if options.up == "y" and "up" not in self.takes:
+            raise ClipError(
+                f"y up does not apply to {self.about}: its trunk orientation is defined with z up;"
+                " convert the file, or leave the vertical axis out"
+            )
+        given: dict[str, Any] = {name: getattr(options, name) for name in self.takes}
+        return self.parse(content.data if self.binary else content.text, **given)
+
+
+FORMATS: Final[Registry[Format]] = Registry("motion format", error=ClipError)
+"""All formats. The one registered last is asked first, so that a user's own goes before the built-in ones."""
+
+
+def suffixes() -> tuple[str, ...]:
+    """The endings of motion files' names, in the order of the formats."""
+    return tuple(dict.fromkeys(suffix for form in FORMATS.values() for suffix in form.suffixes))
+
+
+def format_of(content: Content) -> Format:
+    """The format of a file; raises `ClipError` that says what was found and what is expected."""
+    for form in reversed(list(FORMATS.values())):
+        if form.detect(content):
+            return form
+    raise ClipError(f"{content.problem()}; expected one of: {'; '.join(form.about for form in FORMATS.values())}")
+
+
+def _binary(data: bytes) -> str:
+    if data.startswith(b"PK"):
+        return "a zip archive without arrays"
+    try:
+        data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        return f"a binary file (byte {error.start} is not UTF-8 text)"
+    return f"a binary file (byte {data.index(0)} is zero)"
