@@ -13,6 +13,7 @@ from tyro.conf import arg
 from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.commands.console import note, put, share_progress
 from fastmimic.commands.options import DEFAULT_ROBOT, check_duration
+from fastmimic.robot import ROBOT_CHOICES
 
 if TYPE_CHECKING:
     from fastmimic.experiments.compare import Plan, Prepared
@@ -45,8 +46,7 @@ class Compare:
     """Of CMA-ES, 0 to SEEDS - 1. Methods that optimise nothing are deterministic and run once."""
     ablations: bool = False
     """Also variants of mbc-dmp, each with one part taken away or changed."""
-    robot: Annotated[str, arg(metavar="NAME|FILE.xml")] = DEFAULT_ROBOT
-    """a1, go1, go2, or the MJCF of your own."""
+    robot: Annotated[str, arg(metavar="NAME|FILE.xml", help=f"{ROBOT_CHOICES}.")] = DEFAULT_ROBOT
     config: Annotated[str, arg(metavar="default|robust|paper|FILE")] = "default"
     """The controller's parameters: ours, ours for another robot than the model, or the paper's form."""
     iterations: int = 200

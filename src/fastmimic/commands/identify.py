@@ -8,6 +8,7 @@ from tyro.conf import Positional, arg
 
 from fastmimic.commands.console import put, table
 from fastmimic.commands.options import check_writable
+from fastmimic.robot import ROBOT_CHOICES
 
 if TYPE_CHECKING:
     from fastmimic.episode.run_log import RunLog
@@ -25,8 +26,10 @@ class Identify:
 
     log: Annotated[Positional[Path], arg(metavar="LOG.npz")]
     """Of a run of a few seconds."""
-    robot: Annotated[str | None, arg(metavar="NAME|FILE.xml")] = None
-    """a1, go1, go2, or the MJCF of your own, without payload; by default the one that the log names."""
+    robot: Annotated[
+        str | None,
+        arg(metavar="NAME|FILE.xml", help=f"{ROBOT_CHOICES}, without payload; by default the one that the log names."),
+    ] = None
     unloaded: Annotated[Path | None, arg(metavar="LOG.npz")] = None
     """The log of the same robot without payload: it takes the gains of its sensors out of the payload."""
     config: Annotated[str, arg(metavar="default|robust|paper")] = "default"

@@ -13,6 +13,7 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, Positional, arg, 
 from fastmimic.base.errors import ConfigError, FastMimicError, did_you_mean
 from fastmimic.commands.console import SLOW_START, count_progress, note, put, share_progress, slow_start, table
 from fastmimic.commands.options import DEFAULT_ROBOT
+from fastmimic.robot import ROBOT_CHOICES
 
 if TYPE_CHECKING:
     from fastmimic.dataset.build import Building, Step
@@ -51,8 +52,7 @@ class Build:
     motions'."""
     out: Annotated[Path, arg(metavar="LIBRARY")]
     """The library's folder."""
-    robots: Annotated[tuple[str, ...], arg(metavar="NAME|FILE.xml ...")] = (DEFAULT_ROBOT,)
-    """a1, go1, go2, or the MJCF of your own."""
+    robots: Annotated[tuple[str, ...], arg(metavar="NAME|FILE.xml ...", help=f"{ROBOT_CHOICES}.")] = (DEFAULT_ROBOT,)
     seeds: int = 1
     """Searches for each motion and robot."""
     method: Annotated[str, arg(metavar="NAME")] = "mbc-dmp"

@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from fastmimic.base.errors import ConfigError, OutputError, PolicyError
 from fastmimic.motion.motion import Motion
-from fastmimic.robot import Robot
+from fastmimic.robot import ROBOT_CHOICES, Robot
 
 if TYPE_CHECKING:
     from fastmimic.episode.rollout import MakeController
@@ -25,8 +25,9 @@ MAX_DURATION_S: Final = 3600.0
 class MotionOptions:
     """Which robot, and how a clip is read. All but the robot apply to clips only."""
 
-    robot: Annotated[str | None, arg(metavar="NAME|FILE.xml")] = None
-    """a1, go1, go2, or the MJCF of your own; by default the robot motion's own, or a1."""
+    robot: Annotated[
+        str | None, arg(metavar="NAME|FILE.xml", help=f"{ROBOT_CHOICES}; by default the robot motion's own, or a1.")
+    ] = None
     frames: Annotated[str | None, arg(metavar="A:B")] = None
     """Part of a clip: first frame and end, 0-based, end exclusive."""
     discrete: bool = False

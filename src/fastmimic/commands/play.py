@@ -9,6 +9,7 @@ from tyro.conf import Positional, arg
 
 from fastmimic.commands.console import slow_start
 from fastmimic.commands.serving import serve
+from fastmimic.robot import ROBOT_CHOICES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,8 +23,10 @@ class Play:
     motions: Annotated[Positional[tuple[str, ...]], arg(metavar="[MOTION|RUN ...]")] = ()
     """Names of 'fastmimic motions', clips, robot motions (.npz) or folders of runs that repeat; by default built-in
     gaits. "stand" and "in-place" are always there."""
-    robot: Annotated[str | None, arg(metavar="NAME|FILE.xml")] = None
-    """a1, go1, go2, or the MJCF of your own; by default a1, or the robot of the first robot motion."""
+    robot: Annotated[
+        str | None,
+        arg(metavar="NAME|FILE.xml", help=f"{ROBOT_CHOICES}; by default a1, or the robot of the first robot motion."),
+    ] = None
     port: Annotated[int, arg(metavar="PORT")] = 8080
     """Where to listen; if it is taken, the next one that is free."""
     method: Annotated[str, arg(metavar="NAME")] = "mbc"

@@ -14,7 +14,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.commands.console import note, optimisation_progress, put, table
 from fastmimic.commands.options import DEFAULT_ROBOT, RandomizeOptions, robot_of
 from fastmimic.commands.outcome import report
-from fastmimic.robot import Robot
+from fastmimic.robot import ROBOT_CHOICES, Robot
 
 if TYPE_CHECKING:
     from fastmimic.imitation.stitch import Stitching
@@ -40,8 +40,10 @@ class Stitch(RandomizeOptions):
     A name goes before a folder of the same name (use ./NAME)."""
     cycles: Annotated[tuple[int, ...], arg(metavar="N [N ...]")] = ()
     """How often each motion is repeated: one number for all, or one for each; by default about 3 s each."""
-    robot: Annotated[str | None, arg(metavar="NAME|FILE.xml")] = None
-    """a1, go1, go2, or the MJCF of your own; by default that of the first optimised motion, or a1."""
+    robot: Annotated[
+        str | None,
+        arg(metavar="NAME|FILE.xml", help=f"{ROBOT_CHOICES}; by default that of the first optimised motion, or a1."),
+    ] = None
     method: Annotated[str, arg(metavar="NAME")] = "mbc-dmp"
     """mbc-dmp and lh-dmp optimise; mbc, lh and raibert follow the stitched motion as its motions are."""
     config: Annotated[str, arg(metavar="default|robust|paper|FILE")] = "default"

@@ -8,6 +8,9 @@ from fastmimic.base.errors import RobotError, did_you_mean
 from fastmimic.robot.robot import Robot
 
 ROBOT_NAMES: Final = ("a1", "go1", "go2")
+"""The built-in robots: each is the file NAME.xml beside this one."""
+ROBOT_CHOICES: Final = f"{', '.join(ROBOT_NAMES)}, or the MJCF of your own"
+"""For help texts."""
 
 
 def load_robot(robot: str | Path | Robot) -> Robot:
