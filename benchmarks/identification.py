@@ -22,10 +22,10 @@ from fastmimic.episode.run_log import RunLog
 from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.experiments.transfer import ACTUATORS, trial_starts
 from fastmimic.identification.identify import Identification, identify
-from fastmimic.imitation.imitate import load_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.render.style import new_figure, save, tidy
 from fastmimic.robot import Robot, load_robot
+from fastmimic.runs.load import load_motion
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance
 

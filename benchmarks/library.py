@@ -37,8 +37,9 @@ from fastmimic.dataset.records import DONE, FIGURES, record_file, sha256
 from fastmimic.dataset.warm_start import distance
 from fastmimic.executors import Executor, Report, make_executor
 from fastmimic.executors.local import LocalExecutor
-from fastmimic.imitation.imitate import imitate, load_motion, versions
+from fastmimic.imitation.imitate import imitate, versions
 from fastmimic.robot import load_robot
+from fastmimic.runs.load import load_motion
 
 PAGE = Path(__file__).parents[1] / "docs" / "library.md"
 MOTIONS = ("trot", "pace", "turn", "side-step")

@@ -23,11 +23,12 @@ if TYPE_CHECKING:
     from fastmimic.base.errors import FastMimicError
     from fastmimic.clips.catalogue import motion_names, open_clip
     from fastmimic.control.config import ControllerConfig
-    from fastmimic.imitation.imitate import Evaluation, Imitation, evaluate, imitate, load_motion
+    from fastmimic.imitation.imitate import Evaluation, Imitation, evaluate, imitate
     from fastmimic.imitation.stitch import Stitching, stitch
     from fastmimic.optimize.randomization import Randomization
     from fastmimic.primitive import MotionDmp
     from fastmimic.retargeting.retarget import retarget
+    from fastmimic.runs.load import load_motion
     from fastmimic.simulation.conditions import Conditions
 
 _WHERE = {
@@ -44,7 +45,7 @@ _WHERE = {
     "Robot": "fastmimic.robot",
     "evaluate": "fastmimic.imitation.imitate",
     "imitate": "fastmimic.imitation.imitate",
-    "load_motion": "fastmimic.imitation.imitate",
+    "load_motion": "fastmimic.runs.load",
     "load_robot": "fastmimic.robot",
     "motion_names": "fastmimic.clips.catalogue",
     "open_clip": "fastmimic.clips.catalogue",

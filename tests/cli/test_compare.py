@@ -14,7 +14,7 @@ import pytest
 
 from cli.running import Run
 from fastmimic.experiments.compare import PAPER_MOTIONS
-from fastmimic.imitation.imitate import load_motion
+from fastmimic.runs.load import load_motion
 
 Start = Callable[..., "subprocess.Popen[str]"]
 TINY = ("--iterations", "12", "--population", "4", "--duration", "0.6", "--seeds", "1")

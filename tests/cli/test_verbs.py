@@ -17,7 +17,6 @@ from fastmimic.clips.catalogue import RECORDED, open_clip
 from fastmimic.clips.data import Dataset
 from fastmimic.clips.synthesis import GAITS
 from fastmimic.control.config import controller_config
-from fastmimic.imitation.imitate import load_motion
 from fastmimic.imitation.methods import METHODS, made_with
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive import MotionDmp
@@ -25,6 +24,7 @@ from fastmimic.render.offscreen import NoRendererError, Offscreen
 from fastmimic.render.playback import Track
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
+from fastmimic.runs.load import load_motion
 
 EVALUATION_KEYS = {
     *("reward_mean", "reward_std", "components", "fell", "drift_m_per_s"),
@@ -271,7 +271,7 @@ def test_the_verbs_take_what_a_motion_was_optimised_with(
     def catch(robot: Robot, tracks: list[Track], *_: object, **__: object) -> None:
         shown.extend(tracks)
 
-    monkeypatch.setattr("fastmimic.report.render_video", catch, raising=False)
+    monkeypatch.setattr("fastmimic.render.video.render_video", catch)
     some = ("--duration", "0.2", "--out", "v.mp4")
     run("render", "m.npz", "trot", *some)
     run("render", "m.npz", "--method", "mbc", *some)

@@ -12,8 +12,8 @@ from fastmimic.control.config import LoadConfig, controller_config, default_conf
 from fastmimic.control.config_file import FORMAT, changed, read_config
 from fastmimic.control.controller import Controller
 from fastmimic.control.load import loaded_robot
-from fastmimic.imitation.imitate import load_motion
 from fastmimic.robot import load_robot
+from fastmimic.runs.load import load_motion
 
 
 def write(path: Path, **content: Any) -> Path:

@@ -21,10 +21,11 @@ from fastmimic.dataset.mending import mend, rerun
 from fastmimic.dataset.pieces import survey
 from fastmimic.dataset.records import COLUMNS, load_record
 from fastmimic.executors import make_executor
-from fastmimic.imitation.imitate import evaluate, load_motion
+from fastmimic.imitation.imitate import evaluate
 from fastmimic.motion.export import export_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import load_robot
+from fastmimic.runs.load import load_motion
 
 HERE = make_executor("local", workers=1)
 

@@ -5,10 +5,10 @@ import pytest
 from deploy.rig import Rig
 from fastmimic.control.config import default_config
 from fastmimic.deploy.sequence import MotionSequence, make_sequence
-from fastmimic.imitation.imitate import load_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.standing import standing
 from fastmimic.robot import Robot
+from fastmimic.runs.load import load_motion
 
 
 @pytest.fixture(scope="session")

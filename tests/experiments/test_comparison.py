@@ -18,11 +18,12 @@ from fastmimic.experiments.compare import Plan, compare, prepare
 from fastmimic.experiments.runs import Row, Settings, finished_row
 from fastmimic.experiments.schedule import Effort
 from fastmimic.experiments.tables import COLUMNS, ablation_table, comparison_table, summaries
-from fastmimic.imitation.imitate import evaluate, load_motion
+from fastmimic.imitation.imitate import evaluate
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.report.comparison_folder import ComparisonFolder
 from fastmimic.robot import load_robot
+from fastmimic.runs.load import load_motion
 
 TINY = Settings(duration_s=0.6, iterations=2, population=4, evaluation_s=0.8, perturbed_episodes=2)
 PLAN = Plan(TINY, ("trot",), tuple(METHODS), seeds=2, ablations=True)

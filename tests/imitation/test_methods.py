@@ -8,7 +8,7 @@ import pytest
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.control.config import CONFIGS, controller_config
 from fastmimic.episode.rollout import run_episodes
-from fastmimic.imitation.imitate import evaluate, imitate, load_motion
+from fastmimic.imitation.imitate import evaluate, imitate
 from fastmimic.imitation.methods import (
     FOOT_HEIGHT,
     MADE_WITH,
@@ -24,6 +24,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es
 from fastmimic.primitive import MotionDmp
 from fastmimic.robot import load_robot
+from fastmimic.runs.load import load_motion
 
 
 def differences(a: object, b: object, prefix: str = "") -> set[str]:

@@ -8,15 +8,15 @@ import pytest
 
 import fastmimic as fm
 from control.motions import gait
-from fastmimic.base.errors import CheckpointError, ConfigError, FastMimicError, MotionError, RobotError
-from fastmimic.clips.catalogue import open_clip
+from fastmimic.base.errors import CheckpointError, ConfigError
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.reward import TERMS
 from fastmimic.episode.rollout import nominal_start, run_episodes
-from fastmimic.imitation.imitate import Imitation, evaluate, imitate, load_motion
+from fastmimic.imitation.imitate import Imitation, evaluate, imitate
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es
 from fastmimic.robot import Robot
+from fastmimic.runs.load import load_motion
 
 DURATION = 0.6
 QUICK = {"duration_s": DURATION, "iterations": 2, "population": 4, "seed": 1}
@@ -43,45 +43,6 @@ def shorten_validation(patch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(autouse=True)
 def quick_validation(monkeypatch: pytest.MonkeyPatch) -> None:
     shorten_validation(monkeypatch)
-
-
-class TestLoadMotion:
-    def test_a_motion_is_returned_as_it_is(self, motion: Motion, robot: Robot) -> None:
-        assert load_motion(motion, robot) is motion
-
-    def test_a_saved_motion_comes_back(self, motion: Motion, tmp_path: Path) -> None:
-        motion.save(tmp_path / "motion.npz")
-        loaded = load_motion(tmp_path / "motion.npz", "a1")
-        np.testing.assert_array_equal(loaded.joint_pos, motion.joint_pos)
-
-    @pytest.mark.parametrize("source", ["trot", "clip"])
-    def test_a_name_or_a_clip_is_retargeted(self, robot: Robot, source: str) -> None:
-        given = open_clip("trot", robot=robot) if source == "clip" else source
-        loaded = load_motion(given, robot)  # type: ignore[arg-type]
-        assert loaded.meta["robot"] == "a1"
-        assert loaded.rate_hz == 500
-        assert loaded.cycle is not None
-
-    def test_overrides_reach_the_clip(self, robot: Robot) -> None:
-        slow, fast = (load_motion("trot", robot, speed=v) for v in (0.6, 1.0))
-        speeds = [float(np.hypot(*m.cycle[:2]) / m.period_s) for m in (slow, fast)]  # type: ignore[index]
-        np.testing.assert_allclose(speeds, [0.6, 1.0], rtol=0.03)
-
-    def test_overrides_do_not_apply_to_a_motion(self, motion: Motion, robot: Robot) -> None:
-        with pytest.raises(ConfigError, match="scale, speed cannot be applied to 'synthetic'"):
-            load_motion(motion, robot, speed=1.0, scale=2.0, duty=None)
-
-    def test_a_motion_of_another_robot_is_refused(self, motion: Motion) -> None:
-        with pytest.raises(MotionError, match="'synthetic' is for robot 'a1', not for 'go1': give that robot"):
-            load_motion(motion, "go1")
-
-    def test_an_unknown_name_is_refused_with_the_closest_ones(self) -> None:
-        with pytest.raises(FastMimicError, match="trot"):
-            load_motion("trott")
-
-    def test_an_unknown_robot_is_refused(self, motion: Motion) -> None:
-        with pytest.raises(RobotError, match="unknown robot 'a2'"):
-            load_motion(motion, "a2")
 
 
 class TestImitate:

@@ -10,8 +10,8 @@ import pytest
 
 import fastmimic as fm
 from control.motions import gait
-from fastmimic.base.errors import CheckpointError, ConfigError, MotionError
-from fastmimic.imitation.stitch import motion_source, usual_population
+from fastmimic.base.errors import CheckpointError, ConfigError
+from fastmimic.imitation.stitch import usual_population
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.stitched import segment_clearance
@@ -170,34 +170,6 @@ class TestResume:
             fm.stitch([walk, walk], robot, cycles=4, folder=run, progress=stop, **FEW)
         assert [path.name for path in run.iterdir()] == ["checkpoint-1.npz"]
         assert fm.stitch([walk, walk], robot, cycles=4, folder=run, resume=True, **FEW).iterations == 1
-
-
-class TestNames:
-    @pytest.fixture(autouse=True)
-    def folders(self, optimised: Motion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.chdir(tmp_path)
-        for name in ("trot", "mine"):
-            optimised.save(tmp_path / name / "motion.npz")
-        (tmp_path / "empty").mkdir()
-
-    def test_a_name_goes_before_a_folder(self) -> None:
-        assert motion_source("trot") == "trot"
-
-    @pytest.mark.parametrize("folder", ["./trot", "trot/", "mine", Path("mine")])
-    def test_a_folder_is_its_motion(self, folder: str | Path) -> None:
-        assert motion_source(folder) == Path(folder) / "motion.npz"
-
-    @pytest.mark.parametrize(
-        ("source", "message"),
-        [
-            ("", "a motion without a name"),
-            (" ", "a motion without a name"),
-            ("empty", "empty: a folder without motion"),
-        ],
-    )
-    def test_nothing(self, source: str, message: str) -> None:
-        with pytest.raises(MotionError, match=message):
-            motion_source(source)
 
 
 class TestBadInput:

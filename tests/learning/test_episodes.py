@@ -8,13 +8,13 @@ import pytest
 
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.episode.rollout import JOINT_NOISE, VELOCITY_NOISE, ClosedLoop, Start
-from fastmimic.imitation.imitate import load_motion
 from fastmimic.learning.config import PolicyConfig
 from fastmimic.learning.controller import controlled_by
 from fastmimic.learning.episodes import Episodes, Outcome
 from fastmimic.learning.randomisation import Randomisation, parse_randomisation
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
+from fastmimic.runs.load import load_motion
 from learning.hand_made import follower
 
 DECIMATION = PolicyConfig().decimation

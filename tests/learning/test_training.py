@@ -10,7 +10,6 @@ for library in ("torch", "rsl_rl", "tensorboard", "onnx"):
 
 from fastmimic.base.errors import CheckpointError, ConfigError  # noqa: E402
 from fastmimic.cli import main  # noqa: E402
-from fastmimic.imitation.imitate import load_motion  # noqa: E402
 from fastmimic.learning import training  # noqa: E402
 from fastmimic.learning.config import OBSERVATION_SIZE  # noqa: E402
 from fastmimic.learning.learner import Learner  # noqa: E402
@@ -19,6 +18,7 @@ from fastmimic.learning.settings import TrainingSettings  # noqa: E402
 from fastmimic.learning.training_folder import TrainingFolder  # noqa: E402
 from fastmimic.motion.motion import Motion  # noqa: E402
 from fastmimic.robot import Robot  # noqa: E402
+from fastmimic.runs.load import load_motion  # noqa: E402
 
 SMALL = TrainingSettings(robots=6, horizon=8, hidden=(16,), epochs=2, minibatches=2, episode_s=0.5)
 

@@ -14,12 +14,13 @@ from fastmimic.episode.rollout import perturbed_start, run_episodes
 from fastmimic.experiments.compare import Plan, choose_policies, compare, prepare
 from fastmimic.experiments.runs import Row, Settings
 from fastmimic.experiments.tables import comparison_table
-from fastmimic.imitation.imitate import evaluate, imitate, load_motion
+from fastmimic.imitation.imitate import evaluate, imitate
 from fastmimic.imitation.methods import ALL_METHODS, METHODS
 from fastmimic.learning.controller import controlled_by
 from fastmimic.motion.motion import Motion
 from fastmimic.report.comparison_folder import ComparisonFolder
 from fastmimic.robot import Robot
+from fastmimic.runs.load import load_motion
 from learning.hand_made import follower
 
 TINY = Settings(duration_s=0.6, iterations=2, population=4, evaluation_s=0.8, perturbed_episodes=2)

@@ -12,12 +12,12 @@ from control.motions import gait
 from fastmimic.base.errors import ConfigError
 from fastmimic.control.config import ControllerConfig, RecoveryConfig, default_config, pack_config
 from fastmimic.episode.rollout import Rollout, Start, run_episodes
-from fastmimic.imitation.imitate import load_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.resync import advance_recovering
 from fastmimic.reference.table import advance_clocks, make_clocks, reference_table
 from fastmimic.robot import Robot
 from fastmimic.robot.state import OBSERVATION
+from fastmimic.runs.load import load_motion
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance
 

@@ -8,12 +8,12 @@ import pytest
 
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.skeleton import DOG, KEYPOINTS
-from fastmimic.imitation.imitate import load_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.render.animal import animal_track
 from fastmimic.render.tracks import motion_track
 from fastmimic.retargeting.retarget import choose_scale
 from fastmimic.robot import Robot
+from fastmimic.runs.load import load_motion
 
 
 @pytest.fixture(scope="module")

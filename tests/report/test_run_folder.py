@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
-from fastmimic.imitation.imitate import imitate, load_motion
+from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import METHODS
 from fastmimic.render.playback import Track
 from fastmimic.report.run_folder import RunFolder, default_folder, open_run, write_json
+from fastmimic.runs.load import load_motion
 
 CONFIG = {"arguments": {"motion": "trot", "seed": 0}}
 

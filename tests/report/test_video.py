@@ -15,13 +15,13 @@ from video_files import RATE_HZ, read_video, stream_facts
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.skeleton import KEYPOINTS
-from fastmimic.imitation.imitate import load_motion
 from fastmimic.render import video
 from fastmimic.render.animal import animal_track
 from fastmimic.render.offscreen import Offscreen, in_any_thread
 from fastmimic.render.playback import AnimalTrack, Track, resample
 from fastmimic.render.video import render_video
 from fastmimic.robot import Robot
+from fastmimic.runs.load import load_motion
 
 SIZE = (320, 180)
 Walk = Callable[..., Track]

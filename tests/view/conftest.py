@@ -8,9 +8,10 @@ import pytest
 
 from fastmimic.control.config import default_config
 from fastmimic.episode.rollout import Rollout
-from fastmimic.imitation.imitate import evaluate, load_motion
+from fastmimic.imitation.imitate import evaluate
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
+from fastmimic.runs.load import load_motion
 from fastmimic.viewer.take import Take, rollout_take
 from view.browsing import BROWSERS, SOFTWARE_GL
 

@@ -13,7 +13,6 @@ from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, rotate_planar, yaw_from_quat
 from fastmimic.episode.rollout import run_episodes
-from fastmimic.imitation.imitate import load_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.play.motions import DEFAULTS, load_motions
 from fastmimic.play.pacing import MOST_BEHIND_S, Pacer
@@ -27,6 +26,7 @@ from fastmimic.reference.stream import MODULATION, Stream, make_place
 from fastmimic.reference.table import SAMPLE, reference_table
 from fastmimic.reference.tempo import make_tempo
 from fastmimic.robot import Robot
+from fastmimic.runs.load import load_motion
 from fastmimic.viewer.take import world_feet
 
 

@@ -22,6 +22,7 @@ from fastmimic.cli import main
 from fastmimic.commands.view import View
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
+from fastmimic.runs.load import find_motion
 from fastmimic.viewer.server import HOST, free_port
 from fastmimic.viewer.take import Take
 from view.browsing import PATIENCE_S, picture, until
@@ -56,19 +57,24 @@ def test_a_taken_port_is_passed_over(taken: int) -> None:
         (["trot", "--method", "mcb"], "did you mean 'mbc'"),
         (["trot", "--episodes", "0"], "episodes must be at least 1"),
         (["trot", "--clip", "trott"], "did you mean 'trot'"),
-        (["."], "no motion.npz in this folder"),
+        (["."], "a folder without motion.npz"),
         (["damaged"], "config.json: not the settings of a run"),
         (["nowhere.npz"], "nowhere.npz"),
     ],
 )
 def test_mistakes_are_one_line(
-    arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    arguments: list[str],
+    said: str,
+    trot: Motion,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     pytest.importorskip("viser", reason="the extra 'view' is not installed")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "damaged").mkdir()
-    for name in ("motion.npz", "config.json"):
-        (tmp_path / "damaged" / name).write_text("[]")
+    trot.save(tmp_path / "damaged" / "motion.npz")
+    (tmp_path / "damaged" / "config.json").write_text("[]")
     assert main(["view", *arguments]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1
@@ -131,17 +137,17 @@ def test_a_run_is_shown_before_and_after_as_it_was_made(
     lifted.save(tmp_path / "run" / "motion.npz")
     arguments = {"robot": None, "method": "lh", "config": "paper", "duration": 0.2}
     (tmp_path / "run" / "config.json").write_text(json.dumps({"arguments": arguments}))
-    view = View(motion="run", config="default")._of_run(Path("run"))
+    run = find_motion("run")
+    view = View(motion="run", config="default")._of_run(run)
     assert (view.method, view.config, view.duration) == ("lh", "default", 0.2)  # what is given goes first
-    robot, shown, heading, animal = view._prepare(run=True)
+    robot, shown, heading, animal = view._prepare(run)
     assert (robot.name, heading, animal) == ("a1", "trot on a1", None)
     assert [takes[0].title for takes in shown] == ["before: as retargeted", "after: optimised"]
     assert [takes[0].rows for takes in shown] == [100, 100]
     assert not np.array_equal(shown[0][0].pose, shown[1][0].pose)
-    assert View(motion="run")._is_run()
-    assert not View(motion="trot")._is_run()  # a name goes before a folder of the same name
-    with_animal = View(motion=str(tmp_path / "run" / "motion.npz"), clip="trot", kinematic=True, duration=0.2)
-    assert with_animal._prepare(run=False)[3] is not None
+    file = tmp_path / "run" / "motion.npz"
+    with_animal = View(motion=str(file), clip="trot", kinematic=True, duration=0.2)
+    assert with_animal._prepare(find_motion(file))[3] is not None
 
 
 def test_a_browser_sees_the_robot_and_scrubs(browser: Any, take: Take, a1: Robot) -> None:

@@ -129,15 +129,14 @@ class Deploy(MotionOptions):
 
     def _load(self) -> tuple[Robot, Motion]:
         """The driver's robot, and the motion for it."""
-        from fastmimic.commands.options import DEFAULT_ROBOT, robot_of
+        from fastmimic.commands.options import DEFAULT_ROBOT
         from fastmimic.deploy.drivers import robot_driven
-        from fastmimic.imitation.imitate import load_motion
-        from fastmimic.imitation.stitch import motion_source
         from fastmimic.reference.standing import standing
         from fastmimic.robot import load_robot
+        from fastmimic.runs.load import find_motion
 
-        source = STAND if self.motion == STAND else str(motion_source(self.motion))
-        driven, own = robot_driven(self.driver), robot_of(source)
+        source = None if self.motion == STAND else find_motion(self.motion)
+        driven, own = robot_driven(self.driver), None if source is None else source.robot
         if driven is not None and own is not None and own != driven:
             raise ConfigError(
                 f"motion '{self.motion}' is for robot '{own}', and driver '{self.driver}' drives a {driven}"
@@ -145,11 +144,11 @@ class Deploy(MotionOptions):
         if driven is not None and self.robot is not None and load_robot(self.robot).name != driven:
             raise ConfigError(f"driver '{self.driver}' drives a {driven}, not '{self.robot}'; leave out --robot")
         robot = load_robot(self.robot or driven or own or DEFAULT_ROBOT)
-        if source == STAND:
+        if source is None:
             if self.overrides():
                 raise ConfigError(f"--{next(iter(self.overrides())).replace('_', '-')} cannot be applied to '{STAND}'")
             return robot, standing(robot)
-        return robot, load_motion(source, robot, **self.overrides())
+        return robot, source.load(robot, **self.overrides())
 
     def _places(self, robot: Robot, motion: Motion) -> tuple[Path, Path]:
         """The folder and the log's file."""

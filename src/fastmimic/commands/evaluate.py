@@ -23,8 +23,8 @@ class Evaluate(MotionOptions):
     """
 
     motion: Annotated[Positional[str], arg(metavar="MOTION")]
-    """A robot motion (.npz), a clip, or a name of 'fastmimic motions'; or the log of a deployment, which is scored as
-    it was."""
+    """A robot motion (.npz), a clip, a name of 'fastmimic motions', or the folder of a run; or the log of a deployment,
+    which is scored as it was."""
     episodes: int = 1
     """How many."""
     duration: Annotated[float | None, arg(metavar="S")] = None

@@ -20,7 +20,7 @@ class Export(MotionOptions):
     """
 
     motion: Annotated[Positional[str], arg(metavar="MOTION")]
-    """A robot motion (.npz), a clip, or a name of 'fastmimic motions'."""
+    """A robot motion (.npz), a clip, a name of 'fastmimic motions', or the folder of a run."""
     format: Annotated[str, arg(metavar="mjlab|deepmimic|csv")]
     """Which."""
     out: Annotated[Path, arg(metavar="FILE")]

@@ -35,7 +35,7 @@ class Imitate(MotionOptions, RandomizeOptions):
     """
 
     motion: Annotated[Positional[str], arg(metavar="MOTION")]
-    """A name of 'fastmimic motions', or a file."""
+    """A name of 'fastmimic motions', a file, or the folder of a run."""
     method: Annotated[str, arg(metavar="NAME")] = "mbc-dmp"
     """mbc-dmp, lh-dmp: the motion's DMPs are optimised; mbc, lh: not; raibert: feet step by a rule. lh looks ahead."""
     config: Annotated[str, arg(metavar="default|robust|paper|FILE")] = "default"

@@ -21,7 +21,7 @@ class Inspect(MotionOptions):
     """
 
     source: Annotated[Positional[str], arg(metavar="FILE|NAME")]
-    """A clip, a robot motion (.npz), or a name of 'fastmimic motions'."""
+    """A clip, a robot motion (.npz), a name of 'fastmimic motions', or the folder of a run."""
     figure: Annotated[Path | None, arg(metavar="FILE.png")] = None
     """Also draw its gait, trunk and joints."""
 
@@ -41,17 +41,15 @@ class Inspect(MotionOptions):
 
     def _read(self) -> tuple[Robot, Motion, list[str]]:
         """The robot, its motion, and lines about the file that it is from."""
-        from fastmimic.clips.catalogue import motion_names, open_clip
-        from fastmimic.clips.formats import detect_format
         from fastmimic.retargeting.retarget import retarget
+        from fastmimic.runs.load import find_motion
 
-        is_file = self.source not in motion_names() and Path(self.source).is_file()
-        if is_file and detect_format(self.source) == "npz":
-            robot, motion = self.load(self.source)
-            return robot, motion, ["format     FastMimic robot motion"]
         overrides = self.overrides()
-        robot = self.load_robot(self.source)
-        clip = open_clip(self.source, robot=robot, **overrides)
+        source = find_motion(self.source)
+        robot = self.load_robot(source)
+        if source.motion is not None:
+            return robot, source.load(robot, **overrides), ["format     FastMimic robot motion"]
+        clip = source.open_clip(robot, **overrides)
         motion, report = retarget(clip, robot)
         return robot, motion, [*_describe_clip(clip), f"retargeted to {robot.name}:", *report.lines()]
 

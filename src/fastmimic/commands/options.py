@@ -10,12 +10,13 @@ from tyro.conf import arg
 
 from fastmimic.base.errors import ConfigError, OutputError, PolicyError
 from fastmimic.motion.motion import Motion
-from fastmimic.robot import ROBOT_CHOICES, Robot
+from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
 
 if TYPE_CHECKING:
     from fastmimic.episode.rollout import MakeController
     from fastmimic.experiments.entrants import Search
     from fastmimic.optimize.randomization import Randomization
+    from fastmimic.runs.load import MotionSource
 
 DEFAULT_ROBOT: Final = "a1"
 MAX_DURATION_S: Final = 3600.0
@@ -65,17 +66,16 @@ class MotionOptions:
 
     def load(self, source: str) -> tuple[Robot, Motion]:
         """The robot and its motion, retargeted if `source` is a clip."""
-        from fastmimic.imitation.imitate import load_motion
+        from fastmimic.runs.load import find_motion
 
         overrides = self.overrides()
-        robot = self.load_robot(source)
-        return robot, load_motion(source, robot, **overrides)
+        found = find_motion(source)
+        robot = self.load_robot(found)
+        return robot, found.load(robot, **overrides)
 
-    def load_robot(self, source: str) -> Robot:
-        """The robot that was asked for, else the one that the robot motion in `source` is for."""
-        from fastmimic.robot import load_robot
-
-        return load_robot(self.robot or robot_of(source) or DEFAULT_ROBOT)
+    def load_robot(self, source: "MotionSource") -> Robot:
+        """The robot that was asked for, else the one that the source is for."""
+        return load_robot(self.robot or source.robot or DEFAULT_ROBOT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,18 +141,6 @@ class ExperimentOptions(MotionOptions):
         from fastmimic.experiments.entrants import Search
 
         return Search(self.config, self.iterations, self.population, self.seed)
-
-
-def robot_of(source: str) -> str | None:
-    """The built-in robot that a FastMimic `.npz` was made for, if `source` is one."""
-    from fastmimic.clips.formats import detect_format
-    from fastmimic.motion.motion import Motion
-    from fastmimic.robot import ROBOT_NAMES
-
-    if not Path(source).is_file() or detect_format(source) != "npz":
-        return None
-    name = Motion.load(source).meta.get("robot")
-    return name if name in ROBOT_NAMES else None
 
 
 def parse_frames(text: str) -> tuple[int, int]:

@@ -40,19 +40,19 @@ class Play:
 
         require_viser()
         free_port(self.port)  # a port that cannot be is no reason to load motions first
-        from fastmimic.commands.options import DEFAULT_ROBOT, robot_of
+        from fastmimic.commands.options import DEFAULT_ROBOT
         from fastmimic.control.config import controller_config
-        from fastmimic.imitation.stitch import motion_source
         from fastmimic.play.motions import DEFAULTS, load_motions
         from fastmimic.play.page import PlayPage
         from fastmimic.play.session import LiveSession, check_method
         from fastmimic.reference.motion_set import MotionSet, warm_up
         from fastmimic.robot import load_robot
+        from fastmimic.runs.load import find_motion
 
         check_method(self.method)
         config = controller_config(self.config)
-        sources = self.motions or DEFAULTS
-        own = next((found for s in self.motions if (found := robot_of(str(motion_source(s))))), None)
+        sources = [find_motion(source) for source in self.motions or DEFAULTS]
+        own = next((source.robot for source in sources if source.robot is not None), None)
         name = self.robot or own or DEFAULT_ROBOT
         robot = load_robot(name)
         # transitions take a second or so each: in another process, so that the simulation keeps its time

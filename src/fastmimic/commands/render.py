@@ -109,13 +109,13 @@ class Render(MotionOptions):
 
     def _tracks(self) -> "tuple[Robot, list[tuple[Track, float]]]":
         """The robot, and a panel with its rate for each motion."""
-        from fastmimic.imitation.imitate import default_duration, load_motion
-        from fastmimic.imitation.stitch import motion_source
+        from fastmimic.imitation.imitate import default_duration
+        from fastmimic.runs.load import find_motion
 
-        sources = [str(motion_source(source)) for source in self.motions]
+        sources = [find_motion(source) for source in self.motions]
         robot = self.load_robot(sources[0])
         overrides = self.overrides()
-        motions = [load_motion(source, robot, **overrides) for source in sources]
+        motions = [source.load(robot, **overrides) for source in sources]
         methods: Sequence[str | None] = self.method if len(self.method) == len(motions) else ()
         methods = methods or [self.method[0] if self.method else None] * len(motions)
         shown = []

@@ -22,13 +22,14 @@ class Retarget(MotionOptions):
     def run(self) -> int:
         """Writes the motion and prints the report; returns the exit status."""
         out = check_writable(self.out, ".npz")
-        from fastmimic.clips.catalogue import open_clip
         from fastmimic.commands.provenance import assumed, provenance
         from fastmimic.retargeting.retarget import retarget
+        from fastmimic.runs.load import find_motion
 
         overrides = self.overrides()
-        robot = self.load_robot(self.clip)
-        motion, report = retarget(open_clip(self.clip, robot=robot, **overrides), robot)
+        source = find_motion(self.clip)
+        robot = self.load_robot(source)
+        motion, report = retarget(source.open_clip(robot, **overrides), robot)
         motion.save(out)
         note(provenance(motion))
         for sentence in (*assumed(motion), *robot.assumed):

@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.commands.console import note, optimisation_progress, put, table
-from fastmimic.commands.options import DEFAULT_ROBOT, RandomizeOptions, robot_of
+from fastmimic.commands.options import DEFAULT_ROBOT, RandomizeOptions
 from fastmimic.commands.outcome import report
 from fastmimic.robot import ROBOT_CHOICES, Robot
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from fastmimic.imitation.stitch import Stitching
     from fastmimic.optimize.cma_es import Progress
     from fastmimic.report.run_folder import RunFolder
+    from fastmimic.runs.load import MotionSource
 
 RUNS: Final = Path("runs")
 _NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", "quality")
@@ -82,14 +83,17 @@ class Stitch(RandomizeOptions):
         from fastmimic.render.quality import quality_named
         from fastmimic.report.run_folder import default_folder, open_run
         from fastmimic.robot import load_robot
+        from fastmimic.runs.load import find_motion
 
         quality_named(self.quality)
         if not method_named(self.method).optimises and self.resume:
             raise ConfigError("--resume goes on with an optimisation; without one there is nothing to resume")
         if self.randomization() is not None and not method_named(self.method).optimises:
             raise ConfigError(f"--randomize is of a search, and method '{self.method}' has none; leave it out")
-        robot = load_robot(self.robot or self._robot_of_motions() or DEFAULT_ROBOT)
-        names = "+".join(self._name_of(m) for m in self.motions)
+        sources = {motion: find_motion(motion) for motion in self.motions}
+        own = next((source.robot for source in sources.values() if source.robot is not None), None)
+        robot = load_robot(self.robot or own or DEFAULT_ROBOT)
+        names = "+".join(_name_of(sources[motion]) for motion in self.motions)
         name = re.sub(r"[^\w.+-]+", "-", f"{names}-{robot.name}-{self.method}-{self.seed}")
         out = self.out or default_folder(RUNS, name, resume=self.resume)
         config = self._record(robot)
@@ -97,14 +101,14 @@ class Stitch(RandomizeOptions):
         with open_run(out, config, same, resume=self.resume, overwrite=self.overwrite) as folder:
             if folder.finished and not self.resume:
                 note(f"replacing the run in {out}")
-            result = self._stitch(robot, folder)
+            result = self._stitch([sources[motion] for motion in self.motions], robot, folder)
             meta = result.motion.meta
             folder.write(result, config | {"source": meta.get("source"), "licence": meta.get("licence")})
         for line in segments(result):
             put(line)
         return report(result, folder, self.iterations, video=None if self.no_video else self.quality)
 
-    def _stitch(self, robot: Robot, folder: "RunFolder") -> "Stitching":
+    def _stitch(self, sources: "list[MotionSource]", robot: Robot, folder: "RunFolder") -> "Stitching":
         from fastmimic.imitation.stitch import stitch
 
         with ExitStack() as stack:
@@ -118,7 +122,7 @@ class Stitch(RandomizeOptions):
 
             try:
                 return stitch(
-                    self.motions,
+                    sources,
                     robot,
                     cycles=self.cycles[0] if len(self.cycles) == 1 else self.cycles or None,
                     method=self.method,
@@ -139,22 +143,6 @@ class Stitch(RandomizeOptions):
                     note(f"to go on from the checkpoints: the same command with --out {folder.path} --resume")
                 raise
 
-    def _robot_of_motions(self) -> str | None:
-        from fastmimic.imitation.stitch import motion_source
-
-        sources = [str(motion_source(m)) for m in self.motions]
-        return next((of for of in (robot_of(source) for source in sources) if of is not None), None)
-
-    @staticmethod
-    def _name_of(motion: str) -> str:
-        """What the run's folder calls a motion."""
-        from fastmimic.imitation.stitch import RUN_MOTION, motion_source
-
-        source = Path(motion_source(motion))
-        if source.name == RUN_MOTION:
-            return source.resolve().parent.name
-        return source.stem if source.is_file() else motion
-
     def _record(self, robot: Robot) -> dict[str, Any]:
         """Everything that the run depends on, JSON-serialisable."""
         from fastmimic.control.config import controller_config
@@ -171,6 +159,18 @@ class Stitch(RandomizeOptions):
             "controller": method_named(self.method).configure(controller_config(self.config)).as_dict(),
             "versions": versions(),
         }
+
+
+def _name_of(source: "MotionSource") -> str:
+    """The name of a motion in the name of the folder."""
+    from fastmimic.runs.load import MOTION
+
+    if source.folder is not None:
+        return source.folder.resolve().name
+    path = Path(source.name)
+    if path.name == MOTION:
+        return path.resolve().parent.name
+    return path.stem if path.is_file() else source.name
 
 
 def _nowhere(step: "Progress") -> None:

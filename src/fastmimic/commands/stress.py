@@ -28,7 +28,7 @@ class Stress(ExperimentOptions):
     """
 
     motion: Annotated[Positional[str], arg(metavar="MOTION")]
-    """A robot motion (.npz), a clip, or a name of 'fastmimic motions'."""
+    """A robot motion (.npz), a clip, a name of 'fastmimic motions', or the folder of a run."""
     methods: Annotated[tuple[str, ...], arg(metavar="METHOD ...")] = ("mbc", "mbc-dmp", "raibert")
     """Which methods."""
     disturbances: Annotated[tuple[str, ...] | None, arg(metavar="NAME ...")] = None

@@ -35,7 +35,7 @@ class Train(MotionOptions):
     """
 
     motion: Annotated[Positional[str], arg(metavar="MOTION")]
-    """A name of 'fastmimic motions', or a file."""
+    """A name of 'fastmimic motions', a file, or the folder of a run."""
     steps: int = PAPER_STEPS
     """Actions of all robots together. Asking for more later goes on with --resume."""
     seed: int = 0

@@ -29,7 +29,8 @@ class Transfer(ExperimentOptions):
     """
 
     motions: Annotated[Positional[tuple[str, ...]], arg(metavar="MOTION ...")]
-    """Robot motions (.npz), which are run as they are if they are optimised, clips, or names of 'fastmimic motions'."""
+    """Robot motions (.npz), which are run as they are if they are optimised, clips, names of
+    'fastmimic motions', or folders of runs."""
     methods: Annotated[tuple[str, ...], arg(metavar="METHOD ...")] = ("mbc", "mbc-dmp")
     """Which methods."""
     trials: int = 3

@@ -1,10 +1,8 @@
 """`fastmimic view`: a motion, or a run before and after, in the browser."""
 
 import dataclasses
-import json
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
@@ -16,6 +14,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
+    from fastmimic.runs.load import MotionSource
     from fastmimic.viewer.animal import Animal
     from fastmimic.viewer.take import Take
 
@@ -53,13 +52,14 @@ class View(MotionOptions):
         if self.duration is not None:
             check_duration(self.duration)
         self._check_combination()
+        from fastmimic.runs.load import find_motion
         from fastmimic.viewer.server import Viewer, free_port, require_viser
 
         require_viser()
         free_port(self.port)  # a port that cannot be is no reason to simulate first
-        run = self._is_run()
-        command = self._of_run(Path(self.motion)) if run else self
-        robot, shown, heading, animal = command._prepare(run=run)
+        source = find_motion(self.motion)
+        command = self if source.folder is None else self._of_run(source)
+        robot, shown, heading, animal = command._prepare(source)
         with Viewer(robot, shown, heading, self.port, animal) as viewer:
             return serve(viewer, heading, self.port)
 
@@ -70,57 +70,42 @@ class View(MotionOptions):
             if found:
                 raise ConfigError(f"{', '.join(found)} cannot be applied with --kinematic: there is no controller")
 
-    def _is_run(self) -> bool:
-        """Whether the motion is a folder; a name goes before a folder of the same name, as before a file."""
-        from fastmimic.clips.catalogue import motion_names
-
-        return Path(self.motion).is_dir() and self.motion not in motion_names()
-
-    def _of_run(self, folder: Path) -> "View":
-        """The same command with what the run's folder says where nothing was given."""
-        from fastmimic.report.run_folder import CONFIG, MOTION
-
-        if not (folder / MOTION).is_file():
-            raise MotionError(f"{folder}: no {MOTION} in this folder; give a finished run, or a motion")
-        try:
-            arguments: dict[str, Any] = dict(json.loads((folder / CONFIG).read_text(encoding="utf-8"))["arguments"])
-        except FileNotFoundError:
-            arguments = {}  # a motion in a folder
-        except (OSError, ValueError, TypeError, KeyError) as error:
-            raise MotionError(
-                f"{folder / CONFIG}: not the settings of a run ({type(error).__name__}: {error})"
-            ) from None
+    def _of_run(self, source: "MotionSource") -> "View":
+        """The same command with the arguments of the run where nothing was given."""
+        arguments = source.run_arguments()
         seconds = arguments.get("duration")
         if seconds is not None and not isinstance(seconds, int | float):
-            raise MotionError(f"{folder / CONFIG}: the duration is not a number ({seconds!r})")
+            raise MotionError(f"{source.name}: the duration in config.json is not a number ({seconds!r})")
         return dataclasses.replace(
             self,
-            motion=str(folder / MOTION),
             robot=self.robot or arguments.get("robot"),
             method=self.method or (None if self.kinematic else arguments.get("method")),
             config=self.config or (None if self.kinematic else arguments.get("config")),
             duration=self.duration if self.duration is not None else seconds,
         )
 
-    def _prepare(self, *, run: bool) -> "tuple[Robot, list[list[Take]], str, Animal | None]":
+    def _prepare(self, source: "MotionSource") -> "tuple[Robot, list[list[Take]], str, Animal | None]":
         """The robot, what is shown of it, the heading, and the animal."""
-        from fastmimic.imitation.imitate import EVALUATION_S, default_duration, load_motion
+        from fastmimic.imitation.imitate import EVALUATION_S, default_duration
+        from fastmimic.runs.load import find_motion
         from fastmimic.viewer.animal import Animal
 
         overrides = self.overrides()
-        robot_motion = _is_robot_motion(self.motion)
-        robot = self.load_robot(self.motion)
+        robot = self.load_robot(source)
         clip = None
         if self.clip is not None:
-            clip = self._open_clip(self.clip, robot, overrides if robot_motion else {})
-        if robot_motion:
-            motion = load_motion(self.motion, robot, **({} if clip is not None else overrides))
+            given = find_motion(self.clip)
+            if given.motion is not None:
+                raise ConfigError(f"--clip takes an animal's clip; {self.clip} is already a robot motion")
+            clip = given.open_clip(robot, **(overrides if source.motion is not None else {}))
+        if source.motion is not None:
+            motion = source.load(robot, **({} if clip is not None else overrides))
         else:
-            original = self._open_clip(self.motion, robot, overrides)
-            motion = load_motion(original, robot)
+            original = source.open_clip(robot, **overrides)
+            motion = find_motion(original).load(robot)
             clip = clip if clip is not None else original
         seconds = self.duration if self.duration is not None else default_duration(motion, EVALUATION_S)
-        both = run and motion.demonstration is not None
+        both = source.folder is not None and motion.demonstration is not None
         motions = (
             [(motion.target, "before: as retargeted"), (motion, "after: optimised")]
             if both
@@ -129,13 +114,6 @@ class View(MotionOptions):
         shown = [self._takes(each, motion, robot, seconds, title) for each, title in motions]
         animal = Animal(clip, robot, motion) if clip is not None else None
         return robot, shown, f"{motion.name} on {robot.name}", animal
-
-    def _open_clip(self, source: str, robot: Robot, overrides: dict[str, Any]) -> Any:
-        from fastmimic.clips.catalogue import open_clip
-
-        if _is_robot_motion(source):
-            raise ConfigError(f"--clip takes an animal's clip; {source} is already a robot motion")
-        return open_clip(source, robot=robot, **overrides)
 
     def _takes(self, motion: Motion, of: Motion, robot: Robot, seconds: float, title: str) -> "list[Take]":
         """What one motion is in so many episodes, under the controller of the motion that was given."""
@@ -159,9 +137,3 @@ class View(MotionOptions):
                 log=True,
             ).rollout
         return [rollout_take(rollout, motion, robot, config, title, episode) for episode in range(episodes)]
-
-
-def _is_robot_motion(source: str) -> bool:
-    from fastmimic.clips.formats import detect_format
-
-    return Path(source).is_file() and detect_format(source) == "npz"

@@ -25,12 +25,13 @@ from fastmimic.episode.feasibility import demands, describe_fall, reasons
 from fastmimic.episode.rollout import Rollout, nominal_start, perturbed_start, run_episodes
 from fastmimic.executors import Report
 from fastmimic.experiments.runs import measure, named_values, plain
-from fastmimic.imitation.imitate import Imitation, imitate, load_motion, versions
+from fastmimic.imitation.imitate import Imitation, imitate, versions
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 from fastmimic.optimize.cma_es import Progress
 from fastmimic.optimize.randomization import Randomization
 from fastmimic.robot import Robot, load_robot
+from fastmimic.runs.load import load_motion
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.pybullet_sim import DESCRIPTIONS
 

@@ -12,7 +12,6 @@ from fastmimic.control.config import controller_config
 from fastmimic.experiments.ablations import ABLATED, ablation_named, ablations_of
 from fastmimic.experiments.runs import POLICY, Row, Run, Settings, digest, finished_row, run_of, slug
 from fastmimic.experiments.schedule import Report, Task, run_all
-from fastmimic.imitation.imitate import load_motion
 from fastmimic.imitation.methods import METHODS, RL, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings
@@ -20,6 +19,7 @@ from fastmimic.optimize.problem import Objective
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
+from fastmimic.runs.load import load_motion
 
 if TYPE_CHECKING:
     from fastmimic.learning.policy import Policy

@@ -14,9 +14,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.text import plain
-from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats import detect_format
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.episode.metrics import Metrics, swing_clearance
 from fastmimic.episode.rollout import (
@@ -36,8 +34,8 @@ from fastmimic.optimize.problem import Objective
 from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization, randomization
 from fastmimic.optimize.stitched import make_problem
 from fastmimic.primitive.rhythmic import N_BASIS
-from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
+from fastmimic.runs.load import load_motion
 from fastmimic.simulation.conditions import Conditions
 
 EVALUATION_S: Final = 10.0
@@ -188,35 +186,6 @@ class Imitation:
                 }
             )
         return found
-
-
-def load_motion(source: str | Path | Clip | Motion, robot: Robot | str = "a1", **overrides: Any) -> Motion:
-    """A robot motion from anything: our `.npz`, a clip file of any known format, a name, a clip, a motion.
-
-    Args:
-        source: a `Motion` is returned as it is; a clip is retargeted to the robot.
-        robot: the robot.
-        overrides: for clips, as `open_clip` takes them (`fps`, `up`, `point_map`, `scale`, `frames`,
-            `discrete`, `speed`, `yaw_rate`, `duty`).
-
-    Raises:
-        FastMimicError: nothing of that name, a file that cannot be read, or an override that does not apply.
-    """
-    robot = load_robot(robot)
-    given = {k: v for k, v in overrides.items() if v is not None and v is not False}
-    if isinstance(source, Motion):
-        motion = source
-    elif not isinstance(source, Clip) and Path(source).is_file() and detect_format(source) == "npz":
-        motion = Motion.load(source)
-    else:
-        clip = source if isinstance(source, Clip) else open_clip(source, robot=robot, **given)
-        return retarget(clip, robot)[0]
-    if given:
-        raise ConfigError(
-            f"{', '.join(sorted(given))} cannot be applied to '{motion.name}': it is already a robot motion"
-        )
-    motion.check_robot(robot.name)
-    return motion
 
 
 def imitate(

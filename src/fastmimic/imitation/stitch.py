@@ -11,12 +11,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from fastmimic.base.errors import CheckpointError, ConfigError, MotionError, OutputError
-from fastmimic.clips.catalogue import motion_names
+from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
 from fastmimic.clips.clip import Clip
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.episode.rollout import Rollout, run_episodes
-from fastmimic.imitation.imitate import Imitation, imitate, load_motion
+from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.imitation.methods import check_controller, made_with, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import Checkpoint
@@ -25,12 +24,12 @@ from fastmimic.optimize.parameters import FOOT_HEIGHT, needed_group
 from fastmimic.optimize.randomization import Randomization, randomization
 from fastmimic.optimize.stitched import StitchedProblem, parameters_of
 from fastmimic.robot import Robot, load_robot
+from fastmimic.runs.load import MotionSource, load_motion
 from fastmimic.stitching.join import stitch_motions
 
 PART_CHECKPOINT: Final = "checkpoint-{}.npz"
 CHECKPOINT: Final = "checkpoint.npz"
 CHECKPOINTS: Final = "checkpoint*.npz"
-RUN_MOTION: Final = "motion.npz"
 PART_POPULATION: Final = 10
 
 
@@ -59,7 +58,7 @@ class Stitching(Imitation):
 
 
 def stitch(
-    sources: Sequence[str | Path | Clip | Motion],
+    sources: Sequence[str | Path | Clip | Motion | MotionSource],
     robot: Robot | str = "a1",
     *,
     cycles: int | Sequence[int] | None = None,
@@ -82,8 +81,7 @@ def stitch(
     segments, each occurrence its own, are optimised over the whole episode.
 
     Args:
-        sources: two or more of what `load_motion` takes, or folders of runs. An optimised motion is taken with its
-            parameters. A name goes before a folder of the same name (use ./NAME).
+        sources: two or more of what `load_motion` takes. An optimised motion is taken with its parameters.
         robot: the robot, its name, or the path of its MJCF.
         cycles: how often each motion is repeated: one number for all, or one for each; about 3 s each if None. The
             whole lasts 600 s at most.
@@ -197,35 +195,18 @@ def usual_population(parameters: int) -> int:
     return 4 + int(3 * np.log(parameters))
 
 
-def _keys(sources: Sequence[str | Path | Clip | Motion]) -> list[object]:
+def _keys(sources: Sequence[str | Path | Clip | Motion | MotionSource]) -> list[object]:
     """What tells the sources apart: the same name or object is the same motion."""
     return [str(s) if isinstance(s, str | Path) else id(s) for s in sources]
 
 
-def motion_source(source: str | Path) -> str | Path:
-    """What `load_motion` takes for a name, a file or the folder of a run; a name goes before a folder.
-
-    Raises:
-        MotionError: nothing was named, or the folder holds no motion.
-    """
-    name = str(source)
-    if not name.strip():
-        raise MotionError("a motion without a name; give the name of a motion, a file, or the folder of a run")
-    if name in motion_names() or not Path(source).is_dir():
-        return source
-    path = Path(source) / RUN_MOTION
-    if not path.is_file():
-        raise MotionError(f"{source}: a folder without {RUN_MOTION}; give the folder of a finished run, or a file")
-    return path
-
-
-def _load(sources: Sequence[str | Path | Clip | Motion], robot: Robot) -> dict[object, Motion]:
+def _load(sources: Sequence[str | Path | Clip | Motion | MotionSource], robot: Robot) -> dict[object, Motion]:
     if isinstance(sources, str | Path):
         raise ConfigError(f"stitching takes a list of motions, found '{sources}'")
     found: dict[object, Motion] = {}
     for key, source in zip(_keys(sources), sources, strict=True):
         if key not in found:
-            found[key] = load_motion(motion_source(source) if isinstance(source, str | Path) else source, robot)
+            found[key] = load_motion(source, robot)
     return found
 
 

@@ -11,12 +11,12 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from fastmimic.episode.reward import TERMS
-from fastmimic.imitation.imitate import load_motion
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, action_bounds
 from fastmimic.learning.episodes import EPISODE_S, Episodes, Outcome
 from fastmimic.learning.randomisation import parse_randomisation
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
+from fastmimic.runs.load import load_motion
 
 Seen = NDArray[np.float32]
 

@@ -5,19 +5,18 @@ from pathlib import Path
 from typing import Final
 
 from fastmimic.clips.synthesis import GAITS
-from fastmimic.imitation.imitate import load_motion
-from fastmimic.imitation.stitch import motion_source
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.motion_set import IN_PLACE, in_place
 from fastmimic.reference.standing import STAND, standing
 from fastmimic.robot import Robot
+from fastmimic.runs.load import MotionSource, find_motion
 
 DEFAULTS: Final = (STAND, IN_PLACE, "walk", "trot", "pace", "turn", "side-step", "spin", "backward-trot", "bound")
 """The motions that are played by default."""
 
 
 def load_motions(
-    sources: Sequence[str], robot: Robot, progress: Callable[[int, int], None] | None = None
+    sources: Sequence[str | MotionSource], robot: Robot, progress: Callable[[int, int], None] | None = None
 ) -> dict[str, Motion]:
     """Motions by the names under which they are played.
 
@@ -30,14 +29,16 @@ def load_motions(
         FastMimicError: nothing of that name, or a file that cannot be read.
     """
     found: dict[str, Motion] = {}
-    for i, source in enumerate(sources):
-        if source == STAND:
-            name, motion = STAND, standing(robot)
-        elif source == IN_PLACE:
-            name, motion = IN_PLACE, in_place(robot)
+    for i, given in enumerate(sources):
+        source = find_motion(given) if isinstance(given, str) else given
+        name = source.name
+        if name == STAND:
+            motion = standing(robot)
+        elif name == IN_PLACE:
+            motion = in_place(robot)
         else:
-            motion = load_motion(motion_source(source), robot)
-            name = source if source in GAITS or ":" in source else _short(source, motion)
+            motion = source.load(robot)
+            name = name if name in GAITS or ":" in name else _short(name, motion)
         if name in found:
             name = _distinct(name, found)
         found[name] = motion

@@ -1,0 +1,126 @@
+"""Loading a motion from whatever names one: a name, a clip, a robot motion, or the folder of a run."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.clips.catalogue import motion_names, open_clip
+from fastmimic.clips.clip import Clip
+from fastmimic.clips.formats.npz import is_robot_motion
+from fastmimic.motion.motion import Motion
+from fastmimic.retargeting.retarget import retarget
+from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
+
+MOTION: Final = "motion.npz"
+CONFIG: Final = "config.json"
+
+
+@dataclass(frozen=True, eq=False)
+class MotionSource:
+    """A motion that was named, before it is known for which robot.
+
+    Attributes:
+        name: what was given, or the name of the clip or motion that was.
+        motion: the robot motion; None for a clip, which has to be retargeted.
+        clip: the clip, its name or its file; None for a robot motion.
+        folder: the folder of the run that was given; None for everything else.
+    """
+
+    name: str
+    motion: Motion | None = None
+    clip: Clip | str | Path | None = None
+    folder: Path | None = None
+
+    @property
+    def robot(self) -> str | None:
+        """The built-in robot of a robot motion, else the robot that its run was given, by name or MJCF file."""
+        if self.motion is None:
+            return None
+        name = self.motion.meta.get("robot")
+        return name if name in ROBOT_NAMES else self.run_arguments().get("robot")
+
+    def run_arguments(self) -> dict[str, Any]:
+        """The arguments of the command that wrote the folder; empty without a folder or its `config.json`.
+
+        Raises:
+            MotionError: `config.json` cannot be read.
+        """
+        if self.folder is None:
+            return {}
+        path = self.folder / CONFIG
+        try:
+            return dict(json.loads(path.read_text(encoding="utf-8")).get("arguments", {}))
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError, TypeError, AttributeError) as error:
+            raise MotionError(f"{path}: not the settings of a run ({type(error).__name__}: {error})") from None
+
+    def open_clip(self, robot: Robot, **overrides: Any) -> Clip:
+        """The clip, as `open_clip` reads it.
+
+        Raises:
+            FastMimicError: a robot motion, a clip that cannot be read, or an override that does not apply.
+        """
+        if self.clip is None:
+            raise ConfigError(f"{self.name}: already a robot motion; a clip is needed")
+        return self.clip if isinstance(self.clip, Clip) else open_clip(self.clip, robot=robot, **overrides)
+
+    def load(self, robot: Robot, **overrides: Any) -> Motion:
+        """The motion for a robot; see `load_motion`."""
+        given = {k: v for k, v in overrides.items() if v is not None and v is not False}
+        if self.motion is None:
+            return retarget(self.open_clip(robot, **given), robot)[0]
+        if given:
+            raise ConfigError(
+                f"{', '.join(sorted(given))} cannot be applied to '{self.motion.name}': it is already a robot motion"
+            )
+        self.motion.check_robot(robot.name)
+        return self.motion
+
+
+def find_motion(source: str | Path | Clip | Motion) -> MotionSource:
+    """Finds out what a source is, and reads it if it is a robot motion.
+
+    A name goes before a file or a folder of the same name (use ./NAME).
+
+    Raises:
+        MotionError: nothing was named, a folder holds no motion, or a robot motion cannot be read.
+    """
+    if isinstance(source, Motion):
+        return MotionSource(source.name, motion=source)
+    if isinstance(source, Clip):
+        return MotionSource(str(source.meta.get("name", "clip")), clip=source)
+    name = str(source)
+    if not name.strip():
+        raise MotionError("a motion without a name; give the name of a motion, a file, or the folder of a run")
+    if name in motion_names():
+        return MotionSource(name, clip=name)
+    if Path(source).is_dir():
+        path = Path(source) / MOTION
+        if not path.is_file():
+            raise MotionError(f"{source}: a folder without {MOTION}; give the folder of a finished run, or a file")
+        return MotionSource(name, motion=Motion.load(path), folder=Path(source))
+    if is_robot_motion(source):
+        return MotionSource(name, motion=Motion.load(source))
+    return MotionSource(name, clip=source)
+
+
+def load_motion(
+    source: str | Path | Clip | Motion | MotionSource, robot: Robot | str = "a1", **overrides: Any
+) -> Motion:
+    """A robot motion from anything that names one.
+
+    Args:
+        source: a name of `motion_names()`, a clip file of any known format, a robot motion (`.npz`), the folder of a
+            run, a `Clip` or a `Motion`. A clip is retargeted to the robot. A name goes before a file or a folder.
+        robot: the robot, its name, or the path of its MJCF.
+        overrides: for clips, as `open_clip` takes them (`fps`, `up`, `point_map`, `scale`, `frames`,
+            `discrete`, `speed`, `yaw_rate`, `duty`).
+
+    Raises:
+        FastMimicError: nothing of that name, a file that cannot be read, or an override that does not apply.
+    """
+    found = source if isinstance(source, MotionSource) else find_motion(source)
+    return found.load(load_robot(robot), **overrides)
