@@ -20,7 +20,8 @@ import numpy as np
 from rollout import environment
 
 import fastmimic as fm
-from fastmimic.control.config import ControllerConfig, HorizonConfig, default_config
+from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.control.config_parts import HorizonConfig
 from fastmimic.control.daqp import OPTIMAL, solve_qp
 from fastmimic.episode.rollout import ClosedLoop, perturbed_start
 

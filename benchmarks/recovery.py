@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from marked import put
 
-from fastmimic.control.config import ControllerConfig, RecoveryConfig, default_config
+from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.control.config_parts import RecoveryConfig
 from fastmimic.episode.rollout import Start, nominal_start, run_episodes
 from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.motion.motion import Motion

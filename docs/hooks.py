@@ -1,4 +1,4 @@
-"""What the documentation site makes when it is built: the page of the command line, from the program itself."""
+"""What the documentation site makes when it is built: the command line's page and the tables of parameters."""
 
 import os
 import subprocess
@@ -6,12 +6,38 @@ import sys
 from typing import Any
 
 MARK = "<!-- verbs -->"
+PARAMETERS = "<!-- parameters -->"
 ACTIONS = {"library": [["build"], ["list"], ["show"], ["export"], ["verify"]]}
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Puts each verb's help where the page of the command line has its mark."""
-    return markdown.replace(MARK, _verbs()) if MARK in markdown else markdown
+    """Puts each verb's help, and the tables of parameters, where a page has their marks."""
+    for mark, made in ((MARK, _verbs), (PARAMETERS, parameter_tables)):
+        if mark in markdown:
+            markdown = markdown.replace(mark, made())
+    return markdown
+
+
+def parameter_tables() -> str:
+    """A table for each class of settings, Markdown."""
+    from fastmimic.base.configuration import describe
+    from fastmimic.base.text import markdown_table
+    from fastmimic.control import config, config_parts
+    from fastmimic.deploy.limits import SafetyLimits
+    from fastmimic.estimation.config import EstimatorConfig
+    from fastmimic.learning.config import PolicyConfig
+    from fastmimic.simulation.sensors import SensorConfig
+
+    controller = (
+        *(config.ControllerConfig, config_parts.GaitConfig, config_parts.StanceConfig, config_parts.HorizonConfig),
+        *(config_parts.SwingConfig, config_parts.LoadConfig, config_parts.RecoveryConfig),
+    )
+    header = ("parameter", "default", "unit", "range", "meaning")
+    lines = []
+    for kind in (*controller, EstimatorConfig, SensorConfig, PolicyConfig, SafetyLimits):
+        about = str(kind.__doc__).split("\n\n")[0].strip()
+        lines += [f"## {kind.__name__}", "", about, "", *markdown_table(header, describe(kind)), ""]
+    return "\n".join(lines)
 
 
 def _verbs() -> str:

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from fastmimic.control.config import REFERENCE_JOINT_INERTIA
+from fastmimic.robot.scaling import A1_JOINT_INERTIA, A1_LEG_LENGTH_M
 
 
-def body(mass: float, joint_inertia: float = REFERENCE_JOINT_INERTIA) -> Any:
+def body(mass: float, joint_inertia: float = A1_JOINT_INERTIA) -> Any:
     """One of that mass, kg, whose joints have to move so much, kg·m²."""
-    return SimpleNamespace(mass=mass, joint_inertia=np.full(12, joint_inertia))
+    return SimpleNamespace(mass=mass, joint_inertia=np.full(12, joint_inertia), leg_length=A1_LEG_LENGTH_M)

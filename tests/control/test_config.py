@@ -12,14 +12,12 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.control.config import (
     CONFIGS,
     ControllerConfig,
-    GaitConfig,
-    StanceConfig,
-    SwingConfig,
     controller_config,
     default_config,
     pack_config,
     paper_config,
 )
+from fastmimic.control.config_parts import GaitConfig, StanceConfig, SwingConfig
 from fastmimic.robot import load_robot
 
 
@@ -57,7 +55,8 @@ def test_a_set_can_be_written_to_a_file(name: str) -> None:
         ({"gait": {"contact_threshold": 0.1, "release_threshold": 0.2}}, "gait.release_threshold must be in"),
         ({"stance": {"adaptation": "some"}}, "stance.adaptation must be one of off, paper, full"),
         ({"stance": {"friction": 0.0}}, "stance.friction must be positive"),
-        ({"stance": {"friction_sides": 6}}, "stance.friction_sides must be 4 or 8"),
+        ({"stance": {"leg_momentum": 2}}, "stance.leg_momentum must be true or false"),
+        ({"stance": {"friction_sides": 6}}, "stance.friction_sides must be one of 4, 8"),
         ({"stance": {"force_weight": 0.0}}, "stance.force_weight must be positive"),
         ({"stance": {"min_force": 2.0, "max_force": 1.0}}, "stance.min_force must be in"),
         ({"stance": {"acceleration_weight": (1, 1, 1, 1, 1, -1)}}, "stance.acceleration_weight must not be negative"),
@@ -89,6 +88,7 @@ def test_the_a1_gets_the_numbers_as_they_are() -> None:
     assert packed["r_weight"] == config.stance.force_weight
     assert packed["stance_kp"] == config.stance.joint_stiffness
     assert packed["swing_kd"] == config.swing.joint_damping
+    assert packed["swing_height"] == config.swing.swing_height
 
 
 def test_a_heavier_robot_is_as_stiff_for_what_it_has_to_move() -> None:

@@ -7,9 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fastmimic.base.configuration import changed
 from fastmimic.base.errors import ConfigError
-from fastmimic.control.config import LoadConfig, controller_config, default_config, paper_config
-from fastmimic.control.config_file import FORMAT, changed, read_config
+from fastmimic.control.config import (
+    CONFIGS,
+    FILE_FORMAT,
+    ControllerConfig,
+    controller_config,
+    default_config,
+    paper_config,
+    read_config,
+)
+from fastmimic.control.config_parts import LoadConfig
 from fastmimic.control.controller import Controller
 from fastmimic.control.load import loaded_robot
 from fastmimic.robot import load_robot
@@ -17,7 +26,7 @@ from fastmimic.runs.load import load_motion
 
 
 def write(path: Path, **content: Any) -> Path:
-    path.write_text(json.dumps({"format": FORMAT, "version": 1, **content}))
+    path.write_text(json.dumps({**FILE_FORMAT, **content}))
     return path
 
 
@@ -32,15 +41,27 @@ def test_changes_the_set_that_it_names(tmp_path: Path) -> None:
     assert config.swing == paper_config().swing
 
 
-def test_parameters_of_all_robots_have_the_digest_that_they_had() -> None:
-    assert {"load", "robot"}.isdisjoint(default_config().as_dict())
-    loaded = changed(default_config(), {"robot": "a1", "load": {"mass": 1.0}}, "here")
-    assert loaded.as_dict()["load"]["mass"] == 1.0
-    assert loaded.as_dict()["robot"] == "a1"
-    later = {"friction_sides": 8, "standing_inertia": True}
-    assert later.keys().isdisjoint(default_config().as_dict()["stance"])
-    options = changed(default_config(), {"stance": later}, "here").as_dict()["stance"]
-    assert {name: options[name] for name in later} == later
+@pytest.mark.parametrize("name", sorted(CONFIGS))
+def test_comes_back_from_a_record(name: str) -> None:
+    config = changed(controller_config(name), {"robot": "a1", "load": {"mass": 1.0}}, "here")
+    assert ControllerConfig.from_dict(json.loads(json.dumps(config.as_dict()))) == config
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda record: record["stance"].pop("friction"),
+        lambda record: record["stance"].update(fricton=0.3),
+        lambda record: record["stance"].update(friction=-1.0),
+        lambda record: record.update(gait=3),
+        lambda record: record.clear(),
+    ],
+)
+def test_a_record_of_another_release_is_refused(damage: Any) -> None:
+    record = json.loads(json.dumps(default_config().as_dict()))
+    damage(record)
+    with pytest.raises(ConfigError, match="another release"):
+        ControllerConfig.from_dict(record)
 
 
 @pytest.mark.parametrize(
@@ -50,7 +71,7 @@ def test_parameters_of_all_robots_have_the_digest_that_they_had() -> None:
         ({"stances": {}}, "unknown 'stances'"),
         ({"stance": 0.3}, "'stance' must be an object with the fields of StanceConfig"),
         ({"stance": {"friction": "low"}}, "'friction' must be of the kind of 0.6, not 'low'"),
-        ({"stance": {"friction": -1}}, "stance.friction must not be negative"),
+        ({"stance": {"friction": -1}}, "stance.friction must be positive"),
         ({"stance": {"position_gain": [1, 2]}}, "'position_gain' must be a list of 6 numbers"),
         ({"load": {"mass": -2}}, "load.mass must not be negative"),
         ({"base": "defualt"}, "unknown base 'defualt'.*did you mean 'default'"),

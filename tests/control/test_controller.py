@@ -14,10 +14,7 @@ from fastmimic.base.rotations import (
     quat_rotate,
     rotate_planar,
 )
-from fastmimic.control.config import (
-    controller_config,
-    default_config,
-)
+from fastmimic.control.config import controller_config, default_config
 from fastmimic.control.controller import Controller
 from fastmimic.control.stance import _HOLD_STEPS
 from fastmimic.motion.motion import Motion

@@ -8,7 +8,8 @@ import pytest
 
 from control.bodies import body
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.control.config import REFERENCE_MASS, ControllerConfig, StanceConfig, pack_config
+from fastmimic.control.config import ControllerConfig, pack_config
+from fastmimic.control.config_parts import StanceConfig
 from fastmimic.control.daqp import make_workspace
 from fastmimic.control.stance import (
     _HOLD_STEPS,
@@ -17,6 +18,7 @@ from fastmimic.control.stance import (
     invert_symmetric_3x3,
     stance_forces,
 )
+from fastmimic.robot.scaling import A1_MASS_KG
 from fastmimic.robot.state import MEMORY
 
 MASS = 12.0
@@ -178,7 +180,7 @@ def test_standing_still_carries_the_weight_in_equal_parts() -> None:
     """Up to the price of force: R makes each newton cost, which takes R m²/(4 q) = 0.13 % off any weight."""
     case = Stance()
     case.solve(STILL, (0, 1, 2, 3))
-    share = 1 / (1 + STANCE.force_weight * REFERENCE_MASS**2 / (4 * STANCE.acceleration_weight[2]))
+    share = 1 / (1 + STANCE.force_weight * A1_MASS_KG**2 / (4 * STANCE.acceleration_weight[2]))
     np.testing.assert_allclose(case.force, np.tile([0, 0, share * WEIGHT / 4], (4, 1)), atol=1e-6)
     assert share > 0.998
 

@@ -7,7 +7,8 @@ import pytest
 
 from deploy.rig import Rig, once
 from fastmimic.base.errors import ConfigError, DriverError
-from fastmimic.control.config import RecoveryConfig, default_config
+from fastmimic.control.config import default_config
+from fastmimic.control.config_parts import RecoveryConfig
 from fastmimic.deploy.deployment import Deployment
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.loop_clock import VirtualClock

@@ -385,14 +385,14 @@ class TestLimits:
     @pytest.mark.parametrize(
         ("settings", "said"),
         [
-            (["tlit=0.5"], "no safety limit 'tlit'.*did you mean 'tilt'"),
+            (["tlit=0.5"], "safety limits: unknown 'tlit'.*did you mean 'tilt'"),
             (["tilt"], "NAME=VALUE"),
             (["tilt=steep"], "NAME=VALUE"),
-            (["tilt=-1"], "tilt must be positive"),
-            (["tilt=nan"], "tilt must be a number"),
-            (["tilt=2"], "at most 1.57"),
+            (["tilt=-1"], "tilt must be in"),
+            (["tilt=nan"], "tilt must be finite"),
+            (["tilt=2"], r"tilt must be in \(0, 1.5708\], found 2"),
             (["height_least=2"], "must be below height_most"),
-            (["qp_failures=2.5"], "whole number"),
+            (["qp_failures=2.5"], "'qp_failures' must be of the kind of 5, not 2.5"),
         ],
     )
     def test_what_they_cannot_be(self, settings: list[str], said: str, a1: Robot) -> None:

@@ -295,8 +295,8 @@ class TestContact:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"velocity_noise": 0.0}, "velocity_noise must be finite and positive, found 0.0"),
-        ({"latency_s": -0.001}, "latency_s must be finite and not negative"),
+        ({"velocity_noise": 0.0}, "velocity_noise must be positive, found 0.0"),
+        ({"latency_s": -0.001}, "latency_s must not be negative"),
         ({"accel_noise": float("nan")}, "accel_noise must be finite"),
         ({"release_force": 0.5}, r"release_force \(0.5\) must not be above contact_force"),
     ],

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from fastmimic.base.errors import LogError
-from fastmimic.control.config import default_config
-from fastmimic.control.config_file import read_config
+from fastmimic.control.config import default_config, read_config
 from fastmimic.episode.run_log import RunLog
 from fastmimic.identification.forces import ground_forces
 from fastmimic.identification.identify import FRICTION_MARGIN, identify

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from control.motions import gait
 from fastmimic.base.errors import ConfigError
-from fastmimic.control.config import ControllerConfig, RecoveryConfig, default_config, pack_config
+from fastmimic.control.config import ControllerConfig, default_config, pack_config
+from fastmimic.control.config_parts import RecoveryConfig
 from fastmimic.episode.rollout import Rollout, Start, run_episodes
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.resync import advance_recovering

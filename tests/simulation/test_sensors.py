@@ -210,8 +210,8 @@ class TestNoise:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"gyro_noise": -1.0}, "gyro_noise must be finite and not negative, found -1.0"),
-        ({"imu_rate_hz": 0.0}, "imu_rate_hz must be finite and positive"),
+        ({"gyro_noise": -1.0}, "gyro_noise must not be negative, found -1.0"),
+        ({"imu_rate_hz": 0.0}, "imu_rate_hz must be positive"),
         ({"foot_latency_s": float("inf")}, "foot_latency_s must be finite"),
     ],
 )

@@ -113,10 +113,10 @@ class Evaluate(MotionOptions):
     def _deployed(self) -> int:
         """The figures of a deployment, out of its log."""
         from fastmimic.commands.options import DEFAULT_ROBOT
+        from fastmimic.control.config import ControllerConfig
         from fastmimic.deploy.log import DeploymentLog
         from fastmimic.deploy.robot_sim.ground_truth import load_ground_truth
         from fastmimic.deploy.scoring import evaluation_of, true_states
-        from fastmimic.report.html_run import controller_from
         from fastmimic.robot import ROBOT_NAMES, load_robot
 
         fields = {f.name: f for f in dataclasses.fields(self)}
@@ -135,7 +135,7 @@ class Evaluate(MotionOptions):
         if self.robot is None and name not in ROBOT_NAMES:
             raise ConfigError(f"{self.motion}: of robot '{name}', which is not built in; give its MJCF by --robot")
         robot = load_robot(self.robot or name)
-        config = controller_from(log.meta["config"])
+        config = ControllerConfig.from_dict(log.meta["config"])
         with slow_start():
             figures = evaluation_of(robot, log, config).as_dict()
         figures |= {"driver": log.meta["driver"], "result": log.meta["result"]}

@@ -24,7 +24,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.vectors import heading_vector, quat_to_matrix, rotation_error, times, turn_rows
-from fastmimic.control.config import MAX_HORIZON_STEPS
+from fastmimic.control.config_parts import MAX_HORIZON_STEPS
 from fastmimic.control.daqp import OPTIMAL, solve_qp
 from fastmimic.control.stance import force_column, friction_rows
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.control.config import LoadConfig
+from fastmimic.control.config_parts import LoadConfig
 from fastmimic.robot import Robot
 
 

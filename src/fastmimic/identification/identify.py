@@ -1,14 +1,13 @@
 """From a log to the controller's parameters: friction and payload, and a file that every command takes."""
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from fastmimic.base.configuration import changed
 from fastmimic.base.errors import LogError
-from fastmimic.base.files import replace_file
-from fastmimic.control.config import ControllerConfig, controller_config
-from fastmimic.control.config_file import FORMAT, VERSION
+from fastmimic.base.files import write_json
+from fastmimic.control.config import FILE_FORMAT, ControllerConfig, controller_config
 from fastmimic.episode.run_log import RunLog
 from fastmimic.identification.forces import ground_forces
 from fastmimic.identification.friction import Friction, identify_friction
@@ -55,12 +54,11 @@ class Identification:
 
     def configure(self, config: ControllerConfig) -> ControllerConfig:
         """A configuration with what was identified."""
-        from fastmimic.control.config_file import changed
-
-        return changed(config, self.changes(config), "what was identified")
+        found: ControllerConfig = changed(config, self.changes(config), "what was identified")
+        return found
 
     def save(self, path: str | Path, base: str = "default") -> None:
-        """Writes a controller's configuration (`fastmimic.control.config_file`), with what it was taken from.
+        """Writes a controller's configuration (`fastmimic.control.config`), with what it was taken from.
 
         Args:
             path: a `.json` file.
@@ -71,14 +69,12 @@ class Identification:
             OutputError: the file cannot be written.
         """
         content = {
-            "format": FORMAT,
-            "version": VERSION,
+            **FILE_FORMAT,
             "base": base,
             **self.changes(controller_config(base)),
             "identified": asdict(self),
         }
-        text = json.dumps(content, indent=1, allow_nan=False) + "\n"
-        replace_file(path, lambda file: file.write(text.encode()))
+        write_json(path, content)
 
 
 def identify(log: RunLog, robot: Robot, unloaded: RunLog | None = None) -> Identification:

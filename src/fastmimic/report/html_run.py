@@ -7,29 +7,17 @@ checked against the rewards in `metrics.json`.
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, FastMimicError
-from fastmimic.control.config import (
-    ControllerConfig,
-    GaitConfig,
-    HorizonConfig,
-    LoadConfig,
-    RecoveryConfig,
-    StanceConfig,
-    SwingConfig,
-)
+from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.rollout import Rollout, run_episodes
 from fastmimic.motion.motion import Motion
 from fastmimic.report.run_folder import CONFIG, METRICS, MOTION, VIDEO, RunFolder
 from fastmimic.robot import Robot, load_robot
-
-_PARTS: Final = {"gait": GaitConfig, "stance": StanceConfig, "horizon": HorizonConfig, "swing": SwingConfig}
-_OPTIONAL: Final = {"load": LoadConfig, "recovery": RecoveryConfig}
-OTHER_RELEASE: Final = "the controller's parameters are those of another release, so the run cannot be run again"
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,35 +118,11 @@ def read_run(path: Path) -> RunData:
     return RunData(path, metrics, config, course, episodes, video, tuple(missing))
 
 
-def controller_from(record: Any) -> ControllerConfig:
-    """The controller's parameters out of `config.json`.
-
-    Raises:
-        ConfigError: they are not those of this release.
-    """
-    try:
-        given = {k: _plain(v) for k, v in record.items() if k not in _PARTS | _OPTIONAL}
-        parts = {k: kind(**{n: _plain(v) for n, v in record[k].items()}) for k, kind in _PARTS.items()}
-        parts |= {
-            k: kind(**{n: _plain(v) for n, v in record[k].items()}) for k, kind in _OPTIONAL.items() if k in record
-        }
-        config = ControllerConfig(**given, **parts)
-    except (AttributeError, KeyError, TypeError):
-        raise ConfigError(OTHER_RELEASE) from None
-    if json.loads(json.dumps(config.as_dict())) != record:  # parameters were added since
-        raise ConfigError(OTHER_RELEASE)
-    return config
-
-
-def _plain(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
-
-
 def _run_again(path: Path, metrics: dict[str, Any], config: dict[str, Any]) -> Episodes:
     if not (path / MOTION).is_file():
         raise ConfigError(f"{path / MOTION} is missing")
     try:
-        controller = controller_from(config.get("controller"))
+        controller = ControllerConfig.from_dict(config.get("controller"))
     except ConfigError as error:
         raise ConfigError(f"{path / CONFIG}: {error}") from None
     arguments = config.get("arguments", {})

@@ -1,6 +1,5 @@
-"""Simulated sensors: what an IMU, joint encoders and foot sensors say of a robot's true state."""
+"""Simulated sensors: readings of an IMU, joint encoders and foot sensors from a robot's true state."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.configuration import check, documented, pack, parameter, parameters, record_fields
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix, transposed_times
 from fastmimic.estimation.estimator import turn_by
@@ -23,81 +22,73 @@ _BLOCK: Final = 128  # control steps for which noise is drawn at once
 _A1_GEAR: Final = 9.1
 
 
+@documented
 @dataclass(frozen=True)
 class SensorConfig:
     """Sensors of a small quadruped such as the A1. Noise is white, drawn for each reading; errors that last are drawn
     for each episode. `ideal_sensors()` has none of it.
 
-    Where the magnitudes are from: [A] the simulated A1 of S. Katayama's legged_state_estimator (gyro 0.01 rad/s,
-    accelerometer 0.1 m/s², joints 0.001 rad and 0.1 rad/s, torque 0.1 N·m); [B] Bosch's data sheet of the BMI088, a
-    usual IMU of this class, whose offsets move by 0.2 mg and 0.015 °/s a kelvin: some 3 mg and 0.1 °/s are left where
-    it was calibrated cold, its gyro at rest just before; [C] the motors' serial protocol in Unitree's actuator SDK
-    (position 2¹⁴ counts a turn of the rotor, speed 1/128 rad/s, torque 1/256 N·m before the gear of 9.1); [D] users'
-    reports that the feet's pressure sensors drift (unitree_legged_sdk, issue 86). The rest is assumed: latency, as of
-    state messages of 500 Hz that are read one period late; what is left of the feet's offsets after they were zeroed in
-    the air; joint offsets; and what walking adds to the tilt error.
-
-    Attributes:
-        imu_rate_hz, joint_rate_hz, foot_rate_hz: readings a second, at most one in a control step; each holds until the
-            next.
-        imu_latency_s, joint_latency_s, foot_latency_s: until a reading arrives, s; rounded to control steps.
-        gyro_noise, gyro_bias, gyro_bias_walk: rad/s [A]; of each axis, rad/s [B]; rad/s/√s.
-        accel_noise, accel_bias, accel_bias_walk: m/s² [A]; of each axis, m/s² [B]; m/s²/√s.
-        orientation_noise: of the IMU's own orientation about each axis, rad. Its vertical is the accelerometer's, wrong
-            by that bias over g; its heading drifts by the gyro's bias and noise.
-        tilt_error, tilt_time: a slow error in roll and pitch besides, rad, and how long it lasts, s.
-        joint_pos_noise, joint_pos_quantum, joint_offset: rad [A]; rad [C]; of the zero position, rad. The motor's own
-            position loop has the same offset.
-        joint_vel_noise, joint_vel_quantum: rad/s [A], [C].
-        torque_noise, torque_quantum, torque_gain_error: N·m [A], [C]; fraction.
-        foot_noise, foot_quantum, foot_gain_error: N; N; fraction.
-        foot_offset, foot_offset_walk: N; N/√s [D].
+    Sources of the magnitudes: [A] the simulated A1 of S. Katayama's legged_state_estimator; [B] Bosch's data sheet of
+    the BMI088, a usual IMU of this class: its offsets move by 0.2 mg and 0.015 °/s a kelvin, which leaves some 3 mg and
+    0.1 °/s after a cold calibration at rest; [C] the motors' serial protocol in Unitree's actuator SDK (position 2¹⁴
+    counts a turn of the rotor, speed 1/128 rad/s, torque 1/256 N·m before the gear of 9.1); [D] users' reports that the
+    feet's pressure sensors drift (unitree_legged_sdk, issue 86). The rest is assumed: latency, as of state messages of
+    500 Hz read one period late; the feet's offsets after zeroing in the air; joint offsets; and the tilt error by
+    walking.
     """
 
-    imu_rate_hz: float = 500.0
-    joint_rate_hz: float = 500.0
-    foot_rate_hz: float = 250.0
-    imu_latency_s: float = 0.004
-    joint_latency_s: float = 0.004
-    foot_latency_s: float = 0.006
-    gyro_noise: float = 0.01
-    gyro_bias: float = 0.002
-    gyro_bias_walk: float = 1e-4
-    accel_noise: float = 0.1
-    accel_bias: float = 0.03
-    accel_bias_walk: float = 1e-3
-    orientation_noise: float = 0.001
-    tilt_error: float = 0.002
-    tilt_time: float = 5.0
-    joint_pos_noise: float = 0.001
-    joint_pos_quantum: float = 2 * math.pi / 2**14 / _A1_GEAR
-    joint_offset: float = 0.003
-    joint_vel_noise: float = 0.1
-    joint_vel_quantum: float = 1 / 128 / _A1_GEAR
-    torque_noise: float = 0.1
-    torque_quantum: float = _A1_GEAR / 256
-    torque_gain_error: float = 0.05
-    foot_noise: float = 4.0
-    foot_quantum: float = 1.0
-    foot_gain_error: float = 0.1
-    foot_offset: float = 5.0
-    foot_offset_walk: float = 1.0
+    imu_rate_hz: float = parameter(
+        500.0,
+        unit="Hz",
+        above=0.0,
+        key="",
+        about="IMU readings, at most one a control step; each holds until the next",
+    )
+    joint_rate_hz: float = parameter(500.0, unit="Hz", above=0.0, key="", about="joint readings")
+    foot_rate_hz: float = parameter(250.0, unit="Hz", above=0.0, key="", about="foot readings")
+    imu_latency_s: float = parameter(
+        0.004, unit="s", key="", about="until an IMU reading arrives, rounded to control steps"
+    )
+    joint_latency_s: float = parameter(0.004, unit="s", key="", about="until a joint reading arrives")
+    foot_latency_s: float = parameter(0.006, unit="s", key="", about="until a foot reading arrives")
+    gyro_noise: float = parameter(0.01, unit="rad/s", about="of each reading [A]")
+    gyro_bias: float = parameter(0.002, unit="rad/s", about="of each axis [B]")
+    gyro_bias_walk: float = parameter(1e-4, unit="rad/s/√s", about="random walk of the bias")
+    accel_noise: float = parameter(0.1, unit="m/s²", about="of each reading [A]")
+    accel_bias: float = parameter(0.03, unit="m/s²", about="of each axis [B]")
+    accel_bias_walk: float = parameter(1e-3, unit="m/s²/√s", about="random walk of the bias")
+    orientation_noise: float = parameter(
+        0.001,
+        unit="rad",
+        about="of the IMU's own orientation about each axis; its vertical is off by the accelerometer's bias over g,"
+        " and its heading drifts by the gyro's bias and noise",
+    )
+    tilt_error: float = parameter(0.002, unit="rad", about="a slow additional error in roll and pitch")
+    tilt_time: float = parameter(5.0, unit="s", above=0.0, about="correlation time of the tilt error")
+    joint_pos_noise: float = parameter(0.001, unit="rad", about="of each reading [A]")
+    joint_pos_quantum: float = parameter(2 * math.pi / 2**14 / _A1_GEAR, unit="rad", about="resolution [C]")
+    joint_offset: float = parameter(
+        0.003, unit="rad", about="of the zero position; the motor's own position loop has the same offset"
+    )
+    joint_vel_noise: float = parameter(0.1, unit="rad/s", about="of each reading [A]")
+    joint_vel_quantum: float = parameter(1 / 128 / _A1_GEAR, unit="rad/s", about="resolution [C]")
+    torque_noise: float = parameter(0.1, unit="N·m", about="of each reading [A]")
+    torque_quantum: float = parameter(_A1_GEAR / 256, unit="N·m", about="resolution [C]")
+    torque_gain_error: float = parameter(0.05, about="of each joint, relative")
+    foot_noise: float = parameter(4.0, unit="N", about="of each reading")
+    foot_quantum: float = parameter(1.0, unit="N", about="resolution")
+    foot_gain_error: float = parameter(0.1, about="of each foot, relative")
+    foot_offset: float = parameter(5.0, unit="N", about="of each foot [D]")
+    foot_offset_walk: float = parameter(1.0, unit="N/√s", about="random walk of the offset [D]")
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            least = field.name.endswith("_rate_hz") or field.name == "tilt_time"
-            if not math.isfinite(value) or value < 0 or (least and value == 0):
-                raise ConfigError(
-                    f"sensors: {field.name} must be finite and {'positive' if least else 'not negative'}, found {value}"
-                )
+        check(self, "sensors: ")
 
 
 def ideal_sensors() -> SensorConfig:
     """Sensors without noise, bias, quantum or latency."""
-    kept = ("imu_rate_hz", "joint_rate_hz", "foot_rate_hz", "tilt_time")
-    zero = {f.name: 0.0 for f in dataclasses.fields(SensorConfig) if f.name not in kept}
-    return SensorConfig(imu_rate_hz=1e9, joint_rate_hz=1e9, foot_rate_hz=1e9, **zero)
+    free = {name: 0.0 for name, (known, _) in parameters(SensorConfig).items() if known.above is None}
+    return SensorConfig(imu_rate_hz=1e9, joint_rate_hz=1e9, foot_rate_hz=1e9, **free)
 
 
 _ERRORS: Final = record_dtype(
@@ -143,7 +134,7 @@ _CONFIG: Final = record_dtype(
         ("dt", "f8"),
         ("periods", "i8", (3,)),  # control steps between readings of IMU, joints and feet
         ("delays", "i8", (3,)),  # control steps until they arrive
-        *((f.name, "f8") for f in dataclasses.fields(SensorConfig) if not f.name.endswith(("_hz", "_s"))),
+        *record_fields(SensorConfig),
         ("torque_limit", "f8", (12,)),
     ]
 )
@@ -151,9 +142,7 @@ _CONFIG: Final = record_dtype(
 
 def _pack(config: SensorConfig, robot: Robot, rate_hz: float) -> NDArray[Any]:
     record = np.zeros(1, _CONFIG)
-    for name in _CONFIG.names or ():
-        if hasattr(config, name):
-            record[name] = getattr(config, name)
+    pack(config, record)
     rates = (config.imu_rate_hz, config.joint_rate_hz, config.foot_rate_hz)
     latencies = (config.imu_latency_s, config.joint_latency_s, config.foot_latency_s)
     record["dt"] = 1.0 / rate_hz

@@ -1,0 +1,251 @@
+"""The parameters of each part of the controller; `fastmimic.control.config` joins them.
+
+Forces are multiples of the robot's weight, and gains of the trunk act on accelerations and angles: neither depends on
+the robot. The rest has the values of an A1 and is scaled to another robot (`fastmimic.robot.scaling`): joint gains by
+what the joints move, R by the mass squared, lengths by the leg.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from fastmimic.base.configuration import documented, parameter
+
+Vector6 = tuple[float, float, float, float, float, float]
+Vector3 = tuple[float, float, float]
+
+MAX_HORIZON_STEPS: Final = 20
+
+
+@documented
+@dataclass(frozen=True)
+class GaitConfig:
+    """Which leg stands and which swings (paper, §III-B1)."""
+
+    planner: Literal["schedule", "full"] = parameter(
+        "full",
+        choices=("schedule", "full"),
+        key="planner_full",
+        about="full: state machine over schedule and measured contact; schedule: the motion's schedule alone",
+    )
+    contact_threshold: float = parameter(
+        0.3, unit="weights", scale="weight", about="vertical force above which a foot counts as loaded"
+    )
+    release_threshold: float = parameter(
+        0.02, unit="weights", scale="weight", about="vertical force below which a loaded foot counts as free again"
+    )
+    min_switch_time: float = parameter(0.1, unit="s", about="least time between two switches of a leg")
+    early_takeoff_time: float = parameter(
+        0.04, unit="s", about="time without load after which a standing leg counts as lifted off"
+    )
+
+
+@documented
+@dataclass(frozen=True)
+class StanceConfig:
+    """Forces of the standing legs (paper, eq. 1 and 2). Axes: x, y, z, roll, pitch, yaw in the heading frame."""
+
+    forces: Literal["instant", "horizon"] = parameter(
+        "instant",
+        choices=("instant", "horizon"),
+        key="horizon",
+        about="instant: QP over the present forces; horizon: model predictive control (HorizonConfig)",
+    )
+    position_gain: Vector6 = parameter((150.0, 150.0, 300.0, 600.0, 600.0, 600.0), unit="1/s²", key="kp", about="k_p")
+    velocity_gain: Vector6 = parameter((25.0, 25.0, 35.0, 75.0, 75.0, 75.0), unit="1/s", key="kd", about="k_d")
+    foothold_share: float = parameter(
+        1.0,
+        about="share of the x and y position error that is measured from the standing feet, the rest in the world;"
+        " 0 in the paper",
+    )
+    foothold_preview: float = parameter(
+        0.6,
+        unit="s",
+        about="remaining scheduled stance from which a foot counts in full there: before a foot leaves the ground the"
+        " body has to be over those that stay",
+    )
+    reference_acceleration: float = parameter(
+        1.0, about="factor on the reference's own acceleration in the desired one; 0 in the paper"
+    )
+    leg_momentum: bool = parameter(
+        True,
+        about="feed-forward of what the legs' motion and the body's turning take from the ground; not in the paper,"
+        " whose legs have no mass",
+    )
+    acceleration_limit: Vector6 = parameter(
+        (15.0, 15.0, 25.0, 150.0, 150.0, 150.0),
+        unit="m/s² and rad/s²",
+        about="bound on each component of the desired acceleration",
+    )
+    acceleration_weight: Vector6 = parameter((1.0, 1.0, 1.0, 1.0, 1.0, 1.0), key="q_weight", about="diagonal of Q")
+    force_weight: float = parameter(
+        1e-4, unit="1/N²", above=0.0, key="r_weight", scale="force_weight", about="diagonal of R for an A1"
+    )
+    friction: float = parameter(0.6, above=0.0, key="mu", about="friction coefficient μ that the controller assumes")
+    friction_sides: int = parameter(
+        4,
+        choices=(4, 8),
+        about="sides of the pyramid in place of each foot's friction cone; the edges of 4 reach √2 times as far as"
+        " the sides, those of 8 reach 1.08 times as far",
+    )
+    standing_inertia: bool = parameter(
+        False,
+        about="an angular acceleration beyond the reference's gets the moment that it takes while the standing feet"
+        " stay (`fastmimic.control.inertia`), not that of a rigid body",
+    )
+    min_force: float = parameter(0.02, unit="weights", scale="weight", about="least force of each standing foot")
+    max_force: float = parameter(3.0, unit="weights", scale="weight", about="greatest force of each standing foot")
+    adaptation: Literal["off", "paper", "full"] = parameter(
+        "full",
+        choices=("off", "paper", "full"),
+        about="low-gain joint feedback towards where the foot will be: full with the body's turning, paper without it"
+        " (eq. 2), or off",
+    )
+    joint_stiffness: float = parameter(
+        30.0, unit="N·m/rad", key="stance_kp", scale="joint", about="of that feedback, for an A1"
+    )
+    joint_damping: float = parameter(
+        2.5, unit="N·m·s/rad", key="stance_kd", scale="joint", about="of that feedback, for an A1"
+    )
+    leg_dynamics: bool = parameter(
+        True, key="stance_dynamics", about="add the torques that carry and accelerate the leg itself"
+    )
+
+
+@documented
+@dataclass(frozen=True)
+class HorizonConfig:
+    """Convex model predictive control (Di Carlo et al. 2018), used where `StanceConfig.forces` is "horizon".
+
+    Axes: x, y, z, roll, pitch, yaw in the heading frame. Forces are multiples of the weight, so the weights do not
+    depend on the robot's mass. Friction and the bounds on f_z are those of `StanceConfig`.
+    """
+
+    steps: int = parameter(
+        10, low=1, high=MAX_HORIZON_STEPS, key="horizon_steps", about="number of the horizon's steps"
+    )
+    step_s: float = parameter(0.03, unit="s", above=0.0, key="horizon_step_s", about="length of a step")
+    solve_rate_hz: float = parameter(
+        50.0,
+        unit="Hz",
+        above=0.0,
+        key="",
+        about="how often forces are planned. Below the controller's rate the stance QP tracks the plan in between; at"
+        " the controller's rate the planned forces are applied directly",
+    )
+    position_weight: Vector6 = parameter(
+        (100.0, 100.0, 1000.0, 1000.0, 1000.0, 30.0),
+        unit="1/m² and 1/rad²",
+        key="horizon_position_weight",
+        about="of the squared position and orientation error at the end of each step",
+    )
+    velocity_weight: Vector6 = parameter(
+        (2.0, 2.0, 0.5, 0.02, 0.02, 1.0),
+        unit="s²/m² and s²/rad²",
+        key="horizon_velocity_weight",
+        about="of the squared linear and angular velocity error",
+    )
+    force_weight: float = parameter(
+        1e-2, above=0.0, key="horizon_force_weight", about="of each squared force, in multiples of the weight"
+    )
+
+
+@documented
+@dataclass(frozen=True)
+class SwingConfig:
+    """Feet in the air (paper, eq. 3)."""
+
+    velocity_feedback: tuple[float, float] = parameter(
+        (0.02, 0.07),
+        unit="s",
+        low=None,
+        about="K in x and y. In x the standing feet can correct the body's velocity; in y, on two feet, only the next"
+        " step can",
+    )
+    position_feedback: float = parameter(
+        0.15, low=None, about="the same for the base's position error, a fraction of it; 0 in the paper"
+    )
+    joint_stiffness: float = parameter(120.0, unit="N·m/rad", key="swing_kp", scale="joint", about="for an A1")
+    joint_damping: float = parameter(3.5, unit="N·m·s/rad", key="swing_kd", scale="joint", about="for an A1")
+    leg_dynamics: bool = parameter(
+        True, key="swing_dynamics", about="feed-forward of the leg's inverse dynamics along the reference"
+    )
+    level: float = parameter(
+        1.0,
+        about="follow the reference foot relative to gravity and ground (1), or to the trunk at its present tilt"
+        " (0, as in the paper)",
+    )
+    liftoff_blend_time: float = parameter(
+        0.03,
+        unit="s",
+        key="blend_time",
+        about="time over which the foot's offset from the reference at lift-off fades",
+    )
+    foothold: Literal["reference", "raibert"] = parameter(
+        "reference",
+        choices=("reference", "raibert"),
+        key="raibert",
+        about="reference: the reference's foot; raibert: a straight path at constant speed to the Raibert foothold"
+        " 0.5 T_s v − K (v̄ − v) from under the hip, independent of the animal (Kang et al. 2021; paper, §IV-B)",
+    )
+    swing_time: float = parameter(
+        0.2,
+        unit="s",
+        above=0.0,
+        about="T_s of the Raibert path. The paper does not give it; this is the swing of the code that it builds on"
+        " (0.3 s of stance at a duty factor of 0.6)",
+    )
+    swing_height: float = parameter(
+        0.05,
+        unit="m",
+        scale="length",
+        about="apex of the Raibert path for an A1, for all motions and legs. The code that the paper builds on lifts"
+        " 0.1 m, which fell more often in trials",
+    )
+
+
+@documented
+@dataclass(frozen=True)
+class LoadConfig:
+    """A payload that the controller knows of."""
+
+    mass: float = parameter(0.0, unit="kg", about="on the trunk")
+    position: Vector3 = parameter((0.0, 0.0, 0.0), unit="m", low=None, about="of its centre, body frame")
+
+
+@documented
+@dataclass(frozen=True)
+class RecoveryConfig:
+    """Push recovery: the controller's reference is re-synchronised to the robot. Nothing is computed when disabled.
+
+    Recovery starts where the controller sees the horizontal velocity off by `start_error` and ends below `end_error`.
+    The reward is still computed with the demonstration's own clock.
+    """
+
+    enabled: bool = parameter(False, key="", about="whether there is push recovery")
+    start_error: float = parameter(0.35, unit="m/s", key="recovery_start", about="velocity error at which it starts")
+    end_error: float = parameter(0.15, unit="m/s", key="recovery_end", about="velocity error below which it ends")
+    resync_time: float = parameter(
+        0.02,
+        unit="s",
+        key="",
+        about="time constant with which the reference's x and y move to the robot's meanwhile; 0 for at once",
+    )
+    phase_rate: float = parameter(
+        1.0,
+        high=2.0,
+        key="recovery_rate",
+        about="rate of the reference's clock meanwhile: 1 continues, 0 waits",
+    )
+    catch_up: float = parameter(
+        0.1,
+        below=1.0,
+        key="recovery_catch_up",
+        about="share by which the clock then runs faster or slower until it is in step again",
+    )
+    foothold_feedback: tuple[float, float] = parameter(
+        (0.0, 0.0),
+        unit="s",
+        low=None,
+        key="recovery_feedback",
+        about="added to the swing feet's velocity feedback in x and y meanwhile",
+    )
