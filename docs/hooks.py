@@ -20,7 +20,7 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 def parameter_tables() -> str:
     """A table for each class of settings, Markdown."""
-    from fastmimic.deploy.limits import SafetyLimits
+    from fastmimic.deploy.safety_limits import SafetyLimits
 
     from fastmimic.base.configuration import describe
     from fastmimic.base.text import markdown_table

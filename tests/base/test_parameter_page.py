@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fastmimic.deploy.limits import SafetyLimits
+from fastmimic.deploy.safety_limits import SafetyLimits
 
 import fastmimic
 from fastmimic.base.configuration import parameters
