@@ -20,11 +20,10 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 def parameter_tables() -> str:
     """A table for each class of settings, Markdown."""
-    from fastmimic.deploy.safety_limits import SafetyLimits
-
     from fastmimic.base.configuration import describe
     from fastmimic.base.text import markdown_table
     from fastmimic.control import config, config_parts
+    from fastmimic.deploy.safety_limits import SafetyLimits
     from fastmimic.estimation.config import EstimatorConfig
     from fastmimic.learning.config import PolicyConfig
     from fastmimic.simulation.sensors import SensorConfig

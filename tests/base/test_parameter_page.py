@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fastmimic.deploy.safety_limits import SafetyLimits
 
 import fastmimic
 from fastmimic.base.configuration import parameters
 from fastmimic.control.config import ControllerConfig
+from fastmimic.deploy.safety_limits import SafetyLimits
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.simulation.sensors import SensorConfig
 
