@@ -24,7 +24,7 @@ from fastmimic.episode.observer import EstimationErrors
 from fastmimic.episode.rollout import Rollout, nominal_start, run_episodes
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.motion.motion import Motion
-from fastmimic.render.style import AFTER, DEMONSTRATION, STANCE, new_figure, save, tidy
+from fastmimic.render.figure_style import AFTER, DEMONSTRATION, STANCE, new_figure, save, tidy
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.sensors import SensorConfig, ideal_sensors

@@ -23,7 +23,7 @@ from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.experiments.transfer import ACTUATORS, trial_starts
 from fastmimic.identification.identify import Identification, identify
 from fastmimic.motion.motion import Motion
-from fastmimic.render.style import new_figure, save, tidy
+from fastmimic.render.figure_style import new_figure, save, tidy
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.load import load_motion
 from fastmimic.simulation.conditions import Conditions

@@ -32,7 +32,7 @@ from fastmimic.experiments.cost import (
 from fastmimic.experiments.runs import MOTION, Run, slug
 from fastmimic.experiments.transfer import STAGES, all_trials, transfer_table
 from fastmimic.learning.training_folder import EVALUATIONS
-from fastmimic.render.style import save
+from fastmimic.render.figure_style import save
 from fastmimic.report.comparison_folder import ENVIRONMENT
 from fastmimic.report.cost import cost_figure
 

@@ -21,7 +21,7 @@ from fastmimic.imitation.methods import METHODS, made_with
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive import MotionDmp
 from fastmimic.render.offscreen import NoRendererError, Offscreen
-from fastmimic.render.playback import Track
+from fastmimic.render.tracks import Track
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.runs.load import load_motion

@@ -15,7 +15,7 @@ from PIL import Image
 
 from fastmimic.base.errors import OutputError
 from fastmimic.motion.motion import Motion
-from fastmimic.render.style import save
+from fastmimic.render.figure_style import save
 from fastmimic.report.figures import convergence_figure, tracking_figure
 from fastmimic.report.inspection import motion_figure
 from fastmimic.robot import Robot

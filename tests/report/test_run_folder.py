@@ -10,7 +10,7 @@ import pytest
 from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
 from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import METHODS
-from fastmimic.render.playback import Track
+from fastmimic.render.tracks import Track
 from fastmimic.report.run_folder import RunFolder, default_folder, open_run, write_json
 from fastmimic.runs.load import load_motion
 

@@ -32,7 +32,7 @@ class Inspect(MotionOptions):
         for line in (*lines, *describe_motion(motion, robot)):
             put(line)
         if figure is not None:
-            from fastmimic.render.style import save
+            from fastmimic.render.figure_style import save
             from fastmimic.report.inspection import motion_figure
 
             save(motion_figure(motion, robot), figure)

@@ -36,7 +36,7 @@ class Play:
 
     def run(self) -> int:
         """Serves until Ctrl-C; returns the exit status."""
-        from fastmimic.viewer.server import free_port, require_viser
+        from fastmimic.viewer.web import free_port, require_viser
 
         require_viser()
         free_port(self.port)  # a port that cannot be is no reason to load motions first

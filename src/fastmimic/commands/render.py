@@ -15,7 +15,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
-    from fastmimic.render.playback import Track
+    from fastmimic.render.tracks import Track
 
 SECONDS: Final = 5.0
 MOST: Final = 4

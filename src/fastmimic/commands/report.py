@@ -58,8 +58,8 @@ def recorded(e: "Episodes") -> str:
         ConfigError: viser is not installed or too old.
     """
     from fastmimic.viewer.recording import recorded_page
-    from fastmimic.viewer.server import require_viser
     from fastmimic.viewer.take import rollout_take
+    from fastmimic.viewer.web import require_viser
 
     require_viser()
     both = [("before", "before: as retargeted", e.motion.target, e.before)]

@@ -59,7 +59,7 @@ class SegmentTake:
                     f"fastmimic imitate {self.take} --frames {once.start}:{once.end} --discrete"
                 )
         if figure is not None:
-            from fastmimic.render.style import save
+            from fastmimic.render.figure_style import save
             from fastmimic.report.segments import segments_figure
 
             save(segments_figure(clip, segments, Path(self.take).stem), figure)

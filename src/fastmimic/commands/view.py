@@ -15,7 +15,7 @@ from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     from fastmimic.runs.load import MotionSource
-    from fastmimic.viewer.animal import Animal
+    from fastmimic.render.animal import Animal
     from fastmimic.viewer.take import Take
 
 
@@ -53,7 +53,8 @@ class View(MotionOptions):
             check_duration(self.duration)
         self._check_combination()
         from fastmimic.runs.load import find_motion
-        from fastmimic.viewer.server import Viewer, free_port, require_viser
+        from fastmimic.viewer.viewer import Viewer
+        from fastmimic.viewer.web import free_port, require_viser
 
         require_viser()
         free_port(self.port)  # a port that cannot be is no reason to simulate first
@@ -88,7 +89,7 @@ class View(MotionOptions):
         """The robot, what is shown of it, the heading, and the animal."""
         from fastmimic.imitation.imitate import EVALUATION_S, default_duration
         from fastmimic.runs.load import find_motion
-        from fastmimic.viewer.animal import Animal
+        from fastmimic.render.animal import Animal
 
         overrides = self.overrides()
         robot = self.load_robot(source)

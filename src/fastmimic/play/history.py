@@ -24,7 +24,7 @@ _FOLLOW_S: Final = 0.6
 _LEASH_M: Final = 0.25
 
 
-class History:
+class LiveHistory:
     """Collects snapshots at `RATE_HZ`; not for several threads at once.
 
     Args:

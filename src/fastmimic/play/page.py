@@ -4,11 +4,11 @@ import threading
 import time
 from typing import TYPE_CHECKING, Final
 
-from fastmimic.play.history import History
+from fastmimic.play.history import LiveHistory
+from fastmimic.play.live_panel import PlayPanel
+from fastmimic.play.live_scene import LiveScene
 from fastmimic.play.pacing import Pacer
-from fastmimic.play.panel import PlayPanel
-from fastmimic.play.scene import LiveScene
-from fastmimic.viewer.server import DEFAULT_PORT, FRAMES_PER_S, HOST, Cameras, start_server, stop_server
+from fastmimic.viewer.web import DEFAULT_PORT, FRAMES_PER_S, Cameras, WebPage
 
 if TYPE_CHECKING:
     from fastmimic.play.session import LiveSession
@@ -17,8 +17,8 @@ _CHARTS_PER_S: Final = 6.0
 _IDLE_S: Final = 0.05
 
 
-class PlayPage:
-    """Serves a live session to browsers on this machine. Use it as a context manager, or `close` it.
+class PlayPage(WebPage):
+    """Plays a live session in the browsers of this machine.
 
     Args:
         session: what is played.
@@ -30,22 +30,15 @@ class PlayPage:
     """
 
     def __init__(self, session: "LiveSession", heading: str, port: int = DEFAULT_PORT) -> None:
+        super().__init__(port)
         self.session = session
         self.pacer = Pacer(session)
-        self.history = History(session)
-        self.server = start_server(port)
+        self.history = LiveHistory(session)
         self.scene = LiveScene(self.server, session.robot, self.history)
         self.cameras = Cameras(self.server, session.robot, [0.0], 0.0)
-        self.panel = PlayPanel(self, heading)
-        for layer in self.panel.hidden:
-            self.scene.set_layer(layer, False)
+        self.panel = PlayPanel(self.server.gui, self.pacer, self.history, self.scene, self.cameras, heading)
         self._charts_at = 0.0
         self.draw()
-
-    @property
-    def url(self) -> str:
-        """Where a browser finds it."""
-        return f"http://{HOST}:{self.server.get_port()}"
 
     def draw(self) -> None:
         """Brings scene and panel to the present."""
@@ -66,7 +59,7 @@ class PlayPage:
 
         def simulate() -> None:
             try:
-                self.pacer.run(stop, self.history.add, self.history.every, self._watched)
+                self.pacer.run(stop, self.history.add, self.history.every, self.watched)
             except BaseException as error:  # noqa: BLE001 - handed to the caller's thread
                 failure.append(error)
                 stop.set()
@@ -74,8 +67,8 @@ class PlayPage:
         simulation = threading.Thread(target=simulate, daemon=True)
         simulation.start()
         try:
-            while not stop.wait(1.0 / FRAMES_PER_S if self._watched() else _IDLE_S):
-                if self._watched():
+            while not stop.wait(1.0 / FRAMES_PER_S if self.watched() else _IDLE_S):
+                if self.watched():
                     self.draw()
                 else:
                     with self.pacer.lock:
@@ -85,16 +78,3 @@ class PlayPage:
             simulation.join()
         if failure:
             raise failure[0]
-
-    def close(self) -> None:
-        """Ends the server."""
-        stop_server(self.server)
-
-    def __enter__(self) -> "PlayPage":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-    def _watched(self) -> bool:
-        return bool(self.server.get_clients())

@@ -20,7 +20,7 @@ from fastmimic.episode.reward import TALLY, WEIGHTS, score_step
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.play.getting_up import GettingUp, GettingUpPhase
-from fastmimic.play.world import World
+from fastmimic.play.world import LiveWorld
 from fastmimic.reference.course_transition import CourseTransition
 from fastmimic.reference.modulation_limits import Limits
 from fastmimic.reference.motion_set import Entry, MotionSet
@@ -114,7 +114,7 @@ class LiveSession:
         self.dt = 1.0 / self.rate_hz
         self.library = motions if isinstance(motions, MotionSet) else MotionSet(robot, motions, self.rate_hz)
         self.simulation = MujocoSimulation(robot, 1, control_rate_hz=self.rate_hz)
-        self.world = World(self.simulation)
+        self.world = LiveWorld(self.simulation)
         self._stream = Stream(robot, self.rate_hz)
         self._place, self._modulation = make_place(), np.zeros(1, MODULATION)
         self._modulation["speed"] = self._modulation["lift"] = 1.0

@@ -20,7 +20,7 @@ FRICTION: Final = (0.2, 1.5)
 MAX_PAYLOAD_KG: Final = 10.0
 
 
-class World:
+class LiveWorld:
     """The ground and the trunk's load of one simulated robot.
 
     Attributes:

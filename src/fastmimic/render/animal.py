@@ -7,8 +7,7 @@ from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.skeleton import Skeleton
 from fastmimic.motion.motion import Motion
-from fastmimic.render.playback import AnimalTrack
-from fastmimic.render.tracks import motion_track
+from fastmimic.render.tracks import AnimalTrack, motion_track
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.retarget import choose_scale
 from fastmimic.retargeting.scaled_clip import extract

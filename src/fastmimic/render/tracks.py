@@ -1,22 +1,115 @@
-"""What videos and figures take, out of logs and motions."""
+"""Tracks: what robots and animals do, as videos play it back, and how they are made of logs and motions."""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.rotations import quat_continuous, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
+from fastmimic.clips.skeleton import Skeleton
 from fastmimic.motion.motion import Motion
-from fastmimic.render.playback import Track
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 
 if TYPE_CHECKING:
     from fastmimic.episode.rollout import Rollout
 
-
 LOADED_N: Final = 1.0
 """Vertical force from which a foot is marked as loaded, N."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What one robot does, for a panel of a video. A NaN, as after a fall, holds the last pose before it.
+
+    Attributes:
+        root_pos_w: (t, 3) base position, world, m.
+        root_quat_wxyz: (t, 4) base orientation, body → world.
+        joint_pos: (t, 12) rad.
+        title: first line of the panel, such as "before".
+        caption: second line, such as "reward 0.84".
+        ghost: the demonstration at the same times, drawn as a translucent robot; None for no ghost.
+        contact: (t, 4) bool, which feet are marked as loaded; None for no marks.
+    """
+
+    root_pos_w: Array
+    root_quat_wxyz: Array
+    joint_pos: Array
+    title: str = ""
+    caption: str = ""
+    ghost: "Track | None" = None
+    contact: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.root_pos_w)
+        shapes = (np.shape(self.root_pos_w), np.shape(self.root_quat_wxyz), np.shape(self.joint_pos))
+        if n < 1 or shapes != ((n, 3), (n, 4), (n, 12)):
+            raise ConfigError(f"a track needs arrays (t, 3), (t, 4) and (t, 12) with t ≥ 1, found {shapes}")
+        if not all(np.all(np.isfinite(a[0])) for a in (self.root_pos_w, self.root_quat_wxyz, self.joint_pos)):
+            raise ConfigError("a track's first pose is not finite")
+        if self.ghost is not None and len(self.ghost.root_pos_w) != n:
+            raise ConfigError(f"a ghost has {len(self.ghost.root_pos_w)} samples; its track has {n}")
+        if self.contact is not None and np.shape(self.contact) != (n, 4):
+            raise ConfigError(f"a track of {n} samples needs contacts ({n}, 4), found {np.shape(self.contact)}")
+
+
+@dataclass(frozen=True, eq=False)
+class AnimalTrack:
+    """What an animal does, for a panel of a video: points and the bones between them.
+
+    Attributes:
+        points_w: (t, k, 3) world, m, finite.
+        skeleton: which of the points are joined.
+        title, caption: as a `Track` has them.
+    """
+
+    points_w: Array
+    skeleton: Skeleton
+    title: str = ""
+    caption: str = ""
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.points_w)
+        if len(shape) != 3 or shape[0] < 1 or shape[1:] != (self.skeleton.points, 3):
+            raise ConfigError(f"the animal's points have shape {shape}; expected (t, {self.skeleton.points}, 3), t ≥ 1")
+        if not np.all(np.isfinite(self.points_w)):
+            raise ConfigError("the animal's points are not finite")
+
+
+def resample(track: Track, rate_hz: float, times: Array) -> Array:
+    """Poses of a track at `times` (n,) s: (n, 19) root position, quaternion and joints, all finite."""
+    root, quat, joints = (
+        np.asarray(a, dtype=np.float64) for a in (track.root_pos_w, track.root_quat_wxyz, track.joint_pos)
+    )
+    bad = ~np.isfinite(np.hstack([root, quat, joints])).all(axis=1)
+    end = int(np.argmax(bad)) if bad.any() else len(root)
+    poses = np.hstack([root[:end], quat_continuous(quat[:end]), joints[:end]])
+    at = np.clip(times * rate_hz, 0, end - 1)
+    low = np.minimum(at.astype(np.int64), max(end - 2, 0))
+    high = np.minimum(low + 1, end - 1)
+    between = poses[low] + (at - low)[:, None] * (poses[high] - poses[low])
+    between[:, 3:7] /= np.linalg.norm(between[:, 3:7], axis=1, keepdims=True)
+    return between
+
+
+def resample_points(track: AnimalTrack, rate_hz: float, times: Array) -> Array:
+    """Points of an animal at `times` (n,) s, (n, k, 3); from the last sample on they stay."""
+    points = np.asarray(track.points_w, dtype=np.float64)
+    at = np.clip(times * rate_hz, 0, len(points) - 1)
+    low = np.minimum(at.astype(np.int64), max(len(points) - 2, 0))
+    high = np.minimum(low + 1, len(points) - 1)
+    return np.asarray(points[low] + (at - low)[:, None, None] * (points[high] - points[low]))
+
+
+def resample_contact(track: Track, rate_hz: float, times: Array) -> NDArray[np.bool_]:
+    """Which feet are loaded at `times` (n,) s, (n, 4); none where the track does not say."""
+    if track.contact is None:
+        return np.zeros((len(times), 4), dtype=np.bool_)
+    nearest = np.clip(np.round(times * rate_hz).astype(np.int64), 0, len(track.contact) - 1)
+    return np.asarray(track.contact, dtype=np.bool_)[nearest]
 
 
 def rollout_track(rollout: "Rollout", title: str = "", episode: int = 0, note: str = "") -> Track:

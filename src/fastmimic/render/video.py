@@ -20,15 +20,15 @@ from fastmimic.base.rotations import quat_rotate, yaw_from_quat
 from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, VideoFile
 from fastmimic.render.offscreen import NoRendererError, Offscreen, in_any_thread
 from fastmimic.render.overlay import Overlay
-from fastmimic.render.playback import AnimalTrack, Track, resample, resample_contact, resample_points
 from fastmimic.render.quality import PREVIEW, Quality, quality_named
-from fastmimic.render.scene import TILE_M, Stage, build_stage, ghost_rgba, leg_rgba
+from fastmimic.render.tracks import AnimalTrack, Track, resample, resample_contact, resample_points
+from fastmimic.render.video_scene import TILE_M, VideoScene, build_video_scene, ghost_rgba, leg_rgba
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     import mujoco
 
-    from fastmimic.render.view import View
+    from fastmimic.render.camera_view import CameraView
 
 _LOG = logging.getLogger(__name__)
 
@@ -89,7 +89,7 @@ class _Shown:
 class _Panel:
     """A view with what it shows, the points (n, 3) to look at, and the width of trails, pixels."""
 
-    view: "View"
+    view: "CameraView"
     shown: _Shown
     look_at: Array
     trail_width: float
@@ -179,15 +179,17 @@ def render_video(
     frames = _frames(times, window_s)
     video = VideoFile(path, drawn_size, size, fps, quality, frames=len(frames))
     shown = [_shown(robot, track, rate_hz, times, marks) for track in tracks]
-    stage = _stage(robot, shown, drawn_size, quality, loop_m)
+    video_scene = _build(robot, shown, drawn_size, quality, loop_m)
     overlay = _overlay(tracks, drawn_size, slow_motion, columns, clock)
 
     def panels() -> list[_Panel]:
-        return _panels(stage, robot, shown, times, drawn_size, columns)
+        return _panels(video_scene, robot, shown, times, drawn_size, columns)
 
     try:
         with ExitStack() as painters:
-            film = [painters.enter_context(_Painter(stage, panels, columns)) for _ in range(_painters(len(frames)))]
+            film = [
+                painters.enter_context(_Painter(video_scene, panels, columns)) for _ in range(_painters(len(frames)))
+            ]
             with video:
                 _film(film, frames, times, overlay, video, progress)
     except NoRendererError as error:
@@ -218,7 +220,7 @@ class _Painter:
     where contexts belong to windows, which only a program's first thread may open.
 
     Args:
-        stage: the model.
+        video_scene: the model.
         panels: makes the panels; a painter has its own, since drawing poses them.
         columns: of panels.
 
@@ -226,12 +228,12 @@ class _Painter:
         NoRendererError: OpenGL cannot draw here.
     """
 
-    def __init__(self, stage: Stage, panels: Callable[[], list[_Panel]], columns: int) -> None:
+    def __init__(self, video_scene: VideoScene, panels: Callable[[], list[_Panel]], columns: int) -> None:
         self._columns = columns
         self._panels = panels()
         self._thread: Executor = ThreadPoolExecutor(max_workers=1) if in_any_thread() else _Here()
         try:
-            self._screen = self._thread.submit(Offscreen, stage.model).result()
+            self._screen = self._thread.submit(Offscreen, video_scene.model).result()
         except BaseException:
             self._thread.shutdown()
             raise
@@ -314,12 +316,14 @@ def _shown(robot: Robot, track: AnyTrack, rate_hz: float, times: Array, marks: b
     return _Shown(pose[:, :3], yaw, pose, ghost, feet, resample_contact(track, rate_hz, times))
 
 
-def _stage(robot: Robot, shown: list[_Shown], size: tuple[int, int], quality: Quality, loop_m: float | None) -> Stage:
+def _build(
+    robot: Robot, shown: list[_Shown], size: tuple[int, int], quality: Quality, loop_m: float | None
+) -> VideoScene:
     paths = np.concatenate([path[:, :2] for s in shown for path in (s.root, s.ghost) if path is not None])
     tile = TILE_M
     if loop_m is not None and loop_m > 0:  # a whole number of the pattern's periods
         tile = loop_m / (2 * max(1, round(loop_m / (2 * TILE_M))))
-    return build_stage(
+    return build_video_scene(
         robot,
         ghost=any(s.ghost is not None for s in shown),
         width=size[0],
@@ -341,15 +345,15 @@ def _overlay(
 
 
 def _panels(
-    stage: Stage, robot: Robot, shown: list[_Shown], times: Array, size: tuple[int, int], columns: int
+    video_scene: VideoScene, robot: Robot, shown: list[_Shown], times: Array, size: tuple[int, int], columns: int
 ) -> list[_Panel]:
     """All panels look from the same side and distance, each following its own robot."""
-    from fastmimic.render.view import View
+    from fastmimic.render.camera_view import CameraView
 
     span = np.ptp(robot.hip_pos_b[:, 0]) + robot.leg_length
     rows = -(-len(shown) // columns)
     aspect = size[0] / columns / (size[1] / rows)
-    half_tan = np.tan(np.radians(stage.model.vis.global_.fovy) / 2)
+    half_tan = np.tan(np.radians(video_scene.model.vis.global_.fovy) / 2)
     distance = float(max(0.62 * span / half_tan, 0.74 * span / (half_tan * aspect)))
     first = next((s for s in shown if s.robot is not None), shown[0])
     azimuth = np.degrees(first.yaw) + _CAMERA_AZIMUTH_DEG
@@ -359,7 +363,9 @@ def _panels(
     for each in shown:
         look_at = _low_pass(each.root, _CAMERA_SMOOTHING_S / dt)
         look_at[:, 2] = height
-        panels.append(_Panel(View(stage, azimuth, distance), each, look_at, _TRAIL_WIDTH * max(size[1] / 720, 0.5)))
+        panels.append(
+            _Panel(CameraView(video_scene, azimuth, distance), each, look_at, _TRAIL_WIDTH * max(size[1] / 720, 0.5))
+        )
     return panels
 
 

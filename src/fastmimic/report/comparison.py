@@ -14,7 +14,7 @@ from fastmimic.base.conventions import LEGS
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.tables import Summary
 from fastmimic.imitation.methods import ALL_METHODS, method_named
-from fastmimic.render.style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, new_figure, tidy
+from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, new_figure, tidy
 
 _STYLES: Final = {  # colours of Okabe and Ito, each with a hatch so that the bars read in grey
     "rl": ("#009e73", ".."),

@@ -107,7 +107,7 @@ class ComparisonFolder:
         return "\n".join((self.path / name).read_text(encoding="utf-8") for name in names)
 
     def _write_comparison(self, rows: Sequence[Row], expected: int) -> list[str]:
-        from fastmimic.render.style import save
+        from fastmimic.render.figure_style import save
         from fastmimic.report.comparison import comparison_figure
 
         self._write_text(TABLE, comparison_table(rows, expected))
@@ -119,7 +119,7 @@ class ComparisonFolder:
         """Of the paper's method, or of the first one that optimises; nothing if there is none."""
         import numpy as np
 
-        from fastmimic.render.style import save
+        from fastmimic.render.figure_style import save
         from fastmimic.report.comparison import tracking_bars
 
         methods = [row["method"] for row in rows if method_named(row["method"]).optimises]
@@ -143,7 +143,7 @@ class ComparisonFolder:
         return [TRACKING_FIGURE]
 
     def _write_ablations(self, rows: Sequence[Row], expected: int) -> list[str]:
-        from fastmimic.render.style import save
+        from fastmimic.render.figure_style import save
         from fastmimic.report.comparison import ablation_figure
 
         self._write_text(ABLATION_TABLE, ablation_table(rows, expected))

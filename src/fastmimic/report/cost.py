@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from fastmimic.base.arrays import Array
 from fastmimic.experiments.cost import CONTROL_RATE_HZ, Course
 from fastmimic.imitation.methods import RL, method_named
-from fastmimic.render.style import INK, MUTED, Line, new_figure, tidy
+from fastmimic.render.figure_style import INK, MUTED, Line, new_figure, tidy
 
 _COLORS: Final = {"rl": "#009e73", "mbc-dmp": "#0072b2", "mbc": "#d55e00"}  # of Okabe and Ito, as in a comparison
 _LABELS: Final = {

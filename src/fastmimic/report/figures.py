@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
-from fastmimic.render.style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, STANCE, new_figure, save, tidy
+from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, STANCE, new_figure, save, tidy
 
 __all__ = ["convergence_figure", "save", "tracking_figure"]
 

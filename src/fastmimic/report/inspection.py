@@ -9,7 +9,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.rotations import matrix_from_quat
 from fastmimic.motion.motion import Motion
-from fastmimic.render.style import AFTER, BEFORE, INK, LEG_LINES, LIMIT, MUTED, new_figure, tidy
+from fastmimic.render.figure_style import AFTER, BEFORE, INK, LEG_LINES, LIMIT, MUTED, new_figure, tidy
 from fastmimic.robot import Robot
 
 

@@ -16,7 +16,7 @@ from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 if TYPE_CHECKING:
     from fastmimic.episode.rollout import Rollout
     from fastmimic.imitation.imitate import Imitation
-    from fastmimic.render.playback import Track
+    from fastmimic.render.tracks import Track
 
 CHECKPOINTS: Final = "checkpoint*.npz"
 MOTION: Final = "motion.npz"
@@ -104,7 +104,7 @@ class RunFolder:
     def _write_figures(self, result: "Imitation") -> None:
         import numpy as np
 
-        from fastmimic.render.style import save
+        from fastmimic.render.figure_style import save
         from fastmimic.report.figures import convergence_figure
 
         title = f"{result.motion.name} on {result.robot.name}"

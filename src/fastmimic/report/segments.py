@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from fastmimic.base.conventions import LEGS
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.segment import DISCRETE, STAND, TURN
-from fastmimic.render.style import INK, LEG_LINES, MUTED, STANCE, new_figure, tidy
+from fastmimic.render.figure_style import INK, LEG_LINES, MUTED, STANCE, new_figure, tidy
 
 if TYPE_CHECKING:
     from fastmimic.clips.segment import Segment

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from fastmimic.experiments.stress import SUCCESS, StressSettings, all_sweeps, stress_table, sweep_file, to_csv
 from fastmimic.imitation.methods import ALL_METHODS, method_named
-from fastmimic.render.style import MUTED, Line, new_figure, save, tidy
+from fastmimic.render.figure_style import MUTED, Line, new_figure, save, tidy
 from fastmimic.report.result_folder import RESULTS_CSV, TABLE, ResultFolder
 from fastmimic.simulation.disturbances import DISTURBANCES
 

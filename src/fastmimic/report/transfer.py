@@ -19,7 +19,7 @@ from fastmimic.experiments.transfer import (
     transferred,
 )
 from fastmimic.imitation.methods import method_named
-from fastmimic.render.style import INK, new_figure, save, tidy
+from fastmimic.render.figure_style import INK, new_figure, save, tidy
 from fastmimic.report.result_folder import RESULTS_CSV, TABLE, ResultFolder
 
 FIGURE: Final = "transfer.png"

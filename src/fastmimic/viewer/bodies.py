@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import quat_rotate
-from fastmimic.render.scene import GHOST_GROUP, build_stage
+from fastmimic.render.video_scene import GHOST_GROUP, build_video_scene
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class BodyMesh:
     """One moving body and what of it is seen."""
 
     name: str
@@ -74,10 +74,10 @@ class Puppet:
     def __init__(self, robot: Robot) -> None:
         import mujoco
 
-        stage = build_stage(robot, ghost=True, width=64, height=64, floor=np.zeros((2, 2)))
-        assert stage.ghost_qpos is not None
-        self._model, self._data = stage.model, mujoco.MjData(stage.model)
-        self._qpos = (stage.robot_qpos, stage.ghost_qpos)
+        video_scene = build_video_scene(robot, ghost=True, width=64, height=64, floor=np.zeros((2, 2)))
+        assert video_scene.ghost_qpos is not None
+        self._model, self._data = video_scene.model, mujoco.MjData(video_scene.model)
+        self._qpos = (video_scene.robot_qpos, video_scene.ghost_qpos)
         roots = [self._root(qpos) for qpos in self._qpos]
         self._roots = roots
         self._ids = [[b for b in range(1, self._model.nbody) if self._model.body_rootid[b] == root] for root in roots]
@@ -122,7 +122,7 @@ def _rgba(model: "mujoco.MjModel", geom: int) -> Array:
     return np.asarray(model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom], dtype=np.float64)
 
 
-def _body(model: "mujoco.MjModel", body: int, geoms: list[int]) -> Body:
+def _body(model: "mujoco.MjModel", body: int, geoms: list[int]) -> BodyMesh:
     """Merges a body's geoms colour by colour."""
     by_colour: dict[Rgb, list[tuple[Array, NDArray[np.int64]]]] = {}
     for geom in geoms:
@@ -131,7 +131,7 @@ def _body(model: "mujoco.MjModel", body: int, geoms: list[int]) -> Body:
             r, g, b = (round(255 * float(c)) for c in _rgba(model, geom)[:3])
             by_colour.setdefault((r, g, b), []).append(mesh)
     name = str(model.body(body).name).rpartition("/")[2]
-    return Body(name, tuple(Part(*_merged(meshes), rgb) for rgb, meshes in by_colour.items()))
+    return BodyMesh(name, tuple(Part(*_merged(meshes), rgb) for rgb, meshes in by_colour.items()))
 
 
 def _merged(meshes: list[tuple[Array, NDArray[np.int64]]]) -> tuple[Array, NDArray[np.int64]]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
 from fastmimic.episode.reward import WEIGHTS
-from fastmimic.render.style import INK, LEG_LINES, MUTED
+from fastmimic.render.figure_style import INK, LEG_LINES, MUTED
 from fastmimic.viewer.marks import contact_flags, friction_use
 from fastmimic.viewer.take import term_names
 

@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.rotations import rotate_planar
+from fastmimic.base.rotations import rotate_planar, yaw_from_quat
+from fastmimic.clips.skeleton import KEYPOINTS
 from fastmimic.viewer.bodies import revolved
 
 if TYPE_CHECKING:
+    from fastmimic.render.animal import Animal
     from fastmimic.viewer.take import Take
 
 Mesh = tuple[Array, NDArray[np.int64]]
@@ -134,6 +136,28 @@ def trails(feet: Array, row: int, rate_hz: float, *, dashed: bool = False) -> Ar
         gap = number[:-1] // 2 % 2 == 1  # by number, so that the dashes lie still in the world
         segments[:, gap, 1] = segments[:, gap, 0]
     return segments.reshape(-1, 2, 3)
+
+
+def animal_beside(animal: "Animal", take: "Take", row: int, aside: float) -> Array:
+    """Keypoints (10, 3) of the animal beside the reference, in its heading, at the same moment, world, m.
+
+    Args:
+        animal: the animal.
+        take: what is shown.
+        row: of it.
+        aside: how far to the left of the reference, m; in its heading at the start, so that in a turn the animal
+            stays on its side of the picture.
+    """
+    poses = take.reference if take.reference is not None else take.pose
+    points = animal.local(int(take.samples[row]))
+    beside = rotate_planar(float(yaw_from_quat(poses[0, 3:7])), np.array([0.0, aside]))
+    points[:, :2] = rotate_planar(float(yaw_from_quat(poses[row, 3:7])), points[:, :2]) + poses[row, :2] + beside
+    return points
+
+
+def bone_segments(points: Array) -> Array:
+    """The lines (k, 2, 3) between keypoints (10, 3): trunk, girdles, and a straight line for each leg."""
+    return np.asarray(points[np.array(KEYPOINTS.bones)])
 
 
 def smoothed_path(take: "Take", seconds: float = 0.35) -> Array:

@@ -7,11 +7,17 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fastmimic.viewer.charts import gait_strip, leg_table, plot_base, plot_data, plot_key, plot_series, status_line
-from fastmimic.viewer.clock import REPEATS
+from fastmimic.viewer.player import REPEATS
 from fastmimic.viewer.scene import LAYERS
 
 if TYPE_CHECKING:
-    from fastmimic.viewer.server import Viewer
+    import threading
+    from collections.abc import Callable
+
+    import viser
+
+    from fastmimic.viewer.player import Player
+    from fastmimic.viewer.scene import RobotScene
     from fastmimic.viewer.take import Take
 
 SPEEDS: Final = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
@@ -38,28 +44,45 @@ reward: {terms}
 </div>"""
 
 
-class Panel:
-    """viser's GUI elements, and what they do to the viewer."""
+class ViewerPanel:
+    """viser's GUI elements, and what they do to the player.
 
-    def __init__(self, viewer: "Viewer", heading: str, episodes: Sequence[int]) -> None:
-        self._viewer = viewer
-        self._gui = viewer.server.gui
+    Args:
+        gui: viser's.
+        player: what it controls.
+        lock: held while the player changes.
+        robots: what the player moves.
+        reset_camera: called with the browser that asks for it.
+        heading: first line.
+        episodes: how many there are to choose from.
+        choose: called with the episode that the user chooses.
+    """
+
+    def __init__(
+        self,
+        gui: "viser.GuiApi",
+        player: "Player",
+        lock: "threading.RLock",
+        robots: "Sequence[RobotScene]",
+        reset_camera: "Callable[[viser.ClientHandle | None], None]",
+        heading: str,
+        episodes: int,
+        choose: "Callable[[int], None]",
+    ) -> None:
+        self._gui, self._player, self._lock, self._robots = gui, player, lock, robots
+        self._reset_camera = reset_camera
         self.version = 0
         """Goes up with each change that the scene must follow."""
-        self._gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
-        self._gui.main_panel.dock_right()
-        self._gui.main_panel.set_width(_CONTROLS_WIDTH)
-        self._gui.add_html(f'<div style="font-size:15px;font-weight:700;padding:2px 10px">{html.escape(heading)}</div>')
-        self._add_playback(max(episodes))
+        arrange(gui, heading)
+        self._add_playback()
+        self._add_episodes(episodes, choose)
         self._add_layers()
-        self._status: list[Any] = []
-        self._tables: list[Any] = []
-        self._strips: list[Any] = []
-        self._plots: list[Any] = []
-        self._bases: list[Any] = []
-        self._add_charts()
-        with self._gui.add_folder("Key", expand_by_default=False):
-            self._gui.add_html(_KEY.format(terms=plot_key()))
+        self._charts: list[_TakeCharts] = []
+        with charts_window(gui, "Charts"):
+            for scene in robots:
+                self._charts.append(_TakeCharts(gui, scene.take, alone=len(robots) == 1))
+        with gui.add_folder("Key", expand_by_default=False):
+            gui.add_html(_KEY.format(terms=plot_key()))
 
     @property
     def follow(self) -> bool:
@@ -68,158 +91,170 @@ class Panel:
 
     def show(self, row: int) -> None:
         """Brings slider and charts to a row."""
-        clock = self._viewer.clock
-        self._time.value = min(row / clock.rate_hz, self._time.max)
-        cycles = len(clock.cycle_starts)
-        text = f"cycle {clock.cycle + 1} of {cycles}" if cycles > 1 else "one pass"
+        player = self._player
+        self._time.value = min(row / player.rate_hz, self._time.max)
+        cycles = len(player.cycle_starts)
+        text = f"cycle {player.cycle + 1} of {cycles}" if cycles > 1 else "one pass"
         self._cycle.content = f'<div style="font-size:12px;padding:0 10px">{text}</div>'
-        for i, scene in enumerate(self._viewer.robots):
-            take = scene.take
-            at = take.clamp(row)
-            self._status[i].content = status_line(take, at)
-            self._tables[i].content = leg_table(take, at)
-            self._strips[i].content = gait_strip(take, at)
-            if self._plots[i] is not None:
-                self._plots[i].data = plot_data(self._bases[i], take.time_at(at))
+        for charts, scene in zip(self._charts, self._robots, strict=True):
+            charts.show(scene.take, scene.take.clamp(row))
 
     def show_playing(self) -> None:
         """Labels the button by what it does next."""
-        self._play.label = "Pause" if self._viewer.clock.playing else "Play"
+        self._play.label = "Pause" if self._player.playing else "Play"
 
     def set_takes(self) -> None:
         """Takes over the takes that the scenes now show."""
-        clock = self._viewer.clock
-        self._time.max = max(_last_s(clock.rows, clock.rate_hz), 0.0)
-        for i, scene in enumerate(self._viewer.robots):
-            if self._plots[i] is not None:
-                self._bases[i] = plot_base(scene.take)
+        self._time.max = max(_last_s(self._player), 0.0)
+        for charts, scene in zip(self._charts, self._robots, strict=True):
+            charts.set_take(scene.take)
 
-    def _add_playback(self, episodes: int) -> None:
-        viewer, clock = self._viewer, self._viewer.clock
-        self._play = self._gui.add_button("Pause")
-        end = _last_s(clock.rows, clock.rate_hz)
-        self._time: Any = self._gui.add_slider("time, s", 0.0, end, round(1.0 / clock.rate_hz, 6), 0.0)
-        self._cycle = self._gui.add_html("")
-        cycles = self._gui.add_button_group("cycle", tuple(_CYCLES))
-        frames = self._gui.add_button_group("step", tuple(_FRAMES))
-        speed = self._gui.add_dropdown("speed", tuple(f"× {s:g}" for s in SPEEDS), initial_value="× 1")
-        repeat = self._gui.add_dropdown("repeat", tuple(_REPEAT_WORDS.values()), initial_value=_REPEAT_WORDS["all"])
-        self._follow = self._gui.add_checkbox("follow the robot", True)
-        reset = self._gui.add_button("Reset the view")
+    def _add_playback(self) -> None:
+        gui, player = self._gui, self._player
+        self._play = gui.add_button("Pause")
+        self._time: Any = gui.add_slider("time, s", 0.0, _last_s(player), round(1.0 / player.rate_hz, 6), 0.0)
+        self._cycle = gui.add_html("")
+        cycles = gui.add_button_group("cycle", tuple(_CYCLES))
+        frames = gui.add_button_group("step", tuple(_FRAMES))
+        speed = gui.add_dropdown("speed", tuple(f"× {s:g}" for s in SPEEDS), initial_value="× 1")
+        repeat = gui.add_dropdown("repeat", tuple(_REPEAT_WORDS.values()), initial_value=_REPEAT_WORDS["all"])
+        self._follow = gui.add_checkbox("follow the robot", True)
+        reset = gui.add_button("Reset the view")
 
-        @self._play.on_click
-        def _(_event: Any) -> None:
-            with viewer.lock:
-                viewer.clock.toggle()
-                self.show_playing()
-                self.version += 1
+        def go_to(row: int) -> None:
+            player.playing = False
+            player.seek(row)
+
+        def step_cycle() -> None:
+            by = _CYCLES[str(cycles.value)]
+            if by:
+                player.step_cycle(by)
+            else:
+                player.seek(0)
+
+        def step_frames() -> None:
+            go_to(player.row + _FRAMES[str(frames.value)] * max(1, round(_STEP_S * player.rate_hz)))
+
+        def set_speed() -> None:
+            player.speed = float(str(speed.value).removeprefix("× "))
+
+        def set_repeat() -> None:
+            player.repeat = next(r for r in REPEATS if _REPEAT_WORDS[r] == repeat.value)
 
         @self._time.on_update
         def _(event: Any) -> None:
-            if event.client is None:
-                return  # set by us
-            with viewer.lock:
-                viewer.clock.playing = False
-                viewer.clock.seek(round(float(self._time.value) * viewer.clock.rate_hz))
-                self.show_playing()
-                self.version += 1
+            if event.client is not None:  # otherwise set by `show`
+                self._change(lambda: go_to(round(float(self._time.value) * player.rate_hz)))
 
-        @cycles.on_click
-        def _(_event: Any) -> None:
-            with viewer.lock:
-                by = _CYCLES[str(cycles.value)]
-                if by == 0:
-                    viewer.clock.seek(0)
-                else:
-                    viewer.clock.step_cycle(by)
-                self.version += 1
+        self._play.on_click(lambda _event: self._change(player.toggle))
+        cycles.on_click(lambda _event: self._change(step_cycle))
+        frames.on_click(lambda _event: self._change(step_frames))
+        speed.on_update(lambda _event: self._change(set_speed))
+        repeat.on_update(lambda _event: self._change(set_repeat))
+        self._follow.on_update(lambda _event: self._change())
+        reset.on_click(lambda event: self._reset_camera(event.client))
 
-        @frames.on_click
-        def _(_event: Any) -> None:
-            with viewer.lock:
-                viewer.clock.playing = False
-                by = _FRAMES[str(frames.value)]
-                viewer.clock.seek(viewer.clock.row + by * max(1, round(_STEP_S * viewer.clock.rate_hz)))
-                self.show_playing()
-                self.version += 1
-
-        @speed.on_update
-        def _(_event: Any) -> None:
-            with viewer.lock:
-                viewer.clock.speed = float(str(speed.value).removeprefix("× "))
-
-        @repeat.on_update
-        def _(_event: Any) -> None:
-            with viewer.lock:
-                viewer.clock.repeat = next(r for r in REPEATS if _REPEAT_WORDS[r] == repeat.value)
-
-        @self._follow.on_update
-        def _(_event: Any) -> None:
+    def _change(self, act: "Callable[[], None] | None" = None) -> None:
+        """Changes the player between two pictures."""
+        with self._lock:
+            if act is not None:
+                act()
+            self.show_playing()
             self.version += 1
 
-        @reset.on_click
-        def _(event: Any) -> None:
-            viewer.reset_camera(event.client)
-
+    def _add_episodes(self, episodes: int, choose: "Callable[[int], None]") -> None:
         if episodes > 1:
             chosen = self._gui.add_dropdown("episode", tuple(str(i) for i in range(episodes)), initial_value="0")
-
-            @chosen.on_update
-            def _(_event: Any) -> None:
-                viewer.choose(int(str(chosen.value)))
+            chosen.on_update(lambda _event: choose(int(str(chosen.value))))
 
     def _add_layers(self) -> None:
-        viewer = self._viewer
+        robots = self._robots
         with self._gui.add_folder("Show", expand_by_default=False):
-            for layer, words in LAYERS.items():
-                if layer == "animal" and not any(scene.has_animal for scene in viewer.robots):
-                    continue
-                self._add_layer(layer, words)
+            shown = [layer for layer in LAYERS if layer != "animal" or any(scene.has_animal for scene in robots)]
+            add_layer_boxes(self._gui, robots, shown)
             xray = self._gui.add_checkbox("robot translucent", False)
 
             @xray.on_update
             def _(_event: Any) -> None:
-                for scene in viewer.robots:
+                for scene in robots:
                     scene.set_opacity(_XRAY if xray.value else None)
 
-    def _add_layer(self, layer: str, words: str) -> None:
-        box = self._gui.add_checkbox(words, True)
 
-        @box.on_update
-        def _(_event: Any) -> None:
-            for scene in self._viewer.robots:
-                scene.set_layer(layer, bool(box.value))
+class _TakeCharts:
+    """The charts of one take."""
 
-    def _add_charts(self) -> None:
-        """In a window of their own on the other side; on a phone a section of the sheet."""
-        gui, robots = self._gui, self._viewer.robots
-        window = gui.add_panel()
-        window.dock_left()
-        window.set_width(_CHARTS_WIDTH)
-        with window.add_tab("Charts"):
-            for scene in robots:
-                self._add_take(scene.take, alone=len(robots) == 1)
-
-    def _add_take(self, take: "Take", *, alone: bool) -> None:
-        gui = self._gui
-        self._status.append(gui.add_html(""))
-        self._strips.append(gui.add_html(""))
-        self._plots.append(None)
-        self._bases.append(None)
+    def __init__(self, gui: "viser.GuiApi", take: "Take", *, alone: bool) -> None:
+        self._status, self._strip = gui.add_html(""), gui.add_html("")
+        self._plot: Any = None
+        self.set_take(take)
         if take.terms is not None:
-            self._bases[-1] = plot_base(take)
-            self._plots[-1] = gui.add_uplot(
-                data=plot_data(self._bases[-1], 0.0),
-                series=plot_series(),  # type: ignore[arg-type]
-                scales={"x": {"time": False}, "y": {"auto": False, "min": 0.0, "max": 1.05}},
-                axes=({"size": 34}, {"size": 44}),
-                legend={"show": alone, "live": False},
-                cursor={"show": False},
-                height=190 if alone else 130,
+            self._plot = reward_plot(
+                gui, plot_data(self._base, 0.0), plot_series(), 190 if alone else 130, legend=alone
             )
         with gui.add_folder("Legs in numbers", expand_by_default=alone):
-            self._tables.append(gui.add_html(""))
+            self._table = gui.add_html("")
+
+    def set_take(self, take: "Take") -> None:
+        """Takes over another take."""
+        self._base: Any = None if take.terms is None else plot_base(take)
+
+    def show(self, take: "Take", row: int) -> None:
+        """Brings the charts to a row."""
+        self._status.content = status_line(take, row)
+        self._table.content = leg_table(take, row)
+        self._strip.content = gait_strip(take, row)
+        if self._plot is not None:
+            self._plot.data = plot_data(self._base, take.time_at(row))
 
 
-def _last_s(rows: int, rate_hz: float) -> float:
-    return float(np.round(max(rows - 1, 1) / rate_hz, 6))
+def arrange(gui: "viser.GuiApi", heading: str) -> None:
+    """Docks the controls at the right, with a heading."""
+    gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+    gui.main_panel.dock_right()
+    gui.main_panel.set_width(_CONTROLS_WIDTH)
+    gui.add_html(f'<div style="font-size:15px;font-weight:700;padding:2px 10px">{html.escape(heading)}</div>')
+
+
+def charts_window(gui: "viser.GuiApi", title: str) -> Any:
+    """A window for charts at the left; on a phone a section of the sheet."""
+    window = gui.add_panel()
+    window.dock_left()
+    window.set_width(_CHARTS_WIDTH)
+    return window.add_tab(title)
+
+
+def add_layer_boxes(
+    gui: "viser.GuiApi", robots: "Sequence[RobotScene]", layers: Sequence[str], hidden: Sequence[str] = ()
+) -> None:
+    """A box for each of the `LAYERS`, which shows or hides it; the `hidden` ones are hidden at first."""
+
+    def add(layer: str) -> None:
+        box = gui.add_checkbox(LAYERS[layer], layer not in hidden)
+
+        def update(_event: Any = None) -> None:
+            for scene in robots:
+                scene.set_layer(layer, bool(box.value))
+
+        box.on_update(update)
+        if layer in hidden:
+            update()
+
+    for layer in layers:
+        add(layer)
+
+
+def reward_plot(gui: "viser.GuiApi", data: Any, series: Any, height: int, *, legend: bool) -> Any:
+    """The plot of the reward and its terms."""
+    return gui.add_uplot(
+        data=data,
+        series=series,
+        scales={"x": {"time": False}, "y": {"auto": False, "min": 0.0, "max": 1.05}},
+        axes=({"size": 34}, {"size": 44}),
+        legend={"show": legend, "live": False},
+        cursor={"show": False},
+        height=height,
+    )
+
+
+def _last_s(player: "Player") -> float:
+    return float(np.round(max(player.rows - 1, 1) / player.rate_hz, 6))

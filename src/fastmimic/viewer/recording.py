@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Final
 
 from fastmimic.robot import Robot
 from fastmimic.viewer.scene import LAYERS, line_up
-from fastmimic.viewer.server import FRAMES_PER_S, aim_at_first, default_camera, start_server, stop_server
+from fastmimic.viewer.web import FRAMES_PER_S, aim_at_first, default_camera, start_server, stop_server
 
 if TYPE_CHECKING:
     from fastmimic.viewer.take import Take

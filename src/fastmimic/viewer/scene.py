@@ -9,14 +9,15 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
-from fastmimic.render.scene import ghost_rgba
-from fastmimic.render.style import LEG_LINES
+from fastmimic.render.figure_style import LEG_LINES
+from fastmimic.render.video_scene import ghost_rgba
 from fastmimic.robot import Robot
-from fastmimic.viewer.animal import bone_segments
 from fastmimic.viewer.bodies import Puppet
 from fastmimic.viewer.marks import (
     TRAIL_POINTS,
+    animal_beside,
     asked_segments,
+    bone_segments,
     contact_flags,
     contact_meshes,
     contact_places,
@@ -29,8 +30,8 @@ from fastmimic.viewer.marks import (
 if TYPE_CHECKING:
     import viser
 
-    from fastmimic.viewer.animal import Animal
-    from fastmimic.viewer.bodies import Body, Placed
+    from fastmimic.render.animal import Animal
+    from fastmimic.viewer.bodies import BodyMesh, Placed
     from fastmimic.viewer.take import Take
 
 
@@ -198,7 +199,7 @@ class RobotScene:
         self._show_lines(row, placed, ghost)
         self._show_names(row)
         if self._animal is not None and self._points is not None:
-            points = self._animal.placed(take, row, animal_aside(self._robot))
+            points = animal_beside(self._animal, take, row, animal_aside(self._robot))
             self._points.points = points.astype(np.float32)
             self._bones.points = bone_segments(points).astype(np.float32)
 
@@ -214,7 +215,7 @@ class RobotScene:
         return self._animal is not None
 
     def _add_bodies(
-        self, name: str, bodies: "tuple[Body, ...]", opacity: float | None
+        self, name: str, bodies: "tuple[BodyMesh, ...]", opacity: float | None
     ) -> list[tuple["viser.FrameHandle", list["viser.MeshHandle"]]]:
         """A frame for each body with its meshes in it; translucent ones have no shadow."""
         scene, found = self._server.scene, []

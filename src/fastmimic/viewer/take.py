@@ -19,7 +19,7 @@ from fastmimic.robot.kinematics import foot_positions
 if TYPE_CHECKING:
     from fastmimic.control.config import ControllerConfig
     from fastmimic.episode.rollout import Rollout
-    from fastmimic.render.playback import Track
+    from fastmimic.render.tracks import Track
 
 Flags = NDArray[np.bool_]
 

@@ -1,4 +1,4 @@
-"""One panel of a video: the stage seen by a camera, with a shadow under the robot."""
+"""One panel of a video: the video_scene seen by a camera, with a shadow under the robot."""
 
 from typing import Final
 
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.render.scene import GHOST_GROUP, LIGHT_DIR, Stage
+from fastmimic.render.video_scene import GHOST_GROUP, LIGHT_DIR, VideoScene
 
 Rgba = tuple[float, float, float, float]
 
@@ -36,21 +36,21 @@ _MAX_MARKS: Final = 400
 """Bones, trails and contacts drawn at once, their shadows included."""
 
 
-class View:
-    """Poses the robots of a stage and collects what there is to draw.
+class CameraView:
+    """Poses the robots of a video_scene and collects what there is to draw.
 
     Args:
-        stage: the model to pose.
+        video_scene: the model to pose.
         azimuth_deg: the camera's direction of sight, from the world's x axis.
         distance: from the camera to the point at which it looks, m.
     """
 
-    def __init__(self, stage: Stage, azimuth_deg: float, distance: float) -> None:
-        self._stage = stage
-        self._data = mujoco.MjData(stage.model)
-        self.scene = mujoco.MjvScene(stage.model, maxgeom=2 * stage.model.ngeom + _MAX_MARKS)
-        self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = stage.quality.shadow_map > 0
-        self.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = stage.quality.reflectance > 0
+    def __init__(self, video_scene: VideoScene, azimuth_deg: float, distance: float) -> None:
+        self._video_scene = video_scene
+        self._data = mujoco.MjData(video_scene.model)
+        self.scene = mujoco.MjvScene(video_scene.model, maxgeom=2 * video_scene.model.ngeom + _MAX_MARKS)
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = video_scene.quality.shadow_map > 0
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = video_scene.quality.reflectance > 0
         self.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = 1
         self._option = mujoco.MjvOption()
         self._camera = mujoco.MjvCamera()
@@ -63,11 +63,11 @@ class View:
 
         A view shows the robot and the ghost always or never: that is settled by the first call.
         """
-        model, data, stage = self._stage.model, self._data, self._stage
+        model, data, video_scene = self._video_scene.model, self._data, self._video_scene
         if robot is not None:
-            data.qpos[stage.robot_qpos] = robot
-        if stage.ghost_qpos is not None and ghost is not None:
-            data.qpos[stage.ghost_qpos] = ghost
+            data.qpos[video_scene.robot_qpos] = robot
+        if video_scene.ghost_qpos is not None and ghost is not None:
+            data.qpos[video_scene.ghost_qpos] = ghost
         self._option.geomgroup[GHOST_GROUP] = ghost is not None
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
@@ -95,7 +95,7 @@ class View:
         geom = self._add(mujoco.mjtGeom.mjGEOM_CAPSULE, _ZERO, _ZERO, rgba)
         mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, start, end)
         geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC  # decoration has no shadow in the depth map
-        if not self._stage.quality.shadow_map:
+        if not self._video_scene.quality.shadow_map:
             shadow = self.scene.geoms[self.scene.ngeom]
             _start_shadow(geom, shadow)
             _flatten(geom, shadow)
@@ -110,12 +110,12 @@ class View:
 
     def _follow(self, look_at: Array) -> None:
         """Keeps the tiles under the camera, by whole periods of their pattern, and the light's depth map around it."""
-        stage = self._stage
-        period = 2 * stage.tile
-        for tiles in stage.tiles:
+        video_scene = self._video_scene
+        period = 2 * video_scene.tile
+        for tiles in video_scene.tiles:
             geom = self._geom_of(tiles)
             geom.pos[:2] = self._data.geom_xpos[tiles, :2] + period * np.round(look_at[:2] / period)
-        if stage.quality.shadow_map:
+        if video_scene.quality.shadow_map:
             light = self.scene.lights[self.scene.nlight - 1]
             direction = np.array(LIGHT_DIR) / np.linalg.norm(LIGHT_DIR)
             light.pos[:] = look_at - _LIGHT_DISTANCE * direction
@@ -125,10 +125,10 @@ class View:
 
     def _cast_shadow(self) -> None:
         """Appends the robot's geoms again, flattened onto the ground: far quicker than a shadow map."""
-        if self._stage.quality.shadow_map:
+        if self._video_scene.quality.shadow_map:
             return
         if self._shadows is None:
-            self._shadows = _new_shadows(self.scene, self._stage.casts_shadow)
+            self._shadows = _new_shadows(self.scene, self._video_scene.casts_shadow)
         for geom, shadow in self._shadows:
             _flatten(geom, shadow)
         self.scene.ngeom += len(self._shadows)

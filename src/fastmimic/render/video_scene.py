@@ -1,4 +1,4 @@
-"""The stage of a video: the robot, its ghost, the ground and the light."""
+"""The MuJoCo scene of a video: the robot, its ghost, the ground and the light."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
+from fastmimic.render.figure_style import DEMONSTRATION, LEG_LINES
 from fastmimic.render.quality import PREVIEW, Quality
-from fastmimic.render.style import DEMONSTRATION, LEG_LINES
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def _rgb(color: str) -> tuple[float, float, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class VideoScene:
     """A model with the robot and, if wanted, its ghost, and where their coordinates are in `qpos`.
 
     Attributes:
@@ -77,7 +77,7 @@ class Stage:
     tile: float = TILE_M
 
 
-def build_stage(
+def build_video_scene(
     robot: Robot,
     *,
     ghost: bool,
@@ -86,7 +86,7 @@ def build_stage(
     floor: Array,
     quality: Quality = PREVIEW,
     tile: float = TILE_M,
-) -> Stage:
+) -> VideoScene:
     """Puts a robot, and a ghost of it, on a checkered ground.
 
     Args:
@@ -113,7 +113,7 @@ def build_stage(
         ghost_qpos, ghost_geoms = _find(model, robot, _GHOST)
         _make_ghost(model, ghost_geoms)
     tiles = () if quality.textured else tuple(int(model.geom(name).id) for name in _TILES)
-    return Stage(model, robot_qpos, ghost_qpos, _main_geoms(model, robot_geoms), quality, tiles, tile)
+    return VideoScene(model, robot_qpos, ghost_qpos, _main_geoms(model, robot_geoms), quality, tiles, tile)
 
 
 def _set_visual(spec: "mujoco.MjSpec", width: int, height: int, quality: Quality) -> None:

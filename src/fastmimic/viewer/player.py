@@ -12,7 +12,7 @@ REPEATS: Final[tuple[Repeat, ...]] = ("all", "cycle", "off")
 
 
 @dataclass
-class Clock:
+class Player:
     """A position in the rows of a take that moves on in real time.
 
     Attributes:
@@ -31,6 +31,11 @@ class Clock:
     speed: float = 1.0
     repeat: Repeat = "all"
     _position: float = 0.0
+
+    def load(self, rows: int, rate_hz: float, cycle_starts: NDArray[np.int64]) -> None:
+        """Begins another take, at the same speed."""
+        self.rows, self.rate_hz, self.cycle_starts = rows, rate_hz, cycle_starts
+        self._position = 0.0
 
     @property
     def row(self) -> int:

@@ -12,14 +12,18 @@ from fastmimic.play.session import METHODS
 from fastmimic.play.steering import IDLE, read_steering, steering_script
 from fastmimic.play.world import FRICTION
 from fastmimic.viewer.charts import gait_strip, leg_table, plot_key, plot_series
+from fastmimic.viewer.panel import add_layer_boxes, arrange, charts_window, reward_plot
 from fastmimic.viewer.scene import LAYERS
 
 if TYPE_CHECKING:
-    from fastmimic.play.page import PlayPage
-    from fastmimic.viewer.take import Take
+    import viser
 
-_CHARTS_WIDTH: Final = 320  # pixels
-_CONTROLS_WIDTH: Final = 310
+    from fastmimic.play.history import LiveHistory
+    from fastmimic.play.live_scene import LiveScene
+    from fastmimic.play.pacing import Pacer
+    from fastmimic.viewer.take import Take
+    from fastmimic.viewer.web import Cameras
+
 _PACES: Final = {"real time": 1.0, "× 0.5": 0.5, "× 0.25": 0.25, "× 0.1": 0.1}
 _DIRECTIONS: Final = {"← left": 90.0, "→ right": -90.0, "↑ on": 0.0, "↓ back": 180.0}
 _MOTION_KEYS: Final = ("1", "2", "3", "4", "5", "6", "7", "8", "9", "0")
@@ -42,17 +46,31 @@ Start pause
 
 
 class PlayPanel:
-    """viser's GUI elements, and what they do to the session."""
+    """viser's GUI elements, and what they do to the session.
 
-    def __init__(self, page: "PlayPage", heading: str) -> None:
-        self._page, self._session = page, page.session
-        self._gui = gui = page.server.gui
+    Args:
+        gui: viser's.
+        pacer: runs the session.
+        history: what the session did last.
+        scene: the robot.
+        cameras: of the browsers.
+        heading: first line.
+    """
+
+    def __init__(
+        self,
+        gui: "viser.GuiApi",
+        pacer: "Pacer",
+        history: "LiveHistory",
+        scene: "LiveScene",
+        cameras: "Cameras",
+        heading: str,
+    ) -> None:
+        self._gui, self._pacer, self._history, self._scene, self._cameras = gui, pacer, history, scene, cameras
+        self._session = pacer.session
         self._steering = (0.0, 0.0)
         self._mistake: str | None = None
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(_CONTROLS_WIDTH)
-        gui.add_html(f'<div style="font-size:15px;font-weight:700;padding:2px 10px">{html.escape(heading)}</div>')
+        arrange(gui, heading)
         self._state = gui.add_html("")
         self._add_motions()
         self._add_modulation()
@@ -68,11 +86,6 @@ class PlayPanel:
     def follow(self) -> bool:
         """Whether the view follows the robot."""
         return bool(self._follow.value)
-
-    @property
-    def hidden(self) -> tuple[str, ...]:
-        """Layers that are not shown at first."""
-        return _HIDDEN
 
     def show(self, take: "Take", plot: tuple[Any, ...]) -> None:
         """Brings texts and charts to the present."""
@@ -91,25 +104,24 @@ class PlayPanel:
         if limits == self._limits:
             return
         self._limits = limits
-        for slider, (low, high), fixed, words in (
-            (self._speed, limits.speed, 1.0, "of its own"),
-            (self._turn, limits.turn, 0.0, "rad/s added to its own"),
-            (self._lift, limits.lift, 1.0, "of its own"),
+        for slider, (low, high), words in (
+            (self._speed, limits.speed, "of its own"),
+            (self._turn, limits.turn, "rad/s added to its own"),
+            (self._lift, limits.lift, "of its own"),
         ):
             free = high > low
             slider.disabled = not free
             slider.hint = (
                 f"{low:.2f} to {high:.2f} {words}" if free else f"{self._session.motion} has no step to change"
             )
-            del fixed
 
     def show_paused(self) -> None:
         """Labels the button by what it does next."""
-        self._pause.label = "Go on" if self._page.pacer.paused else "Pause"
+        self._pause.label = "Go on" if self._pacer.paused else "Pause"
 
     def _status(self) -> str:
-        session, pacer = self._session, self._page.pacer
-        on, left, turning, reward = self._page.history.mean()
+        session, pacer = self._session, self._pacer
+        on, left, turning, reward = self._history.mean()
         colour = _THERE_RGB if session.goal == session.motion else _ON_THE_WAY_RGB
         if session.fallen or session.trouble or self._mistake:
             colour = _TROUBLE_RGB
@@ -142,7 +154,7 @@ class PlayPanel:
 
     def _do(self, what: Callable[[], None]) -> None:
         """Something to the session, between its steps."""
-        with self._page.pacer.lock:
+        with self._pacer.lock:
             try:
                 self._mistake = None
                 what()
@@ -150,19 +162,11 @@ class PlayPanel:
                 self._mistake = str(error)
 
     def _add_motions(self) -> None:
-        gui, session = self._gui, self._session
-        names = session.library.names
-        self._pause = gui.add_button("Pause")
-        motions = gui.add_button_group("motion", names)
-        self._motions = motions
-
-        @self._pause.on_click
-        def _(_event: Any) -> None:
-            self._toggle()
-
-        @motions.on_click
-        def _(_event: Any) -> None:
-            self._do(lambda: session.switch(str(motions.value)))
+        session = self._session
+        self._pause = self._gui.add_button("Pause")
+        motions = self._gui.add_button_group("motion", session.library.names)
+        self._pause.on_click(lambda _event: self._toggle())
+        motions.on_click(lambda _event: self._do(lambda: session.switch(str(motions.value))))
 
     def _add_modulation(self) -> None:
         gui, session = self._gui, self._session
@@ -178,10 +182,7 @@ class PlayPanel:
         straight = gui.add_button("As it is", hint="speed, turn and swing height of the motion itself")
 
         for slider in (self._speed, self._turn, self._lift):
-
-            @slider.on_update
-            def _(_event: Any) -> None:
-                self._steer()
+            slider.on_update(lambda _event: self._steer())
 
         @straight.on_click
         def _(_event: Any) -> None:
@@ -217,17 +218,9 @@ class PlayPanel:
         self._shove = lambda: shove(float(angle.value))
         self._limp = lambda: self._do(session.fall)
 
-        @ways.on_click
-        def _(_event: Any) -> None:
-            shove(_DIRECTIONS[str(ways.value)])
-
-        @push.on_click
-        def _(_event: Any) -> None:
-            self._shove()
-
-        @limp.on_click
-        def _(_event: Any) -> None:
-            self._limp()
+        ways.on_click(lambda _event: shove(_DIRECTIONS[str(ways.value)]))
+        push.on_click(lambda _event: self._shove())
+        limp.on_click(lambda _event: self._limp())
 
     def _add_world(self) -> None:
         gui, session = self._gui, self._session
@@ -236,42 +229,23 @@ class PlayPanel:
             friction: Any = gui.add_slider("friction", *FRICTION, 0.05, round(session.world.friction, 2))
             payload: Any = gui.add_slider("payload, kg", 0.0, _MAX_PAYLOAD_KG, 0.1, 0.0)
 
-        @method.on_click
-        def _(_event: Any) -> None:
-            self._do(lambda: session.set_method(str(method.value)))
-
-        @friction.on_update
-        def _(_event: Any) -> None:
-            self._do(lambda: session.world.set_friction(float(friction.value)))
-
-        @payload.on_update
-        def _(_event: Any) -> None:
-            self._do(lambda: session.world.set_payload(float(payload.value)))
+        method.on_click(lambda _event: self._do(lambda: session.set_method(str(method.value))))
+        friction.on_update(lambda _event: self._do(lambda: session.world.set_friction(float(friction.value))))
+        payload.on_update(lambda _event: self._do(lambda: session.world.set_payload(float(payload.value))))
 
     def _add_view(self) -> None:
-        gui, page = self._gui, self._page
+        gui, pacer = self._gui, self._pacer
         with gui.add_folder("View", expand_by_default=False):
             pace: Any = gui.add_dropdown("time", tuple(_PACES))
             self._follow = gui.add_checkbox("follow the robot", True)
             reset = gui.add_button("Reset the view")
-            for layer, words in LAYERS.items():
-                if layer != "animal":
-                    self._add_layer(layer, words)
+            add_layer_boxes(gui, [self._scene], [layer for layer in LAYERS if layer != "animal"], _HIDDEN)
 
         @pace.on_update
         def _(_event: Any) -> None:
-            page.pacer.pace = _PACES[str(pace.value)]
+            pacer.pace = _PACES[str(pace.value)]
 
-        @reset.on_click
-        def _(event: Any) -> None:
-            page.cameras.reset(event.client)
-
-    def _add_layer(self, layer: str, words: str) -> None:
-        box = self._gui.add_checkbox(words, layer not in _HIDDEN)
-
-        @box.on_update
-        def _(_event: Any) -> None:
-            self._page.scene.set_layer(layer, bool(box.value))
+        reset.on_click(lambda event: self._cameras.reset(event.client))
 
     def _add_keys(self) -> None:
         gui, session = self._gui, self._session
@@ -299,35 +273,19 @@ class PlayPanel:
             self._command(f"Motion: {name}", key, partial(self._do, partial(session.switch, name)))
 
     def _command(self, label: str, key: Any, what: Callable[[], None]) -> None:
-        command = self._gui.add_command(label, hotkey=key)
-
-        @command.on_trigger
-        def _(_event: Any) -> None:
-            what()
+        self._gui.add_command(label, hotkey=key).on_trigger(lambda _event: what())
 
     def _toggle(self) -> None:
-        with self._page.pacer.lock:
-            self._page.pacer.paused = not self._page.pacer.paused
+        with self._pacer.lock:
+            self._pacer.paused = not self._pacer.paused
         self.show_paused()
 
     def _add_charts(self) -> None:
-        """In a window of their own on the other side; on a phone a section of the sheet."""
-        gui = self._gui
-        window = gui.add_panel()
-        window.dock_left()
-        window.set_width(_CHARTS_WIDTH)
-        plot = self._page.history.plot()
-        with window.add_tab("Live"):
+        gui, plot = self._gui, self._history.plot()
+        with charts_window(gui, "Live"):
             self._strip = gui.add_html("")
-            self._plot = gui.add_uplot(
-                data=tuple(np.repeat(column, 2) for column in plot) if len(plot[0]) < 2 else plot,
-                series=plot_series()[:-1],  # type: ignore[arg-type]
-                scales={"x": {"time": False}, "y": {"auto": False, "min": 0.0, "max": 1.05}},
-                axes=({"size": 34}, {"size": 44}),
-                legend={"show": False},
-                cursor={"show": False},
-                height=170,
-            )
+            data = tuple(np.repeat(column, 2) for column in plot) if len(plot[0]) < 2 else plot
+            self._plot = reward_plot(gui, data, plot_series()[:-1], 170, legend=False)
             gui.add_html(f'<div style="font-size:12px;line-height:1.5;padding:0 10px">reward: {plot_key()}</div>')
             self._figures = gui.add_html("")
             with gui.add_folder("Legs in numbers", expand_by_default=False):

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from fastmimic.viewer.clock import Clock
+from fastmimic.viewer.player import Player
 
 
-def _clock() -> Clock:
-    return Clock(rows=1000, rate_hz=500.0, cycle_starts=np.array([0, 300, 600, 900]))
+def _clock() -> Player:
+    return Player(rows=1000, rate_hz=500.0, cycle_starts=np.array([0, 300, 600, 900]))
 
 
 def test_it_moves_at_the_speed_asked_for() -> None:

@@ -9,12 +9,13 @@ import pytest
 
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
+from fastmimic.render.animal import Animal
 from fastmimic.robot import Robot
-from fastmimic.viewer.animal import Animal
 from fastmimic.viewer.marks import smoothed_path
 from fastmimic.viewer.scene import linear
-from fastmimic.viewer.server import Viewer, default_camera
 from fastmimic.viewer.take import Take, motion_take
+from fastmimic.viewer.viewer import Viewer
+from fastmimic.viewer.web import default_camera
 
 if TYPE_CHECKING:
     Open = Callable[..., Viewer]
@@ -38,7 +39,7 @@ def opened(a1: Robot) -> Iterator["Open"]:
 
 
 def _show(viewer: Viewer, row: int) -> None:
-    viewer.clock.seek(row)
+    viewer.player.seek(row)
     viewer.draw(force=True)
 
 
@@ -69,10 +70,10 @@ def test_runs_are_beside_each_other_and_the_shorter_one_waits(opened: "Open", ta
 def test_episodes_can_be_chosen(opened: "Open", take: Take) -> None:
     other = dataclasses.replace(take, pose=take.pose[::-1].copy(), cycle_starts=np.array([0]))
     viewer = opened([[take, other]])
-    viewer.clock.speed = 0.5
+    viewer.player.speed = 0.5
     _show(viewer, 50)
     viewer.choose(1)
-    assert (viewer.clock.row, viewer.clock.speed, len(viewer.clock.cycle_starts)) == (0, 0.5, 1)
+    assert (viewer.player.row, viewer.player.speed, len(viewer.player.cycle_starts)) == (0, 0.5, 1)
     np.testing.assert_allclose(viewer.robots[0].frame("trunk").position, take.pose[-1, :3], atol=1e-9)
 
 

@@ -1,36 +1,27 @@
-"""The viewer's server: its port, its camera, and the loop that plays."""
+"""The viewer's web server: its port, and the cameras of the browsers."""
 
 import contextlib
 import errno
 import io
 import logging
 import socket
-import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.robot import Robot
-from fastmimic.viewer.clock import Clock
-from fastmimic.viewer.panel import Panel
-from fastmimic.viewer.scene import animal_aside, line_up
 
 if TYPE_CHECKING:
     import viser
-
-    from fastmimic.viewer.animal import Animal
-    from fastmimic.viewer.take import Take
 
 HOST: Final = "127.0.0.1"
 DEFAULT_PORT: Final = 8080
 PORTS_TRIED: Final = 50
 FRAMES_PER_S: Final = 30.0
-_CHARTS_PER_S: Final = 8.0
-_IDLE_S: Final = 0.05
 _FOV_RAD: Final = 0.7
 _SETTLE_S: Final = 10.0
 _PORTRAIT: Final = 0.7  # width over height of a picture that a phone shows
@@ -173,108 +164,31 @@ class Cameras:
         client.camera.fov = _FOV_RAD
 
 
-class Viewer:
-    """Serves takes to browsers on this machine. Use it as a context manager, or `close` it.
+class WebPage:
+    """A page that this machine serves to its own browsers. Use it as a context manager, or `close` it.
 
-    Args:
-        robot: the robot.
-        shown: for each robot beside the others, left to right in the picture, its takes, of which one is shown.
-        heading: of the panel, such as "trot on a1".
-        port: the first one to try.
-        animal: beside the first robot; None for none.
-
-    Raises:
-        ConfigError: viser is not installed, or no port is free.
+    Attributes:
+        server: viser's.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        shown: Sequence[Sequence["Take"]],
-        heading: str,
-        port: int = DEFAULT_PORT,
-        animal: "Animal | None" = None,
-    ) -> None:
-        self._robot, self._shown = robot, [tuple(takes) for takes in shown]
+    def __init__(self, port: int) -> None:
         self.server = start_server(port)
-        self.lock = threading.RLock()
-        first = [takes[0] for takes in self._shown]
-        self.clock = _clock(first)
-        self.robots = line_up(self.server, robot, first, animal)
-        self._beside = [scene.aside for scene in self.robots]
-        if animal is not None:
-            self._beside.append(self._beside[0] + animal_aside(robot))
-        self._cameras = Cameras(self.server, robot, self._beside, float(first[0].heading[0]))
-        self.panel = Panel(self, heading, [len(takes) for takes in self._shown])
-        self._drawn: tuple[int, int] | None = None
-        self._charts_at = 0.0
-        self.draw(force=True)
 
     @property
     def url(self) -> str:
-        """Where a browser finds it."""
+        """Address of the page."""
         return f"http://{HOST}:{self.server.get_port()}"
 
-    def choose(self, episode: int) -> None:
-        """Shows another episode, from its start."""
-        with self.lock:
-            takes = [takes[min(episode, len(takes) - 1)] for takes in self._shown]
-            for scene, take in zip(self.robots, takes, strict=True):
-                scene.set_take(take)
-            old, self.clock = self.clock, _clock(takes)
-            self.clock.playing, self.clock.speed, self.clock.repeat = old.playing, old.speed, old.repeat
-            self.panel.set_takes()
-            self.draw(force=True)
-
-    def reset_camera(self, client: "viser.ClientHandle | None") -> None:
-        """Puts the camera of one browser, or of all, where it was at first."""
-        self._cameras.reset(client)
-
-    def draw(self, *, force: bool = False) -> None:
-        """Brings scene and panel to the present row, if they are not there."""
-        with self.lock:
-            row = self.clock.row
-            if not force and self._drawn == (row, self.panel.version):
-                return
-            moment = time.monotonic()
-            charts = force or not self.clock.playing or moment - self._charts_at >= 1.0 / _CHARTS_PER_S
-            with self.server.atomic():
-                for scene in self.robots:
-                    scene.show(row, follow=self.panel.follow)
-                if charts:
-                    self.panel.show(row)
-                    self._charts_at = moment
-            self._drawn = (row, self.panel.version)
-
-    def run(self, stop: threading.Event) -> None:
-        """Plays until `stop` is set; nothing moves while no browser looks on."""
-        before = time.monotonic()
-        while not stop.wait(_IDLE_S if not self.server.get_clients() else 0.2 / FRAMES_PER_S):
-            now = time.monotonic()
-            if not self.server.get_clients():
-                before = now
-                continue
-            if now - before < 1.0 / FRAMES_PER_S:
-                continue
-            with self.lock:
-                was = self.clock.playing
-                self.clock.advance(min(now - before, 0.25))  # a machine that was busy does not jump
-                if was and not self.clock.playing:
-                    self.panel.show_playing()
-            before = now
-            self.draw()
+    def watched(self) -> bool:
+        """Whether a browser shows the page."""
+        return bool(self.server.get_clients())
 
     def close(self) -> None:
-        """Ends the server."""
+        """Stops the server."""
         stop_server(self.server)
 
-    def __enter__(self) -> "Viewer":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
-
-
-def _clock(takes: Sequence["Take"]) -> Clock:
-    longest = max(takes, key=lambda take: take.rows)
-    return Clock(longest.rows, longest.rate_hz, longest.cycle_starts)

@@ -11,7 +11,7 @@ from fastmimic.viewer.scene import RobotScene, linear
 if TYPE_CHECKING:
     import viser
 
-    from fastmimic.play.history import History
+    from fastmimic.play.history import LiveHistory
     from fastmimic.viewer.take import Take
 
 _GROUND: Final = (24.0, 24.0)
@@ -31,7 +31,7 @@ class LiveScene(RobotScene):
         history: what it does.
     """
 
-    def __init__(self, server: "viser.ViserServer", robot: Robot, history: "History") -> None:
+    def __init__(self, server: "viser.ViserServer", robot: Robot, history: "LiveHistory") -> None:
         self._history = history
         super().__init__(server, "/live", robot, Puppet(robot), history.take(), 0.0, _GROUND)
         self._push_arrow = server.scene.add_arrows(

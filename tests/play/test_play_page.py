@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from browsing import PATIENCE_S, errors_of, picture, until
 from fastmimic.cli import main
-from fastmimic.play.history import History
+from fastmimic.play.history import LiveHistory
 from fastmimic.play.session import LiveSession
 from fastmimic.play.steering import IDLE, read_steering, steering_script
 from fastmimic.reference.motion_set import IN_PLACE
 from fastmimic.reference.standing import STAND
 from fastmimic.robot import Robot
-from fastmimic.viewer.server import HOST
-from view.browsing import PATIENCE_S, errors_of, picture, until
+from fastmimic.viewer.web import HOST
 
 GAMEPAD = """
 const pad = {axes: [0, 0, 0, 0], buttons: Array.from({length: 16}, () => ({pressed: false}))};
@@ -126,13 +126,13 @@ def served(session: LiveSession, port: int) -> Iterator[Any]:
 def test_a_browser_plays(browser: Any, a1: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     # all of it, since the page may be slower than the two seconds that its history keeps
     rows: list[tuple[float, float]] = []  # force that pushes, N, and velocity to the left, m/s
-    add = History.add
+    add = LiveHistory.add
 
-    def noted(history: History) -> None:
+    def noted(history: LiveHistory) -> None:
         add(history)
         rows.append((float(np.linalg.norm(history.now.push)), float(history.now.velocity_b[1])))
 
-    monkeypatch.setattr(History, "add", noted)
+    monkeypatch.setattr(LiveHistory, "add", noted)
     session = LiveSession(a1, {})
     assert session.library.next_hop(STAND, IN_PLACE) is not None  # made before, so that no second is lost later
     assert session.library.next_hop(IN_PLACE, STAND) is not None
@@ -199,7 +199,7 @@ def test_a_failure_of_the_simulation_ends_the_page(a1: Robot, monkeypatch: pytes
 
     session = LiveSession(a1, {})
     with PlayPage(session, "a1, live", 8760) as page:
-        monkeypatch.setattr(page, "_watched", lambda: True)
+        monkeypatch.setattr(page, "watched", lambda: True)
 
         def broken() -> None:
             raise FloatingPointError("broken")
@@ -213,10 +213,10 @@ def test_a_failure_of_the_simulation_ends_the_page(a1: Robot, monkeypatch: pytes
 
 def test_the_view_follows_without_the_sway(a1: Robot) -> None:
     pytest.importorskip("viser", reason="the extra 'view' is not installed")
-    from fastmimic.play.history import History
+    from fastmimic.play.history import LiveHistory
 
     session = LiveSession(a1, {})
-    history = History(session)
+    history = LiveHistory(session)
     session.switch(IN_PLACE)
     for _ in range(1500):
         session.step()

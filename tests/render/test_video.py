@@ -18,7 +18,7 @@ from fastmimic.clips.skeleton import KEYPOINTS
 from fastmimic.render import video
 from fastmimic.render.animal import animal_track
 from fastmimic.render.offscreen import Offscreen, in_any_thread
-from fastmimic.render.playback import AnimalTrack, Track, resample
+from fastmimic.render.tracks import AnimalTrack, Track, resample
 from fastmimic.render.video import render_video
 from fastmimic.robot import Robot
 from fastmimic.runs.load import load_motion
@@ -377,7 +377,7 @@ def test_no_display_and_mujoco_imported_first_still_draws(tmp_path: Path) -> Non
     script = f"""
 import mujoco, numpy as np
 from fastmimic.robot import load_robot
-from fastmimic.render.playback import Track
+from fastmimic.render.tracks import Track
 from fastmimic.render.video import render_video
 robot = load_robot("a1")
 track = Track(np.array([[0, 0, 0.3]]), np.array([[1.0, 0, 0, 0]]), robot.home_joint_pos[None])

@@ -1,11 +1,8 @@
 """A robot, a short rollout of it, its take, and a browser."""
 
-import shutil
-from collections.abc import Iterator
-from typing import Any
-
 import pytest
 
+from browsing import browser
 from fastmimic.control.config import default_config
 from fastmimic.episode.rollout import Rollout
 from fastmimic.imitation.imitate import evaluate
@@ -13,7 +10,6 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.runs.load import load_motion
 from fastmimic.viewer.take import Take, rollout_take
-from view.browsing import BROWSERS, SOFTWARE_GL
 
 SECONDS = 1.2
 
@@ -33,15 +29,4 @@ def take(rollout: Rollout, trot: Motion, a1: Robot) -> Take:
     return rollout_take(rollout, trot, a1, default_config(), "trot")
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Headless Chromium, or a skip that says what is missing."""
-    pytest.importorskip("viser", reason="the extra 'view' is not installed")
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (pip install playwright)")
-    executable = next((found for name in BROWSERS if (found := shutil.which(name))), None)
-    if executable is None:
-        pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is installed")
-    with api.sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=executable, args=list(SOFTWARE_GL))
-        yield launched
-        launched.close()
+__all__ = ["browser"]

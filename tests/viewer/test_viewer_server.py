@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from browsing import PATIENCE_S, picture, until
 from fastmimic.base.errors import ConfigError
 from fastmimic.cli import main
 from fastmimic.commands.view import View
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.runs.load import find_motion
-from fastmimic.viewer.server import HOST, free_port
 from fastmimic.viewer.take import Take
-from view.browsing import PATIENCE_S, picture, until
+from fastmimic.viewer.web import HOST, free_port
 
 
 @pytest.fixture
@@ -151,10 +151,10 @@ def test_a_run_is_shown_before_and_after_as_it_was_made(
 
 
 def test_a_browser_sees_the_robot_and_scrubs(browser: Any, take: Take, a1: Robot) -> None:
-    from fastmimic.viewer.server import Viewer
+    from fastmimic.viewer.viewer import Viewer
 
     with Viewer(a1, [[take]], "trot on a1", 8700) as viewer:
-        viewer.clock.toggle()  # software rendering is slow: one picture is enough
+        viewer.player.toggle()  # software rendering is slow: one picture is enough
         viewer.panel.show_playing()
         stop = threading.Event()
         thread = threading.Thread(target=viewer.run, args=(stop,))
@@ -175,15 +175,15 @@ def test_a_browser_sees_the_robot_and_scrubs(browser: Any, take: Take, a1: Robot
             slider.focus()
             slider.press("End")
             last = take.rows - 1
-            until(lambda: viewer.clock.row == last, page)
+            until(lambda: viewer.player.row == last, page)
             until(lambda: np.allclose(trunk.position, take.pose[last, :3], atol=1e-6), page)
             np.testing.assert_allclose(np.abs(trunk.wxyz @ take.pose[last, 3:7]), 1.0, atol=1e-6)
             until(lambda: np.abs(picture(page) - before).mean() > 0.2, page)
 
             page.get_by_role("button", name="first", exact=True).click()
-            until(lambda: viewer.clock.row == 0, page)
+            until(lambda: viewer.player.row == 0, page)
             page.get_by_role("button", name="+ 1", exact=True).click()
-            until(lambda: viewer.clock.row == take.cycle_starts[1], page)
+            until(lambda: viewer.player.row == take.cycle_starts[1], page)
 
             (client,) = viewer.server.get_clients().values()
             at_first = np.array(client.camera.position)
@@ -193,7 +193,7 @@ def test_a_browser_sees_the_robot_and_scrubs(browser: Any, take: Take, a1: Robot
             until(lambda: np.allclose(client.camera.position, at_first, atol=1e-2), page)
 
             page.get_by_role("button", name="Play", exact=True).click()
-            until(lambda: viewer.clock.row != take.cycle_starts[1], page)
+            until(lambda: viewer.player.row != take.cycle_starts[1], page)
             page.get_by_role("button", name="Pause", exact=True).wait_for()
             assert wrong == []
             page.close()

@@ -7,17 +7,17 @@ import pytest
 from video_files import RATE_HZ
 
 from fastmimic.render.offscreen import NoRendererError, Offscreen
-from fastmimic.render.playback import Track
-from fastmimic.render.scene import build_stage
+from fastmimic.render.tracks import Track
+from fastmimic.render.video_scene import build_video_scene
 from fastmimic.robot import Robot
 
 
 @pytest.fixture(scope="session")
 def opengl(a1: Robot) -> None:
     """Skips where nothing can be drawn: a machine without any OpenGL."""
-    stage = build_stage(a1, ghost=False, width=16, height=16, floor=np.zeros((2, 2)))
+    video_scene = build_video_scene(a1, ghost=False, width=16, height=16, floor=np.zeros((2, 2)))
     try:
-        Offscreen(stage.model).close()
+        Offscreen(video_scene.model).close()
     except NoRendererError as error:
         pytest.skip(str(error))
 

@@ -1,0 +1,5 @@
+"""A browser."""
+
+from browsing import browser
+
+__all__ = ["browser"]
