@@ -14,8 +14,8 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
-    from fastmimic.runs.load import MotionSource
     from fastmimic.render.animal import Animal
+    from fastmimic.runs.load import MotionSource
     from fastmimic.viewer.take import Take
 
 
@@ -88,8 +88,8 @@ class View(MotionOptions):
     def _prepare(self, source: "MotionSource") -> "tuple[Robot, list[list[Take]], str, Animal | None]":
         """The robot, what is shown of it, the heading, and the animal."""
         from fastmimic.imitation.imitate import EVALUATION_S, default_duration
-        from fastmimic.runs.load import find_motion
         from fastmimic.render.animal import Animal
+        from fastmimic.runs.load import find_motion
 
         overrides = self.overrides()
         robot = self.load_robot(source)
