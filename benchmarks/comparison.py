@@ -22,8 +22,8 @@ from marked import put
 import fastmimic as fm
 from fastmimic.base.machine import available_cores
 from fastmimic.cli import main as fastmimic
-from fastmimic.experiments.compare import Plan, compare
-from fastmimic.experiments.runs import Settings
+from fastmimic.experiments.compare import ComparisonPlan, compare
+from fastmimic.experiments.comparison_run import ComparisonSettings
 from fastmimic.report.comparison_folder import ENVIRONMENT
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -69,8 +69,8 @@ def write(which: str, out: Path) -> None:
 def scaling() -> None:
     """Two searches at once: by threads one after the other, and by processes side by side."""
     cores = available_cores()
-    plan = Plan(
-        Settings(**SEARCH, perturbed_episodes=1, evaluation_s=1.0),
+    plan = ComparisonPlan(
+        ComparisonSettings(**SEARCH, perturbed_episodes=1, evaluation_s=1.0),
         ("trot",),
         ("mbc-dmp",),
         seeds=cores,

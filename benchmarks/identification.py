@@ -25,7 +25,7 @@ from fastmimic.identification.identify import Identification, identify
 from fastmimic.motion.motion import Motion
 from fastmimic.render.figure_style import new_figure, save, tidy
 from fastmimic.robot import Robot, load_robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance
 

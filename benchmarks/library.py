@@ -29,17 +29,17 @@ import numpy as np
 from marked import put
 
 from fastmimic.clips.data import data_folder
-from fastmimic.dataset import Building, Library, Recipe, Source, build, find_sources
-from fastmimic.dataset.build import Step
+from fastmimic.dataset import BuildRequest, BuildSettings, DatasetSource, MotionDataset, build, find_sources
+from fastmimic.dataset.build import BuildStep
+from fastmimic.dataset.excerpts import Survey, look_of, survey
 from fastmimic.dataset.jobs import Job, perform, robot_digest
-from fastmimic.dataset.pieces import Survey, look_of, survey
 from fastmimic.dataset.records import DONE, FIGURES, record_file, sha256
 from fastmimic.dataset.warm_start import distance
 from fastmimic.executors import Executor, Report, make_executor
 from fastmimic.executors.local import LocalExecutor
 from fastmimic.imitation.imitate import imitate, versions
 from fastmimic.robot import load_robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
 PAGE = Path(__file__).parents[1] / "docs" / "library.md"
 MOTIONS = ("trot", "pace", "turn", "side-step")
@@ -61,8 +61,8 @@ def measured(job: Job, report: Report) -> tuple[dict[str, Any], float]:
 def jobs_of(folder: Path, iterations: int) -> list[Job]:
     """The built-in motions on the A1."""
     robot = load_robot("a1")
-    recipe = Recipe(iterations=iterations)
-    pieces = [piece for name in MOTIONS for piece in survey(Source(name), 0.5).pieces]
+    recipe = BuildSettings(iterations=iterations)
+    pieces = [piece for name in MOTIONS for piece in survey(DatasetSource(name), 0.5).pieces]
     return [Job(piece, "a1", robot_digest(robot), 0, recipe, folder) for piece in pieces]
 
 
@@ -70,7 +70,7 @@ def timed(executor: Executor, iterations: int) -> dict[str, Any]:
     """Wall and processor time of the jobs, memory, and disk."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        Library(folder).save_recipe(Recipe(iterations=iterations))
+        MotionDataset(folder).save_recipe(BuildSettings(iterations=iterations))
         began = time.perf_counter()
         done = [outcome.result for outcome in executor.run(measured, jobs_of(folder, iterations))]
         wall = time.perf_counter() - began
@@ -96,9 +96,11 @@ def cost() -> dict[str, Any]:
     long = timed(two, LONG)
     each = (long["cpu_s"] - short["two"]["cpu_s"]) / (LONG - SHORT)
     trials = short["two"]["cpu_s"] - SHORT * each
-    whole = trials + Recipe().iterations * each
+    whole = trials + BuildSettings().iterations * each
     sizes = [figures["kb"]["checkpoint"] for figures in (short["two"], long)]
-    checkpoint = sizes[1] + (sizes[1] - sizes[0]) / (LONG - SHORT) * (Recipe().iterations - LONG)  # it grows with each
+    checkpoint = sizes[1] + (sizes[1] - sizes[0]) / (LONG - SHORT) * (
+        BuildSettings().iterations - LONG
+    )  # it grows with each
     takes = _surveying()
     return {
         "iteration_cpu_s": each,
@@ -158,7 +160,7 @@ def cost_table(c: dict[str, Any]) -> str:
 def warm(say: Callable[[str], None]) -> list[dict[str, Any]]:
     """Searches of each motion from the unmodulated one and from the nearest other one's result, seed by seed."""
     robot = load_robot("a1")
-    pieces = {name: survey(Source(name), 0.0).pieces[0] for name in WARM_MOTIONS}
+    pieces = {name: survey(DatasetSource(name), 0.0).pieces[0] for name in WARM_MOTIONS}
     motions = {name: load_motion(name, robot) for name in WARM_MOTIONS}
     cold: dict[tuple[str, int], Any] = {}
     for name in WARM_MOTIONS:
@@ -229,13 +231,13 @@ def warm_table(rows: Sequence[dict[str, Any]]) -> str:
 def takes(out: Path, iterations: int, say: Callable[[str], None]) -> str:
     """A library of all recordings of the dog; its table as Markdown."""
 
-    def progress(step: Step) -> None:
+    def progress(step: BuildStep) -> None:
         if step.record is not None:
             say(f"{step.done}/{step.total} {step.record['name']}: {step.record['reward']}")
 
     sources = find_sources(data_folder())
-    recipe = replace(Recipe(), iterations=iterations)
-    built = build(Building(sources, recipe, ("a1",)), out, make_executor("local"), progress=progress)
+    recipe = replace(BuildSettings(), iterations=iterations)
+    built = build(BuildRequest(sources, recipe, ("a1",)), out, make_executor("local"), progress=progress)
     rows = built.rows
     by_gait: dict[str, Counter[str]] = {}
     for row in rows:
@@ -265,18 +267,18 @@ def takes(out: Path, iterations: int, say: Callable[[str], None]) -> str:
 
 def copied(count: int, library: Path, clips: Path) -> None:
     """A library of one record, copied with other names and figures; its clips and motions are a few bytes each."""
-    recipe, digest = Recipe(), robot_digest(load_robot("a1"))
-    made = Library(library)
+    recipe, digest = BuildSettings(), robot_digest(load_robot("a1"))
+    made = MotionDataset(library)
     made.save_recipe(recipe)
     made.save_robot("a1", digest)
     for folder in (clips, library / "motions", library / "records", library / "sources"):
         folder.mkdir()
-    (trot,) = survey(Source("trot"), 0.5).pieces
+    (trot,) = survey(DatasetSource("trot"), 0.5).pieces
     versions_at = {f"{name}_version": version for name, version in versions().items()}
     for i in range(count):
         clip = clips / f"clip{i:06}.txt"
         clip.write_text(f"{i}")
-        source = Source(str(clip.resolve()))
+        source = DatasetSource(str(clip.resolve()))
         piece = replace(trot, name=source.name, source=source, digest=hashlib.sha256(str(i).encode()).hexdigest()[:16])
         looked = asdict(Survey(source, (piece,), looked=look_of(source, 0.5, False)))
         (library / "sources" / f"{source.key}.json").write_text(json.dumps(looked))
@@ -355,7 +357,7 @@ def main() -> None:
         text = index_table(figures)
     else:
         text = takes(given.out, given.iterations, say)
-        figures = Library.open(given.out).index()
+        figures = MotionDataset.open(given.out).index()
     print(json.dumps(figures) if given.json else text)
     if given.write:
         put(PAGE, given.what, text)

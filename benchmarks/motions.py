@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 from marked import put
+from motion_survey import random_cycles, summary, survey, table
 
 import fastmimic as fm
 from fastmimic.base.files import replace_file
 from fastmimic.clips.catalogue import motion_names, open_clip
-from fastmimic.experiments.survey import random_cycles, summary, survey, table
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "motions.md"
 

@@ -18,23 +18,23 @@ import shutil
 import sys
 from pathlib import Path
 
-from marked import put
-
-from fastmimic.cli import main as fastmimic
-from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, RUNS
-from fastmimic.experiments.cost import (
+from learning_cost import (
     cost_table,
     paper_cost,
     read_evaluations,
     search_courses,
     training_course,
 )
-from fastmimic.experiments.runs import MOTION, Run, slug
+from learning_cost_figure import cost_figure
+from marked import put
+
+from fastmimic.cli import main as fastmimic
+from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, RUNS
+from fastmimic.experiments.comparison_run import MOTION, Run, slug
 from fastmimic.experiments.transfer import STAGES, all_trials, transfer_table
 from fastmimic.learning.training_folder import EVALUATIONS
 from fastmimic.render.figure_style import save
 from fastmimic.report.comparison_folder import ENVIRONMENT
-from fastmimic.report.cost import cost_figure
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 FIGURE = "policies.png"

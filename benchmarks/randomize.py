@@ -24,7 +24,7 @@ import fastmimic as fm
 from fastmimic.base.files import replace_file
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.rollout import nominal_start, run_episodes
-from fastmimic.experiments.entrants import Entrant
+from fastmimic.experiments.subject import Subject
 from fastmimic.experiments.transfer import LAST, STAGES, TransferSettings, run_trials
 from fastmimic.imitation.imitate import default_duration
 from fastmimic.imitation.methods import controller_for
@@ -74,7 +74,7 @@ def measured(motion: fm.Motion, settings: Settings) -> dict[str, Any]:
     start = nominal_start(HELD_OUT)
     others = run_episodes(robot, motion, start=start, duration_s=seconds, config=config, conditions=conditions)
     last = [stage for stage in STAGES if stage.name == LAST]
-    trials = run_trials(Entrant(method, motion, config), robot, TransferSettings(duration_s=DURATION_S), last)
+    trials = run_trials(Subject(method, motion, config), robot, TransferSettings(duration_s=DURATION_S), last)
     share = nominal.clearance[0] / swing_clearance(motion.target, robot.foot_radius)
     return {
         "nominal": float(nominal.reward[0]),

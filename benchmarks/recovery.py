@@ -20,7 +20,7 @@ from fastmimic.episode.rollout import Start, nominal_start, run_episodes
 from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance
 

@@ -17,9 +17,9 @@ from marked import put
 
 from fastmimic.cli import main as fastmimic
 from fastmimic.experiments.compare import PAPER_MOTIONS
-from fastmimic.experiments.runs import slug
+from fastmimic.experiments.comparison_run import slug
 from fastmimic.report.result_folder import ENVIRONMENT, TABLE
-from fastmimic.report.stress import SUCCESS_FIGURE
+from fastmimic.report.stress_figures import SUCCESS_FIGURE
 from fastmimic.simulation.disturbances import DISTURBANCES
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

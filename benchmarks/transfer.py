@@ -18,7 +18,7 @@ from marked import put
 from fastmimic.cli import main as fastmimic
 from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.report.result_folder import ENVIRONMENT, TABLE
-from fastmimic.report.transfer import FIGURE
+from fastmimic.report.transfer_figures import FIGURE
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from fastmimic.optimize.randomization import Randomization
     from fastmimic.primitive import MotionDmp
     from fastmimic.retargeting.retarget import retarget
-    from fastmimic.runs.load import load_motion
+    from fastmimic.runs.loading import load_motion
     from fastmimic.simulation.conditions import Conditions
 
 _WHERE = {
@@ -45,7 +45,7 @@ _WHERE = {
     "Robot": "fastmimic.robot",
     "evaluate": "fastmimic.imitation.imitate",
     "imitate": "fastmimic.imitation.imitate",
-    "load_motion": "fastmimic.runs.load",
+    "load_motion": "fastmimic.runs.loading",
     "load_robot": "fastmimic.robot",
     "motion_names": "fastmimic.clips.catalogue",
     "open_clip": "fastmimic.clips.catalogue",

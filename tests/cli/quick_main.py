@@ -3,7 +3,7 @@
 import signal
 import sys
 
-import fastmimic.experiments.runs as runs
+import fastmimic.experiments.comparison_run as runs
 import fastmimic.optimize.cma_es as cma_es
 from fastmimic.cli import main
 

@@ -14,7 +14,7 @@ import pytest
 
 from cli.running import Run
 from fastmimic.experiments.compare import PAPER_MOTIONS
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
 Start = Callable[..., "subprocess.Popen[str]"]
 TINY = ("--iterations", "12", "--population", "4", "--duration", "0.6", "--seeds", "1")
@@ -23,7 +23,7 @@ TINY = ("--iterations", "12", "--population", "4", "--duration", "0.6", "--seeds
 @pytest.fixture(autouse=True)
 def short_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
     """For the commands that run in this process."""
-    monkeypatch.setattr("fastmimic.experiments.runs.EVALUATION_S", 0.6)
+    monkeypatch.setattr("fastmimic.experiments.comparison_run.EVALUATION_S", 0.6)
 
 
 def rows(folder: Path) -> list[dict[str, str]]:

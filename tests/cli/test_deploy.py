@@ -10,7 +10,7 @@ import pytest
 from cli.running import Run
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.motion.motion import Motion
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
 QUICK = ("--driver", "sim", "--lock-step", "--duration", "0.2")
 

@@ -61,11 +61,11 @@ class TestStress:
 
         real, calls = stress.sweep, []
 
-        def interrupted(entrant: Any, name: str, *rest: Any) -> Any:
-            calls.append((entrant.method.name, name))
+        def interrupted(subject: Any, name: str, *rest: Any) -> Any:
+            calls.append((subject.method.name, name))
             if name == "com-x":
                 raise KeyboardInterrupt
-            return real(entrant, name, *rest)
+            return real(subject, name, *rest)
 
         with monkeypatch.context() as patch:
             patch.setattr(stress, "sweep", interrupted)

@@ -24,7 +24,7 @@ from fastmimic.render.offscreen import NoRendererError, Offscreen
 from fastmimic.render.tracks import Track
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
 EVALUATION_KEYS = {
     *("reward_mean", "reward_std", "components", "fell", "drift_m_per_s"),

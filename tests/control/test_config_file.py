@@ -22,7 +22,7 @@ from fastmimic.control.config_parts import LoadConfig
 from fastmimic.control.controller import Controller
 from fastmimic.control.load import loaded_robot
 from fastmimic.robot import load_robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
 
 def write(path: Path, **content: Any) -> Path:

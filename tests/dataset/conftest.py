@@ -3,20 +3,20 @@
 from pathlib import Path
 
 from cli.conftest import in_folder, run, short_validation, start
-from fastmimic.dataset import Building, Library, Recipe, Source
+from fastmimic.dataset import BuildRequest, BuildSettings, DatasetSource, MotionDataset
 from fastmimic.dataset.folder import reproducible
 
 __all__ = ["in_folder", "run", "short_validation", "start"]
 
-RECIPE = Recipe(
+RECIPE = BuildSettings(
     iterations=3, population=4, duration_s=0.6, evaluation_s=0.6, perturbed=1, others=2, second_simulator=False
 )
 
 
-def of(*names: str, **options: object) -> Building:
+def of(*names: str, **options: object) -> BuildRequest:
     """The named motions, on the A1."""
-    sources = [Source(name) for name in names]
-    return Building(sources, RECIPE, ("a1",), **options)  # type: ignore[arg-type]
+    sources = [DatasetSource(name) for name in names]
+    return BuildRequest(sources, RECIPE, ("a1",), **options)  # type: ignore[arg-type]
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -27,5 +27,5 @@ def contents(folder: Path) -> dict[str, bytes]:
 def same(one: Path, other: Path) -> None:
     """Fails unless two libraries hold the same, bit for bit."""
     assert contents(one) == contents(other)
-    rows = [[reproducible(row) for row in Library.open(folder).index()] for folder in (one, other)]
+    rows = [[reproducible(row) for row in MotionDataset.open(folder).index()] for folder in (one, other)]
     assert rows[0] == rows[1]

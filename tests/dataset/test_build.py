@@ -13,19 +13,19 @@ import pytest
 
 from dataset.conftest import RECIPE, contents, of
 from fastmimic.base.errors import LibraryError, OutputError, WorkerError
-from fastmimic.dataset import Building, Library, Source, build, find_sources
+from fastmimic.dataset import BuildRequest, DatasetSource, MotionDataset, build, find_sources
 from fastmimic.dataset.build import Built
+from fastmimic.dataset.excerpts import survey
 from fastmimic.dataset.folder import check
 from fastmimic.dataset.jobs import Job, give_up, perform, robot_digest
-from fastmimic.dataset.mending import mend, rerun
-from fastmimic.dataset.pieces import survey
 from fastmimic.dataset.records import COLUMNS, load_record
+from fastmimic.dataset.repair import mend, rerun
 from fastmimic.executors import make_executor
 from fastmimic.imitation.imitate import evaluate
 from fastmimic.motion.export import export_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import load_robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
 HERE = make_executor("local", workers=1)
 
@@ -46,7 +46,7 @@ def mine(built: Path, tmp_path: Path) -> Path:
 
 
 def test_a_record_says_all(built: Path) -> None:
-    rows = Library.open(built).index()
+    rows = MotionDataset.open(built).index()
     assert [(row["name"], row["robot"], row["grade"]) for row in rows] == [("pace", "a1", "A"), ("trot", "a1", "A")]
     for row in rows:
         assert row["kept"]
@@ -54,7 +54,7 @@ def test_a_record_says_all(built: Path) -> None:
         assert row["gait"] == row["footfall"] == row["name"]
         assert row["licence"].startswith("no recording")
         assert row["reward_second_simulator"] is None
-        motion = Library.open(built).motion(row)
+        motion = MotionDataset.open(built).motion(row)
         again = evaluate(motion, "a1", duration_s=RECIPE.evaluation_s)
         assert again.rollout.reward[0] == row["reward"]
         assert row["iterations"] == 3
@@ -77,7 +77,7 @@ def test_a_second_build_does_nothing(mine: Path) -> None:
 
 
 def test_more_seeds_and_robots_are_added(mine: Path) -> None:
-    more = Building([Source("trot")], RECIPE, ("a1", "go2"), seeds=2)
+    more = BuildRequest([DatasetSource("trot")], RECIPE, ("a1", "go2"), seeds=2)
     again = build(more, mine, HERE)
     assert (again.jobs, again.done) == (4, 3)
     rows = [row for row in again.rows if row["name"] == "trot"]
@@ -88,7 +88,7 @@ def test_more_seeds_and_robots_are_added(mine: Path) -> None:
 
 @pytest.mark.parametrize("harm", ["torn motion", "changed motion", "lost motion", "torn record", "other record"])
 def test_what_is_torn_is_noticed_and_done_again(harm: str, mine: Path) -> None:
-    before, rows = contents(mine), Library.open(mine).index()
+    before, rows = contents(mine), MotionDataset.open(mine).index()
     motion, record = mine / rows[0]["motion_file"], mine / "records" / f"{rows[0]['id']}.json"
     if harm == "torn motion":
         motion.write_bytes(motion.read_bytes()[:1000])
@@ -100,12 +100,12 @@ def test_what_is_torn_is_noticed_and_done_again(harm: str, mine: Path) -> None:
         record.write_bytes(record.read_bytes()[:200])
     else:
         record.write_text("[]")
-    health = check(Library.open(mine))
+    health = check(MotionDataset.open(mine))
     assert len(health.damaged) == 1
     again = build(of("trot", "pace"), mine, HERE)
     assert again.done == 1
     assert contents(mine) == before
-    assert check(Library.open(mine)).sound
+    assert check(MotionDataset.open(mine)).sound
 
 
 def test_a_build_reads_no_motion_that_is_as_it_was_when_it_was_read_last(
@@ -122,14 +122,14 @@ def test_a_build_reads_no_motion_that_is_as_it_was_when_it_was_read_last(
     assert len(read) == 2
     assert build(of("trot", "pace"), mine, HERE).done == 0
     assert len(read) == 2
-    assert check(Library.open(mine)).sound
+    assert check(MotionDataset.open(mine)).sound
     assert len(read) == 4
     motion = next((mine / "motions").glob("trot*"))
     then = motion.stat()
     motion.write_bytes(motion.read_bytes()[:-1] + b"x")
     os.utime(motion, ns=(then.st_atime_ns, then.st_mtime_ns))  # lost without a trace
     assert build(of("trot", "pace"), mine, HERE).done == 0
-    assert len(check(Library.open(mine)).damaged) == 1
+    assert len(check(MotionDataset.open(mine)).damaged) == 1
     (mine / "work" / "seen.json").write_text("{")
     assert build(of("trot", "pace"), mine, HERE).done == 1
 
@@ -146,7 +146,7 @@ def test_a_build_looks_through_no_source_that_is_as_it_was(
     def again(confidence: float = 0.5, update: bool = False) -> list[str]:
         looked.clear()
         sources = find_sources(tmp_path / "clips")
-        build(Building(sources, RECIPE, ("a1",), confidence=confidence), tmp_path / "lib", HERE, update=update)
+        build(BuildRequest(sources, RECIPE, ("a1",), confidence=confidence), tmp_path / "lib", HERE, update=update)
         return looked
 
     assert again() == ["pace", "torn", "trot"]
@@ -163,7 +163,7 @@ def test_what_is_gone_from_a_folder_leaves_the_index(clips: Path, tmp_path: Path
     def built(place: Path) -> list[str]:
         sources = find_sources(place, exclude=["torn*"] if len(made) else [])
         folders = [place] if place.is_dir() else []
-        library = build(Building(sources, RECIPE, ("a1",), folders=folders), tmp_path / "lib", HERE).library
+        library = build(BuildRequest(sources, RECIPE, ("a1",), folders=folders), tmp_path / "lib", HERE).library
         problems = [survey.source.name for survey in library.surveys() if survey.problem]
         return [row["name"] for row in library.index()] + problems
 
@@ -173,17 +173,17 @@ def test_what_is_gone_from_a_folder_leaves_the_index(clips: Path, tmp_path: Path
     (folder / "trot.txt").unlink()
     assert built(folder / "below") == ["pace", "trot", "torn"]  # nothing is said of other folders
     assert built(folder) == ["pace"]
-    (old,) = Library.open(tmp_path / "lib").gathered().superseded
+    (old,) = MotionDataset.open(tmp_path / "lib").gathered().superseded
     assert (old.name, old.why) == ("trot", "its source has changed or is gone")
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"pieces": [1]}'])
 def test_a_damaged_file_about_a_source_or_robot_takes_nothing_else_with_it(text: str, mine: Path) -> None:
-    library, before = Library.open(mine), contents(mine)
+    library, before = MotionDataset.open(mine), contents(mine)
     rows = library.index()
     for kind in ("sources", "robots"):
         next((mine / kind).iterdir()).write_text(text)
-    assert Library.open(mine).find("trot") == [row for row in rows if row["name"] == "trot"]
+    assert MotionDataset.open(mine).find("trot") == [row for row in rows if row["name"] == "trot"]
     assert len(library.surveys()) == 1
     health = check(library)
     assert [line.split("/")[0] for line in health.damaged] == ["robots", "sources"]
@@ -199,21 +199,21 @@ def test_a_damaged_file_about_a_source_or_robot_takes_nothing_else_with_it(text:
 
 @pytest.mark.parametrize("text", ["", "{}", '{"format_version": 1, "recipe": {}, "digest": "0"}'])
 def test_a_damaged_recipe_is_written_anew_by_the_next_build_like_it(text: str, mine: Path) -> None:
-    rows = Library.open(mine).index()
+    rows = MotionDataset.open(mine).index()
     (mine / "library.json").write_text(text)
-    library = Library.open(mine)
+    library = MotionDataset.open(mine)
     assert library.index() == rows
     assert len(check(library).damaged) == 1
     with pytest.raises(LibraryError, match="cannot be read"):
         build(replace(of("trot"), recipe=replace(RECIPE, iterations=5)), mine, HERE)
     assert build(of("trot", "pace"), mine, HERE).done == 0
-    assert check(Library.open(mine)).sound
+    assert check(MotionDataset.open(mine)).sound
 
 
 def test_a_record_of_another_kind_is_none(mine: Path) -> None:
     path = next((mine / "records").iterdir())
     path.write_text(json.dumps({**json.loads(path.read_text()), "reward": "high"}))
-    assert check(Library.open(mine)).damaged == (f"records/{path.name}: not a whole record",)
+    assert check(MotionDataset.open(mine)).damaged == (f"records/{path.name}: not a whole record",)
     assert build(of("trot", "pace"), mine, HERE).done == 1
 
 
@@ -222,7 +222,7 @@ def test_what_a_killed_builder_has_left_is_removed(mine: Path) -> None:
     for name in left:
         (mine / name).write_text("half")
     (mine / ".gitignore").write_text("work/")
-    health, removed = mend(Library.open(mine))
+    health, removed = mend(MotionDataset.open(mine))
     assert (sorted(health.foreign), removed) == (sorted(left), 4)
     assert (mine / ".gitignore").exists()
 
@@ -249,10 +249,10 @@ def test_a_longer_search_goes_on_from_the_shorter_one(mine: Path, monkeypatch: p
     again = build(longer, mine, HERE, update=True)
     assert begun == [True]
     assert [row["iterations"] for row in again.rows] == [5]  # the pace is of the old recipe
-    health = check(Library.open(mine))
+    health = check(MotionDataset.open(mine))
     assert len(health.foreign) == 4  # the old records, and their motions
-    assert mend(Library.open(mine)) == (health, 4)
-    assert check(Library.open(mine)).foreign == ()
+    assert mend(MotionDataset.open(mine)) == (health, 4)
+    assert check(MotionDataset.open(mine)).foreign == ()
 
 
 def test_a_full_disk_loses_nothing(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -269,7 +269,7 @@ def test_a_full_disk_loses_nothing(mine: Path, monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(OutputError, match="No space left"):
         build(of("trot", "pace", "walk"), mine, HERE)
     assert contents(mine) == before
-    assert len(Library.open(mine).index()) == 2
+    assert len(MotionDataset.open(mine).index()) == 2
     full = False
     assert build(of("trot", "pace", "walk"), mine, HERE).done == 1
 
@@ -293,7 +293,7 @@ def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_folder_with_one_clip_that_is_torn(clips: Path, tmp_path: Path) -> None:
     sources = find_sources(clips)
     assert [Path(source.place).name for source in sources] == ["pace.txt", "torn.txt", "trot.txt"]
-    done = build(Building(sources, RECIPE, ("a1",)), tmp_path, HERE)
+    done = build(BuildRequest(sources, RECIPE, ("a1",)), tmp_path, HERE)
     assert [(row["name"], row["status"]) for row in done.rows] == [("pace", "done"), ("trot", "done")]
     assert {row["licence"] for row in done.rows} == {"Made for a test"}
     failed = [survey for survey in done.surveys if survey.failed is not None]
@@ -305,7 +305,7 @@ def test_a_source_that_changes_is_done_again(clips: Path, tmp_path: Path) -> Non
     file = tmp_path / "trot.txt"
     file.write_text((clips / "trot.txt").read_text())
     folder = tmp_path / "library"
-    building = Building(find_sources(file), RECIPE, ("a1",))
+    building = BuildRequest(find_sources(file), RECIPE, ("a1",))
     first = build(building, folder, HERE)
     file.write_text((clips / "below/pace.txt").read_text())
     second = build(building, folder, HERE)
@@ -322,7 +322,7 @@ def test_equal_clips_are_one_motion_with_a_source_and_its_licence(clips: Path, t
 
     def made(licence: str | None = None) -> Built:
         sources = find_sources(tmp_path / "clips", licence=licence)
-        return build(Building(sources, RECIPE, ("a1",)), tmp_path / "library", HERE)
+        return build(BuildRequest(sources, RECIPE, ("a1",)), tmp_path / "library", HERE)
 
     first = made()
     assert (first.jobs, first.done) == (1, 1)
@@ -349,8 +349,8 @@ def test_a_defect_met_in_a_source_is_that_sources(monkeypatch: pytest.MonkeyPatc
     def open_clip(*_: object, **__: object) -> None:
         raise IndexError("a defect")
 
-    monkeypatch.setattr("fastmimic.dataset.pieces.open_clip", open_clip)
-    found = survey(Source("trot"), 0.5)
+    monkeypatch.setattr("fastmimic.dataset.excerpts.open_clip", open_clip)
+    found = survey(DatasetSource("trot"), 0.5)
     assert (found.failed or "").startswith("unexpected IndexError in test_build.py")
     assert found.problem == f"trot: {found.failed}"
 
@@ -366,7 +366,7 @@ def test_a_controllers_file_is_told_by_its_content(tmp_path: Path, monkeypatch: 
     monkeypatch.chdir(tmp_path)
     recipe = replace(RECIPE, config="mine.json")
     assert recipe.digest == replace(RECIPE, config="below/mine.json").digest
-    library = Library(tmp_path / "library")
+    library = MotionDataset(tmp_path / "library")
     library.save_recipe(recipe)
     write(tmp_path / "mine.json", 0.5)
     with pytest.raises(LibraryError, match="made otherwise"):
@@ -374,11 +374,11 @@ def test_a_controllers_file_is_told_by_its_content(tmp_path: Path, monkeypatch: 
     monkeypatch.chdir("/")
     assert library.recipe() == recipe
     (tmp_path / "mine.json").unlink()
-    assert Library.open(library.path).recipe_digest() == recipe.digest
+    assert MotionDataset.open(library.path).recipe_digest() == recipe.digest
 
 
 def test_what_is_of_another_robot_leaves_the_index(mine: Path) -> None:
-    library = Library.open(mine)
+    library = MotionDataset.open(mine)
     assert library.write_index().table.num_rows == 2
     library.save_robot("a1", "another")
     assert library.write_index().table.num_rows == 0
@@ -390,14 +390,14 @@ def test_what_is_of_another_robot_leaves_the_index(mine: Path) -> None:
 
 def test_the_index_of_a_running_build_is_written_once(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     others = iter(range(5))
-    monkeypatch.setattr(Library, "_state", lambda self: {next(others)})
-    assert Library.open(mine).write_index(settled=False).table.num_rows == 2
+    monkeypatch.setattr(MotionDataset, "_state", lambda self: {next(others)})
+    assert MotionDataset.open(mine).write_index(settled=False).table.num_rows == 2
     assert next(others) == 1
 
 
 def job_of(name: str, folder: Path) -> Job:
     """As `build` makes it."""
-    (piece,) = survey(Source(name), 0.5).pieces
+    (piece,) = survey(DatasetSource(name), 0.5).pieces
     return Job(piece, "a1", robot_digest(load_robot("a1")), 0, RECIPE, folder)
 
 
@@ -441,7 +441,7 @@ def test_a_motion_that_cannot_be_made_is_said_with_its_reason(tmp_path: Path, mo
 
 def test_long_takes_are_cut(data_folder: Path, tmp_path: Path) -> None:
     take = data_folder / "dog_keypoints" / "dog_walk09_joint_pos.txt"
-    building = Building(find_sources(take), replace(RECIPE, iterations=1), ("a1",), confidence=0.8)
+    building = BuildRequest(find_sources(take), replace(RECIPE, iterations=1), ("a1",), confidence=0.8)
     done = build(building, tmp_path, HERE)
     assert done.jobs >= 2
     assert all(row["first_frame"] < row["end_frame"] for row in done.rows)
@@ -464,32 +464,32 @@ def test_movement_that_does_not_repeat_is_asked_for(data_folder: Path, tmp_path:
 
 
 def test_warm_starts_are_of_the_nearest(built: Path, tmp_path: Path) -> None:
-    rows = {row["name"]: row for row in Library.open(built).index()}
-    done = build(of("pace", warm=Library.open(built)), tmp_path, HERE)
+    rows = {row["name"]: row for row in MotionDataset.open(built).index()}
+    done = build(of("pace", warm=MotionDataset.open(built)), tmp_path, HERE)
     assert [row["warm_start"] for row in done.rows] == [rows["pace"]["id"]]
     assert done.rows[0]["id"] != rows["pace"]["id"]
     assert done.rows[0]["reward"] >= rows["pace"]["reward"] - 1e-3
 
 
 def test_of_several_starts_the_one_of_the_last_build_counts(built: Path, mine: Path) -> None:
-    def starts(building: Building) -> list[str | None]:
+    def starts(building: BuildRequest) -> list[str | None]:
         return [row["warm_start"] for row in build(building, mine, HERE).rows if row["name"] == "pace"]
 
-    cold = {row["name"]: row["id"] for row in Library.open(mine).index()}
-    warm = replace(of("pace"), warm=Library.open(built))
+    cold = {row["name"]: row["id"] for row in MotionDataset.open(mine).index()}
+    warm = replace(of("pace"), warm=MotionDataset.open(built))
     assert starts(warm) == [cold["pace"]]
-    (old,) = Library.open(mine).gathered().superseded
-    (row,) = Library.open(mine).find("pace")
+    (old,) = MotionDataset.open(mine).gathered().superseded
+    (row,) = MotionDataset.open(mine).find("pace")
     assert (old.id, old.why) == (cold["pace"], f"begun otherwise; instead of it there is {row['id']}")
     assert starts(of("pace")) == [None]
     assert starts(warm) == [cold["pace"]]
-    health, removed = mend(Library.open(mine))
+    health, removed = mend(MotionDataset.open(mine))
     assert removed == len(health.foreign) == 2  # the record, and its motion
-    assert {row["name"] for row in Library.open(mine).index()} == {"pace", "trot"}
+    assert {row["name"] for row in MotionDataset.open(mine).index()} == {"pace", "trot"}
 
 
 def test_a_rerun_notices_another_reward(mine: Path) -> None:
-    library = Library.open(mine)
+    library = MotionDataset.open(mine)
     assert rerun(library, 5) == ([], 2)
     path = next(mine.glob("records/*.json"))
     record = json.loads(path.read_text())
@@ -541,23 +541,23 @@ def test_folders_without_clips(tmp_path: Path) -> None:
     with pytest.raises(LibraryError, match="no clips"):
         find_sources(tmp_path)
     with pytest.raises(LibraryError, match="no library there"):
-        Library.open(tmp_path)
+        MotionDataset.open(tmp_path)
 
 
 def test_a_library_of_another_format(mine: Path) -> None:
     (mine / "library.json").write_text('{"format_version": 9, "recipe": {}}')
     with pytest.raises(LibraryError, match=r"library\.json"):
-        Library.open(mine)
+        MotionDataset.open(mine)
 
 
 @pytest.mark.parametrize("harm", ["lost", "torn"])
 def test_an_index_that_is_damaged_is_made_anew(harm: str, mine: Path) -> None:
     index = mine / "index.parquet"
-    rows = Library.open(mine).index()
+    rows = MotionDataset.open(mine).index()
     index.unlink() if harm == "lost" else index.write_bytes(index.read_bytes()[:300])
     with pytest.raises(LibraryError, match=r"index\.parquet"):
-        Library.open(mine).index()
-    health = check(Library.open(mine))
+        MotionDataset.open(mine).index()
+    health = check(MotionDataset.open(mine))
     assert health.outdated
-    mend(Library.open(mine))
-    assert Library.open(mine).index() == rows
+    mend(MotionDataset.open(mine))
+    assert MotionDataset.open(mine).index() == rows

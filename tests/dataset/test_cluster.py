@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from dataset.conftest import of, same
-from fastmimic.dataset import Library, build
-from fastmimic.dataset.build import Step
-from fastmimic.dataset.mending import mend
+from fastmimic.dataset import MotionDataset, build
+from fastmimic.dataset.build import BuildStep
+from fastmimic.dataset.repair import mend
 from fastmimic.executors import make_executor
 
 MOTIONS = ("trot", "pace", "walk", "side-step", "turn", "bound", "spin", "backward-trot")
@@ -48,7 +48,7 @@ def test_a_worker_and_a_node_that_are_killed_cost_nothing_but_time(cluster: Any,
     killed: list[str] = []
     recorded: Counter[str] = Counter()
 
-    def progress(step: Step) -> None:
+    def progress(step: BuildStep) -> None:
         if step.record is None:
             return
         recorded[step.record["id"]] += 1
@@ -65,7 +65,7 @@ def test_a_worker_and_a_node_that_are_killed_cost_nothing_but_time(cluster: Any,
     assert (built.jobs, built.done) == (8, 8)
     assert len(recorded) == 8
     assert set(recorded.values()) == {1}
-    health, _ = mend(Library.open(tmp_path / "cluster"))
+    health, _ = mend(MotionDataset.open(tmp_path / "cluster"))
     assert health.sound
     assert all(Path(name).name.startswith(".") for name in health.foreign), "more than what was cut off while written"
 

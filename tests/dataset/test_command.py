@@ -11,7 +11,7 @@ import pytest
 
 from cli.running import Run
 from dataset.conftest import same
-from fastmimic.dataset import Library
+from fastmimic.dataset import MotionDataset
 from fastmimic.dataset.folder import check, reproducible
 
 pytest.importorskip("pyarrow")
@@ -69,12 +69,12 @@ def test_list_and_show(library: Path, run: Run) -> None:
 
 def test_records_that_are_superseded_or_of_another_version_are_told_of(library: Path, run: Run, tmp_path: Path) -> None:
     mine = Path(shutil.copytree(library, tmp_path / "mine"))
-    rows = {row["name"]: row for row in Library.open(mine).index()}
+    rows = {row["name"]: row for row in MotionDataset.open(mine).index()}
     path = mine / "records" / f"{rows['trot']['id']}.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "fastmimic_version": "0.0.1"}))
     other = {**json.loads(path.read_text()), "id": "0" * 16, "recipe": "another"}
     (mine / "records" / f"{other['id']}.json").write_text(json.dumps(other))
-    Library.open(mine).write_index()
+    MotionDataset.open(mine).write_index()
     listed = run("library", "list", mine).out
     assert "made by several versions of FastMimic (1 by 0.0.1, 1 by " in listed
     assert "1 more records are not in the index: 'list --superseded' says why" in listed
@@ -136,7 +136,7 @@ def test_verify(library: Path, run: Run, tmp_path: Path) -> None:
     assert done.status == 3
     assert "is not what was written" in done.out
     assert run("library", "verify", mine, "--mend").status == 0
-    assert [row["name"] for row in Library.open(mine).index()] == ["pace"]
+    assert [row["name"] for row in MotionDataset.open(mine).index()] == ["pace"]
     assert run("library", "build", "trot", "pace", "--out", mine, *HERE).out.startswith("2 motions, 1 of them made now")
 
 
@@ -204,14 +204,14 @@ def test_interrupted_and_gone_on(
     _, err = process.communicate(timeout=120)
     assert process.returncode == 130
     assert "the same command goes on" in err
-    done = len(Library.open(in_folder / "lib").index())
+    done = len(MotionDataset.open(in_folder / "lib").index())
     assert 1 <= done < 4
     rest = run("library", "build", *names, "--out", "lib", *HERE)
     assert rest.out.startswith(f"4 motions, {4 - done} of them made now")
-    assert check(Library.open(in_folder / "lib")).sound
+    assert check(MotionDataset.open(in_folder / "lib")).sound
     if workers == "1":  # others choose among the best candidates by longer episodes than these tests
-        rows = {row["name"]: reproducible(row) for row in Library.open(in_folder / "lib").index()}
-        assert all(rows[row["name"]] == reproducible(row) for row in Library.open(library).index())
+        rows = {row["name"]: reproducible(row) for row in MotionDataset.open(in_folder / "lib").index()}
+        assert all(rows[row["name"]] == reproducible(row) for row in MotionDataset.open(library).index())
 
 
 def test_two_builders_in_one_folder(
@@ -221,7 +221,7 @@ def test_two_builders_in_one_folder(
     for process in builders:
         assert process.communicate(timeout=240)
         assert process.returncode == 0
-    assert check(Library.open(in_folder / "lib")).sound
+    assert check(MotionDataset.open(in_folder / "lib")).sound
     same(in_folder / "lib", library)
 
 

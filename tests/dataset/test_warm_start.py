@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fastmimic.dataset import Source
-from fastmimic.dataset.pieces import survey
+from fastmimic.dataset import DatasetSource
+from fastmimic.dataset.excerpts import survey
 from fastmimic.dataset.warm_start import FARTHEST, Neighbours, distance
 
 
 def test_the_nearest_is_the_least_distant_of_all() -> None:
-    (trot,) = survey(Source("trot"), 0.5).pieces
+    (trot,) = survey(DatasetSource("trot"), 0.5).pieces
     draw = np.random.default_rng(1)
     footfalls = ("trot", "pace", "bound", None)
 

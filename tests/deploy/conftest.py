@@ -8,7 +8,7 @@ from fastmimic.deploy.sequence import MotionSequence, make_sequence
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.standing import standing
 from fastmimic.robot import Robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
 
 @pytest.fixture(scope="session")

@@ -22,7 +22,7 @@ from fastmimic.imitation.imitate import evaluate
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, OBSERVATION
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.stitching.join import stitch_motions
 

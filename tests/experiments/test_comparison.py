@@ -14,27 +14,27 @@ from fastmimic.control.config import default_config, paper_config
 from fastmimic.episode.reward import TERMS, WEIGHTS
 from fastmimic.episode.rollout import perturbed_start, run_episodes
 from fastmimic.experiments.ablations import ABLATIONS, ablation_named, ablations_of
-from fastmimic.experiments.compare import Plan, compare, prepare
-from fastmimic.experiments.runs import Row, Settings, finished_row
-from fastmimic.experiments.schedule import Effort
+from fastmimic.experiments.compare import ComparisonPlan, compare, prepare
+from fastmimic.experiments.comparison_run import ComparisonSettings, Row, finished_row
+from fastmimic.experiments.parallel import RunProgress
 from fastmimic.experiments.tables import COLUMNS, ablation_table, comparison_table, summaries
 from fastmimic.imitation.imitate import evaluate
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.report.comparison_folder import ComparisonFolder
 from fastmimic.robot import load_robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
-TINY = Settings(duration_s=0.6, iterations=2, population=4, evaluation_s=0.8, perturbed_episodes=2)
-PLAN = Plan(TINY, ("trot",), tuple(METHODS), seeds=2, ablations=True)
+TINY = ComparisonSettings(duration_s=0.6, iterations=2, population=4, evaluation_s=0.8, perturbed_episodes=2)
+PLAN = ComparisonPlan(TINY, ("trot",), tuple(METHODS), seeds=2, ablations=True)
 PNG = b"\x89PNG"
 
 
-def run(plan: Plan, out: Path, workers: int = 1) -> tuple[list[Row], list[tuple[float, Row | None]]]:
+def run(plan: ComparisonPlan, out: Path, workers: int = 1) -> tuple[list[Row], list[tuple[float, Row | None]]]:
     """The rows, and what was reported on the way."""
     reported: list[tuple[float, Row | None]] = []
 
-    def report(effort: Effort, row: Row | None) -> None:
+    def report(effort: RunProgress, row: Row | None) -> None:
         assert effort.remaining_s is None or effort.remaining_s >= 0
         reported.append((effort.share, row))
 
@@ -219,7 +219,7 @@ class TestKept:
     def test_an_interrupted_search_goes_on_from_its_checkpoint(self, rows: list[Row], tmp_path: Path) -> None:
         plan = replace(PLAN, methods=("mbc-dmp",), seeds=1, ablations=False)
 
-        def stop(effort: Effort, row: Row | None) -> None:
+        def stop(effort: RunProgress, row: Row | None) -> None:
             raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
@@ -250,7 +250,7 @@ class TestKept:
     def test_a_motion_that_does_not_repeat_is_optimised_over_the_whole_of_it(self, tmp_path: Path) -> None:
         once = replace(load_motion("trot"), cycle=None)
         once.save(tmp_path / "once.npz")
-        plan = Plan(TINY, (str(tmp_path / "once.npz"),), ("mbc-dmp",), seeds=1, ablations=False)
+        plan = ComparisonPlan(TINY, (str(tmp_path / "once.npz"),), ("mbc-dmp",), seeds=1, ablations=False)
         (row,), _ = run(plan, tmp_path / "out")
         assert row["evaluation_s"] == pytest.approx((once.n_samples - 1) / once.rate_hz)
         assert row["evaluations"] > 0
@@ -262,7 +262,7 @@ class TestKept:
         whole = (once.n_samples - 1) / once.rate_hz
         for seconds in (0.8, 0.1):
             settings = replace(TINY, evaluation_s=seconds, perturbed_episodes=3)
-            plan = Plan(settings, (str(tmp_path / "once.npz"),), ("mbc",), seeds=1, ablations=False)
+            plan = ComparisonPlan(settings, (str(tmp_path / "once.npz"),), ("mbc",), seeds=1, ablations=False)
             (row,), _ = run(plan, tmp_path / f"out-{seconds:g}")
             lasted = min(seconds, whole)
             assert row["evaluation_s"] == pytest.approx(lasted)

@@ -12,7 +12,6 @@ from control.motions import gait
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.episode.rollout import Start
 from fastmimic.experiments import stress
-from fastmimic.experiments.entrants import Entrant, Search, check_methods, make_entrant
 from fastmimic.experiments.parts import load_part, save_part
 from fastmimic.experiments.stress import (
     COLUMNS,
@@ -23,9 +22,10 @@ from fastmimic.experiments.stress import (
     to_csv,
     tolerances,
 )
+from fastmimic.experiments.subject import Search, Subject, check_methods, make_subject
 from fastmimic.imitation.imitate import evaluate
 from fastmimic.motion.motion import Motion
-from fastmimic.report.stress import stress_figure
+from fastmimic.report.stress_figures import stress_figure
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import DISTURBANCES, Disturbance, known
@@ -39,8 +39,8 @@ def motion(robot: Robot) -> Motion:
 
 
 @pytest.fixture(scope="module")
-def entrant(motion: Motion, robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Entrant:
-    return make_entrant("mbc", motion, robot, Search(), tmp_path_factory.mktemp("motions"))
+def subject(motion: Motion, robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Subject:
+    return make_subject("mbc", motion, robot, Search(), tmp_path_factory.mktemp("motions"))
 
 
 def made_up(method: str, name: str, success: list[float]) -> list[dict[str, Any]]:
@@ -55,27 +55,27 @@ def made_up(method: str, name: str, success: list[float]) -> list[dict[str, Any]
 
 
 class TestSweep:
-    def test_a_row_for_each_level_and_worse_where_it_is_harder(self, entrant: Entrant, robot: Robot) -> None:
-        rows = sweep(entrant, "joint-damping", robot, SETTINGS)
+    def test_a_row_for_each_level_and_worse_where_it_is_harder(self, subject: Subject, robot: Robot) -> None:
+        rows = sweep(subject, "joint-damping", robot, SETTINGS)
         assert tuple(row["value"] for row in rows) == DISTURBANCES["joint-damping"].levels
         assert all(set(COLUMNS) == set(row) for row in rows)
         assert rows[0]["success"] == 1.0
         assert rows[-1]["reward_mean"] < rows[0]["reward_mean"]
 
-    def test_the_nominal_level_is_an_undisturbed_evaluation(self, entrant: Entrant, robot: Robot) -> None:
-        rows = sweep(entrant, "payload", robot, dataclasses.replace(SETTINGS, episodes=1))
-        plain = evaluate(entrant.motion, robot, duration_s=0.6).rollout
+    def test_the_nominal_level_is_an_undisturbed_evaluation(self, subject: Subject, robot: Robot) -> None:
+        rows = sweep(subject, "payload", robot, dataclasses.replace(SETTINGS, episodes=1))
+        plain = evaluate(subject.motion, robot, duration_s=0.6).rollout
         assert rows[0]["reward_mean"] == pytest.approx(plain.reward[0], abs=1e-6)
 
-    def test_a_level_among_others_is_as_alone(self, entrant: Entrant, robot: Robot) -> None:
-        rows = sweep(entrant, "friction", robot, dataclasses.replace(SETTINGS, episodes=1))
+    def test_a_level_among_others_is_as_alone(self, subject: Subject, robot: Robot) -> None:
+        rows = sweep(subject, "friction", robot, dataclasses.replace(SETTINGS, episodes=1))
         at = next(row for row in rows if row["value"] == 0.3)
         conditions = Conditions(disturbances=(Disturbance("friction", (0.3,)),))
-        alone = evaluate(entrant.motion, robot, duration_s=0.6, conditions=conditions).rollout
+        alone = evaluate(subject.motion, robot, duration_s=0.6, conditions=conditions).rollout
         assert at["reward_mean"] == float(alone.reward[0])
 
     def test_episodes_begin_at_many_phases_and_unperturbed(
-        self, entrant: Entrant, robot: Robot, monkeypatch: pytest.MonkeyPatch
+        self, subject: Subject, robot: Robot, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         starts: list[Start] = []
         real = stress.run_episodes
@@ -85,7 +85,7 @@ class TestSweep:
             return real(*args, start=start, **rest)
 
         monkeypatch.setattr(stress, "run_episodes", seen)
-        sweep(entrant, "payload", robot, dataclasses.replace(SETTINGS, episodes=5, duration_s=0.02))
+        sweep(subject, "payload", robot, dataclasses.replace(SETTINGS, episodes=5, duration_s=0.02))
         samples = starts[0].sample.reshape(-1, 5)
         assert samples[0, 0] == 0
         assert len(set(samples[0].tolist())) > 3
@@ -94,16 +94,16 @@ class TestSweep:
         assert not starts[0].joint_offset.any()
 
     def test_uneven_ground_is_run_level_by_level(
-        self, entrant: Entrant, robot: Robot, monkeypatch: pytest.MonkeyPatch
+        self, subject: Subject, robot: Robot, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         kind = dataclasses.replace(DISTURBANCES["roughness"], levels=(0.0, 0.03))
         monkeypatch.setitem(DISTURBANCES, "roughness", kind)
-        rows = sweep(entrant, "roughness", robot, SETTINGS)
+        rows = sweep(subject, "roughness", robot, SETTINGS)
         assert [row["value"] for row in rows] == [0.0, 0.03]
 
-    def test_an_episode_must_last_beyond_the_push(self, entrant: Entrant, robot: Robot) -> None:
+    def test_an_episode_must_last_beyond_the_push(self, subject: Subject, robot: Robot) -> None:
         with pytest.raises(ConfigError, match=r"0.6 s ends before the push at 2 s; leave out 'push', or give a longer"):
-            sweep(entrant, "push", robot, SETTINGS)
+            sweep(subject, "push", robot, SETTINGS)
 
 
 class TestTolerance:
@@ -175,18 +175,18 @@ class TestRefusals:
 class TestEntrants:
     def test_an_optimised_motion_is_made_once(self, motion: Motion, robot: Robot, tmp_path: Path) -> None:
         search = Search(iterations=1, population=4)
-        made = make_entrant("mbc-dmp", motion, robot, search, tmp_path)
+        made = make_subject("mbc-dmp", motion, robot, search, tmp_path)
         assert {p.name for p in tmp_path.iterdir()} == {f"{motion.name}-mbc-dmp.npz"}
-        again = make_entrant("mbc-dmp", motion, robot, Search(iterations=10**6), tmp_path)
+        again = make_subject("mbc-dmp", motion, robot, Search(iterations=10**6), tmp_path)
         assert again.digest == made.digest
         assert made.motion.target.joint_pos.tobytes() == motion.joint_pos.tobytes()
         # given to another command as it is, it is run as it is; a method that optimises nothing runs its demonstration
-        as_it_is = make_entrant("mbc-dmp", made.motion, robot, Search(iterations=10**6), tmp_path / "none")
+        as_it_is = make_subject("mbc-dmp", made.motion, robot, Search(iterations=10**6), tmp_path / "none")
         assert as_it_is.motion is made.motion
-        assert make_entrant("mbc", made.motion, robot, search, tmp_path).motion is made.motion.target
+        assert make_subject("mbc", made.motion, robot, search, tmp_path).motion is made.motion.target
 
     def test_a_motion_of_something_else_is_not_taken(self, motion: Motion, robot: Robot, tmp_path: Path) -> None:
         other = gait(robot, (0.2, 0.0), 0.0, n_samples=200)
         other.save(tmp_path / f"{motion.name}-mbc-dmp.npz")
         with pytest.raises(OutputError, match="was optimised from another motion; remove it"):
-            make_entrant("mbc-dmp", motion, robot, Search(), tmp_path)
+            make_subject("mbc-dmp", motion, robot, Search(), tmp_path)

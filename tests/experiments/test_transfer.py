@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'fastmimic[pybullet]'")
 
 from control.motions import gait
-from fastmimic.experiments.entrants import Entrant, Search, make_entrant
+from fastmimic.experiments.subject import Search, Subject, make_subject
 from fastmimic.experiments.transfer import (
     COLUMNS,
     IDENTIFIED,
@@ -25,21 +25,21 @@ from fastmimic.experiments.transfer import (
     trial_starts,
 )
 from fastmimic.imitation.imitate import run_episodes
-from fastmimic.report.transfer import transfer_figure
+from fastmimic.report.transfer_figures import transfer_figure
 from fastmimic.robot import Robot
 
 SETTINGS = TransferSettings(trials=2, duration_s=0.6)
 
 
 @pytest.fixture(scope="module")
-def entrant(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Entrant:
+def subject(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Subject:
     motion = gait(robot, (0.3, 0.0), 0.0, n_samples=200)
-    return make_entrant("mbc", motion, robot, Search(), tmp_path_factory.mktemp("motions"))
+    return make_subject("mbc", motion, robot, Search(), tmp_path_factory.mktemp("motions"))
 
 
 @pytest.fixture(scope="module")
-def rows(entrant: Entrant, robot: Robot) -> list[dict[str, Any]]:
-    return run_trials(entrant, robot, SETTINGS)
+def rows(subject: Subject, robot: Robot) -> list[dict[str, Any]]:
+    return run_trials(subject, robot, SETTINGS)
 
 
 class TestTrials:
@@ -49,10 +49,10 @@ class TestTrials:
         assert len({row["reward"] for row in rows}) == len(rows), "every one is another robot or start"
 
     def test_the_first_stage_is_the_simulation_of_the_optimisation(
-        self, rows: list[dict[str, Any]], entrant: Entrant, robot: Robot
+        self, rows: list[dict[str, Any]], subject: Subject, robot: Robot
     ) -> None:
         start = trial_starts(2, SETTINGS.seed)
-        plain = run_episodes(robot, entrant.motion, start=start, duration_s=0.6, config=entrant.config)
+        plain = run_episodes(robot, subject.motion, start=start, duration_s=0.6, config=subject.config)
         assert [row["reward"] for row in rows if row["stage"] == SIMULATION] == plain.reward.tolist()
 
     def test_the_last_stage_differs_in_everything(self) -> None:
@@ -72,25 +72,25 @@ class TestTrials:
 
 class TestIdentified:
     def test_the_controller_is_told_what_another_run_says(
-        self, rows: list[dict[str, Any]], entrant: Entrant, robot: Robot, monkeypatch: pytest.MonkeyPatch
+        self, rows: list[dict[str, Any]], subject: Subject, robot: Robot, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         from fastmimic.experiments import transfer
 
         monkeypatch.setattr(transfer, "IDENTIFICATION_S", 1.2)
-        told = identified_config(entrant, robot, SETTINGS)
+        told = identified_config(subject, robot, SETTINGS)
         assert told.robot == robot.name
-        assert told.stance.friction <= entrant.config.stance.friction
-        found = run_trials(entrant, robot, TransferSettings(trials=2, duration_s=0.6, identify=True))
+        assert told.stance.friction <= subject.config.stance.friction
+        found = run_trials(subject, robot, TransferSettings(trials=2, duration_s=0.6, identify=True))
         assert found[: len(rows)] == rows
         assert [(row["stage"], row["trial"]) for row in found[len(rows) :]] == [("identified", 0), ("identified", 1)]
 
     def test_a_run_that_says_nothing_leaves_the_controller_alone(
-        self, entrant: Entrant, robot: Robot, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+        self, subject: Subject, robot: Robot, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
     ) -> None:
         from fastmimic.experiments import transfer
 
         monkeypatch.setattr(transfer, "IDENTIFICATION_S", 0.3)
-        assert identified_config(entrant, robot, SETTINGS) is entrant.config
+        assert identified_config(subject, robot, SETTINGS) is subject.config
         assert "nothing was identified: the log is 0.30 s long" in caplog.text
 
     def test_has_a_column_of_its_own(self) -> None:

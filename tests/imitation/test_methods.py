@@ -24,7 +24,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es
 from fastmimic.primitive import MotionDmp
 from fastmimic.robot import load_robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
 
 def differences(a: object, b: object, prefix: str = "") -> set[str]:

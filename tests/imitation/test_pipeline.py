@@ -16,7 +16,7 @@ from fastmimic.imitation.imitate import Imitation, evaluate, imitate
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es
 from fastmimic.robot import Robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
 DURATION = 0.6
 QUICK = {"duration_s": DURATION, "iterations": 2, "population": 4, "seed": 1}

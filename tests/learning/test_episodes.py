@@ -14,7 +14,7 @@ from fastmimic.learning.episodes import Episodes, Outcome
 from fastmimic.learning.randomisation import Randomisation, parse_randomisation
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 from learning.hand_made import follower
 
 DECIMATION = PolicyConfig().decimation

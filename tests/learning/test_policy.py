@@ -9,7 +9,7 @@ from fastmimic.base.errors import PolicyError
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE
 from fastmimic.learning.policy import ACTIVATIONS, Policy
 from fastmimic.robot import load_robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 from learning.hand_made import follower, random_policy
 
 FUNCTIONS = {

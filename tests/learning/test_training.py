@@ -18,7 +18,7 @@ from fastmimic.learning.settings import TrainingSettings  # noqa: E402
 from fastmimic.learning.training_folder import TrainingFolder  # noqa: E402
 from fastmimic.motion.motion import Motion  # noqa: E402
 from fastmimic.robot import Robot  # noqa: E402
-from fastmimic.runs.load import load_motion  # noqa: E402
+from fastmimic.runs.loading import load_motion  # noqa: E402
 
 SMALL = TrainingSettings(robots=6, horizon=8, hidden=(16,), epochs=2, minibatches=2, episode_s=0.5)
 

@@ -11,8 +11,8 @@ import pytest
 from fastmimic.base.errors import ConfigError, OutputError, PolicyError
 from fastmimic.cli import main
 from fastmimic.episode.rollout import perturbed_start, run_episodes
-from fastmimic.experiments.compare import Plan, choose_policies, compare, prepare
-from fastmimic.experiments.runs import Row, Settings
+from fastmimic.experiments.compare import ComparisonPlan, choose_policies, compare, prepare
+from fastmimic.experiments.comparison_run import ComparisonSettings, Row
 from fastmimic.experiments.tables import comparison_table
 from fastmimic.imitation.imitate import evaluate, imitate
 from fastmimic.imitation.methods import ALL_METHODS, METHODS
@@ -20,10 +20,10 @@ from fastmimic.learning.controller import controlled_by
 from fastmimic.motion.motion import Motion
 from fastmimic.report.comparison_folder import ComparisonFolder
 from fastmimic.robot import Robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 from learning.hand_made import follower
 
-TINY = Settings(duration_s=0.6, iterations=2, population=4, evaluation_s=0.8, perturbed_episodes=2)
+TINY = ComparisonSettings(duration_s=0.6, iterations=2, population=4, evaluation_s=0.8, perturbed_episodes=2)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def policy_file(robot: Robot, motion: Motion, tmp_path_factory: pytest.TempPathF
     return path
 
 
-def run(plan: Plan, out: Path) -> list[Row]:
+def run(plan: ComparisonPlan, out: Path) -> list[Row]:
     return compare(plan, out, workers=1, report=lambda *_: None, prepared=lambda name: None)
 
 
@@ -133,7 +133,7 @@ class TestTrain:
 class TestCompare:
     def test_a_policy_is_a_row_at_the_papers_place(self, policy_file: Path, tmp_path: Path) -> None:
         policies = choose_policies([policy_file.parent], ["side-step"])
-        plan = Plan(TINY, ("side-step",), ("mbc", "rl"), seeds=1, ablations=False, policies=policies)
+        plan = ComparisonPlan(TINY, ("side-step",), ("mbc", "rl"), seeds=1, ablations=False, policies=policies)
         rows = run(plan, tmp_path)
         ComparisonFolder(tmp_path).write(plan, rows)
         with (tmp_path / "results.csv").open() as file:
@@ -146,7 +146,7 @@ class TestCompare:
         assert list(ALL_METHODS)[: 1 + len(METHODS)] == ["rl", *METHODS]
 
         # the others' rows do not know of it
-        alone = Plan(TINY, ("side-step",), ("mbc",), seeds=1, ablations=False)
+        alone = ComparisonPlan(TINY, ("side-step",), ("mbc",), seeds=1, ablations=False)
         prepared = prepare(alone, tmp_path, keep=True, prepared=lambda name: None)
         assert not prepared.tasks
         assert [row["method"] for row in prepared.kept] == ["rl"]
@@ -155,12 +155,12 @@ class TestCompare:
         self, robot: Robot, motion: Motion, policy_file: Path, tmp_path: Path
     ) -> None:
         methods = ("rl",)
-        first = Plan(TINY, ("side-step",), methods, 1, False, choose_policies([policy_file], ["side-step"]))
+        first = ComparisonPlan(TINY, ("side-step",), methods, 1, False, choose_policies([policy_file], ["side-step"]))
         run(first, tmp_path / "out")
         changed = follower(robot, motion)
         changed.biases[0][0] += 0.1
         changed.save(tmp_path / "changed.npz")
-        second = Plan(
+        second = ComparisonPlan(
             TINY, ("side-step",), methods, 1, False, choose_policies([tmp_path / "changed.npz"], ["side-step"])
         )
         with pytest.raises(OutputError, match="a finished run of another policy"):
@@ -180,7 +180,7 @@ class TestCompare:
         took = {"steps": 50, "episodes": 3, "wall_s": 1000.0, "cpu_s": 900.0, "simulated_s": 70.0}
         policy = dataclasses.replace(follower(robot, motion), about={"training": took})
         policy.save(tmp_path / "policy.npz")
-        plan = Plan(TINY, ("side-step",), ("rl",), 1, False, choose_policies([tmp_path], ["side-step"]))
+        plan = ComparisonPlan(TINY, ("side-step",), ("rl",), 1, False, choose_policies([tmp_path], ["side-step"]))
         (row,) = run(plan, tmp_path / "out")
         assert 1000.0 < row["wall_s"] < 1100.0
         assert 900.0 < row["cpu_s"] < 1000.0
@@ -189,7 +189,7 @@ class TestCompare:
         assert row["parameters"] == f"policy={policy.digest} steps=50"
 
     def test_the_table_says_what_is_a_policy(self, policy_file: Path, tmp_path: Path) -> None:
-        plan = Plan(TINY, ("side-step",), ("rl",), 1, False, choose_policies([policy_file], ["side-step"]))
+        plan = ComparisonPlan(TINY, ("side-step",), ("rl",), 1, False, choose_policies([policy_file], ["side-step"]))
         text = comparison_table(run(plan, tmp_path), 1)
         assert "RL: one policy a motion, trained beforehand" in text
 

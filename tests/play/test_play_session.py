@@ -26,7 +26,7 @@ from fastmimic.reference.stream import MODULATION, Stream, make_place
 from fastmimic.reference.table import SAMPLE, reference_table
 from fastmimic.reference.tempo import make_tempo
 from fastmimic.robot import Robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 from fastmimic.viewer.take import world_feet
 
 

@@ -18,7 +18,7 @@ from fastmimic.reference.resync import advance_recovering
 from fastmimic.reference.table import advance_clocks, make_clocks, reference_table
 from fastmimic.robot import Robot
 from fastmimic.robot.state import OBSERVATION
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance
 

@@ -13,7 +13,7 @@ from fastmimic.render.animal import animal_track
 from fastmimic.render.tracks import motion_track
 from fastmimic.retargeting.retarget import choose_scale
 from fastmimic.robot import Robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from fastmimic.render.offscreen import Offscreen, in_any_thread
 from fastmimic.render.tracks import AnimalTrack, Track, resample
 from fastmimic.render.video import render_video
 from fastmimic.robot import Robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
 SIZE = (320, 180)
 Walk = Callable[..., Track]

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from fastmimic.experiments.tables import Summary
-from fastmimic.report.comparison import ablation_figure, comparison_figure, tracking_bars
+from fastmimic.report.comparison_figures import ablation_figure, comparison_figure, tracking_bars
 
 
 def summary(

@@ -12,7 +12,7 @@ from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import METHODS
 from fastmimic.render.tracks import Track
 from fastmimic.report.run_folder import RunFolder, default_folder, open_run, write_json
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
 CONFIG = {"arguments": {"motion": "trot", "seed": 0}}
 

@@ -281,7 +281,7 @@ def test_about_three_seconds_each_by_default(trot: Motion, robot: Robot) -> None
 
 def test_recorded_motions(data_folder: Path, robot: Robot) -> None:
     """A trot with flight phases and a walking turn that is not symmetric."""
-    from fastmimic.runs.load import load_motion
+    from fastmimic.runs.loading import load_motion
 
     parts = [load_motion(name, robot) for name in ("dog:trot", "dog:right-turn")]
     motion = stitch_motions(robot, parts)

@@ -8,7 +8,7 @@ from fastmimic.episode.rollout import Rollout
 from fastmimic.imitation.imitate import evaluate
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 from fastmimic.viewer.take import Take, rollout_take
 
 SECONDS = 1.2

@@ -23,7 +23,7 @@ from fastmimic.cli import main
 from fastmimic.commands.view import View
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.runs.load import find_motion
+from fastmimic.runs.loading import find_motion
 from fastmimic.viewer.take import Take
 from fastmimic.viewer.web import HOST, free_port
 

@@ -133,7 +133,7 @@ class Deploy(MotionOptions):
         from fastmimic.deploy.drivers import robot_driven
         from fastmimic.reference.standing import standing
         from fastmimic.robot import load_robot
-        from fastmimic.runs.load import find_motion
+        from fastmimic.runs.loading import find_motion
 
         source = None if self.motion == STAND else find_motion(self.motion)
         driven, own = robot_driven(self.driver), None if source is None else source.robot

@@ -42,7 +42,7 @@ class Inspect(MotionOptions):
     def _read(self) -> tuple[Robot, Motion, list[str]]:
         """The robot, its motion, and lines about the file that it is from."""
         from fastmimic.retargeting.retarget import retarget
-        from fastmimic.runs.load import find_motion
+        from fastmimic.runs.loading import find_motion
 
         overrides = self.overrides()
         source = find_motion(self.source)

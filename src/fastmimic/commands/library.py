@@ -16,8 +16,8 @@ from fastmimic.commands.options import DEFAULT_ROBOT
 from fastmimic.robot import ROBOT_CHOICES
 
 if TYPE_CHECKING:
-    from fastmimic.dataset.build import Building, Step
-    from fastmimic.dataset.folder import Library, Row
+    from fastmimic.dataset.build import BuildRequest, BuildStep
+    from fastmimic.dataset.folder import MotionDataset, Row
 
 EXIT_SOME_FAILED: Final = 3
 """Everything else was done."""
@@ -114,8 +114,8 @@ class Build:
         put(f"library in {self.out}")
         return EXIT_SOME_FAILED if failed else 0
 
-    def _building(self) -> "Building":
-        from fastmimic.dataset import Building, Library, Recipe, find_sources
+    def _building(self) -> "BuildRequest":
+        from fastmimic.dataset import BuildRequest, BuildSettings, MotionDataset, find_sources
 
         if not self.sources:
             raise ConfigError("of what? name folders, lists, clips or motions")
@@ -124,7 +124,7 @@ class Build:
             for place in self.sources
             for source in find_sources(place, exclude=self.exclude, licence=self.licence, credit=self.credit)
         ]
-        recipe = Recipe(
+        recipe = BuildSettings(
             method=self.method,
             config=self.config,
             duration_s=self.duration,
@@ -135,9 +135,9 @@ class Build:
             others=self.others,
             second_simulator=not self.no_second_simulator and _second_simulator(self.robots),
         )
-        warm = None if self.warm_start is None else Library.open(self.warm_start)
+        warm = None if self.warm_start is None else MotionDataset.open(self.warm_start)
         folders = [path.resolve() for place in self.sources if (path := Path(place)).is_dir()]
-        return Building(sources, recipe, self.robots, self.seeds, self.confidence, self.discrete, warm, folders)
+        return BuildRequest(sources, recipe, self.robots, self.seeds, self.confidence, self.discrete, warm, folders)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,9 +189,9 @@ class ListMotions(_Choice):
 
     def run(self) -> int:
         """Prints them; returns the exit status."""
-        from fastmimic.dataset import Library
+        from fastmimic.dataset import MotionDataset
 
-        library = Library.open(self.library)
+        library = MotionDataset.open(self.library)
         if self.superseded:
             return self._superseded(library)
         chosen = self.chosen(library.index(() if self.json else _LISTED))
@@ -210,7 +210,7 @@ class ListMotions(_Choice):
             note(f"damaged: {line}")
         return 0
 
-    def _superseded(self, library: "Library") -> int:
+    def _superseded(self, library: "MotionDataset") -> int:
         found = library.gathered().superseded
         if self.json:
             put(json.dumps({"superseded": [asdict(old) for old in found]}))
@@ -235,9 +235,9 @@ class Show:
 
     def run(self) -> int:
         """Prints it; returns the exit status."""
-        from fastmimic.dataset import Library
+        from fastmimic.dataset import MotionDataset
 
-        library = Library.open(self.library)
+        library = MotionDataset.open(self.library)
         rows = library.find(self.motion)
         if self.json:
             put(json.dumps({"motions": rows}))
@@ -268,10 +268,10 @@ class Export(_Choice):
     def run(self) -> int:
         """Writes them; returns the exit status."""
         from fastmimic.base.files import check_folder
-        from fastmimic.dataset import Library
+        from fastmimic.dataset import MotionDataset
         from fastmimic.dataset.exporting import NEEDED, export_library
 
-        library = Library.open(self.library)
+        library = MotionDataset.open(self.library)
         columns = (*NEEDED, "kept", "best")
         chosen = [row for row in self.chosen(library.index(columns)) if row["motion_file"] is not None]
         if not self.grade:
@@ -304,13 +304,13 @@ class Verify:
 
     def run(self) -> int:
         """Does it; returns the exit status."""
-        from fastmimic.dataset import Library
+        from fastmimic.dataset import MotionDataset
         from fastmimic.dataset.folder import check
-        from fastmimic.dataset.mending import mend, rerun
+        from fastmimic.dataset.repair import mend, rerun
 
         if self.rerun < 0:
             raise ConfigError(f"--rerun must not be negative, found {self.rerun}")
-        library = Library.open(self.library)
+        library = MotionDataset.open(self.library)
         removed = 0
         with count_progress("reading") as progress:
             if self.mend:
@@ -369,7 +369,7 @@ def _second_simulator(robots: Sequence[str]) -> bool:
 
 
 @contextmanager
-def _progress(said: str) -> "Iterator[Callable[[Step], None]]":
+def _progress(said: str) -> "Iterator[Callable[[BuildStep], None]]":
     """Says what is built once it begins; then a bar on a terminal, and in any case a line for each motion that is
     finished and each source that fails; and how to go on, if it was stopped."""
     from fastmimic.dataset.build import describe_failure
@@ -379,7 +379,7 @@ def _progress(said: str) -> "Iterator[Callable[[Step], None]]":
     begun = False
     with slow_start() as started, share_progress("building") as bar:
 
-        def report(step: "Step") -> None:
+        def report(step: "BuildStep") -> None:
             nonlocal begun
             if not begun:
                 note(said)
@@ -404,7 +404,7 @@ def _progress(said: str) -> "Iterator[Callable[[Step], None]]":
             raise
 
 
-def _summary(library: "Library") -> None:
+def _summary(library: "MotionDataset") -> None:
     """How many of which grade, of which versions if there are several, and how many records besides."""
     from fastmimic.dataset.grades import FAILURE, GRADES, REJECTED
 

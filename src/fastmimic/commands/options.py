@@ -14,9 +14,9 @@ from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
 
 if TYPE_CHECKING:
     from fastmimic.episode.rollout import MakeController
-    from fastmimic.experiments.entrants import Search
+    from fastmimic.experiments.subject import Search
     from fastmimic.optimize.randomization import Randomization
-    from fastmimic.runs.load import MotionSource
+    from fastmimic.runs.loading import MotionSource
 
 DEFAULT_ROBOT: Final = "a1"
 MAX_DURATION_S: Final = 3600.0
@@ -66,7 +66,7 @@ class MotionOptions:
 
     def load(self, source: str) -> tuple[Robot, Motion]:
         """The robot and its motion, retargeted if `source` is a clip."""
-        from fastmimic.runs.load import find_motion
+        from fastmimic.runs.loading import find_motion
 
         overrides = self.overrides()
         found = find_motion(source)
@@ -138,7 +138,7 @@ class ExperimentOptions(MotionOptions):
 
     def search(self) -> "Search":
         """What methods that optimise do first."""
-        from fastmimic.experiments.entrants import Search
+        from fastmimic.experiments.subject import Search
 
         return Search(self.config, self.iterations, self.population, self.seed)
 

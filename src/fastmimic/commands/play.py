@@ -47,7 +47,7 @@ class Play:
         from fastmimic.play.session import LiveSession, check_method
         from fastmimic.reference.motion_set import MotionSet, warm_up
         from fastmimic.robot import load_robot
-        from fastmimic.runs.load import find_motion
+        from fastmimic.runs.loading import find_motion
 
         check_method(self.method)
         config = controller_config(self.config)

@@ -110,7 +110,7 @@ class Render(MotionOptions):
     def _tracks(self) -> "tuple[Robot, list[tuple[Track, float]]]":
         """The robot, and a panel with its rate for each motion."""
         from fastmimic.imitation.imitate import default_duration
-        from fastmimic.runs.load import find_motion
+        from fastmimic.runs.loading import find_motion
 
         sources = [find_motion(source) for source in self.motions]
         robot = self.load_robot(sources[0])

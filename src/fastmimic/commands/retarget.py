@@ -24,7 +24,7 @@ class Retarget(MotionOptions):
         out = check_writable(self.out, ".npz")
         from fastmimic.commands.provenance import assumed, provenance
         from fastmimic.retargeting.retarget import retarget
-        from fastmimic.runs.load import find_motion
+        from fastmimic.runs.loading import find_motion
 
         overrides = self.overrides()
         source = find_motion(self.clip)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from fastmimic.imitation.stitch import Stitching
     from fastmimic.optimize.cma_es import Progress
     from fastmimic.report.run_folder import RunFolder
-    from fastmimic.runs.load import MotionSource
+    from fastmimic.runs.loading import MotionSource
 
 RUNS: Final = Path("runs")
 _NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", "quality")
@@ -83,7 +83,7 @@ class Stitch(RandomizeOptions):
         from fastmimic.render.quality import quality_named
         from fastmimic.report.run_folder import default_folder, open_run
         from fastmimic.robot import load_robot
-        from fastmimic.runs.load import find_motion
+        from fastmimic.runs.loading import find_motion
 
         quality_named(self.quality)
         if not method_named(self.method).optimises and self.resume:
@@ -163,7 +163,7 @@ class Stitch(RandomizeOptions):
 
 def _name_of(source: "MotionSource") -> str:
     """The name of a motion in the name of the folder."""
-    from fastmimic.runs.load import MOTION
+    from fastmimic.runs.loading import MOTION
 
     if source.folder is not None:
         return source.folder.resolve().name

@@ -15,7 +15,7 @@ from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     from fastmimic.render.animal import Animal
-    from fastmimic.runs.load import MotionSource
+    from fastmimic.runs.loading import MotionSource
     from fastmimic.viewer.take import Take
 
 
@@ -52,7 +52,7 @@ class View(MotionOptions):
         if self.duration is not None:
             check_duration(self.duration)
         self._check_combination()
-        from fastmimic.runs.load import find_motion
+        from fastmimic.runs.loading import find_motion
         from fastmimic.viewer.viewer import Viewer
         from fastmimic.viewer.web import free_port, require_viser
 
@@ -89,7 +89,7 @@ class View(MotionOptions):
         """The robot, what is shown of it, the heading, and the animal."""
         from fastmimic.imitation.imitate import EVALUATION_S, default_duration
         from fastmimic.render.animal import Animal
-        from fastmimic.runs.load import find_motion
+        from fastmimic.runs.loading import find_motion
 
         overrides = self.overrides()
         robot = self.load_robot(source)

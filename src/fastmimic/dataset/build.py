@@ -1,4 +1,4 @@
-"""Building a library: look through the sources, do the jobs that are not done, write the index."""
+"""BuildRequest a library: look through the sources, do the jobs that are not done, write the index."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
@@ -9,15 +9,15 @@ from random import Random
 from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.errors import ConfigError, LibraryError, OutputError, WorkerError
-from fastmimic.dataset.folder import DamagedError, Library, Row
+from fastmimic.dataset.build_settings import BuildSettings
+from fastmimic.dataset.excerpts import Survey, look_of, remove_survey, save_survey, survey
+from fastmimic.dataset.finished_jobs import FinishedJobs
+from fastmimic.dataset.folder import DamagedError, MotionDataset, Row
 from fastmimic.dataset.index import Gathered, require_pyarrow
 from fastmimic.dataset.jobs import Job, give_up, now, perform, robot_digest
 from fastmimic.dataset.lock import building as locked
-from fastmimic.dataset.pieces import Survey, look_of, remove_survey, save_survey, survey
-from fastmimic.dataset.recipe import Recipe
 from fastmimic.dataset.records import FAILED, Record, load_record, save_record
-from fastmimic.dataset.seen import Seen
-from fastmimic.dataset.sources import Source
+from fastmimic.dataset.sources import DatasetSource
 from fastmimic.dataset.warm_start import Neighbours
 from fastmimic.executors import Executor, Report
 from fastmimic.robot import Robot, load_robot
@@ -33,7 +33,7 @@ it is made of all records, and would take most of the time of a large library ot
 
 
 @dataclass(frozen=True, eq=False)
-class Building:
+class BuildRequest:
     """What to build.
 
     Attributes:
@@ -48,13 +48,13 @@ class Building:
             more is forgotten.
     """
 
-    sources: Sequence[Source]
-    recipe: Recipe
+    sources: Sequence[DatasetSource]
+    recipe: BuildSettings
     robots: Sequence[str]
     seeds: int = 1
     confidence: float = CONFIDENCE
     discrete: bool = False
-    warm: Library | None = None
+    warm: MotionDataset | None = None
     folders: Sequence[Path] = ()
 
     def __post_init__(self) -> None:
@@ -67,7 +67,7 @@ class Building:
 
 
 @dataclass(frozen=True)
-class Step:
+class BuildStep:
     """How far a build is.
 
     Attributes:
@@ -99,7 +99,7 @@ class Built:
         left_out: robot motions that are none of the robots', a line each.
     """
 
-    library: Library
+    library: MotionDataset
     table: "pyarrow.Table"
     surveys: list[Survey]
     ids: frozenset[str]
@@ -126,12 +126,12 @@ class Built:
 
 
 def build(
-    building: Building,
+    building: BuildRequest,
     out: str | Path,
     executor: Executor,
     *,
     update: bool = False,
-    progress: Callable[[Step], None] | None = None,
+    progress: Callable[[BuildStep], None] | None = None,
 ) -> Built:
     """Builds a library, or does what is missing in one.
 
@@ -152,7 +152,7 @@ def build(
     """
     require_pyarrow()
     began = now()
-    library = Library(Path(out).resolve())
+    library = MotionDataset(Path(out).resolve())
     robots = {name: load_robot(name) for name in dict.fromkeys(building.robots)}
     neighbours = None if building.warm is None else Neighbours.of(building.warm)
     with locked(library.path):
@@ -160,14 +160,14 @@ def build(
 
 
 def _build(
-    building: Building,
-    library: Library,
+    building: BuildRequest,
+    library: MotionDataset,
     robots: Mapping[str, Robot],
     neighbours: Neighbours | None,
     executor: Executor,
     update: bool,
     began: str,
-    progress: Callable[[Step], None] | None,
+    progress: Callable[[BuildStep], None] | None,
 ) -> Built:
     _begin(library, building.recipe, update)
     digests = {name: robot_digest(robot) for name, robot in robots.items()}
@@ -186,7 +186,7 @@ def _build(
     if neighbours is not None:
         jobs = [replace(job, warm=neighbours.nearest(job.piece, job.robot)) for job in jobs]
     jobs = list({job.id: job for job in jobs}.values())
-    seen = Seen(library.path)
+    seen = FinishedJobs(library.path)
     try:
         done = _make(jobs, library, seen, executor, tell)
     except BaseException:
@@ -207,7 +207,7 @@ def describe_failure(record: Mapping[str, Any]) -> str:
     return f"{record['name']} on {record['robot']} seed {record['seed']}: {record['reason']}"
 
 
-def _settle(library: Library, ids: frozenset[str]) -> Gathered:
+def _settle(library: MotionDataset, ids: frozenset[str]) -> Gathered:
     """Writes the index of a build that ends. Records of its own that others, which began otherwise, have come after
     become the last ones."""
     found = library.write_index()
@@ -217,7 +217,7 @@ def _settle(library: Library, ids: frozenset[str]) -> Gathered:
     return library.write_index() if earlier else found
 
 
-def _begin(library: Library, recipe: Recipe, update: bool) -> None:
+def _begin(library: MotionDataset, recipe: BuildSettings, update: bool) -> None:
     there, was = None, {}
     try:
         there = library.recipe_digest()
@@ -245,7 +245,12 @@ def _place(robot: str) -> str:
 
 
 def _look(
-    building: Building, library: Library, executor: Executor, tell: Callable[[Step], None], *, again: bool
+    building: BuildRequest,
+    library: MotionDataset,
+    executor: Executor,
+    tell: Callable[[BuildStep], None],
+    *,
+    again: bool,
 ) -> list[Survey]:
     """Looks through the sources, but for those that are as they were; what is found is kept in the library, and
     returned in the order of the sources."""
@@ -259,7 +264,7 @@ def _look(
         if old.looked == look_of(source, building.confidence, building.discrete):
             found[i] = old
     missing = [i for i in range(len(sources)) if i not in found]
-    tell(Step("looking", len(found), len(sources), len(found) / len(sources) if sources else 1.0))
+    tell(BuildStep("looking", len(found), len(sources), len(found) / len(sources) if sources else 1.0))
     looking = partial(_survey, confidence=building.confidence, discrete=building.discrete)
     with closing(executor.run(looking, [sources[i] for i in missing])) as outcomes:
         for outcome in outcomes:
@@ -268,12 +273,12 @@ def _look(
             at = missing[outcome.index]
             found[at] = outcome.result or Survey(sources[at], failed=str(outcome.error))
             save_survey(library.path, found[at])
-            tell(Step("looking", len(found), len(sources), len(found) / len(sources), survey=found[at]))
+            tell(BuildStep("looking", len(found), len(sources), len(found) / len(sources), survey=found[at]))
     _forget(library, building, known.values())
     return [found[i] for i in range(len(sources))]
 
 
-def _forget(library: Library, building: Building, known: Iterable[Survey]) -> None:
+def _forget(library: MotionDataset, building: BuildRequest, known: Iterable[Survey]) -> None:
     """Forgets what was found in the same parts of the same files when they were read otherwise: at another rate, with
     another licence. Of the folders that are built of, also what is not there any more, and what could not be read and
     is not asked for any more."""
@@ -288,11 +293,17 @@ def _forget(library: Library, building: Building, known: Iterable[Survey]) -> No
             remove_survey(library.path, old)
 
 
-def _survey(source: Source, report: Report, *, confidence: float, discrete: bool) -> Survey:
+def _survey(source: DatasetSource, report: Report, *, confidence: float, discrete: bool) -> Survey:
     return survey(source, confidence, discrete)
 
 
-def _make(jobs: Sequence[Job], library: Library, seen: Seen, executor: Executor, tell: Callable[[Step], None]) -> int:
+def _make(
+    jobs: Sequence[Job],
+    library: MotionDataset,
+    seen: FinishedJobs,
+    executor: Executor,
+    tell: Callable[[BuildStep], None],
+) -> int:
     """Does the jobs whose record is not there; how many."""
     missing = [job for job in jobs if not seen.finished(job.id, job.motion_file)]
     # builders that share a folder begin at different ends, and each leaves out what another has done meanwhile
@@ -300,12 +311,12 @@ def _make(jobs: Sequence[Job], library: Library, seen: Seen, executor: Executor,
     total, done = len(jobs), len(jobs) - len(missing)
     begun: dict[int, float] = {}  # the share that is done of each that runs
     over: set[int] = set()
-    tell(Step("making", done, total, done / total if total else 1.0))
+    tell(BuildStep("making", done, total, done / total if total else 1.0))
 
     def progress(index: int, share: float) -> None:
         if index not in over:  # it may have been told late
             begun[index] = share
-        tell(Step("making", done, total, (done + sum(begun.values())) / total))
+        tell(BuildStep("making", done, total, (done + sum(begun.values())) / total))
 
     since, every = 0, INDEX_EVERY
     with closing(executor.run(perform, missing, progress)) as outcomes:
@@ -322,7 +333,7 @@ def _make(jobs: Sequence[Job], library: Library, seen: Seen, executor: Executor,
             begun.pop(outcome.index, None)
             if record["status"] != FAILED:
                 seen.add(job.id, job.motion_file)
-            tell(Step("making", done, total, (done + sum(begun.values())) / total, record=record))
+            tell(BuildStep("making", done, total, (done + sum(begun.values())) / total, record=record))
             if since >= every:
                 found = library.write_index(settled=False)
                 seen.save()

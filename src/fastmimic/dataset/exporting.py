@@ -8,7 +8,7 @@ from typing import Final
 
 from fastmimic.base.errors import LibraryError
 from fastmimic.base.files import replace_file
-from fastmimic.dataset.folder import Library, Row
+from fastmimic.dataset.folder import MotionDataset, Row
 from fastmimic.motion.export import DEFAULT_FPS, EXPORTS, export_motion
 from fastmimic.robot import load_robot
 
@@ -22,7 +22,7 @@ NEEDED: Final = (*_COLUMNS[1:], "robot_file", "motion_file", "lacks")
 
 
 def export_library(
-    library: Library,
+    library: MotionDataset,
     rows: Sequence[Row],
     folder: str | Path,
     form: str,

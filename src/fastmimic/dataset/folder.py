@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.errors import LibraryError, did_you_mean
 from fastmimic.base.files import replace_file
+from fastmimic.dataset.build_settings import BuildSettings
+from fastmimic.dataset.excerpts import SOURCES, Excerpt, Survey, load_surveys
 from fastmimic.dataset.index import GRADED, Gathered, gather, require_pyarrow
-from fastmimic.dataset.pieces import SOURCES, Piece, Survey, load_surveys
-from fastmimic.dataset.plan import ROBOTS, Plan, load_robots, save_robot
-from fastmimic.dataset.recipe import Recipe
+from fastmimic.dataset.membership import ROBOTS, Membership, load_robots, save_robot
 from fastmimic.dataset.records import COLUMNS, COSTS, MOTIONS, RECORDS, Record, damage, read_record
 from fastmimic.motion.motion import Motion
 
@@ -45,7 +45,7 @@ class DamagedError(LibraryError):
 
 
 @dataclass(frozen=True)
-class Library:
+class MotionDataset:
     """A folder with a library.
 
     Attributes:
@@ -55,7 +55,7 @@ class Library:
     path: Path
 
     @classmethod
-    def open(cls, path: str | Path) -> "Library":
+    def open(cls, path: str | Path) -> "MotionDataset":
         """An existing one. What of it is damaged, `plan` tells.
 
         Raises:
@@ -68,7 +68,7 @@ class Library:
             library.recipe_digest()  # the format is checked
         return library
 
-    def recipe(self) -> Recipe | None:
+    def recipe(self) -> BuildSettings | None:
         """How its motions are made; None if it is not begun.
 
         Raises:
@@ -76,7 +76,7 @@ class Library:
             ConfigError: the file of the controller's parameters is not there any more.
         """
         said = self.settings()
-        return Recipe(**said) if said else None
+        return BuildSettings(**said) if said else None
 
     def settings(self) -> dict[str, Any]:
         """The recipe as it is written down, empty if there is none; raises `LibraryError` if it cannot be read."""
@@ -100,7 +100,7 @@ class Library:
                 raise LibraryError(
                     f"{path}: format version {said['format_version']}; this release reads version {FORMAT_VERSION}"
                 )
-            missing = {"digest", *Recipe.__dataclass_fields__} ^ {"digest", *said["recipe"]}
+            missing = {"digest", *BuildSettings.__dataclass_fields__} ^ {"digest", *said["recipe"]}
             if missing or not isinstance(said["digest"], str):
                 raise ValueError(f"not a recipe: {', '.join(sorted(missing)) or 'digest'}")
         except FileNotFoundError:
@@ -109,7 +109,7 @@ class Library:
             raise DamagedError(f"{path}: cannot be read ({error}); the next build like it mends it") from None
         return said
 
-    def save_recipe(self, recipe: Recipe) -> None:
+    def save_recipe(self, recipe: BuildSettings) -> None:
         """Writes it; raises `OutputError` if it cannot."""
         text = json.dumps(
             {"format_version": FORMAT_VERSION, "digest": recipe.digest, "recipe": asdict(recipe)}, indent=1
@@ -124,7 +124,7 @@ class Library:
         """What was found in its sources, but for those whose file is damaged."""
         return load_surveys(self.path)[0]
 
-    def plan(self) -> Plan:
+    def plan(self) -> Membership:
         """What it is to hold; raises `LibraryError` if it is of another format."""
         surveys, sources = load_surveys(self.path)
         robots, unreadable = load_robots(self.path)
@@ -132,12 +132,12 @@ class Library:
             recipe = self.recipe_digest()
         except DamagedError as error:
             recipe, unreadable = None, [str(error).removeprefix(f"{self.path}/"), *unreadable]
-        pieces: dict[str, list[Piece]] = {}
+        pieces: dict[str, list[Excerpt]] = {}
         for survey in surveys:
             for piece in survey.pieces:
                 pieces.setdefault(piece.digest, []).append(piece)
         problems = tuple(survey.problem for survey in surveys if survey.problem is not None)
-        return Plan(recipe, robots, pieces, (*unreadable, *sources), not sources, problems)
+        return Membership(recipe, robots, pieces, (*unreadable, *sources), not sources, problems)
 
     def record_ids(self) -> set[str]:
         """Of all records that are there, whether they belong to it or not."""
@@ -240,7 +240,7 @@ class Library:
 
 
 @dataclass(frozen=True)
-class Health:
+class DatasetHealth:
     """What `check` found.
 
     Attributes:
@@ -265,7 +265,7 @@ class Health:
         return not self.damaged and not self.outdated
 
 
-def check(library: Library, progress: Callable[[int, int], None] | None = None) -> Health:
+def check(library: MotionDataset, progress: Callable[[int, int], None] | None = None) -> DatasetHealth:
     """Reads everything in a library, and says what is wrong.
 
     Args:
@@ -293,12 +293,12 @@ def check(library: Library, progress: Callable[[int, int], None] | None = None) 
         for path in library.path.glob(pattern)  # `fastmimic.base.files.replace_file` was killed
     }
     records = len(motions) + len(found.superseded) + len(found.torn)
-    return Health(
+    return DatasetHealth(
         records, tuple(damaged), tuple(useless), tuple(sorted(foreign)), plan.unreadable, _outdated(library, found)
     )
 
 
-def _outdated(library: Library, found: Gathered) -> bool:
+def _outdated(library: MotionDataset, found: Gathered) -> bool:
     try:
         return not found.table.equals(library.index_table().select(found.table.column_names))
     except LibraryError:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.errors import LibraryError
 from fastmimic.dataset.grades import KEPT, grade, rank
-from fastmimic.dataset.plan import Plan, Search, Superseded, robot_of, search_of
+from fastmimic.dataset.membership import Membership, Search, Superseded, robot_of, search_of
 from fastmimic.dataset.records import COLUMNS, RECORDS, read_record
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class _Brief:
     kept: bool
 
 
-def gather(folder: Path, plan: Plan) -> Gathered:
+def gather(folder: Path, plan: Membership) -> Gathered:
     """Reads all records of a library, and grades those that belong to it.
 
     Raises:

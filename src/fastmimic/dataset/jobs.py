@@ -17,21 +17,21 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.errors import CheckpointError, FastMimicError, OutputError
+from fastmimic.dataset.build_settings import SECOND_SIMULATOR_EPISODES, BuildSettings
+from fastmimic.dataset.excerpts import Excerpt, reason_of
 from fastmimic.dataset.folder import SETTINGS
-from fastmimic.dataset.pieces import Piece, reason_of
-from fastmimic.dataset.recipe import SECOND_SIMULATOR_EPISODES, Recipe
 from fastmimic.dataset.records import DONE, FAILED, MOTIONS, Record, empty, load_record, save_record, sha256
 from fastmimic.episode.feasibility import demands, describe_fall, reasons
 from fastmimic.episode.rollout import Rollout, nominal_start, perturbed_start, run_episodes
 from fastmimic.executors import Report
-from fastmimic.experiments.runs import measure, named_values, plain
+from fastmimic.experiments.comparison_run import measure, named_values, plain
 from fastmimic.imitation.imitate import Imitation, imitate, versions
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 from fastmimic.optimize.cma_es import Progress
 from fastmimic.optimize.randomization import Randomization
 from fastmimic.robot import Robot, load_robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.pybullet_sim import DESCRIPTIONS
 
@@ -63,11 +63,11 @@ class Job:
         began: when its build began: a motion that could not be made since then is not tried again.
     """
 
-    piece: Piece
+    piece: Excerpt
     robot: str
     robot_digest: str
     seed: int
-    recipe: Recipe
+    recipe: BuildSettings
     folder: Path
     warm: WarmStart | None = None
     began: str = "~"  # after all times

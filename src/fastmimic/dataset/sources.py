@@ -22,7 +22,7 @@ _COLUMNS: Final = ("source", "frames", "fps", "up", "scale", "point_map", "licen
 
 
 @dataclass(frozen=True)
-class Source:
+class DatasetSource:
     """A clip, a take, or a robot motion.
 
     Attributes:
@@ -64,7 +64,7 @@ class Source:
 
 def find_sources(
     place: str | Path, *, exclude: Sequence[str] = (), licence: str | None = None, credit: str | None = None
-) -> list[Source]:
+) -> list[DatasetSource]:
     """The sources of a folder, of a list, or a single one.
 
     Args:
@@ -90,10 +90,10 @@ def find_sources(
         raise LibraryError(f"{place}: no such file or folder")
     if not path.exists():
         check_name(str(place))
-    return [Source(str(path.resolve()) if path.is_file() else str(place), licence=licence, credit=credit)]
+    return [DatasetSource(str(path.resolve()) if path.is_file() else str(place), licence=licence, credit=credit)]
 
 
-def _in_folder(folder: Path, exclude: Sequence[str], licence: str | None, credit: str | None) -> list[Source]:
+def _in_folder(folder: Path, exclude: Sequence[str], licence: str | None, credit: str | None) -> list[DatasetSource]:
     found = []
     for path in sorted(folder.rglob("*")):
         name = path.name.lower()
@@ -101,7 +101,7 @@ def _in_folder(folder: Path, exclude: Sequence[str], licence: str | None, credit
             fnmatch.fnmatch(path.name, p) or fnmatch.fnmatch(str(path.relative_to(folder)), p) for p in exclude
         )
         if path.is_file() and path.suffix.lower() in suffixes() and not left_out:
-            found.append(Source(str(path.resolve()), licence=licence or _beside(path, folder), credit=credit))
+            found.append(DatasetSource(str(path.resolve()), licence=licence or _beside(path, folder), credit=credit))
     return found
 
 
@@ -142,7 +142,7 @@ def _is_list(path: Path) -> bool:
     return "source" in [cell.strip() for cell in header]
 
 
-def _of_list(path: Path, licence: str | None, credit: str | None) -> list[Source]:
+def _of_list(path: Path, licence: str | None, credit: str | None) -> list[DatasetSource]:
     text = _read(path)
     rows: list[tuple[int, Mapping[str, str]]]
     if path.suffix == ".csv":
@@ -160,14 +160,16 @@ def _of_list(path: Path, licence: str | None, credit: str | None) -> list[Source
     return found
 
 
-def _of_row(path: Path, number: int, row: Mapping[str, str | None], licence: str | None, credit: str | None) -> Source:
+def _of_row(
+    path: Path, number: int, row: Mapping[str, str | None], licence: str | None, credit: str | None
+) -> DatasetSource:
     given = {name: value.strip() for name, value in row.items() if name and value and value.strip()}
     if "source" not in given:
         raise LibraryError(f"{path}, line {number}: no source")
     place = given["source"]
     beside = path.parent / place
     try:
-        return Source(
+        return DatasetSource(
             str(beside.resolve()) if beside.exists() else place,
             frames=_frames(given["frames"]) if "frames" in given else None,
             fps=float(given["fps"]) if "fps" in given else None,

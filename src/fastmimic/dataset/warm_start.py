@@ -14,10 +14,10 @@ from typing import Final
 from scipy.spatial import KDTree
 
 from fastmimic.base.errors import LibraryError
-from fastmimic.dataset.folder import Library, Row
+from fastmimic.dataset.excerpts import Excerpt
+from fastmimic.dataset.folder import MotionDataset, Row
 from fastmimic.dataset.jobs import WarmStart
-from fastmimic.dataset.pieces import Piece
-from fastmimic.dataset.plan import robot_of
+from fastmimic.dataset.membership import robot_of
 
 TEMPO: Final = 0.2
 SPEED_M_S: Final = 0.4
@@ -30,7 +30,7 @@ _ROUNDING: Final = 1e-9
 _COLUMNS: Final = ("id", "piece", "robot", "robot_file", "best", "repeats", "parameters", "motion_file")
 
 
-def distance(a: Piece, b: Piece) -> float:
+def distance(a: Excerpt, b: Excerpt) -> float:
     """How different two pieces are, 0 for the same."""
     apart = math.hypot(
         math.log(a.period_s / b.period_s) / TEMPO,
@@ -51,11 +51,11 @@ class Neighbours:
     """
 
     library: Path
-    pieces: Mapping[str, Piece]
+    pieces: Mapping[str, Excerpt]
     best: Mapping[str, Sequence[Row]]
 
     @classmethod
-    def of(cls, library: Library) -> "Neighbours":
+    def of(cls, library: MotionDataset) -> "Neighbours":
         """Of a library as its index is now; raises `LibraryError` if that, or what it is made of, is damaged."""
         plan = library.plan()
         if plan.unreadable:
@@ -67,7 +67,7 @@ class Neighbours:
                 best.setdefault(robot_of(row), []).append(row)
         return cls(library.path.resolve(), pieces, best)
 
-    def nearest(self, piece: Piece, robot: str) -> WarmStart | None:
+    def nearest(self, piece: Excerpt, robot: str) -> WarmStart | None:
         """What a search for a piece begins like; None if nothing of the robot's is near.
 
         Args:
@@ -80,7 +80,7 @@ class Neighbours:
             return None
         return WarmStart(near["id"], self.library / near["motion_file"])
 
-    def _near(self, piece: Piece, robot: str) -> list[Row]:
+    def _near(self, piece: Excerpt, robot: str) -> list[Row]:
         """A few rows among which the nearest is."""
         groups = self._groups.get(robot, {})
         at = _place(piece)
@@ -108,7 +108,7 @@ class Neighbours:
         }
 
 
-def _place(piece: Piece) -> tuple[float, float, float]:
+def _place(piece: Excerpt) -> tuple[float, float, float]:
     """Of a piece among all: as far from another as `distance` says, but for the footfall."""
     return math.log(piece.period_s) / TEMPO, piece.speed_m_s / SPEED_M_S, piece.yaw_rate_rad_s / YAW_RAD_S
 

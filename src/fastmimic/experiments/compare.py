@@ -10,8 +10,17 @@ from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.formats import detect_format
 from fastmimic.control.config import controller_config
 from fastmimic.experiments.ablations import ABLATED, ablation_named, ablations_of
-from fastmimic.experiments.runs import POLICY, Row, Run, Settings, digest, finished_row, run_of, slug
-from fastmimic.experiments.schedule import Report, Task, run_all
+from fastmimic.experiments.comparison_run import (
+    POLICY,
+    ComparisonSettings,
+    Row,
+    Run,
+    digest,
+    finished_row,
+    run_of,
+    slug,
+)
+from fastmimic.experiments.parallel import ReportProgress, RunTask, run_all
 from fastmimic.imitation.methods import METHODS, RL, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings
@@ -19,7 +28,7 @@ from fastmimic.optimize.problem import Objective
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
 if TYPE_CHECKING:
     from fastmimic.learning.policy import Policy
@@ -46,7 +55,7 @@ class ChosenPolicy:
 
 
 @dataclass(frozen=True)
-class Plan:
+class ComparisonPlan:
     """All runs of a comparison, in the order in which they are done.
 
     Attributes:
@@ -58,7 +67,7 @@ class Plan:
         policies: of the learned method; see `choose_policies`.
     """
 
-    settings: Settings
+    settings: ComparisonSettings
     motions: tuple[str, ...]
     methods: tuple[str, ...]
     seeds: int
@@ -127,14 +136,14 @@ class Prepared:
         kept: rows of other finished runs of the same settings in the folder.
     """
 
-    plan: Plan
+    plan: ComparisonPlan
     out: Path
     files: Mapping[Path, Motion]
-    tasks: tuple[Task, ...]
+    tasks: tuple[RunTask, ...]
     done: Mapping[Run, Row]
     kept: tuple[Row, ...]
 
-    def perform(self, workers: int, report: Report) -> list[Row]:
+    def perform(self, workers: int, report: ReportProgress) -> list[Row]:
         """Does what is not done yet; the rows of all runs of the plan, in its order.
 
         Raises:
@@ -156,7 +165,7 @@ class Prepared:
         return [row for run in self.plan.runs if (row := done[run]) is not None]
 
 
-def prepare(plan: Plan, out: Path, *, keep: bool, prepared: Callable[[str], None]) -> Prepared:
+def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[str], None]) -> Prepared:
     """Loads robot and motions, and checks them and the finished runs in the folder; writes nothing.
 
     Args:
@@ -188,7 +197,7 @@ def prepare(plan: Plan, out: Path, *, keep: bool, prepared: Callable[[str], None
                 " motion or robot than this installation's; choose another --out, or --overwrite it"
             )
     tasks = (
-        Task(
+        RunTask(
             run,
             plan.settings,
             _file(out, run.motion, ablation_named(run.variant).consistent),
@@ -209,7 +218,9 @@ def prepare(plan: Plan, out: Path, *, keep: bool, prepared: Callable[[str], None
     )
 
 
-def compare(plan: Plan, out: Path, *, workers: int, report: Report, prepared: Callable[[str], None]) -> list[Row]:
+def compare(
+    plan: ComparisonPlan, out: Path, *, workers: int, report: ReportProgress, prepared: Callable[[str], None]
+) -> list[Row]:
     """Does what is not done yet, and returns the rows of all runs of the plan.
 
     Args:
@@ -312,7 +323,7 @@ def _finished(out: Path) -> dict[Run, Row]:
 
 
 def _demonstrations(
-    plan: Plan, robot: Robot, prepared: Callable[[str], None]
+    plan: ComparisonPlan, robot: Robot, prepared: Callable[[str], None]
 ) -> Iterator[tuple[tuple[str, bool], Motion]]:
     """Every motion, and with the ablations as it is without the consistency step too."""
     raw = any(not ablation_named(name).consistent for name in plan.variants)

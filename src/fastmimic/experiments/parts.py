@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fastmimic.base.errors import OutputError
 from fastmimic.base.files import replace_file
-from fastmimic.experiments.runs import Row
+from fastmimic.experiments.comparison_run import Row
 
 
 def save_part(path: Path, rows: Sequence[Row], digest: str) -> None:

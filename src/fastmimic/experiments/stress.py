@@ -17,9 +17,9 @@ import numpy as np
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.episode.rollout import Start, nominal_start, run_episodes
-from fastmimic.experiments.entrants import Entrant
+from fastmimic.experiments.comparison_run import Row, slug
 from fastmimic.experiments.parts import all_parts
-from fastmimic.experiments.runs import Row, slug
+from fastmimic.experiments.subject import Subject
 from fastmimic.imitation.imitate import default_duration
 from fastmimic.imitation.methods import ALL_METHODS, method_named
 from fastmimic.motion.motion import Motion
@@ -126,7 +126,7 @@ def check_length(motion: Motion, names: Sequence[str], settings: StressSettings)
     return seconds
 
 
-def sweep(entrant: Entrant, disturbance: str, robot: Robot, settings: StressSettings) -> list[Row]:
+def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSettings) -> list[Row]:
     """Runs all levels of a disturbance.
 
     Returns:
@@ -135,7 +135,7 @@ def sweep(entrant: Entrant, disturbance: str, robot: Robot, settings: StressSett
     Raises:
         FastMimicError: the motion is too short for a push, or does not fit the robot.
     """
-    kind, motion = DISTURBANCES[disturbance], entrant.motion
+    kind, motion = DISTURBANCES[disturbance], subject.motion
     seconds = check_length(motion, [disturbance], settings)
     room = motion.n_samples
     if motion.cycle is None:
@@ -149,16 +149,16 @@ def sweep(entrant: Entrant, disturbance: str, robot: Robot, settings: StressSett
             motion,
             start=_repeated(start, len(levels)),
             duration_s=seconds,
-            config=entrant.config,
+            config=subject.config,
             conditions=settings.conditions(Disturbance(disturbance, values)),
-            controller=entrant.controller,
+            controller=subject.controller,
         )
         for i, level in enumerate(levels):
             own = slice(i * settings.episodes, (i + 1) * settings.episodes)
             rows.append(
                 {
                     "motion": motion.name,
-                    "method": entrant.method.name,
+                    "method": subject.method.name,
                     "disturbance": disturbance,
                     "unit": kind.unit,
                     "value": level if math.isfinite(level) else str(level),

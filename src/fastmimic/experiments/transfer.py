@@ -18,9 +18,9 @@ import numpy as np
 from fastmimic.base.errors import ConfigError, LogError
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.rollout import Start, perturbed_start, run_episodes, run_log
-from fastmimic.experiments.entrants import Entrant
+from fastmimic.experiments.comparison_run import Row, slug
 from fastmimic.experiments.parts import all_parts
-from fastmimic.experiments.runs import Row, slug
+from fastmimic.experiments.subject import Subject
 from fastmimic.identification.identify import identify
 from fastmimic.imitation.imitate import default_duration
 from fastmimic.imitation.methods import ALL_METHODS, method_named
@@ -34,7 +34,7 @@ COLUMNS: Final = ("motion", "method", "stage", "trial", "reward", "fell", "robot
 
 
 @dataclass(frozen=True)
-class Stage:
+class TransferStage:
     """One set of conditions.
 
     Attributes:
@@ -71,15 +71,15 @@ FLOOR: Final = Disturbance("friction", (0.6,))
 
 SIMULATION: Final = "simulation"
 STAGES: Final = (
-    Stage(SIMULATION, "as optimised", "mujoco", "truth"),
-    Stage("sensors", "(a) sensors", "mujoco", "sensors"),
-    Stage("engine", "(b) PyBullet", "pybullet", "truth"),
-    Stage("robot", "(c) all", "pybullet", "sensors", (*ACTUATORS, FLOOR)),
+    TransferStage(SIMULATION, "as optimised", "mujoco", "truth"),
+    TransferStage("sensors", "(a) sensors", "mujoco", "sensors"),
+    TransferStage("engine", "(b) PyBullet", "pybullet", "truth"),
+    TransferStage("robot", "(c) all", "pybullet", "sensors", (*ACTUATORS, FLOOR)),
 )
 """From the simulator of the optimisation to a robot that differs in everything."""
 LAST: Final = STAGES[-1].name
 
-IDENTIFIED: Final = Stage("identified", "(c) identified", "pybullet", "sensors", (*ACTUATORS, FLOOR))
+IDENTIFIED: Final = TransferStage("identified", "(c) identified", "pybullet", "sensors", (*ACTUATORS, FLOOR))
 """The last one once more, with friction and payload identified from a run there."""
 IDENTIFICATION_S: Final = 5.0
 """Length of that run."""
@@ -124,7 +124,7 @@ def trial_starts(trials: int, seed: int) -> Start:
 
 
 def run_trials(
-    entrant: Entrant, robot: Robot, settings: TransferSettings, stages: Sequence[Stage] = STAGES
+    subject: Subject, robot: Robot, settings: TransferSettings, stages: Sequence[TransferStage] = STAGES
 ) -> list[Row]:
     """The trials of one method on one motion in all stages, or some, from the same starts.
 
@@ -134,12 +134,12 @@ def run_trials(
     Raises:
         FastMimicError: PyBullet is missing or does not know the robot.
     """
-    motion = entrant.motion
+    motion = subject.motion
     rows: list[Row] = []
     seconds = min(settings.duration_s, default_duration(motion, settings.duration_s))
     start = trial_starts(settings.trials, settings.seed)
     for stage in (*stages, IDENTIFIED) if settings.identify else stages:
-        config = identified_config(entrant, robot, settings) if stage is IDENTIFIED else entrant.config
+        config = identified_config(subject, robot, settings) if stage is IDENTIFIED else subject.config
         rollout = run_episodes(
             robot,
             motion,
@@ -147,12 +147,12 @@ def run_trials(
             duration_s=seconds,
             config=config,
             conditions=stage.conditions(settings.seed),
-            controller=entrant.controller,
+            controller=subject.controller,
         )
         rows += [
             {
                 "motion": motion.name,
-                "method": entrant.method.name,
+                "method": subject.method.name,
                 "stage": stage.name,
                 "trial": trial,
                 "reward": float(rollout.reward[trial]),
@@ -166,32 +166,32 @@ def run_trials(
     return rows
 
 
-def identified_config(entrant: Entrant, robot: Robot, settings: TransferSettings) -> ControllerConfig:
+def identified_config(subject: Subject, robot: Robot, settings: TransferSettings) -> ControllerConfig:
     """The controller with what one run in the conditions of `IDENTIFIED` says of friction and payload.
 
     The run is none of the trials: its start and its sensors' errors are its own. If nothing can be learnt from it,
     because the robot falls at once, the controller is left as it is, with a warning.
     """
-    motion, conditions = entrant.motion, IDENTIFIED.conditions(settings.seed)
+    motion, conditions = subject.motion, IDENTIFIED.conditions(settings.seed)
     start = trial_starts(settings.trials + 1, settings.seed).part(slice(settings.trials, None))
     rollout = run_episodes(
         robot,
         motion,
         start=start,
         duration_s=min(IDENTIFICATION_S, default_duration(motion, IDENTIFICATION_S)),
-        config=entrant.config,
+        config=subject.config,
         log=True,
         conditions=conditions,
-        controller=entrant.controller,
+        controller=subject.controller,
     )
     assert rollout.log is not None, "asked for"
     latency_s = conditions.estimator.latency_s
     log = run_log(rollout.log, 0, robot=robot.name, motion=motion.name, latency_s=latency_s)
     try:
-        return identify(log, robot).configure(entrant.config)
+        return identify(log, robot).configure(subject.config)
     except LogError as error:
-        _LOG.warning("%s, %s: nothing was identified: %s", motion.name, entrant.method.name, error)
-        return entrant.config
+        _LOG.warning("%s, %s: nothing was identified: %s", motion.name, subject.method.name, error)
+        return subject.config
 
 
 def part_file(out: Path, motion: str, method: str) -> Path:
@@ -231,7 +231,7 @@ class Transferred:
         return float(1.0 - means[-1] / means[0]) if means[0] > 0 else float("nan")
 
 
-def stages_of(rows: Iterable[Row]) -> tuple[Stage, ...]:
+def stages_of(rows: Iterable[Row]) -> tuple[TransferStage, ...]:
     """The stages of some rows: `IDENTIFIED` is not always among them."""
     return (*STAGES, IDENTIFIED) if any(row["stage"] == IDENTIFIED.name for row in rows) else STAGES
 
@@ -310,7 +310,7 @@ _ABOUT_IDENTIFIED: Final = (
 )
 
 
-def _short(stage: Stage) -> str:
+def _short(stage: TransferStage) -> str:
     return "(c)" if stage is STAGES[-1] else stage.label
 
 

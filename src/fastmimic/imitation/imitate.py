@@ -35,7 +35,7 @@ from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization, ran
 from fastmimic.optimize.stitched import make_problem
 from fastmimic.primitive.rhythmic import N_BASIS
 from fastmimic.robot import Robot, load_robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
 
 EVALUATION_S: Final = 10.0

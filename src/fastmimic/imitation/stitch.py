@@ -24,7 +24,7 @@ from fastmimic.optimize.parameters import FOOT_HEIGHT, needed_group
 from fastmimic.optimize.randomization import Randomization, randomization
 from fastmimic.optimize.stitched import StitchedProblem, parameters_of
 from fastmimic.robot import Robot, load_robot
-from fastmimic.runs.load import MotionSource, load_motion
+from fastmimic.runs.loading import MotionSource, load_motion
 from fastmimic.stitching.join import stitch_motions
 
 PART_CHECKPOINT: Final = "checkpoint-{}.npz"

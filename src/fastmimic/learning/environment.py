@@ -16,7 +16,7 @@ from fastmimic.learning.episodes import EPISODE_S, Episodes, Outcome
 from fastmimic.learning.randomisation import parse_randomisation
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
-from fastmimic.runs.load import load_motion
+from fastmimic.runs.loading import load_motion
 
 Seen = NDArray[np.float32]
 

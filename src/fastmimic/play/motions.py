@@ -9,7 +9,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.reference.motion_set import IN_PLACE, in_place
 from fastmimic.reference.standing import STAND, standing
 from fastmimic.robot import Robot
-from fastmimic.runs.load import MotionSource, find_motion
+from fastmimic.runs.loading import MotionSource, find_motion
 
 DEFAULTS: Final = (STAND, IN_PLACE, "walk", "trot", "pace", "turn", "side-step", "spin", "backward-trot", "bound")
 """The motions that are played by default."""

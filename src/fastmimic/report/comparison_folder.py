@@ -11,13 +11,13 @@ from fastmimic.base.errors import OutputError
 from fastmimic.base.files import check_folder, check_resumable, read_section, remove_file, replace_file
 from fastmimic.experiments.ablations import ABLATED, ABLATIONS
 from fastmimic.experiments.compare import MOTIONS, RUNS
-from fastmimic.experiments.runs import RUN_FILES, TRACKING, Row, Run, run_of
+from fastmimic.experiments.comparison_run import RUN_FILES, TRACKING, Row, Run, run_of
 from fastmimic.experiments.tables import ablation_table, comparison_table, summaries, to_csv
 from fastmimic.imitation.methods import ALL_METHODS, method_named
 from fastmimic.report.run_folder import write_json
 
 if TYPE_CHECKING:
-    from fastmimic.experiments.compare import Plan
+    from fastmimic.experiments.compare import ComparisonPlan
 
 ENVIRONMENT: Final = "environment.json"
 RESULTS_CSV: Final = "results.csv"
@@ -58,7 +58,7 @@ class ComparisonFolder:
         motions = [*(name for name in earlier if name in environment["motions"]), *environment["motions"]]
         write_json(self.path / ENVIRONMENT, {**environment, "motions": list(dict.fromkeys(motions))})
 
-    def write(self, plan: "Plan", rows: Sequence[Row], kept: Sequence[Row] = ()) -> None:
+    def write(self, plan: "ComparisonPlan", rows: Sequence[Row], kept: Sequence[Row] = ()) -> None:
         """Writes the tables and figures of all rows, in place of earlier ones; says so where runs are missing.
 
         Args:
@@ -108,7 +108,7 @@ class ComparisonFolder:
 
     def _write_comparison(self, rows: Sequence[Row], expected: int) -> list[str]:
         from fastmimic.render.figure_style import save
-        from fastmimic.report.comparison import comparison_figure
+        from fastmimic.report.comparison_figures import comparison_figure
 
         self._write_text(TABLE, comparison_table(rows, expected))
         found = summaries(rows)
@@ -120,7 +120,7 @@ class ComparisonFolder:
         import numpy as np
 
         from fastmimic.render.figure_style import save
-        from fastmimic.report.comparison import tracking_bars
+        from fastmimic.report.comparison_figures import tracking_bars
 
         methods = [row["method"] for row in rows if method_named(row["method"]).optimises]
         if not methods:
@@ -144,7 +144,7 @@ class ComparisonFolder:
 
     def _write_ablations(self, rows: Sequence[Row], expected: int) -> list[str]:
         from fastmimic.render.figure_style import save
-        from fastmimic.report.comparison import ablation_figure
+        from fastmimic.report.comparison_figures import ablation_figure
 
         self._write_text(ABLATION_TABLE, ablation_table(rows, expected))
         title = f"What the parts of {method_named(ABLATED).label} are worth, {rows[0]['robot']}"

@@ -11,7 +11,7 @@ from typing import Any, Final
 from fastmimic.base.errors import ConfigError, FastMimicError, OutputError
 from fastmimic.base.files import replace_file
 from fastmimic.deploy.files import RESULT as DEPLOYMENT
-from fastmimic.experiments.runs import POLICY
+from fastmimic.experiments.comparison_run import POLICY
 from fastmimic.imitation.methods import ALL_METHODS
 from fastmimic.report import html_episodes, html_limits, html_search
 from fastmimic.report.comparison_folder import ENVIRONMENT

@@ -10,7 +10,7 @@ from typing import Any, Final
 from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.compare import RUNS
-from fastmimic.experiments.runs import Row, finished_row
+from fastmimic.experiments.comparison_run import Row, finished_row
 from fastmimic.experiments.tables import summaries
 from fastmimic.imitation.methods import method_named
 from fastmimic.report import html_methods

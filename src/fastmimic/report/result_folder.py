@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fastmimic.base.files import check_folder, check_resumable, remove_file, replace_file
-from fastmimic.experiments.entrants import MOTIONS
+from fastmimic.experiments.subject import MOTIONS
 from fastmimic.report.run_folder import write_json
 
 ENVIRONMENT: Final = "environment.json"

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from motion_survey import Surveyed, random_cycles, summary, survey, table
 
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.synthesis import generate
 from fastmimic.episode.feasibility import Reason
-from fastmimic.experiments.survey import Surveyed, random_cycles, summary, survey, table
 from fastmimic.robot import Robot
 
 

@@ -5,12 +5,12 @@ from itertools import zip_longest
 from typing import Any, Final
 
 import numpy as np
+from learning_cost import CONTROL_RATE_HZ, Course
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fastmimic.base.arrays import Array
-from fastmimic.experiments.cost import CONTROL_RATE_HZ, Course
 from fastmimic.imitation.methods import RL, method_named
 from fastmimic.render.figure_style import INK, MUTED, Line, new_figure, tidy
 
@@ -38,7 +38,7 @@ def cost_figure(courses: Sequence[Course], paper: tuple[float, float], title: st
     band from the least to the greatest. What was not optimised is a horizontal line.
 
     Args:
-        courses: see `fastmimic.experiments.cost`.
+        courses: see `learning_cost`.
         paper: what the paper's number of policy steps takes: simulated time and processor time, s.
         title: heading.
     """

@@ -14,7 +14,7 @@ from fastmimic.dataset.records import FAILED, load_record, record_file
 FILE: Final = "work/seen.json"
 
 
-class Seen:
+class FinishedJobs:
     """What of a library was whole."""
 
     def __init__(self, folder: Path) -> None:

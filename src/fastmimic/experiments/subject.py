@@ -12,7 +12,7 @@ import numpy as np
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.episode.rollout import MakeController
-from fastmimic.experiments.runs import slug
+from fastmimic.experiments.comparison_run import slug
 from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import MADE_WITH, Method, check_controller, method_named
 from fastmimic.motion.motion import Motion
@@ -44,7 +44,7 @@ class Search:
 
 
 @dataclass(frozen=True, eq=False)
-class Entrant:
+class Subject:
     """A method and what it runs.
 
     Attributes:
@@ -85,7 +85,7 @@ def check_methods(names: Sequence[str], policy: bool) -> None:
         raise ConfigError("a policy was given, and no method that uses it; add rl to --methods")
 
 
-def make_entrant(
+def make_subject(
     method: str,
     given: Motion,
     robot: Robot,
@@ -94,7 +94,7 @@ def make_entrant(
     *,
     policy: tuple[MakeController, str] | None = None,
     progress: Callable[[Progress], None] | None = None,
-) -> Entrant:
+) -> Subject:
     """A method with its motion; what it optimises is kept in `folder`, and read from there the next time.
 
     Args:
@@ -114,17 +114,17 @@ def make_entrant(
     chosen, demonstration = method_named(method), given.target
     config = chosen.configure(controller_config(search.config))
     if not chosen.optimises:
-        return Entrant(chosen, demonstration, config, *(policy if policy is not None and chosen.learned else ()))
+        return Subject(chosen, demonstration, config, *(policy if policy is not None and chosen.learned else ()))
     made = given.meta.get(MADE_WITH)
     if given is not demonstration and (not isinstance(made, dict) or made.get("method") == method):
-        return Entrant(chosen, given, config)
+        return Subject(chosen, given, config)
     stem = slug(f"{given.name}-{method}")
     path, checkpoint = folder / f"{stem}.npz", folder / f"{stem}.checkpoint.npz"
     if path.is_file():
         motion = Motion.load(path)
         if motion.target.joint_pos.tobytes() != demonstration.joint_pos.tobytes():
             raise OutputError(f"{path} was optimised from another motion; remove it, or choose another --out")
-        return Entrant(chosen, motion, config)
+        return Subject(chosen, motion, config)
     folder.mkdir(parents=True, exist_ok=True)
     result = imitate(
         demonstration,
@@ -143,4 +143,4 @@ def make_entrant(
         raise KeyboardInterrupt
     result.motion.save(path)
     checkpoint.unlink(missing_ok=True)
-    return Entrant(chosen, result.motion, config)
+    return Subject(chosen, result.motion, config)

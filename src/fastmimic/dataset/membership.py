@@ -13,7 +13,7 @@ from sys import intern
 from typing import Any, Final
 
 from fastmimic.base.files import replace_file
-from fastmimic.dataset.pieces import Piece
+from fastmimic.dataset.excerpts import Excerpt
 from fastmimic.dataset.records import Record
 
 Search = tuple[str, str, int, str, str]
@@ -44,7 +44,7 @@ class Superseded:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Membership:
     """What a library is to hold.
 
     Attributes:
@@ -58,7 +58,7 @@ class Plan:
 
     recipe: str | None
     robots: Mapping[str, str]
-    pieces: Mapping[str, Sequence[Piece]]
+    pieces: Mapping[str, Sequence[Excerpt]]
     unreadable: tuple[str, ...]
     sources_known: bool
     problems: tuple[str, ...]

@@ -19,7 +19,7 @@ SECOND_SIMULATOR_EPISODES: Final = 3
 
 
 @dataclass(frozen=True)
-class Recipe:
+class BuildSettings:
     """What all jobs of a library have in common.
 
     Attributes:

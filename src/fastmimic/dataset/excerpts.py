@@ -17,7 +17,7 @@ from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import detect_format
 from fastmimic.clips.segment import DISCRETE, Segment, SegmentConfig, as_one_cycle, find_segments
-from fastmimic.dataset.sources import Source
+from fastmimic.dataset.sources import DatasetSource
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive.discrete import MAX_S
 from fastmimic.retargeting.retarget import is_one_cycle
@@ -28,7 +28,7 @@ WHOLE: Final = "whole"
 
 
 @dataclass(frozen=True)
-class Piece:
+class Excerpt:
     """One motion of a source.
 
     Attributes:
@@ -45,7 +45,7 @@ class Piece:
     """
 
     name: str
-    source: Source
+    source: DatasetSource
     frames: tuple[int, int] | None
     digest: str
     gait: str
@@ -113,8 +113,8 @@ class Survey:
         looked: when what looked at it as it was then (see `look_of`); None if that cannot be told.
     """
 
-    source: Source
-    pieces: tuple[Piece, ...] = ()
+    source: DatasetSource
+    pieces: tuple[Excerpt, ...] = ()
     skipped: str | None = None
     failed: str | None = None
     looked: str | None = None
@@ -126,7 +126,7 @@ class Survey:
         return said if said is None or said.startswith(self.source.place) else f"{self.source}: {said}"
 
 
-def survey(source: Source, confidence: float, discrete: bool = False) -> Survey:
+def survey(source: DatasetSource, confidence: float, discrete: bool = False) -> Survey:
     """Looks through a source; what is wrong with it is part of the result.
 
     Args:
@@ -141,7 +141,7 @@ def survey(source: Source, confidence: float, discrete: bool = False) -> Survey:
         return Survey(source, failed=reason_of(error))
 
 
-def look_of(source: Source, confidence: float, discrete: bool) -> str | None:
+def look_of(source: DatasetSource, confidence: float, discrete: bool) -> str | None:
     """What a survey depends on, with a file told by its size and time: one that says the same need not be made again.
 
     Args:
@@ -159,7 +159,7 @@ def look_of(source: Source, confidence: float, discrete: bool) -> str | None:
     return f"{said}, confidence {confidence}, discrete {discrete}, fastmimic {__version__}"
 
 
-def _found(source: Source, confidence: float, discrete: bool) -> Survey:
+def _found(source: DatasetSource, confidence: float, discrete: bool) -> Survey:
     opened = _open(source)
     if isinstance(opened, Motion):
         return Survey(source, (_of_motion(source, opened),))
@@ -181,7 +181,7 @@ def reason_of(error: Exception) -> str:
     return " ".join(said.split())
 
 
-def _open(source: Source) -> Clip | Motion:
+def _open(source: DatasetSource) -> Clip | Motion:
     if Path(source.place).is_file() and detect_format(source.place) == "npz":
         if source.overrides or source.frames is not None:
             raise ClipError(
@@ -191,11 +191,11 @@ def _open(source: Source) -> Clip | Motion:
     return open_clip(source.place, frames=source.frames, **source.overrides)
 
 
-def _of_motion(source: Source, motion: Motion) -> Piece:
+def _of_motion(source: DatasetSource, motion: Motion) -> Excerpt:
     robot = motion.meta.get("robot")
     if robot is None:
         raise ClipError(f"{source.place}: does not say whose motion it is ('robot' in its meta)")
-    return Piece(
+    return Excerpt(
         name=source.name,
         source=source,
         frames=None,
@@ -213,7 +213,7 @@ def _of_motion(source: Source, motion: Motion) -> Piece:
     )
 
 
-def _of_take(source: Source, take: Clip, confidence: float, discrete: bool) -> Survey:
+def _of_take(source: DatasetSource, take: Clip, confidence: float, discrete: bool) -> Survey:
     """What of a take is to be imitated; or the whole of a short clip, if it is one cycle by what it says or by its
     ends."""
     segments = find_segments(take)
@@ -238,11 +238,11 @@ def _of_take(source: Source, take: Clip, confidence: float, discrete: bool) -> S
     return Survey(source, skipped=f"{take.n_frames} frames hold {doubtful if cycles else 'nothing that repeats'}")
 
 
-def _piece(source: Source, cut: Clip, frames: tuple[int, int], segment: Segment, *, repeats: bool) -> Piece:
+def _piece(source: DatasetSource, cut: Clip, frames: tuple[int, int], segment: Segment, *, repeats: bool) -> Excerpt:
     """A part of a clip."""
     whole = frames == (0, cut.n_frames) and source.frames is None
     name = source.name if whole else f"{source.name}-{frames[0]}-{frames[1]}"
-    return Piece(
+    return Excerpt(
         name=name,
         source=source,
         frames=None if whole else frames,
@@ -311,15 +311,15 @@ def _load(path: Path) -> Survey:
     return Survey(source, pieces, said["skipped"], said["failed"], said.get("looked"))
 
 
-def _whole(said: dict[str, Any]) -> Piece:
+def _whole(said: dict[str, Any]) -> Excerpt:
     for name, kind in _KINDS.items():
         if not isinstance(said[name], kind):
             raise TypeError(f"'{name}' is {said[name]!r}")
-    return Piece(**said)
+    return Excerpt(**said)
 
 
-def _source(said: dict[str, Any]) -> Source:
-    return Source(**{**said, "frames": _pair(said["frames"])})
+def _source(said: dict[str, Any]) -> DatasetSource:
+    return DatasetSource(**{**said, "frames": _pair(said["frames"])})
 
 
 def _pair(found: Sequence[int] | None) -> tuple[int, int] | None:

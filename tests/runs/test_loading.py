@@ -11,7 +11,7 @@ from fastmimic.base.errors import ConfigError, FastMimicError, MotionError, Robo
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.runs.load import find_motion, load_motion
+from fastmimic.runs.loading import find_motion, load_motion
 
 
 @pytest.fixture(scope="module")

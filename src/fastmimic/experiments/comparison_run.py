@@ -55,7 +55,7 @@ _WARM_UP_S: Final = 0.01
 
 
 @dataclass(frozen=True)
-class Settings:
+class ComparisonSettings:
     """What all runs of a comparison have in common.
 
     Attributes:
@@ -101,12 +101,14 @@ def slug(text: str) -> str:
     return re.sub(r"[^\w.-]+", "_", text)
 
 
-def controller_of(run: Run, settings: Settings) -> ControllerConfig:
+def controller_of(run: Run, settings: ComparisonSettings) -> ControllerConfig:
     """The run's controller before its method changes it."""
     return ablation_named(run.variant).change(controller_config(settings.config))
 
 
-def digest(run: Run, settings: Settings, robot: Robot, demonstration: Motion, policy: "Policy | None" = None) -> str:
+def digest(
+    run: Run, settings: ComparisonSettings, robot: Robot, demonstration: Motion, policy: "Policy | None" = None
+) -> str:
     """What tells apart runs of different content: 16 hexadecimal digits of everything but the seed.
 
     Args:
@@ -134,7 +136,7 @@ def digest(run: Run, settings: Settings, robot: Robot, demonstration: Motion, po
 
 def perform(
     run: Run,
-    settings: Settings,
+    settings: ComparisonSettings,
     robot: Robot,
     demonstration: Motion,
     folder: Path,
@@ -247,7 +249,7 @@ def _with_training(row: Row, policy: "Policy") -> Row:
 
 
 def _row(
-    run: Run, settings: Settings, result: Imitation, folder: Path, controller: MakeController | None = None
+    run: Run, settings: ComparisonSettings, result: Imitation, folder: Path, controller: MakeController | None = None
 ) -> Row:
     robot, demonstration = result.robot, result.demonstration
     measured = measure(

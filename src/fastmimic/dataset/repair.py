@@ -6,9 +6,9 @@ import numpy as np
 
 from fastmimic.base.errors import MotionError, OutputError, RobotError
 from fastmimic.control.config import controller_config
-from fastmimic.dataset.folder import Health, Library, check
+from fastmimic.dataset.excerpts import reason_of
+from fastmimic.dataset.folder import DatasetHealth, MotionDataset, check
 from fastmimic.dataset.lock import mending
-from fastmimic.dataset.pieces import reason_of
 from fastmimic.episode.rollout import run_episodes
 from fastmimic.imitation.imitate import default_duration
 from fastmimic.imitation.methods import method_named
@@ -18,7 +18,9 @@ _DRAW_SEED = 0
 _COLUMNS = ("id", "name", "robot", "robot_file", "method", "motion_file", "reward", "lacks")
 
 
-def rerun(library: Library, count: int, progress: Callable[[int, int], None] | None = None) -> tuple[list[str], int]:
+def rerun(
+    library: MotionDataset, count: int, progress: Callable[[int, int], None] | None = None
+) -> tuple[list[str], int]:
     """Runs motions' nominal episodes again.
 
     Args:
@@ -59,7 +61,7 @@ def rerun(library: Library, count: int, progress: Callable[[int, int], None] | N
     return found, len(drawn)
 
 
-def mend(library: Library, progress: Callable[[int, int], None] | None = None) -> tuple[Health, int]:
+def mend(library: MotionDataset, progress: Callable[[int, int], None] | None = None) -> tuple[DatasetHealth, int]:
     """Removes what is damaged and what belongs to no record, and writes the index.
 
     Args:

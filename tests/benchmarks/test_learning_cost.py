@@ -10,12 +10,13 @@ import pytest
 
 pytest.importorskip("gymnasium", reason="Gymnasium is not installed: pip install 'fastmimic[rl]'")
 
+from learning_cost import PAPER_STEPS, Course, cost_table, paper_cost, search_courses, training_course
+from learning_cost_figure import cost_figure
+
 from fastmimic.base.errors import CheckpointError, OutputError, PolicyError
-from fastmimic.experiments.cost import PAPER_STEPS, Course, cost_table, paper_cost, search_courses, training_course
-from fastmimic.experiments.runs import ROW
+from fastmimic.experiments.comparison_run import ROW
 from fastmimic.learning.training import Evaluated, evaluations_csv
 from fastmimic.optimize.checkpoint import FILE_NAME, Checkpoint
-from fastmimic.report.cost import cost_figure
 from learning.hand_made import random_policy
 
 SCORES = np.array([[0.3, 0.5], [0.4, 0.2], [0.9, 0.1], [0.6, 0.7]])

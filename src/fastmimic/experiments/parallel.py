@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fastmimic.executors.local import LocalExecutor
-from fastmimic.experiments.runs import Row, Run, Settings, perform
+from fastmimic.experiments.comparison_run import ComparisonSettings, Row, Run, perform
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import VALIDATED, VALIDATION_EPISODES, VALIDATION_S, Progress
@@ -21,11 +21,11 @@ from fastmimic.robot import load_robot
 
 
 @dataclass(frozen=True)
-class Task:
+class RunTask:
     """A run and where its files are; `policy` is that of a learned method."""
 
     run: Run
-    settings: Settings
+    settings: ComparisonSettings
     demonstration: Path
     folder: Path
     policy: Path | None = None
@@ -45,10 +45,10 @@ class Task:
 
 
 @dataclass
-class Effort:
+class RunProgress:
     """How much is done, and how long the rest will take: by the pace of each method so far."""
 
-    tasks: Sequence[Task]
+    tasks: Sequence[RunTask]
     workers: int
     finished: int = 0
     _began: dict[int, float] = field(default_factory=dict)
@@ -101,11 +101,11 @@ class Effort:
         return max(0.0, left) / self.workers
 
 
-Report = Callable[[Effort, Row | None], None]
+ReportProgress = Callable[[RunProgress, Row | None], None]
 """Called after each iteration of a run, and with the row of each run that was finished."""
 
 
-def run_all(tasks: Sequence[Task], workers: int, report: Report) -> list[Row]:
+def run_all(tasks: Sequence[RunTask], workers: int, report: ReportProgress) -> list[Row]:
     """Performs all tasks; the rows in their order.
 
     Ctrl-C stops all runs; what was finished is in the folders, and so are the checkpoints of the others.
@@ -120,7 +120,7 @@ def run_all(tasks: Sequence[Task], workers: int, report: Report) -> list[Row]:
         KeyboardInterrupt: Ctrl-C.
     """
     executor = LocalExecutor(max(1, min(workers, len(tasks))))
-    effort = Effort(tasks, executor.workers)
+    effort = RunProgress(tasks, executor.workers)
     rows: list[Row | None] = [None] * len(tasks)
 
     def progress(index: int, share: float) -> None:
@@ -141,7 +141,7 @@ def run_all(tasks: Sequence[Task], workers: int, report: Report) -> list[Row]:
     return [row for row in rows if row is not None]
 
 
-def _work(task: Task, report: Callable[[float], None]) -> Row:
+def _work(task: RunTask, report: Callable[[float], None]) -> Row:
     report(0.0)
 
     def progress(step: Progress) -> None:
