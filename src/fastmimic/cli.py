@@ -1,7 +1,4 @@
-"""The command `fastmimic`: finds the verb's module, parses its arguments, and turns errors into one line.
-
-Importing a verb's module is what makes it slow, so only the one that was asked for is imported.
-"""
+"""The command `fastmimic`: imports the verb's module, parses its arguments, and prints errors as one line."""
 
 import contextlib
 import difflib
@@ -24,7 +21,7 @@ EXIT_BROKEN_PIPE: Final = 141  # as a shell reports SIGPIPE
 
 
 class Verb(NamedTuple):
-    """Where a verb's dataclass is, and what it is for."""
+    """Module and dataclass of a verb, and its line in the help."""
 
     module: str
     dataclass: str
@@ -32,45 +29,45 @@ class Verb(NamedTuple):
 
 
 class Command(Protocol):
-    """What every verb's dataclass is: its arguments, and what to do with them."""
+    """A verb with its arguments."""
 
     def run(self) -> int:
-        """Does it; returns the exit status."""
+        """Runs the verb; returns the exit status."""
 
 
 VERBS: Final = {
     "imitate": Verb("imitate", "Imitate", "turn a motion into one that the robot can execute"),
     "evaluate": Verb("evaluate", "Evaluate", "run a motion under the controller and score it"),
-    "compare": Verb("compare", "Compare", "run the paper's methods against each other: tables and figures"),
-    "train": Verb("train", "Train", "train a policy that imitates a motion: the baseline that learns"),
-    "stress": Verb("stress", "Stress", "say how much of each disturbance a motion withstands"),
-    "transfer": Verb("transfer", "Transfer", "run motions unchanged on a robot that they were not optimised on"),
-    "identify": Verb("identify", "Identify", "tell friction and payload from a logged run, for all motions"),
-    "stitch": Verb("stitch", "Stitch", "join several motions to one that the robot can execute"),
+    "compare": Verb("compare", "Compare", "compare the paper's methods: tables and figures"),
+    "train": Verb("train", "Train", "train the RL baseline (PPO) on a motion"),
+    "stress": Verb("stress", "Stress", "measure how much disturbance a motion tolerates"),
+    "transfer": Verb("transfer", "Transfer", "run motions on a robot that they were not optimised on"),
+    "identify": Verb("identify", "Identify", "estimate friction and payload from a run log"),
+    "stitch": Verb("stitch", "Stitch", "join several motions into one that the robot can execute"),
     "retarget": Verb("retarget", "Retarget", "turn an animal's clip into a robot motion, without optimising it"),
-    "library": Verb("library", "Libraries", "build a dataset of motions from takes and clips, list it, check it"),
+    "library": Verb("library", "Libraries", "build, list and check a dataset of motions"),
     "export": Verb("export", "Export", "write a robot motion for other trainers"),
     "segment": Verb("segment", "SegmentTake", "find the locomotion cycles in a long take"),
-    "inspect": Verb("inspect", "Inspect", "say what a clip or a robot motion is"),
+    "inspect": Verb("inspect", "Inspect", "show information about a clip or motion"),
     "render": Verb("render", "Render", "write a video of a motion"),
     "report": Verb("report", "Report", "write a run or a comparison as one HTML file"),
     "view": Verb("view", "View", "show a motion or a run in the browser"),
-    "play": Verb("play", "Play", "simulate a robot live in the browser, steered by hand"),
-    "deploy": Verb("deploy", "Deploy", "have a robot do a motion, from lying to lying"),
-    "robot-sim": Verb("robot_sim", "RobotSim", "be a simulated robot on a real robot's wire"),
-    "motions": Verb("motions", "Motions", "list the motions that have a name"),
+    "play": Verb("play", "Play", "steer a live simulated robot in the browser"),
+    "deploy": Verb("deploy", "Deploy", "run a motion on a robot (stand up, run, sit down)"),
+    "robot-sim": Verb("robot_sim", "RobotSim", "simulate a Go2 that speaks the real DDS protocol"),
+    "motions": Verb("motions", "Motions", "list the named motions"),
     "robots": Verb("robots", "Robots", "list the built-in robots"),
-    "data": Verb("data", "Data", "list or fetch the public recordings of a dog"),
+    "data": Verb("data", "Data", "list or download the public recordings of a dog"),
 }
 
 HELP: Final = f"""\
 usage: fastmimic VERB ... [-h] [--version]
 
-From an animal's motion to a motion that a real quadruped can execute.
+Turns an animal's motion into one that a real quadruped can execute.
 
 {"".join(f"  {name:10}{verb.about}{chr(10)}" for name, verb in VERBS.items())}
 A MOTION is a built-in gait such as trot, a recording such as dog:pace (see 'fastmimic motions'), or a file.
-'fastmimic VERB --help' lists a verb's options. To begin with: fastmimic imitate trot
+'fastmimic VERB --help' lists the options of a verb. First try: fastmimic imitate trot
 """
 
 
@@ -83,7 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal without, say, an arrow is no reason to fail
+            stream.reconfigure(errors="replace")  # for terminals without, say, an arrow
     try:
         status = _dispatch(arguments)
         sys.stdout.flush()
@@ -135,7 +132,7 @@ class _UsageError(Exception):
 
 
 def _parse(name: str, rest: list[str]) -> Command:
-    """The verb's dataclass, filled in by tyro, whose boxed messages become one line."""
+    """The verb with its arguments, parsed by tyro."""
     verb = VERBS[name]
     dataclass = getattr(import_module(f"fastmimic.commands.{verb.module}"), verb.dataclass)
     import tyro
@@ -154,7 +151,10 @@ def _parse(name: str, rest: list[str]) -> Command:
 
 
 def _raise_usage(box: str) -> NoReturn:
-    """Takes what was wrong, and the option that may have been meant, out of tyro's message in its box."""
+    """Raises the message that tyro prints in a box as one line, with the option that it suggests.
+
+    tyro 1.0 offers no hook for its errors: it prints the box and exits, or exits silently.
+    """
     parts: list[list[str]] = [[]]
     for line in (line.strip("│ ") for line in box.splitlines()):
         if line[:1] in ("╭", "╰") or re.fullmatch(r"[─-]{3,}", line):

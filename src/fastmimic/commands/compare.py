@@ -1,4 +1,4 @@
-"""`fastmimic compare`: the paper's comparison, and its ablations."""
+"""`fastmimic compare`: runs the paper's comparison and its ablations."""
 
 import os
 import platform
@@ -8,17 +8,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from tyro.conf import arg
-
 from fastmimic.base.errors import ConfigError, FastMimicError
-from fastmimic.commands.console import note, put, share_progress
-from fastmimic.commands.options import DEFAULT_ROBOT, check_duration
-from fastmimic.robot import ROBOT_CHOICES
+from fastmimic.commands import options as opt
+from fastmimic.commands.console import KEPT, note, put, share_progress
 
 if TYPE_CHECKING:
-    from fastmimic.experiments.compare import ComparisonPlan, Prepared
-    from fastmimic.experiments.comparison_run import Row
-    from fastmimic.experiments.parallel import ReportProgress, RunProgress
+    from fastmimic.experiments.compare import Plan, Prepared
+    from fastmimic.experiments.runs import Row
+    from fastmimic.experiments.schedule import Effort, Report
     from fastmimic.report.comparison_folder import ComparisonFolder
 
 OUT: Final = Path("runs/comparison")
@@ -26,47 +23,39 @@ OUT: Final = Path("runs/comparison")
 
 @dataclass(frozen=True, kw_only=True)
 class Compare:
-    """Runs several methods on several motions, several seeds each, and writes tables and figures.
+    """Runs several methods on several motions with several seeds, and writes tables and figures.
 
-    Writes results.csv, table.md, comparison.png, tracking.png and environment.json; with --ablations ablations.md and
-    ablations.png as well. Each finished run is kept: after Ctrl-C or a crash, --resume does the rest, and may be given
-    more motions, methods or seeds; the results cover them and all that is finished in the folder.
+    Writes results.csv, table.md, comparison.png, tracking.png and environment.json; with --ablations also ablations.md
+    and ablations.png. Each finished run is kept: after Ctrl-C or a crash, --resume runs the others, also with more
+    motions, methods or seeds. The results cover everything that is finished in the folder.
     """
 
-    motions: Annotated[tuple[str, ...] | None, arg(metavar="MOTION ...")] = None
-    """Names of 'fastmimic motions', or files; by default the paper's four recordings."""
-    builtin: bool = False
-    """The built-in trot, pace, turn and side-step instead, which need no data."""
-    methods: Annotated[tuple[str, ...] | None, arg(metavar="METHOD ...")] = None
-    """By default raibert, mbc, lh, mbc-dmp, lh-dmp, and rl if policies are given."""
-    policy: Annotated[tuple[Path, ...], arg(metavar="FILE|FOLDER ...")] = ()
-    """Trained policies for the method rl (policy.npz of 'fastmimic train'), one or more for each motion, or folders
-    that hold them."""
+    motions: Annotated[tuple[str, ...] | None, opt.option("MOTION ...")] = None
+    """Names from 'fastmimic motions', or files. Default: the paper's four recordings."""
+    builtin: opt.Flag = False
+    """Use the built-in trot, pace, turn and side-step, which need no data."""
+    methods: Annotated[tuple[str, ...] | None, opt.option("METHOD ...")] = None
+    """Methods to run. Default: all but those that optimise more than the paper does; rl if policies are given."""
+    policy: Annotated[tuple[Path, ...], opt.option("FILE|FOLDER ...")] = ()
+    """Trained policies for the method rl (policy.npz of 'fastmimic train') or folders with policies; one or more for
+    each motion."""
     seeds: int = 8
-    """Of CMA-ES, 0 to SEEDS - 1. Methods that optimise nothing are deterministic and run once."""
-    ablations: bool = False
-    """Also variants of mbc-dmp, each with one part taken away or changed."""
-    robot: Annotated[str, arg(metavar="NAME|FILE.xml", help=f"{ROBOT_CHOICES}.")] = DEFAULT_ROBOT
-    config: Annotated[str, arg(metavar="default|robust|paper|FILE")] = "default"
-    """The controller's parameters: ours, ours for another robot than the model, or the paper's form."""
-    iterations: int = 200
-    """Generations of CMA-ES."""
-    population: int = 10
-    """Candidates in each."""
-    duration: Annotated[float, arg(metavar="S")] = 5.0
-    """Length of the optimisation's episodes."""
-    workers: Annotated[int | None, arg(metavar="INT")] = None
-    """Processes; by default one for each core. The rows do not depend on it."""
-    out: Annotated[Path, arg(metavar="FOLDER")] = OUT
-    """Where everything goes. A folder with a comparison is refused unless --resume or --overwrite."""
-    resume: bool = False
-    """Keep what is finished in the folder, go on with what is not."""
-    overwrite: bool = False
-    """Replace the comparison in the folder."""
+    """Number of CMA-ES seeds, from 0. Methods without a search are deterministic and run once."""
+    ablations: opt.Flag = False
+    """Also run variants of mbc-dmp, each with one part removed or changed."""
+    duration: Annotated[float, opt.option("S")] = 5.0
+    """Length of the search's episodes."""
+    robot: opt.RobotName = opt.DEFAULT_ROBOT
+    config: opt.ConfigName = "default"
+    workers: opt.Workers = None
+    out: Annotated[Path, opt.option("FOLDER")] = OUT
+    """Folder of the results. One with a comparison needs --resume or --overwrite."""
+    search: opt.Searching
+    folder: opt.Folder
 
     def run(self) -> int:
-        """Runs it, and writes the folder; returns the exit status."""
-        check_duration(self.duration)
+        """Runs the comparison and writes the folder; returns the exit status."""
+        opt.check_duration(self.duration)
         plan = self._plan()
         from fastmimic.base.machine import available_cores
         from fastmimic.experiments.compare import prepare
@@ -76,14 +65,13 @@ class Compare:
         if workers < 1:
             raise ConfigError(f"workers must be at least 1, found {workers}")
         total = len(plan.runs)
-        with open_comparison(self.out, asdict(plan.settings), resume=self.resume, overwrite=self.overwrite) as folder:
+        resume, overwrite = self.folder.resume, self.folder.overwrite
+        with open_comparison(self.out, asdict(plan.settings), resume=resume, overwrite=overwrite) as folder:
             note(f"{total} runs in {self.out}, {workers} at a time")
-            prepared = prepare(
-                plan, self.out, keep=not self.overwrite, prepared=lambda name: note(f"{name}: retargeted")
-            )
-            folder.begin(_environment(plan, workers, prepared.kept), overwrite=self.overwrite)
+            prepared = prepare(plan, self.out, keep=not overwrite, prepared=lambda name: note(f"{name}: retargeted"))
+            folder.begin(_environment(plan, workers, prepared.kept), overwrite=overwrite)
             if prepared.kept:
-                note(f"{len(prepared.kept)} more finished runs there are kept in the results")
+                note(f"the results include {len(prepared.kept)} more finished runs from the folder")
             try:
                 with _progress(total) as report:
                     rows = prepared.perform(workers, report)
@@ -92,51 +80,49 @@ class Compare:
                     _leave(folder, prepared)
                 raise
             folder.write(plan, rows, prepared.kept)
-        for line in folder.table().splitlines():
-            put(line)
-        put(f"results in {self.out}")
+        put(*folder.table().splitlines(), f"results in {self.out}")
         return 0
 
-    def _plan(self) -> "ComparisonPlan":
-        from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, ComparisonPlan, choose_policies
-        from fastmimic.experiments.comparison_run import EVALUATION_S, ComparisonSettings
+    def _plan(self) -> "Plan":
+        from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, Plan, choose_policies
+        from fastmimic.experiments.runs import EVALUATION_S, Settings
         from fastmimic.imitation.methods import METHODS, RL
         from fastmimic.robot import ROBOT_NAMES
 
         if self.builtin and self.motions is not None:
-            raise ConfigError("--builtin stands for the four built-in motions; give it or --motions")
+            raise ConfigError("--builtin selects the four built-in motions; give it or --motions, not both")
         robot = self.robot if self.robot in ROBOT_NAMES else os.path.abspath(self.robot)
-        settings = ComparisonSettings(
+        settings = Settings(
             robot=robot if os.path.exists(robot) else self.robot,
             config=self.config,
             duration_s=self.duration,
-            iterations=self.iterations,
-            population=self.population,
+            iterations=self.search.iterations,
+            population=self.search.population,
             evaluation_s=EVALUATION_S,
         )
         default = BUILT_IN_MOTIONS if self.builtin else PAPER_MOTIONS
         motions = self.motions if self.motions is not None else default
         methods = self.methods if self.methods is not None else (*METHODS, *([RL] if self.policy else []))
         policies = choose_policies(self.policy, motions) if self.policy else ()
-        return ComparisonPlan(settings, motions, methods, self.seeds, self.ablations, policies)
+        return Plan(settings, motions, methods, self.seeds, self.ablations, policies)
 
 
 def _leave(folder: "ComparisonFolder", prepared: "Prepared") -> None:
-    """Writes what an interrupted comparison, or one with a run that failed, has so far, and says how to go on."""
+    """Writes the results so far of an interrupted or failed comparison, and prints how to continue."""
     try:
         rows = prepared.finished()
         if rows or prepared.kept:
             folder.write(prepared.plan, rows, prepared.kept)
-    except FastMimicError as error:  # the interruption, or the run's failure, is what is reported
-        note(f"tables of what is finished could not be written: {error}")
-    note("what is finished is kept; the same command with --resume goes on")
+    except FastMimicError as error:  # the interruption or the run's failure is reported
+        note(f"the tables could not be written: {error}")
+    note(KEPT)
 
 
-def _environment(plan: "ComparisonPlan", workers: int, kept: "Sequence[Row]") -> dict[str, Any]:
-    """What the results depend on, and what they were made with, JSON-serialisable; `kept` are other runs' rows."""
+def _environment(plan: "Plan", workers: int, kept: "Sequence[Row]") -> dict[str, Any]:
+    """Everything that the results depend on, JSON-serialisable; `kept` are the rows of other runs."""
     from fastmimic.control.config import controller_config
     from fastmimic.experiments.ablations import ABLATIONS, ablation_named
-    from fastmimic.experiments.comparison_run import run_of
+    from fastmimic.experiments.runs import run_of
     from fastmimic.imitation.imitate import versions
     from fastmimic.imitation.methods import ALL_METHODS, method_named
 
@@ -164,7 +150,7 @@ def _environment(plan: "ComparisonPlan", workers: int, kept: "Sequence[Row]") ->
 
 
 def _processor() -> str:
-    """Its name as the system tells it, or its architecture."""
+    """Name of the processor, else its architecture."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as file:
             names = [line.split(":", 1)[1].strip() for line in file if line.startswith("model name")]
@@ -174,11 +160,11 @@ def _processor() -> str:
 
 
 @contextmanager
-def _progress(total: int) -> "Iterator[ReportProgress]":
-    """A bar on a terminal, and in any case a line for each run that was finished."""
+def _progress(total: int) -> "Iterator[Report]":
+    """A bar on a terminal, otherwise a line for each finished run."""
     with share_progress("comparing") as bar:
 
-        def report(effort: "RunProgress", row: "Row | None") -> None:
+        def report(effort: "Effort", row: "Row | None") -> None:
             finished = total - len(effort.tasks) + effort.finished
             left = "" if effort.remaining_s is None else f", {_clock(effort.remaining_s)} left"
             if bar is not None:

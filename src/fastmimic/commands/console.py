@@ -1,31 +1,48 @@
-"""What the verbs say: results on stdout, notes and progress on stderr."""
+"""Output of the verbs: results on stdout, notes and progress on stderr."""
 
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # loads the compiler
     from fastmimic.optimize.cma_es import Progress
 
 EXIT_INTERRUPTED: Final = 130
 """As a shell reports SIGINT."""
+EXIT_SOME_FAILED: Final = 3
+"""Some sources or motions failed; everything else is done."""
 
 SLOW_START_S: Final = 3.0
-FIRST_USE: Final = "the first use compiles the controller, which takes about a minute and happens once"
+FIRST_USE: Final = "the first use compiles the controller: about a minute, once"
 SLOW_START: Final = f"preparing; {FIRST_USE}"
-CHOOSING: Final = "choosing among the best candidates by longer episodes"
+CHOOSING: Final = "validating the best candidates in longer episodes"
+KEPT: Final = "finished parts are kept; the same command with --resume continues"
 PLAIN_STEPS: Final = 10  # lines in all, where there is no terminal to draw a bar on
 
 
-def put(text: str = "") -> None:
-    """A line of the result, on stdout."""
-    sys.stdout.write(f"{text}\n")
+def put(*lines: str) -> None:
+    """Prints lines of the result on stdout."""
+    sys.stdout.writelines(f"{line}\n" for line in lines)
+
+
+def put_json(value: Mapping[str, Any]) -> None:
+    """Prints one JSON object on stdout; infinite and undefined numbers become null."""
+    import json
+
+    from fastmimic.report.run_folder import finite
+
+    put(json.dumps(finite(value), allow_nan=False))
+
+
+def put_table(rows: Sequence[Sequence[str]], *, right: Sequence[int] = ()) -> None:
+    """Prints a table on stdout; the columns in `right` are aligned to the right."""
+    put(*table(rows, right=right))
 
 
 def note(text: str) -> None:
-    """A line for the reader, on stderr."""
+    """Prints a line for the reader on stderr."""
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
 
@@ -44,7 +61,7 @@ def table(rows: Sequence[Sequence[str]], *, right: Sequence[int] = ()) -> list[s
 
 @contextmanager
 def slow_start(text: str = SLOW_START, after_s: float = SLOW_START_S) -> Iterator[Callable[[], None]]:
-    """Says `text` if the block is still busy after a while; the function that it yields calls that off."""
+    """Prints `text` if the block is still busy after a while, unless the yielded function was called before."""
     timer = threading.Timer(after_s, note, [text])
     timer.daemon = True
     timer.start()
@@ -56,7 +73,7 @@ def slow_start(text: str = SLOW_START, after_s: float = SLOW_START_S) -> Iterato
 
 @contextmanager
 def optimisation_progress() -> "Iterator[Callable[[Progress], None]]":
-    """A bar on a terminal, otherwise a line now and then, of an optimisation."""
+    """Progress of an optimisation: a bar on a terminal, otherwise a line for each tenth."""
     with slow_start() as started, _bar() as bar:
         report = _on_bar(bar) if bar is not None else _plain_optimisation()
 
@@ -69,7 +86,7 @@ def optimisation_progress() -> "Iterator[Callable[[Progress], None]]":
 
 @contextmanager
 def count_progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """The same for (done, all) of anything."""
+    """Progress of a count: yields a function of (done, all). A bar on a terminal, otherwise a line for each tenth."""
     with _bar() as bar:
         if bar is None:
             shown = _Tenths()
@@ -86,7 +103,7 @@ def count_progress(what: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def share_progress(what: str) -> Iterator[Callable[[float, str], None] | None]:
-    """A bar on a terminal for a share in [0, 1] of long work, with a text; None where there is no terminal."""
+    """Progress of long work: yields a function of (share in [0, 1], text), or None where there is no terminal."""
     with _bar(counted=False) as bar:
         if bar is None:
             yield None
@@ -124,7 +141,7 @@ def _figures(step: "Progress") -> str:
 
 
 class _Tenths:
-    """Whether a tenth more of the work is done than when last asked."""
+    """Tells when another tenth of the work is done."""
 
     def __init__(self) -> None:
         self._shown = 0

@@ -4,43 +4,42 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError, did_you_mean
-from fastmimic.commands.console import note, put, table
+from fastmimic.commands import options as opt
+from fastmimic.commands.console import note, put, put_table
 
 ACTIONS = ("list", "fetch")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Data:
-    """Lists the public recordings of a dog, or fetches them, each file verified by its hash."""
+    """Lists or downloads the public recordings of a dog; verifies each file by its hash."""
 
-    action: Annotated[Positional[str], arg(metavar="list|fetch")]
-    """What to do."""
-    datasets: Annotated[Positional[tuple[str, ...]], arg(metavar="[DATASET ...]")] = ()
-    """To fetch; all by default."""
-    folder: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Where they are kept; by default $FASTMIMIC_DATA, else the user's cache."""
-    base_url: Annotated[str | None, arg(metavar="URL")] = None
-    """A server that has them; by default $FASTMIMIC_DATA_URL, else the public original."""
+    action: Annotated[Positional[str], opt.option("list|fetch")]
+    """List the datasets, or download them."""
+    datasets: Annotated[Positional[tuple[str, ...]], opt.option("[DATASET ...]")] = ()
+    """Datasets to download. Default: all."""
+    folder: Annotated[Path | None, opt.option("FOLDER")] = None
+    """Folder of the recordings. Default: $FASTMIMIC_DATA, else the user's cache."""
+    base_url: Annotated[str | None, opt.option("URL")] = None
+    """Server of the recordings. Default: $FASTMIMIC_DATA_URL, else the public original."""
 
     def run(self) -> int:
-        """Does it; returns the exit status."""
+        """Lists or downloads; returns the exit status."""
         if self.action not in ACTIONS:
             raise ConfigError(f"data takes list or fetch, found '{self.action}'{did_you_mean(self.action, ACTIONS)}")
         return self._list() if self.action == "list" else self._fetch()
 
     def _list(self) -> int:
         if self.datasets or self.base_url:
-            raise ConfigError("data list takes no dataset and no --base-url: it lists all that there is")
+            raise ConfigError("data list takes no dataset and no --base-url: it lists everything")
         from fastmimic.clips.data import list_datasets
 
         found = list_datasets(self.folder)
-        rows = [("dataset", "files here", "what it is")]
-        rows += [(s.dataset.name, f"{len(s.present)} of {len(s.dataset.files)}", s.dataset.about) for s in found]
-        for line in table(rows):
-            put(line)
+        rows = [(s.dataset.name, f"{len(s.present)} of {len(s.dataset.files)}", s.dataset.about) for s in found]
+        put_table([("dataset", "files here", "description"), *rows])
         put(f"folder: {found[0].folder}")
         self._put_licence([s.dataset.name for s in found])
         return 0
@@ -48,11 +47,11 @@ class Data:
     def _fetch(self) -> int:
         from fastmimic.clips.data import data_folder, fetch
 
-        begun = set()
+        started = set()
 
         def progress(name: str, done: int, total: int) -> None:
-            if name not in begun:
-                begun.add(name)
+            if name not in started:
+                started.add(name)
                 note(f"{name}  {total / 1e6:.2f} MB" if total else name)
 
         names = list(self.datasets) or None
@@ -66,5 +65,4 @@ class Data:
 
         chosen = [d for d in DATASETS if names is None or d.name in names]
         for licence, credit in dict.fromkeys((d.licence, d.credit) for d in chosen):
-            put(f"licence: {licence}")
-            put(f"credit: {credit}")
+            put(f"licence: {licence}", f"credit: {credit}")

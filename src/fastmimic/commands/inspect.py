@@ -1,36 +1,38 @@
-"""`fastmimic inspect`: what a clip or a robot motion is."""
+"""`fastmimic inspect`: shows information about a clip or a robot motion."""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
 from fastmimic.clips.clip import Clip
+from fastmimic.commands import options as opt
 from fastmimic.commands.console import put
-from fastmimic.commands.options import MotionOptions, check_writable
+from fastmimic.commands.show import assumed, provenance
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inspect(MotionOptions):
-    """Says what a file or a named motion is: format and what was assumed, frames, rate, cycle, speed, duty,
-    swing clearance, joint limits, source and licence, and for an optimised motion its parameters. A clip is
-    retargeted for that.
+class Inspect:
+    """Shows information about a file or a named motion: format, assumptions, frames, rate, period, speed, duty factor,
+    swing clearance, joint limits, source and licence, and the parameters of an optimised motion. A clip is retargeted
+    first.
     """
 
-    source: Annotated[Positional[str], arg(metavar="FILE|NAME")]
-    """A clip, a robot motion (.npz), a name of 'fastmimic motions', or the folder of a run."""
-    figure: Annotated[Path | None, arg(metavar="FILE.png")] = None
-    """Also draw its gait, trunk and joints."""
+    source: Annotated[Positional[str], opt.option("FILE|NAME")]
+    """A clip, a robot motion (.npz), a name from 'fastmimic motions', or the folder of a run."""
+    figure: Annotated[Path | None, opt.option("FILE.png")] = None
+    """Also draw gait, trunk and joints."""
+    robot: opt.RobotChoice = None
+    clip: opt.ClipReading
 
     def run(self) -> int:
-        """Prints it; returns the exit status."""
-        figure = None if self.figure is None else check_writable(self.figure, ".png", ".pdf", ".svg")
+        """Prints the information; returns the exit status."""
+        figure = None if self.figure is None else opt.check_writable(self.figure, ".png", ".pdf", ".svg")
         robot, motion, lines = self._read()
-        for line in (*lines, *describe_motion(motion, robot)):
-            put(line)
+        put(*lines, *describe_motion(motion, robot))
         if figure is not None:
             from fastmimic.render.figure_style import save
             from fastmimic.report.inspection import motion_figure
@@ -40,13 +42,13 @@ class Inspect(MotionOptions):
         return 0
 
     def _read(self) -> tuple[Robot, Motion, list[str]]:
-        """The robot, its motion, and lines about the file that it is from."""
+        """The robot, its motion, and lines about the source file."""
         from fastmimic.retargeting.retarget import retarget
         from fastmimic.runs.loading import find_motion
 
-        overrides = self.overrides()
+        overrides = self.clip.overrides()
         source = find_motion(self.source)
-        robot = self.load_robot(source)
+        robot = opt.choose_robot(source, self.robot)
         if source.motion is not None:
             return robot, source.load(robot, **overrides), ["format     FastMimic robot motion"]
         clip = source.open_clip(robot, **overrides)
@@ -55,11 +57,10 @@ class Inspect(MotionOptions):
 
 
 def describe_motion(motion: Motion, robot: Robot) -> list[str]:
-    """A robot motion in words: what it is, what it asks of the robot, where it is from."""
+    """A robot motion in words: travel, contacts, joint margins, assumptions, segments and optimised parameters."""
     import numpy as np
 
     from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
-    from fastmimic.commands.provenance import assumed, provenance
     from fastmimic.episode.metrics import swing_clearance
 
     def legs(values: "np.ndarray", form: str) -> str:
@@ -74,12 +75,12 @@ def describe_motion(motion: Motion, robot: Robot) -> list[str]:
     ]
     lines = [
         f"motion     {provenance(motion)}",
-        f"robot      {motion.meta.get('robot', 'not named')}",
+        f"robot      {motion.meta.get('robot', 'unknown')}",
         f"samples    {motion.n_samples} at {motion.rate_hz:g} Hz, {motion.period_s:.3f} s",
         f"travel     {_travel(motion)}",
         f"duty       {legs(motion.contact.mean(axis=0), '.2f')}",
         f"clearance  {legs(1e3 * swing_clearance(motion, robot.foot_radius), '.0f')} mm",
-        f"joints     least margin and greatest speed: {'; '.join(limits)}",
+        f"joints     smallest margin and highest speed: {'; '.join(limits)}",
     ]
     lines += [f"assumed    {sentence}" for sentence in (*assumed(motion), *robot.assumed)]
     return lines + _segments(motion) + _optimised(motion) + _made_with(motion)
@@ -89,7 +90,7 @@ def _describe_clip(clip: Clip) -> list[str]:
     from fastmimic.clips.formats import FORMATS
 
     name = str(clip.meta.get("format", "unknown"))
-    cycle = {None: "not said by the source", True: "yes", False: "no"}[clip.is_cycle]
+    cycle = {None: "unknown", True: "yes", False: "no"}[clip.is_cycle]
     lines = [
         f"format     {FORMATS[name].about if name in FORMATS else name}",
         f"frames     {clip.n_frames} at {clip.rate_hz:g} Hz, {clip.n_frames / clip.rate_hz:.3f} s",
@@ -130,11 +131,11 @@ def _optimised(motion: Motion) -> list[str]:
         return []
     lines = _modulated(dmp)
     differ = "these DMP parameters" if lines else "no DMP parameter"
-    return [f"optimised  carries its demonstration; {differ} differ{'' if lines else 's'} from it", *lines]
+    return [f"optimised  contains its demonstration; {differ} differ{'' if lines else 's'} from it", *lines]
 
 
 def _made_with(motion: Motion) -> list[str]:
-    """The controller with which the motion was optimised; empty if it does not say."""
+    """The controller with which the motion was optimised; empty if unknown."""
     from fastmimic.imitation.methods import MADE_WITH, controller_for
 
     record = motion.meta.get(MADE_WITH)
@@ -142,7 +143,7 @@ def _made_with(motion: Motion) -> list[str]:
         return []
     own = isinstance(record, dict) and record.get("config", "") is None
     method, config = controller_for(motion, config="default" if own else None)
-    return [f"made with  method {method.name}, controller {'of its own parameters' if own else config.name}"]
+    return [f"made with  method {method.name}, controller {'with its own parameters' if own else config.name}"]
 
 
 def _modulated(dmp: dict[str, Any]) -> list[str]:

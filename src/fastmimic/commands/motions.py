@@ -1,20 +1,19 @@
-"""`fastmimic motions`: what has a name."""
+"""`fastmimic motions`: lists the named motions."""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import arg
-
-from fastmimic.commands.console import note, put, table
+from fastmimic.commands import options as opt
+from fastmimic.commands.console import note, put_table
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motions:
-    """Lists the motions that have a name: built-in gaits, and recordings of a dog."""
+    """Lists the named motions: built-in gaits and recordings of a dog."""
 
-    folder: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Where the recordings are; by default $FASTMIMIC_DATA, else the user's cache."""
+    folder: Annotated[Path | None, opt.option("FOLDER")] = None
+    """Folder of the recordings. Default: $FASTMIMIC_DATA, else the user's cache."""
 
     def run(self) -> int:
         """Prints the list; returns the exit status."""
@@ -22,10 +21,9 @@ class Motions:
 
         rows = describe(self.folder)
         cells = [(r.name, r.speed, "yes" if r.available else "no", r.about, r.source) for r in rows]
-        for line in table([("name", "speed", "here", "what it is", "source"), *cells]):
-            put(line)
+        put_table([("name", "speed", "here", "description", "source"), *cells])
         for licence in dict.fromkeys(r.licence for r in rows if r.source != "built in"):
             note(f"licence of the recordings: {licence}")
         if not all(r.available for r in rows):
-            note("'fastmimic data fetch' brings what is not here")
+            note("'fastmimic data fetch' downloads what is missing here")
         return 0

@@ -1,103 +1,218 @@
-"""The options that several verbs share: which robot, and how a clip is read."""
+"""Options that several verbs share: groups, each a box in `--help`, and single options as annotated types."""
 
+import dataclasses
+import hashlib
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from tyro.conf import arg
+from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
 from fastmimic.base.errors import ConfigError, OutputError, PolicyError
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.rollout import MakeController
-    from fastmimic.experiments.subject import Search
+    from fastmimic.experiments.entrants import Search
     from fastmimic.optimize.randomization import Randomization
-    from fastmimic.runs.loading import MotionSource
+    from fastmimic.runs.load import MotionSource
 
 DEFAULT_ROBOT: Final = "a1"
 MAX_DURATION_S: Final = 3600.0
+RUNS: Final = Path("runs")
+
+
+def option(metavar: str | None = None, text: str | Callable[[], str] | None = None) -> Any:
+    """An option's placeholder and help text; the text may be a function, which only `--help` calls.
+
+    Its default is shown unless it is None, False or empty: then the text says what happens without the option.
+    """
+    help_text: Any = text  # tyro calls functions, but does not declare it
+    return arg(metavar=metavar, help=help_text, help_behavior_hint=_shown_default)
+
+
+def _shown_default(default: str) -> str:
+    return "" if default in ("None", "False", "") else f"(default: {default})"
+
+
+def one_of(module: str, registry: str) -> str:
+    """The names in a registry, for a help text."""
+    from importlib import import_module
+
+    return ", ".join(getattr(import_module(f"fastmimic.{module}"), registry))
+
+
+def configs() -> str:
+    """The named sets of controller parameters, for a help text."""
+    return f"{one_of('control.config', 'CONFIGS')}, or a JSON file"
+
+
+def disturbances() -> str:
+    """The disturbances, for a help text."""
+    return one_of("simulation.disturbances", "DISTURBANCES")
+
+
+Flag = Annotated[bool, option()]
+Seconds = Annotated[float | None, option("S")]
+RobotChoice = Annotated[str | None, option("NAME|FILE.xml", f"{ROBOT_CHOICES}. Default: the motion's robot, else a1.")]
+RobotName = Annotated[str, option("NAME|FILE.xml", f"{ROBOT_CHOICES}.")]
+MethodName = Annotated[
+    str,
+    option(
+        "NAME",
+        "mbc-dmp and lh-dmp optimise the motion's DMPs. mbc, lh and raibert run it without optimisation. "
+        "lh plans forces over a long horizon; raibert places feet by the Raibert heuristic.",
+    ),
+]
+ConfigName = Annotated[str, option("NAME|FILE", lambda: f"Controller parameters: {configs()}.")]
+FoundMethod = Annotated[
+    str | None,
+    option("NAME", "Controller: raibert, mbc or lh. Default: the one the motion was optimised with, else mbc."),
+]
+FoundConfig = Annotated[
+    str | None,
+    option(
+        "NAME|FILE",
+        lambda: f"Controller parameters: {configs()}. Default: those the motion was optimised with, else default.",
+    ),
+]
+PolicyFile = Annotated[
+    Path | None, option("FILE", "Trained policy (policy.npz of 'fastmimic train') in place of the controller.")
+]
+Simulator = Annotated[
+    str, option("NAME", lambda: f"Simulator: {one_of('simulation.conditions', 'SIMULATORS')}. pybullet is slower.")
+]
+Observation = Annotated[
+    str,
+    option("truth|sensors", "Controller input: the true state, or an estimate from noisy, delayed sensors."),
+]
+Disturbances = Annotated[
+    UseAppendAction[tuple[str, ...]],
+    option(
+        "NAME=VALUE",
+        lambda: f"Disturbance unknown to the controller, e.g. payload=2 (kg). Repeatable. Names: {disturbances()}.",
+    ),
+]
+Quality = Annotated[str, option("preview|high", "Video quality: fast, or with shadows, reflections and anti-aliasing.")]
+Workers = Annotated[
+    int | None, option("N", "Parallel workers. Default: one per core. The results do not depend on it.")
+]
+Port = Annotated[int, option("PORT", "Port of the page. If it is taken, the next free one is used.")]
+JsonFlag = Annotated[bool, option(text="Print one JSON object and nothing else.")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionOptions:
-    """Which robot, and how a clip is read. All but the robot apply to clips only."""
+class ClipFileOptions:
+    """How a clip file is read."""
 
-    robot: Annotated[
-        str | None, arg(metavar="NAME|FILE.xml", help=f"{ROBOT_CHOICES}; by default the robot motion's own, or a1.")
-    ] = None
-    frames: Annotated[str | None, arg(metavar="A:B")] = None
-    """Part of a clip: first frame and end, 0-based, end exclusive."""
-    discrete: bool = False
-    """Take the clip for a movement that does not repeat, such as a turn, a start or a stop: it is done once. By default
-    a clip whose end does not lead back to its beginning."""
-    fps: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames a second of a clip file, in place of what it says."""
-    up: Annotated[str | None, arg(metavar="y|z")] = None
-    """Vertical axis of a clip file, in place of what its points show."""
-    point_map: Annotated[Path | None, arg(metavar="FILE.json")] = None
-    """Which of a BVH's joints, or of a table's points by name, neck, pelvis, hips and toes are."""
-    scale: Annotated[float | None, arg(metavar="FACTOR")] = None
-    """From the animal's size to the robot's, in place of the ratio of leg lengths."""
-    speed: Annotated[float | None, arg(metavar="M/S")] = None
-    """Of a built-in gait, at the A1's size."""
-    yaw_rate: Annotated[float | None, arg(metavar="RAD/S")] = None
-    """Of a built-in gait, positive to the left."""
-    duty: Annotated[float | None, arg(metavar="SHARE")] = None
-    """Of a built-in gait: share of the period that a foot stands."""
+    fps: Annotated[float | None, option("HZ")] = None
+    """Frame rate of the clip. Default: the rate in the file, or the usual one of its format."""
+    up: Annotated[str | None, option("y|z")] = None
+    """Vertical axis of the clip. Default: detected from the points."""
+    point_map: Annotated[Path | None, option("FILE.json")] = None
+    """Names of the neck, pelvis, hips and toes among a BVH's joints or a table's points."""
 
     def overrides(self) -> dict[str, Any]:
-        """The clip's options that were given, as the API takes them."""
-        found = {
-            "frames": None if self.frames is None else parse_frames(self.frames),
-            "discrete": self.discrete or None,
-            "fps": self.fps,
-            "up": self.up,
-            "point_map": self.point_map,
-            "scale": self.scale,
-            "speed": self.speed,
-            "yaw_rate": self.yaw_rate,
-            "duty": self.duty,
-        }
+        """The options that were given, as the Python functions take them."""
+        given = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {name: value for name, value in given.items() if value is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipOptions(ClipFileOptions):
+    """How a clip is read and retargeted. None of these applies to a robot motion."""
+
+    frames: Annotated[str | None, option("A:B")] = None
+    """Part of the clip: first frame and end, 0-based, end exclusive."""
+    discrete: Flag = False
+    """Treat the clip as non-periodic; run it once. Default: periodic if its end matches its beginning."""
+    scale: Annotated[float | None, option("FACTOR")] = None
+    """Scale from the animal to the robot. Default: the ratio of the leg lengths."""
+    speed: Annotated[float | None, option("M/S")] = None
+    """Built-in gaits: speed at the A1's size."""
+    yaw_rate: Annotated[float | None, option("RAD/S")] = None
+    """Built-in gaits: yaw rate, positive to the left."""
+    duty: Annotated[float | None, option("SHARE")] = None
+    """Built-in gaits: duty factor, the stance share of the period."""
+
+    def overrides(self) -> dict[str, Any]:
+        """The options that were given, as the Python functions take them."""
+        frames = None if self.frames is None else parse_frames(self.frames)
+        found = super().overrides() | {"frames": frames, "discrete": self.discrete or None}
         return {name: value for name, value in found.items() if value is not None}
 
-    def load(self, source: str) -> tuple[Robot, Motion]:
+    def load(self, source: str, robot: str | None) -> tuple[Robot, Motion]:
         """The robot and its motion, retargeted if `source` is a clip."""
-        from fastmimic.runs.loading import find_motion
+        from fastmimic.runs.load import find_motion
 
         overrides = self.overrides()
         found = find_motion(source)
-        robot = self.load_robot(found)
-        return robot, found.load(robot, **overrides)
+        body = choose_robot(found, robot)
+        return body, found.load(body, **overrides)
 
-    def load_robot(self, source: "MotionSource") -> Robot:
-        """The robot that was asked for, else the one that the source is for."""
-        return load_robot(self.robot or source.robot or DEFAULT_ROBOT)
+
+@dataclass(frozen=True, kw_only=True)
+class SearchOptions:
+    """The search of methods that optimise (CMA-ES)."""
+
+    iterations: int = 200
+    """Generations of CMA-ES."""
+    population: int = 10
+    """Candidates in a generation."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FolderOptions:
+    """What happens if the folder already holds results."""
+
+    resume: Flag = False
+    """Keep what is finished in the folder and continue."""
+    overwrite: Flag = False
+    """Replace what is in the folder."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoOptions:
+    """The video of the result."""
+
+    no_video: Flag = False
+    """Write no video."""
+    quality: Quality = "preview"
+
+    @property
+    def wanted(self) -> str | None:
+        """The quality; None for no video. Raises `ConfigError` for an unknown quality."""
+        from fastmimic.render.quality import quality_named
+
+        quality_named(self.quality)
+        return None if self.no_video else self.quality
 
 
 @dataclass(frozen=True, kw_only=True)
 class RandomizeOptions:
-    """Over which robots a search scores its candidates."""
+    """Domain randomisation: the search scores each candidate on several robots."""
 
-    randomize: Annotated[tuple[str, ...] | None, arg(metavar="[N]")] = None
-    """Score each candidate over N robots (by default 4): the robot as it is, and others that all candidates of an
-    iteration meet. The search takes N times as long."""
-    randomize_over: Annotated[tuple[str, ...], arg(metavar="NAME[=LOWER:UPPER] ...")] = ()
-    """In what they differ, such as friction payload=0:3; by default ground, load and motors."""
-    criterion: Annotated[str | None, arg(metavar="mean|worst")] = None
-    """What their scores are worth together; by default the mean."""
+    randomize: Annotated[tuple[str, ...] | None, option("[N]")] = None
+    """Score each candidate on N robots (4 if no number is given): the nominal one and N - 1 random ones. Takes N times
+    as long."""
+    randomize_over: Annotated[tuple[str, ...], option("NAME[=LOWER:UPPER] ...")] = ()
+    """Properties to randomise, e.g. friction payload=0:3. Default: ground, payload and motors."""
+    criterion: Annotated[str | None, option("mean|worst")] = None
+    """How the scores are combined. Default: mean."""
 
-    def randomization(self) -> "Randomization | None":
-        """What was asked for; raises `ConfigError`."""
+    def chosen(self) -> "Randomization | None":
+        """The randomisation that was asked for; raises `ConfigError`."""
         if self.randomize is None:
             for name, given in (("randomize-over", self.randomize_over), ("criterion", self.criterion)):
                 if given:
-                    raise ConfigError(f"--{name} is of the robots of a randomised search; add --randomize")
+                    raise ConfigError(f"--{name} needs --randomize; add it")
             return None
         from fastmimic.optimize.randomization import Randomization
+    from fastmimic.runs.load import MotionSource
 
         number = " ".join(self.randomize)
         if not re.fullmatch(r"\d*", number):
@@ -109,38 +224,60 @@ class RandomizeOptions:
             options["criterion"] = self.criterion
         return Randomization(**options)
 
-    def recorded(self, arguments: dict[str, Any]) -> dict[str, Any]:
-        """A verb's arguments for `config.json`: these three as one, with what they stand for; None without them."""
-        for name in ("randomize", "randomize_over", "criterion"):
-            arguments.pop(name)
-        chosen = self.randomization()
-        return arguments | {"randomize": None if chosen is None else chosen.as_dict()}
+
+FileReading = Annotated[ClipFileOptions, OmitArgPrefixes]
+ClipReading = Annotated[ClipOptions, OmitArgPrefixes]
+Searching = Annotated[SearchOptions, OmitArgPrefixes]
+Folder = Annotated[FolderOptions, OmitArgPrefixes]
+Video = Annotated[VideoOptions, OmitArgPrefixes]
+Randomizing = Annotated[RandomizeOptions, OmitArgPrefixes]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExperimentOptions(MotionOptions):
-    """What experiments over methods share: the search of those that optimise, and going on with a folder."""
+class ExperimentOptions:
+    """What experiments over methods share."""
 
+    robot: RobotChoice = None
     seed: int = 0
-    """Of the episodes' starts, the sensors' errors, uneven ground, and CMA-ES."""
-    config: Annotated[str, arg(metavar="default|robust|paper|FILE")] = "default"
-    """The controller's parameters."""
-    policy: Annotated[Path | None, arg(metavar="FILE")] = None
-    """A trained policy of the motion, for the method rl."""
-    iterations: int = 200
-    """Generations of CMA-ES where a method optimises."""
-    population: int = 10
-    """Candidates in each."""
-    resume: bool = False
-    """Keep what is finished in the folder, do what is not."""
-    overwrite: bool = False
-    """Replace what is finished in the folder."""
+    """Seed of initial states, sensor noise, uneven ground and CMA-ES."""
+    config: ConfigName = "default"
+    policy: Annotated[Path | None, option("FILE")] = None
+    """Trained policy of the motion, for the method rl."""
+    clip: ClipReading
+    search: Searching
+    folder: Folder
 
-    def search(self) -> "Search":
-        """What methods that optimise do first."""
-        from fastmimic.experiments.subject import Search
+    def for_entrants(self) -> "Search":
+        """The search of methods that optimise."""
+        from fastmimic.experiments.entrants import Search
 
-        return Search(self.config, self.iterations, self.population, self.seed)
+        return Search(self.config, self.search.iterations, self.search.population, self.seed)
+
+
+def recorded(command: Any) -> dict[str, Any]:
+    """A verb's arguments for `config.json`, flat; the randomisation is one entry, None without."""
+    found: dict[str, Any] = {}
+    for field in dataclasses.fields(command):
+        value = getattr(command, field.name)
+        if isinstance(value, RandomizeOptions):
+            chosen = value.chosen()
+            found["randomize"] = None if chosen is None else chosen.as_dict()
+        elif dataclasses.is_dataclass(value):
+            found |= recorded(value)
+        else:
+            found[field.name] = _plain(value)
+    return found
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(each) for each in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def choose_robot(source: "MotionSource", robot: str | None) -> Robot:
+    """The robot that was asked for, else the one of the source, else the default one."""
+    return load_robot(robot or source.robot or DEFAULT_ROBOT)
 
 
 def parse_frames(text: str) -> tuple[int, int]:
@@ -157,6 +294,11 @@ def parse_size(text: str) -> tuple[int, int]:
     if found is None:
         raise ConfigError(f"--size takes WIDTHxHEIGHT in pixels, such as 1280x720; found '{text}'")
     return int(found[1]), int(found[2])
+
+
+def folder_name(*parts: str | int) -> str:
+    """The default name of a run's folder."""
+    return re.sub(r"[^\w.+-]+", "-", "-".join(str(part) for part in parts))
 
 
 def policy_controller(path: Path, robot: Robot, motion: Motion) -> "MakeController":
@@ -176,23 +318,17 @@ def policy_controller(path: Path, robot: Robot, motion: Motion) -> "MakeControll
     return controlled_by(policy)
 
 
-def policy_with_digest(path: Path, robot: Robot, motion: Motion) -> "tuple[MakeController, str]":
-    """As `policy_controller`, with what tells the file's content from another's.
-
-    Raises:
-        PolicyError: as `policy_controller`.
-    """
-    import hashlib
-
-    controller = policy_controller(path, robot, motion)
-    return controller, hashlib.sha256(path.read_bytes()).hexdigest()
+def policy_with_digest(path: Path | None, robot: Robot, motion: Motion) -> "tuple[MakeController, str] | None":
+    """As `policy_controller`, with the hash of the file; None without a file."""
+    if path is None:
+        return None
+    return policy_controller(path, robot, motion), hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def check_duration(seconds: float) -> float:
-    """The duration; raises `ConfigError` if no episode can be that long."""
-    if not (math.isfinite(seconds) and 0 < seconds <= MAX_DURATION_S):
+def check_duration(seconds: float | None) -> None:
+    """Raises `ConfigError` if no episode can be that long."""
+    if seconds is not None and not (math.isfinite(seconds) and 0 < seconds <= MAX_DURATION_S):
         raise ConfigError(f"--duration must be above 0 and at most {MAX_DURATION_S:g} s, found {seconds:g}")
-    return seconds
 
 
 def check_writable(path: str | Path, *endings: str) -> Path:

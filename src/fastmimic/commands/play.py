@@ -1,46 +1,40 @@
-"""`fastmimic play`: the robot live in the browser, steered by hand."""
+"""`fastmimic play`: simulates the robot live in the browser, steered by hand."""
 
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
+from fastmimic.commands import options as opt
 from fastmimic.commands.console import slow_start
 from fastmimic.commands.serving import serve
-from fastmimic.robot import ROBOT_CHOICES
 
 
 @dataclass(frozen=True, kw_only=True)
 class Play:
-    """Simulates a robot under the controller live in the browser: other motions, speed, turn, swing height, pushes,
-    friction and payload while it runs, by mouse, keyboard or gamepad. If it falls it gets up and goes on.
+    """Simulates a robot under the controller live in the browser. Switch motions, steer, change speed, yaw rate, swing
+    height, friction and payload, and push the robot, by mouse, keyboard or gamepad. A robot that falls gets up again.
 
     The server listens on this machine only (127.0.0.1); Ctrl-C ends it.
     """
 
-    motions: Annotated[Positional[tuple[str, ...]], arg(metavar="[MOTION|RUN ...]")] = ()
-    """Names of 'fastmimic motions', clips, robot motions (.npz) or folders of runs that repeat; by default built-in
-    gaits. "stand" and "in-place" are always there."""
-    robot: Annotated[
-        str | None,
-        arg(metavar="NAME|FILE.xml", help=f"{ROBOT_CHOICES}; by default a1, or the robot of the first robot motion."),
-    ] = None
-    port: Annotated[int, arg(metavar="PORT")] = 8080
-    """Where to listen; if it is taken, the next one that is free."""
-    method: Annotated[str, arg(metavar="NAME")] = "mbc"
-    """The controller to begin with: mbc, lh, raibert."""
-    config: Annotated[str, arg(metavar="default|robust|paper|FILE")] = "default"
-    """The controller's parameters."""
+    motions: Annotated[Positional[tuple[str, ...]], opt.option("[MOTION|RUN ...]")] = ()
+    """Periodic motions: names from 'fastmimic motions', clips, robot motions (.npz) or folders of runs. Default: the
+    built-in gaits. "stand" and "in-place" are always available."""
+    robot: opt.RobotChoice = None
+    port: opt.Port = 8080
+    method: Annotated[str, opt.option("NAME")] = "mbc"
+    """Controller at the start: mbc, lh or raibert."""
+    config: opt.ConfigName = "default"
 
     def run(self) -> int:
         """Serves until Ctrl-C; returns the exit status."""
         from fastmimic.viewer.web import free_port, require_viser
 
         require_viser()
-        free_port(self.port)  # a port that cannot be is no reason to load motions first
-        from fastmimic.commands.options import DEFAULT_ROBOT
+        free_port(self.port)  # before the motions are loaded
         from fastmimic.control.config import controller_config
         from fastmimic.play.motions import DEFAULTS, load_motions
         from fastmimic.play.page import PlayPage
@@ -53,11 +47,11 @@ class Play:
         config = controller_config(self.config)
         sources = [find_motion(source) for source in self.motions or DEFAULTS]
         own = next((source.robot for source in sources if source.robot is not None), None)
-        name = self.robot or own or DEFAULT_ROBOT
+        name = self.robot or own or opt.DEFAULT_ROBOT
         robot = load_robot(name)
-        # transitions take a second or so each: in another process, so that the simulation keeps its time
+        # transitions take about a second each: another process makes them, so that the simulation keeps real time
         with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_behind_the_scenes) as executor:
-            executor.submit(warm_up, name)  # which starts, while this one is busy loading
+            executor.submit(warm_up, name)  # while this process loads
             with slow_start():
                 motions = load_motions(sources, robot)
                 library = MotionSet(robot, motions, executor=executor, source=name)
@@ -70,7 +64,7 @@ class Play:
 
 
 def _behind_the_scenes() -> None:
-    """Ctrl-C is for the process that serves."""
+    """Ignores Ctrl-C: the serving process handles it."""
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,4 +1,4 @@
-"""`fastmimic render`: a video of one motion or of several beside each other."""
+"""`fastmimic render`: writes a video of one motion, or of several side by side."""
 
 import math
 from collections.abc import Sequence
@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError, OutputError
+from fastmimic.commands import options as opt
 from fastmimic.commands.console import count_progress, put, slow_start
-from fastmimic.commands.options import MotionOptions, check_duration, check_writable, parse_size
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
@@ -22,43 +22,43 @@ MOST: Final = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Render(MotionOptions):
-    """Writes a video of a motion under the controller in simulation, with its demonstration as a ghost; of two motions
-    side by side, of three or four as 2 x 2.
+class Render:
+    """Writes a video of a motion under the controller in simulation, with its demonstration as a ghost. Two motions are
+    shown side by side, three or four in a 2 x 2 grid.
     """
 
-    motions: Annotated[Positional[tuple[str, ...]], arg(metavar="MOTION [MOTION ...]")]
-    """Up to four: robot motions (.npz), folders of runs, clips, or names of 'fastmimic motions'."""
-    out: Annotated[Path, arg(metavar="FILE.mp4|.gif|.webm")]
-    """The video."""
-    quality: Annotated[str, arg(metavar="preview|high")] = "preview"
-    """Quick, or with shadows, reflections and smooth edges."""
-    kinematic: bool = False
-    """The motions as they are written, without physics."""
-    duration: Annotated[float | None, arg(metavar="S")] = None
-    """How much of them; by default 5, or the whole of a motion that does not repeat."""
-    method: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ()
-    """Whose controller: raibert, mbc, lh; one for all motions or one for each; by default that with which the motion
-    was optimised, or mbc."""
-    config: Annotated[str | None, arg(metavar="default|robust|paper|FILE")] = None
-    """The controller's parameters; by default those with which the motion was optimised, or "default"."""
-    size: Annotated[str | None, arg(metavar="WxH")] = None
-    """Width and height, pixels; by default 800x450, of high quality 1280x720, of a GIF 640x360."""
-    frame_rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames a second of the video; by default 30, or a GIF's 20."""
-    slow_motion: Annotated[float, arg(metavar="FACTOR")] = 1.0
-    """How many times slower than reality."""
-    no_marks: bool = False
-    """Leave out the feet's trails and the discs under loaded feet."""
+    motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION [MOTION ...]")]
+    """One to four robot motions (.npz), folders of runs, clips, or names from 'fastmimic motions'."""
+    out: Annotated[Path, opt.option("FILE.mp4|.gif|.webm")]
+    """File of the video."""
+    quality: opt.Quality = "preview"
+    kinematic: opt.Flag = False
+    """Show the motions as written, without physics."""
+    duration: opt.Seconds = None
+    """Length. Default: 5 s, or the whole of a non-periodic motion."""
+    robot: opt.RobotChoice = None
+    method: Annotated[tuple[str, ...], opt.option("NAME [NAME ...]")] = ()
+    """Controller: raibert, mbc or lh; one for all motions, or one for each. Default: the one the motion was optimised
+    with, else mbc."""
+    config: opt.FoundConfig = None
+    size: Annotated[str | None, opt.option("WxH")] = None
+    """Width and height in pixels. Default: 800x450; 1280x720 for high quality; 640x360 for a GIF."""
+    frame_rate: Annotated[float | None, opt.option("HZ")] = None
+    """Frames per second of the video. Default: 30; 20 for a GIF."""
+    slow_motion: Annotated[float, opt.option("FACTOR")] = 1.0
+    """Slow the video down by this factor."""
+    no_marks: opt.Flag = False
+    """Omit the trails of the feet and the discs under loaded feet."""
+    clip: opt.ClipReading
 
     def run(self) -> int:
-        """Writes it; returns the exit status."""
+        """Writes the video; returns the exit status."""
         self._check()
-        size = None if self.size is None else parse_size(self.size)
+        size = None if self.size is None else opt.parse_size(self.size)
         from fastmimic.render.encoding import ENDINGS
         from fastmimic.render.video import render_video
 
-        out = check_writable(self.out, *ENDINGS)
+        out = opt.check_writable(self.out, *ENDINGS)
         robot, shown = self._tracks()
         rates = sorted({rate for _, rate in shown})
         if len(rates) > 1:
@@ -79,24 +79,23 @@ class Render(MotionOptions):
         if info is None:
             raise OutputError(
                 f"{out} was not written: there is no OpenGL to draw with; 'fastmimic view' shows the same in a browser"
-                " without it"
+                " without OpenGL"
             )
         put(f"{info.frames} frames, {info.seconds:.1f} s, {out.stat().st_size / 1e6:.1f} MB, in {out}")
         return 0
 
     def _check(self) -> None:
-        """Refuses what cannot be before anything takes long."""
+        """Raises `ConfigError` for options that cannot be used, before any long work."""
         from fastmimic.imitation.methods import method_named
         from fastmimic.render.quality import quality_named
 
         if not 1 <= len(self.motions) <= MOST:
             raise ConfigError(f"render takes one to {MOST} motions, found {len(self.motions)}")
-        if self.duration is not None:
-            check_duration(self.duration)
+        opt.check_duration(self.duration)
         quality_named(self.quality)
-        for option, value in (("--frame-rate", self.frame_rate), ("--slow-motion", self.slow_motion)):
+        for name, value in (("--frame-rate", self.frame_rate), ("--slow-motion", self.slow_motion)):
             if value is not None and not (math.isfinite(value) and value > 0):
-                raise ConfigError(f"{option} must be positive, found {value:g}")
+                raise ConfigError(f"{name} must be positive, found {value:g}")
         if len(self.method) not in (0, 1, len(self.motions)):
             raise ConfigError(
                 f"--method takes one name, or one for each of the {len(self.motions)} motions; found {len(self.method)}"
@@ -113,8 +112,8 @@ class Render(MotionOptions):
         from fastmimic.runs.loading import find_motion
 
         sources = [find_motion(source) for source in self.motions]
-        robot = self.load_robot(sources[0])
-        overrides = self.overrides()
+        robot = opt.choose_robot(sources[0], self.robot)
+        overrides = self.clip.overrides()
         motions = [source.load(robot, **overrides) for source in sources]
         methods: Sequence[str | None] = self.method if len(self.method) == len(motions) else ()
         methods = methods or [self.method[0] if self.method else None] * len(motions)

@@ -1,14 +1,14 @@
-"""`fastmimic report`: a run or a comparison as one HTML file."""
+"""`fastmimic report`: writes a run or a comparison as one HTML file."""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError
+from fastmimic.commands import options as opt
 from fastmimic.commands.console import note, put, slow_start
-from fastmimic.commands.options import check_writable
 
 if TYPE_CHECKING:
     from fastmimic.report.html_run import Episodes
@@ -17,30 +17,29 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, kw_only=True)
 class Report:
     """Writes report.html into the folder of a run of 'imitate', 'stitch' or 'deploy', or of 'compare', 'stress' or
-    'transfer': one file that opens anywhere and loads nothing, with the video, the figures before and after, and
-    interactive plots.
+    'transfer': one self-contained file with the video, the figures before and after, and interactive plots.
 
-    A run's two nominal episodes are run again for the plots, and checked against its metrics.json. Needs Plotly:
-    pip install 'fastmimic[report]'. With viser as well, pip install 'fastmimic[view]', the file holds a replay in 3D.
+    The two nominal episodes of a run are simulated again for the plots and checked against its metrics.json. Needs
+    Plotly: pip install 'fastmimic[report]'. With viser (pip install 'fastmimic[view]') the file has a 3D replay.
     """
 
-    runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN ...")]
+    runs: Annotated[Positional[tuple[Path, ...]], opt.option("RUN ...")]
     """Folders of runs."""
-    out: Annotated[Path | None, arg(metavar="FILE.html")] = None
-    """The file, for a single run; by default report.html in the run's folder."""
+    out: Annotated[Path | None, opt.option("FILE.html")] = None
+    """File of the report, for a single run. Default: report.html in its folder."""
 
     def run(self) -> int:
-        """Writes them; returns the exit status."""
+        """Writes the reports; returns the exit status."""
         if not self.runs:
             raise ConfigError("report takes the folder of at least one run")
         if self.out is not None and len(self.runs) > 1:
-            raise ConfigError(f"--out names one file, and {len(self.runs)} runs were given; leave it out")
+            raise ConfigError(f"--out names one file, but {len(self.runs)} runs were given; drop it")
         from fastmimic.report.html import REPORT, kind_of, make_report
 
         for path in self.runs:
-            kind_of(path)  # refuses all before it writes any
+            kind_of(path)  # refuses before anything is written
         outs = [self.out if self.out is not None else path / REPORT for path in self.runs]
-        outs = [check_writable(out, ".html", ".htm") for out in outs]
+        outs = [opt.check_writable(out, ".html", ".htm") for out in outs]
         for path, out in zip(self.runs, outs, strict=True):
             with slow_start():
                 report = make_report(path, recorded)
@@ -52,7 +51,7 @@ class Report:
 
 
 def recorded(e: "Episodes") -> str:
-    """The episodes as a page that plays them in 3D, before and after beside each other.
+    """The episodes as a page with a 3D replay, before and after side by side.
 
     Raises:
         ConfigError: viser is not installed or too old.

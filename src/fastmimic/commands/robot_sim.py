@@ -1,4 +1,4 @@
-"""`fastmimic robot-sim`: a simulated robot with a real one's wire, in a process of its own."""
+"""`fastmimic robot-sim`: simulates a robot that speaks a real robot's protocol, in its own process."""
 
 import json
 import math
@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-from tyro.conf import arg
+from tyro.conf import OmitArgPrefixes
 
 from fastmimic.base.errors import ConfigError
+from fastmimic.commands import options as opt
 from fastmimic.commands.console import note, put, slow_start
 
 if TYPE_CHECKING:
@@ -22,78 +23,87 @@ WIRED: Final = ("go2",)
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobotSim:
-    """Is a robot: a Go2 in MuJoCo, in real time, that publishes its state and obeys low-level commands over DDS as the
-    real one does. 'fastmimic deploy' and Unitree's own SDK talk to it.
+class FaultOptions:
+    """Faults of the connection and of the robot."""
 
-    It talks on this computer only, unless another interface is named. Ctrl-C ends it.
+    loss: Annotated[float, opt.option("SHARE")] = 0.0
+    """Share of the states that are lost."""
+    corrupt: Annotated[float, opt.option("SHARE")] = 0.0
+    """Share of the states that arrive with a flipped bit."""
+    duplicate: Annotated[float, opt.option("SHARE")] = 0.0
+    """Share of the states that arrive twice."""
+    reorder: Annotated[float, opt.option("SHARE")] = 0.0
+    """Share of the states that arrive after the next one."""
+    latency_ms: Annotated[float, opt.option("MS")] = 0.0
+    """Additional latency of the states."""
+    command_loss: Annotated[float, opt.option("SHARE")] = 0.0
+    """Share of the commands that are lost."""
+    command_corrupt: Annotated[float, opt.option("SHARE")] = 0.0
+    """Share of the commands that arrive with a flipped bit."""
+    command_latency_ms: Annotated[float, opt.option("MS")] = 0.0
+    """Additional latency of the commands."""
+    dead_after: opt.Seconds = None
+    """Time after which the robot falls silent, as if its computer had died. Default: never."""
+
+
+FAULTS: Final = FaultOptions()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotSim:
+    """Simulates a Go2 that speaks the real DDS protocol: it runs in MuJoCo in real time, publishes its state and obeys
+    low-level commands. 'fastmimic deploy' and Unitree's own SDK talk to it.
+
+    It is reachable on this computer only, unless another interface is named. Ctrl-C ends it.
     """
 
-    robot: Annotated[str, arg(metavar="NAME|FILE.xml")] = "go2"
-    """go2, or the MJCF of your own for a body that speaks the Go2's messages."""
-    interface: Annotated[str, arg(metavar="NAME")] = "lo"
+    robot: Annotated[str, opt.option("NAME|FILE.xml")] = "go2"
+    """go2, or your own robot's MJCF file for a body that uses the Go2's messages."""
+    interface: Annotated[str, opt.option("NAME")] = "lo"
     """Network interface."""
-    domain: Annotated[int, arg(metavar="N")] = 0
+    domain: Annotated[int, opt.option("N")] = 0
     """DDS domain."""
-    start: Annotated[str, arg(metavar="lying|standing")] = "lying"
-    """How it begins: lying with limp motors, or standing under its own motion service, which ignores low-level commands
+    start: Annotated[str, opt.option("lying|standing")] = "lying"
+    """Initial state: lying with limp motors, or standing under its own motion service, which ignores low-level commands
     until it is released."""
-    sensors: Annotated[str, arg(metavar="real|ideal")] = "real"
-    """Whether its sensors have noise, bias and latency."""
+    sensors: Annotated[str, opt.option("real|ideal")] = "real"
+    """Sensors with or without noise, bias and latency."""
     seed: int = 0
-    """Of the sensors' errors and of the faults."""
-    watchdog_ms: Annotated[float, arg(metavar="MS")] = 20.0
-    """Without a command for so long, its motors damp."""
-    duration: Annotated[float | None, arg(metavar="S")] = None
-    """Until it ends by itself; by default never."""
-    log: Annotated[Path | None, arg(metavar="FILE.npz")] = None
-    """Where to write what it really did."""
-    json: bool = False
-    """Print the account at the end as JSON."""
-    loss: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Of the states that are lost."""
-    corrupt: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Of the states that arrive with a bit flipped."""
-    duplicate: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Of the states that arrive twice."""
-    reorder: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Of the states that arrive after the next one."""
-    latency_ms: Annotated[float, arg(metavar="MS")] = 0.0
-    """Until a state arrives, besides what the wire needs."""
-    command_loss: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Of the commands that are lost."""
-    command_corrupt: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Of the commands that arrive with a bit flipped."""
-    command_latency_ms: Annotated[float, arg(metavar="MS")] = 0.0
-    """Until a command arrives."""
-    dead_after: Annotated[float | None, arg(metavar="S")] = None
-    """When it falls silent for good, as if its computer had died."""
+    """Seed of the sensor noise and the faults."""
+    watchdog_ms: Annotated[float, opt.option("MS")] = 20.0
+    """Time without a command after which the motors damp."""
+    duration: opt.Seconds = None
+    """Time until it ends. Default: it runs until Ctrl-C."""
+    log: Annotated[Path | None, opt.option("FILE.npz")] = None
+    """File for the ground truth of what the robot did."""
+    json: opt.JsonFlag = False
+    fault: Annotated[FaultOptions, OmitArgPrefixes] = FAULTS
 
     def run(self) -> int:
-        """Is a robot until Ctrl-C or the end; returns the exit status."""
-        from fastmimic.commands.options import check_duration, check_writable
+        """Runs until Ctrl-C or the end; returns the exit status."""
         from fastmimic.deploy.robot_sim.ground_truth import GroundTruthLog
         from fastmimic.deploy.robot_sim.sim_server import SimServer
         from fastmimic.robot import load_robot
 
         settings = self._settings()
-        duration = math.inf if self.duration is None else check_duration(self.duration)
+        opt.check_duration(self.duration)
+        duration = math.inf if self.duration is None else self.duration
         if self.log is not None:
-            check_writable(self.log, ".npz")
+            opt.check_writable(self.log, ".npz")
         log = GroundTruthLog() if self.log is not None else None
         with slow_start():
             server = SimServer(load_robot(self.robot), settings, log)
         with server, _until_interrupted() as stop:
             note(f"a {self.robot}, {self.start}, in DDS domain {self.domain} on '{self.interface}'; Ctrl-C ends it")
             server.run(stop, duration, _status)
-        self._account(server)
+        self._summarize(server)
         if log is not None and self.log is not None:
             log.save(self.log)
-            note(f"what it really did: {self.log}")
+            note(f"ground truth in {self.log}")
         return 0
 
     def _settings(self) -> "SimSettings":
-        """What was asked for, once it is certain that it can be."""
+        """The checked settings of the server."""
         from fastmimic.deploy.dds import check_interface
         from fastmimic.deploy.robot_sim.faults import Faults
         from fastmimic.deploy.robot_sim.sim_server import SimSettings
@@ -103,17 +113,20 @@ class RobotSim:
 
         check_interface(self.interface)
         if self.robot.lower() in ROBOT_NAMES and self.robot.lower() not in WIRED:
-            raise ConfigError(f"the {self.robot} has another wire than robot-sim: give one of {', '.join(WIRED)}")
+            raise ConfigError(f"robot-sim does not speak the protocol of a {self.robot}; give {' or '.join(WIRED)}")
         _check_choice("--start", self.start, [s.value for s in Start])
         _check_choice("--sensors", self.sensors, ["real", "ideal"])
+        fault = self.fault
         states = Faults(
-            loss=self.loss,
-            corrupt=self.corrupt,
-            duplicate=self.duplicate,
-            reorder=self.reorder,
-            latency_s=self.latency_ms / 1e3,
+            loss=fault.loss,
+            corrupt=fault.corrupt,
+            duplicate=fault.duplicate,
+            reorder=fault.reorder,
+            latency_s=fault.latency_ms / 1e3,
         )
-        commands = Faults(loss=self.command_loss, corrupt=self.command_corrupt, latency_s=self.command_latency_ms / 1e3)
+        commands = Faults(
+            loss=fault.command_loss, corrupt=fault.command_corrupt, latency_s=fault.command_latency_ms / 1e3
+        )
         return SimSettings(
             domain=self.domain,
             interface=self.interface,
@@ -123,10 +136,10 @@ class RobotSim:
             states=states,
             commands=commands,
             command_timeout_s=self.watchdog_ms / 1e3,
-            dead_after_s=math.inf if self.dead_after is None else self.dead_after,
+            dead_after_s=math.inf if fault.dead_after is None else fault.dead_after,
         )
 
-    def _account(self, server: "SimServer") -> None:
+    def _summarize(self, server: "SimServer") -> None:
         summary = {"robot": self.robot, **server.summary()}
         if self.json:
             put(json.dumps(summary, indent=1))
@@ -137,7 +150,7 @@ class RobotSim:
 
 @contextmanager
 def _until_interrupted() -> Iterator[threading.Event]:
-    """An event that Ctrl-C or SIGTERM sets, so that what runs can come to its end."""
+    """An event that Ctrl-C or SIGTERM sets, so that the server can shut down."""
     stop = threading.Event()
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = [signal.signal(number, lambda *_: stop.set()) for number in numbers]

@@ -1,8 +1,8 @@
-"""`fastmimic robots`: whose bodies are built in."""
+"""`fastmimic robots`: lists the built-in robots."""
 
 from dataclasses import dataclass
 
-from fastmimic.commands.console import note, put, table
+from fastmimic.commands.console import note, put_table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +20,6 @@ class Robots:
                 " ".join(f"{v:g}" for v in limit[:3]) for limit in (robot.torque_limit, robot.joint_speed_limit)
             )
             rows.append((name, f"{robot.mass:.2f}", f"{robot.leg_length:.3f}", torque, speed))
-        for line in table(rows):
-            put(line)
-        note("your own: --robot FILE.xml, an MJCF with abduction, hip and knee joints in four legs")
+        put_table(rows)
+        note("your own: --robot FILE.xml, an MJCF with abduction, hip and knee joints in each of four legs")
         return 0

@@ -1,4 +1,4 @@
-"""A page in the browser, until Ctrl-C."""
+"""Serves a page in the browser until Ctrl-C."""
 
 import sys
 import threading
@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     import viser
 
 
-class Page(Protocol):
-    """What `view` and `play` show."""
+class ServedPage(Protocol):
+    """A page of `view` or `play`."""
 
     server: "viser.ViserServer"
 
@@ -21,8 +21,8 @@ class Page(Protocol):
     def run(self, stop: threading.Event) -> None: ...
 
 
-def serve(page: Page, what: str, port: int) -> int:
-    """Says where the page is, and which port it took if not `port`; returns the exit status."""
+def serve(page: ServedPage, what: str, port: int) -> int:
+    """Prints the page's address, and its port if `port` was taken; returns the exit status."""
     taken = page.server.get_port()
     if taken != port:
         note(f"port {port} is taken; listening on {taken} instead")

@@ -1,61 +1,60 @@
-"""`fastmimic stress`: how much of each disturbance a motion withstands under several methods."""
+"""`fastmimic stress`: measures how much of each disturbance a motion tolerates under several methods."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
-from fastmimic.commands.console import FIRST_USE, note, optimisation_progress, put, share_progress, slow_start
-from fastmimic.commands.options import ExperimentOptions, check_duration, policy_with_digest
+from fastmimic.commands import options as opt
+from fastmimic.commands.console import FIRST_USE, KEPT, note, optimisation_progress, put, share_progress, slow_start
 from fastmimic.robot import Robot
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # loads the compiler
+    from fastmimic.experiments.entrants import Entrant
     from fastmimic.experiments.stress import StressSettings
-    from fastmimic.experiments.subject import Subject
 
 OUT: Final = Path("runs/stress")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stress(ExperimentOptions):
-    """Runs a motion over the range of each disturbance, and says what it withstands.
+class Stress(opt.ExperimentOptions):
+    """Runs a motion over a range of each disturbance and measures how much it tolerates.
 
-    A method that optimises does so first, undisturbed; a motion that is optimised already is run as it is. Writes
-    results.csv, table.md, success.png and reward.png. Each finished sweep, one method under one disturbance, is kept:
-    after Ctrl-C, --resume does the rest, and may be given more methods or disturbances.
+    A method that optimises does so first, without disturbance; an optimised motion is not re-optimised. Writes
+    results.csv, table.md, success.png and reward.png. Each finished sweep (one method, one disturbance) is kept: after
+    Ctrl-C, --resume runs the others, also with more methods or disturbances.
     """
 
-    motion: Annotated[Positional[str], arg(metavar="MOTION")]
-    """A robot motion (.npz), a clip, a name of 'fastmimic motions', or the folder of a run."""
-    methods: Annotated[tuple[str, ...], arg(metavar="METHOD ...")] = ("mbc", "mbc-dmp", "raibert")
-    """Which methods."""
-    disturbances: Annotated[tuple[str, ...] | None, arg(metavar="NAME ...")] = None
-    """Which disturbances; by default all. An unknown NAME lists them."""
+    motion: Annotated[Positional[str], opt.option("MOTION")]
+    """A robot motion (.npz), a clip, a name from 'fastmimic motions', or the folder of a run."""
+    methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp", "raibert")
+    """Methods to run."""
+    disturbances: Annotated[
+        tuple[str, ...] | None, opt.option("NAME ...", lambda: f"Disturbances: {opt.disturbances()}. Default: all.")
+    ] = None
     episodes: int = 20
-    """Of each level of a disturbance: one from the motion's start, the others from random phases of it."""
-    duration: Annotated[float, arg(metavar="S")] = 6.0
-    """Length of each."""
-    simulator: Annotated[str, arg(metavar="mujoco|pybullet")] = "mujoco"
-    """Where the robot is; PyBullet is some ten times slower."""
-    observe: Annotated[str, arg(metavar="truth|sensors")] = "truth"
-    """What the controller sees."""
-    out: Annotated[Path, arg(metavar="FOLDER")] = OUT
-    """Where everything goes. A folder with sweeps is refused unless --resume or --overwrite."""
+    """Episodes at each level: the first starts at the motion's start, the others at random phases."""
+    duration: Annotated[float, opt.option("S")] = 6.0
+    """Length of an episode."""
+    simulator: opt.Simulator = "mujoco"
+    observe: opt.Observation = "truth"
+    out: Annotated[Path, opt.option("FOLDER")] = OUT
+    """Folder of the results. One with sweeps needs --resume or --overwrite."""
 
     def run(self) -> int:
-        """Runs it, and writes the folder; returns the exit status."""
-        check_duration(self.duration)
+        """Runs the sweeps and writes the folder; returns the exit status."""
+        opt.check_duration(self.duration)
+        from fastmimic.experiments.entrants import MOTIONS, check_methods, make_entrant
         from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of
-        from fastmimic.experiments.subject import MOTIONS, check_methods, make_subject
         from fastmimic.report.result_folder import ResultFolder
-        from fastmimic.report.stress_figures import WRITTEN, write_stress
+        from fastmimic.report.stress import WRITTEN, write_stress
         from fastmimic.simulation.simulators import check_simulator
 
         check_methods(self.methods, self.policy is not None)
         names = disturbances_of(self.disturbances, self.simulator)
-        robot, motion = self.load(self.motion)
+        robot, motion = self.clip.load(self.motion, self.robot)
         settings = StressSettings(
             robot=robot.name,
             simulator=self.simulator,
@@ -64,51 +63,50 @@ class Stress(ExperimentOptions):
             duration_s=self.duration,
             seed=self.seed,
             config=self.config,
-            iterations=self.iterations,
-            population=self.population,
+            iterations=self.search.iterations,
+            population=self.search.population,
         )
-        policy = None if self.policy is None else policy_with_digest(self.policy, robot, motion)
+        policy = opt.policy_with_digest(self.policy, robot, motion)
         check_length(motion, names, settings)
         check_simulator(robot, self.simulator)
         about = {"motion": motion.name, **asdict(settings)}
         folder = ResultFolder(self.out, "stress", SWEEPS, WRITTEN, about)
-        folder.open(resume=self.resume, overwrite=self.overwrite)
+        folder.open(resume=self.folder.resume, overwrite=self.folder.overwrite)
         planned = [(method, name) for method in self.methods for name in names]
         try:
             for k, method in enumerate(self.methods):
                 with optimisation_progress() as progress:
-                    subject = make_subject(
-                        method, motion, robot, self.search(), self.out / MOTIONS, policy=policy, progress=progress
+                    entrant = make_entrant(
+                        method, motion, robot, self.for_entrants(), self.out / MOTIONS, policy=policy, progress=progress
                     )
-                self._sweeps(subject, names, robot, settings, k * len(names), len(planned))
+                self._sweeps(entrant, names, robot, settings, k * len(names), len(planned))
         except KeyboardInterrupt:
             write_stress(folder, settings, planned)
-            note("what is finished is kept; the same command with --resume goes on")
+            note(KEPT)
             raise
         write_stress(folder, settings, planned)
-        put(folder.table())
-        put(f"results in {self.out}")
+        put(folder.table(), f"results in {self.out}")
         return 0
 
     def _sweeps(
         self,
-        subject: "Subject",
+        entrant: "Entrant",
         names: Sequence[str],
         robot: Robot,
         settings: "StressSettings",
         done: int,
         total: int,
     ) -> None:
-        """The sweeps of one method that are not there yet."""
+        """Runs the sweeps of one method that are not finished yet."""
         from fastmimic.experiments.parts import load_part, save_part
         from fastmimic.experiments.stress import sweep, sweep_file
 
-        with share_progress("sweeps") as bar, slow_start(f"{subject.method.name}: the first sweep runs; {FIRST_USE}"):
+        with share_progress("sweeps") as bar, slow_start(f"{entrant.method.name}: first sweep; {FIRST_USE}"):
             for k, name in enumerate(names, done + 1):
-                path = sweep_file(self.out, subject.method.name, name)
-                if load_part(path, subject.digest) is None:
-                    save_part(path, sweep(subject, name, robot, settings), subject.digest)
+                path = sweep_file(self.out, entrant.method.name, name)
+                if load_part(path, entrant.digest) is None:
+                    save_part(path, sweep(entrant, name, robot, settings), entrant.digest)
                 if bar is not None:
-                    bar(k / total, f"{subject.method.name}, {name}")
+                    bar(k / total, f"{entrant.method.name}, {name}")
                 else:
-                    note(f"{k}/{total} {subject.method.name}, {name}")
+                    note(f"{k}/{total} {entrant.method.name}, {name}")

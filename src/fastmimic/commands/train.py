@@ -1,17 +1,16 @@
-"""`fastmimic train`: a policy that imitates a motion, by reinforcement learning."""
+"""`fastmimic train`: trains a policy that imitates a motion, by reinforcement learning."""
 
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError
+from fastmimic.commands import options as opt
 from fastmimic.commands.console import PLAIN_STEPS, note, put, share_progress
-from fastmimic.commands.options import MotionOptions
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
@@ -21,47 +20,44 @@ if TYPE_CHECKING:
     from fastmimic.learning.settings import TrainingSettings
     from fastmimic.learning.training import Advance, Evaluated
 
-RUNS: Final = Path("runs")
 PAPER_STEPS: Final = 100_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Train(MotionOptions):
-    """Trains a policy to imitate a motion (PPO; Peng et al. 2018, 2020): the baseline that learns.
+class Train:
+    """Trains a policy to imitate a motion (PPO; Peng et al. 2018, 2020): the RL baseline.
 
-    Writes policy.npz for 'evaluate --policy' and 'compare --policy', policy.onnx, evaluations.csv, TensorBoard's logs
-    and a checkpoint. After Ctrl-C or a crash, --resume goes on from the last minute. Needs: pip install
-    'fastmimic[rl]'.
+    Writes policy.npz for 'evaluate --policy' and 'compare --policy', policy.onnx, evaluations.csv, TensorBoard logs and
+    a checkpoint. After Ctrl-C or a crash, --resume continues from the last minute. Needs: pip install 'fastmimic[rl]'.
     """
 
-    motion: Annotated[Positional[str], arg(metavar="MOTION")]
-    """A name of 'fastmimic motions', a file, or the folder of a run."""
+    motion: Annotated[Positional[str], opt.option("MOTION")]
+    """A name from 'fastmimic motions', a file, or the folder of a run."""
     steps: int = PAPER_STEPS
-    """Actions of all robots together. Asking for more later goes on with --resume."""
+    """Actions of all robots together. A larger number continues a finished training with --resume."""
     seed: int = 0
-    """Of weights, actions and episodes."""
+    """Seed of weights, actions and episodes."""
     robots: int = 64
-    """Simulated at once."""
+    """Robots simulated in parallel."""
     hidden: tuple[int, ...] = (512, 256)
     """Widths of the policy's hidden layers."""
     entropy: float = 0.0
     """Weight of the entropy bonus."""
-    randomize: Annotated[tuple[str, ...], arg(metavar="NAME=LOWER:UPPER ...")] = ()
-    """In what robots and grounds differ, such as friction=0.4:1.2 payload=0:2."""
+    randomize: Annotated[tuple[str, ...], opt.option("NAME=LOWER:UPPER ...")] = ()
+    """Properties of robot and ground to randomise, e.g. friction=0.4:1.2 payload=0:2."""
     evaluate_every: int = 500_000
-    """Steps between evaluations. The best policy that was evaluated is kept."""
-    device: Annotated[str, arg(metavar="auto|cpu|cuda")] = "auto"
-    """Of the networks; the simulation runs on the processor."""
-    threads: Annotated[int | None, arg(metavar="INT")] = None
-    """For the simulation; by default one for each core. The result does not depend on it."""
+    """Steps between evaluations. The best evaluated policy is kept."""
+    device: Annotated[str, opt.option("auto|cpu|cuda")] = "auto"
+    """Device of the networks; the simulation runs on the CPU."""
+    threads: Annotated[int | None, opt.option("N")] = None
+    """Threads of the simulation. Default: one per core. The result does not depend on it."""
     update_threads: int = 1
-    """For the networks on the processor; more than one is worth it with many idle cores only."""
-    out: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """By default runs/MOTION-ROBOT-rl-SEED. A folder with another training is refused."""
-    resume: bool = False
-    """Go on from the checkpoint in the folder."""
-    overwrite: bool = False
-    """Replace the training in the folder."""
+    """Threads of the networks on the CPU; more than one pays off only with many idle cores."""
+    robot: opt.RobotChoice = None
+    out: Annotated[Path | None, opt.option("FOLDER")] = None
+    """Folder of the results. Default: runs/MOTION-ROBOT-rl-SEED."""
+    clip: opt.ClipReading
+    folder: opt.Folder
 
     def run(self) -> int:
         """Trains, and writes the folder; returns the exit status."""
@@ -76,13 +72,14 @@ class Train(MotionOptions):
         settings = self._settings()
         check_installed()
         device = choose_device(self.device)
-        robot, motion = self.load(self.motion)
+        robot, motion = self.clip.load(self.motion, self.robot)
         motion = motion.target
-        out = self.out or RUNS / re.sub(r"[^\w.-]+", "-", f"{motion.name}-{robot.name}-rl-{self.seed}")
+        out = self.out or opt.RUNS / opt.folder_name(motion.name, robot.name, "rl", self.seed)
         same = _identity(robot, motion, settings, device, self.evaluate_every)
-        folder = open_training(out, same, resume=self.resume, overwrite=self.overwrite)
+        resume = self.folder.resume
+        folder = open_training(out, same, resume=resume, overwrite=self.folder.overwrite)
         threads = self.threads if self.threads is not None else available_cores()
-        if not self.resume:
+        if not resume:
             folder.clear()
         folder.begin({"training": same, "motion": motion.meta})
         note(f"{motion.name} on {robot.name}: {self.steps:,} steps of {self.robots} robots, networks on {device}")
@@ -96,16 +93,15 @@ class Train(MotionOptions):
                     settings,
                     device=device,
                     threads=threads,
-                    resume=self.resume,
+                    resume=resume,
                     evaluate_every=self.evaluate_every,
                     progress=progress,
                 )
         except KeyboardInterrupt:
             if (out / CHECKPOINT).is_file():
-                note(f"to go on from the checkpoint: the same command with --out {out} --resume")
+                note(f"to continue from the checkpoint: the same command with --out {out} --resume")
             raise
-        for line in _report(evaluations):
-            put(line)
+        put(*_report(evaluations))
         put(f"to run it: fastmimic evaluate {self.motion} --policy {out / 'policy.npz'}")
         return 0
 
@@ -126,7 +122,7 @@ class Train(MotionOptions):
 def _identity(
     robot: Robot, motion: Motion, settings: "TrainingSettings", device: str, evaluate_every: int
 ) -> dict[str, Any]:
-    """What must be the same for a training to go on, JSON-serialisable."""
+    """The settings that must match for a training to resume, JSON-serialisable."""
     import hashlib
     import json
 
@@ -146,7 +142,7 @@ def _identity(
 
 @contextmanager
 def _progress() -> "Iterator[Callable[[Advance], None]]":
-    """A bar on a terminal, otherwise a line now and then."""
+    """A bar on a terminal, otherwise a line for each tenth."""
     shown = -1
     with share_progress("training") as bar:
 

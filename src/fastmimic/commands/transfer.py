@@ -1,18 +1,18 @@
-"""`fastmimic transfer`: what motions are worth on a robot that they were not optimised on."""
+"""`fastmimic transfer`: runs motions without change on robots that differ from the one they were optimised on."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError
-from fastmimic.commands.console import FIRST_USE, note, optimisation_progress, put, slow_start
-from fastmimic.commands.options import ExperimentOptions, check_duration, policy_with_digest
+from fastmimic.commands import options as opt
+from fastmimic.commands.console import FIRST_USE, KEPT, note, optimisation_progress, put, slow_start
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.rollout import MakeController
     from fastmimic.experiments.transfer import TransferSettings
 
@@ -20,35 +20,36 @@ OUT: Final = Path("runs/transfer")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Transfer(ExperimentOptions):
-    """Optimises motions in MuJoCo with the truth, then runs them unchanged on robots that differ more and more.
+class Transfer(opt.ExperimentOptions):
+    """Optimises motions in MuJoCo with the true state, then runs them without change under conditions that differ more
+    and more.
 
-    (a) MuJoCo with sensors and an estimator; (b) PyBullet with the truth; (c) PyBullet with sensors, an estimator,
-    motors with delay, friction and a torque-speed curve, and friction 0.6. Writes results.csv, table.md and
-    transfer.png. The trials of each motion and method are kept: after Ctrl-C, --resume does the rest.
+    (a) MuJoCo with sensors and an estimator; (b) PyBullet with the true state; (c) PyBullet with sensors, an estimator,
+    motors with delay, friction and a torque-speed curve, and ground friction 0.6. Writes results.csv, table.md and
+    transfer.png. The trials of each motion and method are kept: after Ctrl-C, --resume runs the others.
     """
 
-    motions: Annotated[Positional[tuple[str, ...]], arg(metavar="MOTION ...")]
-    """Robot motions (.npz), which are run as they are if they are optimised, clips, names of
-    'fastmimic motions', or folders of runs."""
-    methods: Annotated[tuple[str, ...], arg(metavar="METHOD ...")] = ("mbc", "mbc-dmp")
-    """Which methods."""
+    motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION ...")]
+    """Robot motions (.npz; optimised ones are not re-optimised), clips, names from 'fastmimic motions', or folders of
+    runs."""
+    methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp")
+    """Methods to run."""
     trials: int = 3
-    """Of each motion and method in each of the conditions."""
-    duration: Annotated[float, arg(metavar="S")] = 10.0
-    """Length of each."""
-    identify: bool = False
-    """Run (c) once more with friction and payload identified from one run there, as one would on a robot."""
-    out: Annotated[Path, arg(metavar="FOLDER")] = OUT
-    """Where everything goes. A folder with trials is refused unless --resume or --overwrite."""
+    """Trials of each motion and method under each condition."""
+    duration: Annotated[float, opt.option("S")] = 10.0
+    """Length of a trial."""
+    identify: opt.Flag = False
+    """Run (c) again with friction and payload identified from one run there, as on a real robot."""
+    out: Annotated[Path, opt.option("FOLDER")] = OUT
+    """Folder of the results. One with trials needs --resume or --overwrite."""
 
     def run(self) -> int:
-        """Runs it, and writes the folder; returns the exit status."""
-        check_duration(self.duration)
-        from fastmimic.experiments.subject import check_methods
+        """Runs the trials and writes the folder; returns the exit status."""
+        opt.check_duration(self.duration)
+        from fastmimic.experiments.entrants import check_methods
         from fastmimic.experiments.transfer import PARTS, TransferSettings
         from fastmimic.report.result_folder import ResultFolder
-        from fastmimic.report.transfer_figures import WRITTEN, write_transfer
+        from fastmimic.report.transfer import WRITTEN, write_transfer
         from fastmimic.simulation.simulators import check_simulator
 
         if not self.motions:
@@ -57,20 +58,26 @@ class Transfer(ExperimentOptions):
             raise ConfigError("a policy is for one motion; run the motions one after another")
         check_methods(self.methods, self.policy is not None)
         settings = TransferSettings(
-            self.trials, self.duration, self.seed, self.config, self.iterations, self.population, self.identify
+            self.trials,
+            self.duration,
+            self.seed,
+            self.config,
+            self.search.iterations,
+            self.search.population,
+            self.identify,
         )
-        loaded = [self.load(source) for source in self.motions]
+        loaded = [self.clip.load(source, self.robot) for source in self.motions]
         names = [motion.name for _, motion in loaded]
         if len(set(names)) < len(names):
-            raise ConfigError(f"two of the motions have one name: {', '.join(names)}")
+            raise ConfigError(f"two motions have the same name: {', '.join(names)}")
         robots = {robot.name: robot for robot, _ in loaded}
         if len(robots) > 1:
             raise ConfigError(f"the motions are for different robots: {', '.join(robots)}")
         check_simulator(loaded[0][0], "pybullet")
-        policy = None if self.policy is None else policy_with_digest(self.policy, *loaded[0])
+        policy = opt.policy_with_digest(self.policy, *loaded[0])
         about = {"robot": loaded[0][0].name, **asdict(settings)}
         folder = ResultFolder(self.out, "transfer", PARTS, WRITTEN, about)
-        folder.open(resume=self.resume, overwrite=self.overwrite)
+        folder.open(resume=self.folder.resume, overwrite=self.folder.overwrite)
         planned = [(name, method) for name in names for method in self.methods]
         try:
             for robot, motion in loaded:
@@ -78,11 +85,10 @@ class Transfer(ExperimentOptions):
                     self._one(method, motion, robot, settings, policy)
         except KeyboardInterrupt:
             write_transfer(folder, planned)
-            note("what is finished is kept; the same command with --resume goes on")
+            note(KEPT)
             raise
         write_transfer(folder, planned)
-        put(folder.table())
-        put(f"results in {self.out}")
+        put(folder.table(), f"results in {self.out}")
         return 0
 
     def _one(
@@ -93,17 +99,17 @@ class Transfer(ExperimentOptions):
         settings: "TransferSettings",
         policy: "tuple[MakeController, str] | None",
     ) -> None:
-        """The trials of a method on a motion, unless they are there."""
+        """Runs the trials of a method on a motion, unless they are finished."""
+        from fastmimic.experiments.entrants import MOTIONS, make_entrant
         from fastmimic.experiments.parts import load_part, save_part
-        from fastmimic.experiments.subject import MOTIONS, make_subject
         from fastmimic.experiments.transfer import part_file, run_trials
 
         with optimisation_progress() as progress:
-            subject = make_subject(
-                method, motion, robot, self.search(), self.out / MOTIONS, policy=policy, progress=progress
+            entrant = make_entrant(
+                method, motion, robot, self.for_entrants(), self.out / MOTIONS, policy=policy, progress=progress
             )
         path = part_file(self.out, motion.name, method)
-        if load_part(path, subject.digest) is None:
+        if load_part(path, entrant.digest) is None:
             with slow_start(f"{motion.name}, {method}: running; {FIRST_USE}"):
-                save_part(path, run_trials(subject, robot, settings), subject.digest)
+                save_part(path, run_trials(entrant, robot, settings), entrant.digest)
         note(f"{motion.name}, {method}: done")

@@ -1,63 +1,60 @@
-"""`fastmimic view`: a motion, or a run before and after, in the browser."""
+"""`fastmimic view`: shows a motion, or a run before and after, in the browser."""
 
 import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.commands import options as opt
 from fastmimic.commands.console import slow_start
-from fastmimic.commands.options import MotionOptions, check_duration
 from fastmimic.commands.serving import serve
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
-if TYPE_CHECKING:
-    from fastmimic.render.animal import Animal
-    from fastmimic.runs.loading import MotionSource
+if TYPE_CHECKING:  # loads the compiler
+    from fastmimic.runs.load import MotionSource
+    from fastmimic.viewer.animal import Animal
     from fastmimic.viewer.take import Take
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(MotionOptions):
+class View:
     """Shows a motion under the controller in the browser: the robot, its demonstration as a ghost, contacts, forces
-    and reward, to be played and scrubbed. A run's folder shows it before and after the optimisation, side by side.
+    and reward, to play and scrub. For the folder of a run: before and after the optimisation, side by side.
 
     The server listens on this machine only (127.0.0.1); Ctrl-C ends it.
     """
 
-    motion: Annotated[Positional[str], arg(metavar="MOTION|RUN")]
-    """A robot motion (.npz), a clip, a name of 'fastmimic motions', or the folder of a run."""
-    port: Annotated[int, arg(metavar="PORT")] = 8080
-    """Where to listen; if it is taken, the next one that is free."""
-    kinematic: bool = False
-    """The motion as it is written, without physics."""
-    clip: Annotated[str | None, arg(metavar="CLIP")] = None
-    """The animal to show beside a robot motion: a clip or a name. A clip that is viewed comes with its own."""
-    episodes: Annotated[int | None, arg(metavar="N")] = None
-    """How many, to choose from: the first from the motion's start, the others perturbed as in 'evaluate'; by default
-    1."""
-    duration: Annotated[float | None, arg(metavar="S")] = None
-    """Length of each; by default 10, the whole of a motion that does not repeat, or the run's."""
+    motion: Annotated[Positional[str], opt.option("MOTION|RUN")]
+    """A robot motion (.npz), a clip, a name from 'fastmimic motions', or the folder of a run."""
+    port: opt.Port = 8080
+    kinematic: opt.Flag = False
+    """Show the motion as written, without physics."""
+    clip: Annotated[str | None, opt.option("CLIP")] = None
+    """Animal to show beside a robot motion: a clip or a name. A clip is always shown with its own animal."""
+    episodes: Annotated[int | None, opt.option("N")] = None
+    """Episodes to choose from. The first starts at the motion's start, the others are perturbed as in 'evaluate'.
+    Default: 1."""
+    duration: opt.Seconds = None
+    """Length of an episode. Default: the run's, else 10 s or the whole of a non-periodic motion."""
     seed: int = 0
-    """Of the perturbations."""
-    method: Annotated[str | None, arg(metavar="NAME")] = None
-    """Whose controller: raibert, mbc, lh; by default the run's, that with which the motion was optimised, or mbc."""
-    config: Annotated[str | None, arg(metavar="default|robust|paper|FILE")] = None
-    """The controller's parameters; by default the run's, those with which the motion was optimised, or "default"."""
+    """Seed of the perturbations."""
+    robot: opt.RobotChoice = None
+    method: opt.FoundMethod = None
+    config: opt.FoundConfig = None
+    reading: opt.ClipReading
 
     def run(self) -> int:
         """Serves until Ctrl-C; returns the exit status."""
-        if self.duration is not None:
-            check_duration(self.duration)
+        opt.check_duration(self.duration)
         self._check_combination()
-        from fastmimic.runs.loading import find_motion
-        from fastmimic.viewer.viewer import Viewer
-        from fastmimic.viewer.web import free_port, require_viser
+        from fastmimic.runs.load import find_motion
+        from fastmimic.viewer.server import Viewer, free_port, require_viser
 
         require_viser()
-        free_port(self.port)  # a port that cannot be is no reason to simulate first
+        free_port(self.port)  # before anything is simulated
         source = find_motion(self.motion)
         command = self if source.folder is None else self._of_run(source)
         robot, shown, heading, animal = command._prepare(source)
@@ -86,13 +83,13 @@ class View(MotionOptions):
         )
 
     def _prepare(self, source: "MotionSource") -> "tuple[Robot, list[list[Take]], str, Animal | None]":
-        """The robot, what is shown of it, the heading, and the animal."""
+        """The robot, its takes, the heading, and the animal."""
         from fastmimic.imitation.imitate import EVALUATION_S, default_duration
-        from fastmimic.render.animal import Animal
-        from fastmimic.runs.loading import find_motion
+        from fastmimic.runs.load import find_motion
+        from fastmimic.viewer.animal import Animal
 
-        overrides = self.overrides()
-        robot = self.load_robot(source)
+        overrides = self.reading.overrides()
+        robot = opt.choose_robot(source, self.robot)
         clip = None
         if self.clip is not None:
             given = find_motion(self.clip)
@@ -117,7 +114,7 @@ class View(MotionOptions):
         return robot, shown, f"{motion.name} on {robot.name}", animal
 
     def _takes(self, motion: Motion, of: Motion, robot: Robot, seconds: float, title: str) -> "list[Take]":
-        """What one motion is in so many episodes, under the controller of the motion that was given."""
+        """The episodes of one motion under the controller of the motion `of`."""
         from fastmimic.imitation.imitate import evaluate
         from fastmimic.imitation.methods import controller_for
         from fastmimic.viewer.take import motion_take, rollout_take

@@ -1,0 +1,155 @@
+"""Results and provenance as the verbs print them; the figures are those of `metrics.json` and `evaluate --json`."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from fastmimic.commands.console import EXIT_INTERRUPTED, count_progress, note, put, put_table
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
+
+if TYPE_CHECKING:  # loads the compiler
+    from fastmimic.imitation.imitate import Imitation
+    from fastmimic.report.run_folder import RunFolder
+
+MISSING: Final = "–"
+_PER_COLUMN: Final = ("drift_m_per_s", "early_contacts_per_s", "stance_slip_m", "foot_z_rmse_m", "foot_x_rmse_m")
+
+
+def yes_no(value: Any) -> str:
+    """A truth value in words."""
+    return "yes" if value else "no"
+
+
+def figure_rows(figures: Mapping[str, Any], reward: str, fell: str, clearance: str) -> list[tuple[str, str]]:
+    """Name and value of each figure of an episode, for a table."""
+    components = [(f"  {name.replace('_', ' ')}", f"{value:.3f}") for name, value in figures["components"].items()]
+    return [
+        ("reward", reward),
+        *components,
+        ("fell", fell),
+        ("swing clearance", clearance),
+        ("drift, m/s", f"{figures['drift_m_per_s']:.3f}"),
+        ("early contacts, 1/s", f"{figures['early_contacts_per_s']:.1f}"),
+        ("stance slip, mm", f"{1e3 * figures['stance_slip_m']:.1f}"),
+        ("foot z rmse, mm", f"{1e3 * figures['foot_z_rmse_m']:.1f}"),
+        ("foot x rmse, mm", f"{1e3 * figures['foot_x_rmse_m']:.1f}"),
+    ]
+
+
+def put_comparison(result: "Imitation") -> None:
+    """Prints the figures before and after the optimisation."""
+    metrics = result.metrics()
+    columns = {"before": "before", "after": "after"} if result.history is not None else {"before": "not optimised"}
+    cells = [_column(metrics, column) for column in columns]
+    rows = [(name, *(values[name] for values in cells)) for name in cells[0]]
+    put(f"{result.motion.name} on {result.robot.name}, {result.duration_s:g} s")
+    put_table([("", *columns.values()), *rows], right=range(1, len(cells) + 1))
+    effort = f"{metrics['simulated_s']:.0f} s simulated in {metrics['wall_s']:.1f} s"
+    if metrics["evaluations"]:
+        effort = f"{metrics['evaluations']} episodes in {metrics['iterations']} iterations, {effort}"
+    put(effort)
+
+
+def _column(metrics: Mapping[str, Any], column: str) -> dict[str, str]:
+    reward, clearance = metrics["reward"], metrics["swing_clearance_m"]
+    share = least_share(clearance[column], clearance["demonstration"])
+    figures = {name: metrics[name][column] for name in _PER_COLUMN}
+    cells = figure_rows(
+        figures | {"components": reward[f"components_{column}"]},
+        reward=f"{reward[column]:.3f}",
+        fell=yes_no(metrics["fell"][column]),
+        clearance=MISSING if share is None else f"{share:.0%} of the reference",
+    )
+    if "randomization" in metrics:
+        others = metrics["randomization"]["held_out"]
+        over = others[column]
+        cells += [
+            (f"{others['robots']} other robots: mean reward", f"{over['mean']:.3f}"),
+            ("  worst reward", f"{over['worst']:.3f}"),
+            ("  fell", f"{over['fell']:.0%}"),
+        ]
+    return dict(cells)
+
+
+def least_share(realised: Sequence[float | None], wanted: Sequence[float | None]) -> float | None:
+    """The smallest share of the demonstration's swing clearance among the legs that swing."""
+    shares = [r / w for r, w in zip(realised, wanted, strict=True) if r is not None and w]
+    return min(shares) if shares else None
+
+
+def put_result(result: "Imitation", folder: "RunFolder", iterations: int, *, video: str | None) -> int:
+    """Prints the figures and adds the video to the folder; returns the exit status.
+
+    Args:
+        result: the run, written to the folder except for its video.
+        folder: of the run.
+        iterations: the number that was asked for.
+        video: its quality; None for no video.
+    """
+    put_comparison(result)
+    if video is not None:
+        try:
+            with count_progress("video, frame") as progress:
+                folder.write_video(result, progress, video)
+        except KeyboardInterrupt:
+            note(f"the video was not written; everything else is in {folder.path}")
+            raise
+    put(f"results in {folder.path}")
+    if not result.interrupted:
+        return 0
+    note(
+        f"fastmimic: interrupted after {result.iterations} of {iterations} iterations;"
+        f" the result is the best so far, and --out {folder.path} --resume continues"
+    )
+    return EXIT_INTERRUPTED
+
+
+def note_origin(robot: Robot, motion: Motion) -> None:
+    """Prints where a motion comes from and what was assumed."""
+    note(provenance(motion))
+    for sentence in (*assumed(motion), *robot.assumed):
+        note(f"assumed: {sentence}")
+
+
+def provenance(motion: Motion) -> str:
+    """One line: name, source, scale, period, licence."""
+    from fastmimic.clips.formats import FORMATS
+
+    source, retargeting = _record(motion, "source"), _record(motion, "retarget")
+    parts = [str(source.get("source", "unknown source"))]
+    if "frames" in source:
+        parts.append("frames {}:{}".format(*source["frames"]))
+    if source.get("format") in FORMATS:
+        parts.append(FORMATS[source["format"]].about)
+    if "scale" in retargeting:
+        parts.append(f"scale {retargeting['scale']:.3f}")
+    parts.append(f"{motion.period_s:.3f} s" + (" per cycle" if motion.cycle is not None else f", {_once(motion)}"))
+    licence = motion.meta.get("licence")
+    return f"{motion.name}: {', '.join(parts)}" + (f"; licence: {licence}" if licence else "")
+
+
+def _once(motion: Motion) -> str:
+    if motion.target.parts:
+        return "not periodic"
+    held = motion.meta.get("held_s")
+    return "run once, " + (f"the last {held:.2g} s at rest" if held else "ends in mid-stride")
+
+
+def assumed(motion: Motion) -> list[str]:
+    """The assumptions made when the clip was read, as sentences."""
+    return [str(sentence) for sentence in _record(motion, "source").get("assumed", [])]
+
+
+def unmet_bounds(motion: Motion) -> list[str]:
+    """The bounds of a faithful retargeting that this motion exceeds, as sentences."""
+    return [
+        f"{bound['name']} {bound['value']:.3g} exceeds {bound['limit']:.3g}"
+        + (f" ({bound['reason']})" if bound["reason"] else "")
+        for bound in _record(motion, "retarget").get("bounds", [])
+        if not bound["met"]
+    ]
+
+
+def _record(motion: Motion, key: str) -> dict[str, Any]:
+    value = motion.meta.get(key)
+    return value if isinstance(value, dict) else {}
