@@ -99,7 +99,7 @@ ONLY_IMITATE = {
     "nothing to resume": (["trot", "--resume"], "no checkpoint to resume from"),
     "no optimisation to resume": (
         ["trot", "--resume", "--no-optimize"],
-        "--resume goes on with an optimisation",
+        "does not search, so there is nothing to resume",
     ),
     "resume and overwrite": (["trot", "--resume", "--overwrite"], "give one of them"),
     "a file for a folder": (["trot", "--out", "{clip}"], "cannot be written to"),

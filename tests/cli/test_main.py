@@ -13,7 +13,7 @@ from cli.running import Run
 from fastmimic import cli
 from fastmimic.commands.robots import Robots
 
-HEAVY = ("numpy", "scipy", "numba", "mujoco", "matplotlib", "pooch")
+HEAVY = ("scipy", "numba", "mujoco", "matplotlib", "pooch")
 
 
 def modules_after(code: str) -> set[str]:

@@ -97,7 +97,7 @@ def test_evaluate_by_sensors_says_how_far_the_estimate_is_off(run: Run) -> None:
     assert 0 < found["estimate_velocity_rmse_m_per_s"] < 0.1
     assert 0 < found["estimate_drift_percent"] < 10
     lines = run(*options).out.splitlines()
-    assert any(line.startswith("estimate's drift") and line.endswith("% of the distance") for line in lines)
+    assert any(line.startswith("estimator drift") and line.endswith("% of the distance") for line in lines)
     truthful = json.loads(run("evaluate", "trot", "--duration", "1.5", "--json").out)
     assert not [key for key in truthful if key.startswith("estimate")]
     assert truthful["reward_mean"] != found["reward_mean"]
@@ -156,7 +156,7 @@ def test_inspect_of_an_optimised_motion_names_its_parameters(run: Run, in_folder
     dmp.motion().save("same.npz")
     lines = run("inspect", "changed.npz").out.splitlines()
     assert lines[-3:] == [
-        "optimised  carries its demonstration; these DMP parameters differ from it",
+        "optimised  contains its demonstration; these DMP parameters differ from it",
         "  FR_foot_z    baseline +0.0123, amplitude 1.000",
         "  RL_foot_z    baseline +0.0000, amplitude 1.250",
     ]
@@ -291,7 +291,7 @@ def test_render_tells_the_sizes_that_it_takes(run: Run) -> None:
 
     said = " ".join(run("render", "--help").out.replace("│", " ").split())
     sizes = [f"{w}x{h}" for w, h in (PREVIEW.size, HIGH.size, GIF_SIZE)]
-    assert f"by default {sizes[0]}, of high quality {sizes[1]}, of a GIF {sizes[2]}" in said
+    assert f"Default: {sizes[0]}; {sizes[1]} for high quality; {sizes[2]} for a GIF" in said
 
 
 def test_render_without_opengl_is_an_error(run: Run, monkeypatch: pytest.MonkeyPatch, in_folder: Path) -> None:

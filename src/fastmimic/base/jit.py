@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -13,12 +12,18 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
     With `NUMBA_DISABLE_JIT=1` the same Python code runs as it stands, for debugging.
     """
-    return _stale_with_callees(njit(cache=True, nogil=True, error_model="numpy")(function))
+    return _compiled(function)
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     """Like `kernel`, for small functions that LLVM should inline into their callers."""
-    return _stale_with_callees(njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function))
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: Callable[..., Any], **options: bool) -> Callable[..., Any]:
+    from numba import njit  # slow to import; modules that only need `record_dtype` do without
+
+    return _stale_with_callees(njit(cache=True, nogil=True, error_model="numpy", **options)(function))
 
 
 def record_dtype(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
