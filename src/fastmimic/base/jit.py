@@ -17,13 +17,13 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     """Like `kernel`, for small functions that LLVM should inline into their callers."""
-    return _compiled(function, forceinline=True)
+    return _compiled(function, inline=True)
 
 
-def _compiled(function: Callable[..., Any], **options: bool) -> Callable[..., Any]:
+def _compiled(function: Callable[..., Any], *, inline: bool = False) -> Callable[..., Any]:
     from numba import njit  # slow to import; modules that only need `record_dtype` do without
 
-    return _stale_with_callees(njit(cache=True, nogil=True, error_model="numpy", **options)(function))
+    return _stale_with_callees(njit(cache=True, nogil=True, error_model="numpy", forceinline=inline)(function))
 
 
 def record_dtype(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:

@@ -83,9 +83,7 @@ FoundConfig = Annotated[
 PolicyFile = Annotated[
     Path | None, option("FILE", "Trained policy (policy.npz of 'fastmimic train') in place of the controller.")
 ]
-Simulator = Annotated[
-    str, option("NAME", lambda: f"Simulator: {one_of('simulation.conditions', 'SIMULATORS')}. pybullet is slower.")
-]
+Simulator = Annotated[str, option("NAME", "Simulator: mujoco, or pybullet with the manufacturer's URDF (slower).")]
 Observation = Annotated[
     str,
     option("truth|sensors", "Controller input: the true state, or an estimate from noisy, delayed sensors."),
@@ -212,7 +210,6 @@ class RandomizeOptions:
                     raise ConfigError(f"--{name} needs --randomize; add it")
             return None
         from fastmimic.optimize.randomization import Randomization
-    from fastmimic.runs.load import MotionSource
 
         number = " ".join(self.randomize)
         if not re.fullmatch(r"\d*", number):
