@@ -311,7 +311,7 @@ def test_a_terminal_gets_a_bar_with_the_best_reward_and_the_time_left(start: Sta
 def test_a_movement_that_does_not_repeat(run: Run, in_folder: Path) -> None:
     done = run("imitate", "trot", "--discrete", *TINY, "--out", "once")
     assert done.status == 0
-    assert "done once, to its end in mid-stride" in done.err
+    assert "run once, ends in mid-stride" in done.err
     motion = Motion.load("once/motion.npz")
     assert motion.cycle is None
     assert metrics(Path("once"))["duration_s"] == pytest.approx((motion.n_samples - 1) / motion.rate_hz)

@@ -13,9 +13,9 @@ from fastmimic.commands import options as opt
 from fastmimic.commands.console import KEPT, note, put, share_progress
 
 if TYPE_CHECKING:
-    from fastmimic.experiments.compare import Plan, Prepared
-    from fastmimic.experiments.runs import Row
-    from fastmimic.experiments.schedule import Effort, Report
+    from fastmimic.experiments.compare import ComparisonPlan, Prepared
+    from fastmimic.experiments.comparison_run import Row
+    from fastmimic.experiments.parallel import ReportProgress, RunProgress
     from fastmimic.report.comparison_folder import ComparisonFolder
 
 OUT: Final = Path("runs/comparison")
@@ -83,16 +83,16 @@ class Compare:
         put(*folder.table().splitlines(), f"results in {self.out}")
         return 0
 
-    def _plan(self) -> "Plan":
-        from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, Plan, choose_policies
-        from fastmimic.experiments.runs import EVALUATION_S, Settings
+    def _plan(self) -> "ComparisonPlan":
+        from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, ComparisonPlan, choose_policies
+        from fastmimic.experiments.comparison_run import EVALUATION_S, ComparisonSettings
         from fastmimic.imitation.methods import METHODS, RL
         from fastmimic.robot import ROBOT_NAMES
 
         if self.builtin and self.motions is not None:
             raise ConfigError("--builtin selects the four built-in motions; give it or --motions, not both")
         robot = self.robot if self.robot in ROBOT_NAMES else os.path.abspath(self.robot)
-        settings = Settings(
+        settings = ComparisonSettings(
             robot=robot if os.path.exists(robot) else self.robot,
             config=self.config,
             duration_s=self.duration,
@@ -104,7 +104,7 @@ class Compare:
         motions = self.motions if self.motions is not None else default
         methods = self.methods if self.methods is not None else (*METHODS, *([RL] if self.policy else []))
         policies = choose_policies(self.policy, motions) if self.policy else ()
-        return Plan(settings, motions, methods, self.seeds, self.ablations, policies)
+        return ComparisonPlan(settings, motions, methods, self.seeds, self.ablations, policies)
 
 
 def _leave(folder: "ComparisonFolder", prepared: "Prepared") -> None:
@@ -118,11 +118,11 @@ def _leave(folder: "ComparisonFolder", prepared: "Prepared") -> None:
     note(KEPT)
 
 
-def _environment(plan: "Plan", workers: int, kept: "Sequence[Row]") -> dict[str, Any]:
+def _environment(plan: "ComparisonPlan", workers: int, kept: "Sequence[Row]") -> dict[str, Any]:
     """Everything that the results depend on, JSON-serialisable; `kept` are the rows of other runs."""
     from fastmimic.control.config import controller_config
     from fastmimic.experiments.ablations import ABLATIONS, ablation_named
-    from fastmimic.experiments.runs import run_of
+    from fastmimic.experiments.comparison_run import run_of
     from fastmimic.imitation.imitate import versions
     from fastmimic.imitation.methods import ALL_METHODS, method_named
 
@@ -160,11 +160,11 @@ def _processor() -> str:
 
 
 @contextmanager
-def _progress(total: int) -> "Iterator[Report]":
+def _progress(total: int) -> "Iterator[ReportProgress]":
     """A bar on a terminal, otherwise a line for each finished run."""
     with share_progress("comparing") as bar:
 
-        def report(effort: "Effort", row: "Row | None") -> None:
+        def report(effort: "RunProgress", row: "Row | None") -> None:
             finished = total - len(effort.tasks) + effort.finished
             left = "" if effort.remaining_s is None else f", {_clock(effort.remaining_s)} left"
             if bar is not None:

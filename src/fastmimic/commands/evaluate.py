@@ -102,10 +102,10 @@ class Evaluate:
 
     def _deployed(self) -> int:
         """Scores a deployment from its log."""
+        from fastmimic.control.config import ControllerConfig
         from fastmimic.deploy.log import DeploymentLog
         from fastmimic.deploy.robot_sim.ground_truth import load_ground_truth
         from fastmimic.deploy.scoring import evaluation_of, true_states
-        from fastmimic.report.html_run import controller_from
         from fastmimic.robot import ROBOT_NAMES, load_robot
 
         taken = ("motion", "robot", "truth", "json", "clip")
@@ -122,7 +122,7 @@ class Evaluate:
             raise ConfigError(f"{self.motion}: robot '{name}' is not built in; give its MJCF by --robot FILE.xml")
         robot = load_robot(self.robot or name)
         with slow_start():
-            figures = evaluation_of(robot, log, controller_from(log.meta["config"])).as_dict()
+            figures = evaluation_of(robot, log, ControllerConfig.from_dict(log.meta["config"])).as_dict()
         figures |= {"driver": log.meta["driver"], "result": log.meta["result"]}
         if self.json:
             put_json(figures)

@@ -15,7 +15,7 @@ from fastmimic.commands.library_content import LibraryExport, ListMotions, Show,
 from fastmimic.robot import ROBOT_CHOICES
 
 if TYPE_CHECKING:  # loads the compiler
-    from fastmimic.dataset.build import Building, Step
+    from fastmimic.dataset.build import BuildRequest, BuildStep
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,8 +89,8 @@ class Build:
         put(f"library in {self.out}")
         return EXIT_SOME_FAILED if failed else 0
 
-    def _building(self) -> "Building":
-        from fastmimic.dataset import Building, Library, Recipe, find_sources
+    def _building(self) -> "BuildRequest":
+        from fastmimic.dataset import BuildRequest, BuildSettings, MotionDataset, find_sources
 
         if not self.sources:
             raise ConfigError("no sources given; name folders, lists, clips or motions")
@@ -99,7 +99,7 @@ class Build:
             for place in self.sources
             for source in find_sources(place, exclude=self.exclude, licence=self.licence, credit=self.credit)
         ]
-        recipe = Recipe(
+        recipe = BuildSettings(
             method=self.method,
             config=self.config,
             duration_s=self.duration,
@@ -110,9 +110,9 @@ class Build:
             others=self.others,
             second_simulator=not self.no_second_simulator and _second_simulator(self.robots),
         )
-        warm = None if self.warm_start is None else Library.open(self.warm_start)
+        warm = None if self.warm_start is None else MotionDataset.open(self.warm_start)
         folders = [path.resolve() for place in self.sources if (path := Path(place)).is_dir()]
-        return Building(sources, recipe, self.robots, self.seeds, self.confidence, self.discrete, warm, folders)
+        return BuildRequest(sources, recipe, self.robots, self.seeds, self.confidence, self.discrete, warm, folders)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +148,7 @@ def _second_simulator(robots: Sequence[str]) -> bool:
 
 
 @contextmanager
-def _progress(said: str) -> "Iterator[Callable[[Step], None]]":
+def _progress(said: str) -> "Iterator[Callable[[BuildStep], None]]":
     """Prints what is built at the start, a line for each finished motion and each failure, and how to continue after an
     interruption; on a terminal also a bar."""
     from fastmimic.dataset.build import describe_failure
@@ -158,7 +158,7 @@ def _progress(said: str) -> "Iterator[Callable[[Step], None]]":
     started_building = False
     with slow_start() as started, share_progress("building") as bar:
 
-        def report(step: "Step") -> None:
+        def report(step: "BuildStep") -> None:
             nonlocal started_building
             if not started_building:
                 note(said)

@@ -23,7 +23,7 @@ from fastmimic.commands.console import (
 from fastmimic.commands.export import ExportFormat
 
 if TYPE_CHECKING:  # loads the compiler
-    from fastmimic.dataset.folder import Library, Row
+    from fastmimic.dataset.folder import MotionDataset, Row
 
 _LISTED: Final = (
     "id",
@@ -90,9 +90,9 @@ class ListMotions(_Choice):
 
     def run(self) -> int:
         """Prints the list; returns the exit status."""
-        from fastmimic.dataset import Library
+        from fastmimic.dataset import MotionDataset
 
-        library = Library.open(self.library)
+        library = MotionDataset.open(self.library)
         if self.superseded:
             return self._superseded(library)
         chosen = self.chosen(library.index(() if self.json else _LISTED))
@@ -108,7 +108,7 @@ class ListMotions(_Choice):
             note(f"damaged: {line}")
         return 0
 
-    def _superseded(self, library: "Library") -> int:
+    def _superseded(self, library: "MotionDataset") -> int:
         found = library.gathered().superseded
         if self.json:
             put_json({"superseded": [asdict(old) for old in found]})
@@ -131,9 +131,9 @@ class Show:
 
     def run(self) -> int:
         """Prints the records; returns the exit status."""
-        from fastmimic.dataset import Library
+        from fastmimic.dataset import MotionDataset
 
-        library = Library.open(self.library)
+        library = MotionDataset.open(self.library)
         rows = library.find(self.motion)
         if self.json:
             put_json({"motions": rows})
@@ -162,10 +162,10 @@ class LibraryExport(_Choice):
     def run(self) -> int:
         """Writes the files; returns the exit status."""
         from fastmimic.base.files import check_folder
-        from fastmimic.dataset import Library
+        from fastmimic.dataset import MotionDataset
         from fastmimic.dataset.exporting import NEEDED, export_library
 
-        library = Library.open(self.library)
+        library = MotionDataset.open(self.library)
         columns = (*NEEDED, "kept", "best")
         chosen = [row for row in self.chosen(library.index(columns)) if row["motion_file"] is not None]
         if not self.grade:
@@ -198,13 +198,13 @@ class Verify:
 
     def run(self) -> int:
         """Checks the library; returns the exit status."""
-        from fastmimic.dataset import Library
+        from fastmimic.dataset import MotionDataset
         from fastmimic.dataset.folder import check
-        from fastmimic.dataset.mending import mend, rerun
+        from fastmimic.dataset.repair import mend, rerun
 
         if self.rerun < 0:
             raise ConfigError(f"--rerun must not be negative, found {self.rerun}")
-        library = Library.open(self.library)
+        library = MotionDataset.open(self.library)
         removed = 0
         with count_progress("reading") as progress:
             if self.mend:
@@ -227,7 +227,7 @@ class Verify:
         return 0 if health.sound and not differing else EXIT_SOME_FAILED
 
 
-def put_summary(library: "Library") -> None:
+def put_summary(library: "MotionDataset") -> None:
     """Prints the number of records by grade, by version if there are several, and those outside the index."""
     from fastmimic.dataset.grades import FAILURE, GRADES, REJECTED
 

@@ -17,9 +17,9 @@ from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.rollout import MakeController
-    from fastmimic.experiments.entrants import Search
+    from fastmimic.experiments.subject import Search
     from fastmimic.optimize.randomization import Randomization
-    from fastmimic.runs.load import MotionSource
+    from fastmimic.runs.loading import MotionSource
 
 DEFAULT_ROBOT: Final = "a1"
 MAX_DURATION_S: Final = 3600.0
@@ -145,7 +145,7 @@ class ClipOptions(ClipFileOptions):
 
     def load(self, source: str, robot: str | None) -> tuple[Robot, Motion]:
         """The robot and its motion, retargeted if `source` is a clip."""
-        from fastmimic.runs.load import find_motion
+        from fastmimic.runs.loading import find_motion
 
         overrides = self.overrides()
         found = find_motion(source)
@@ -244,9 +244,9 @@ class ExperimentOptions:
     search: Searching
     folder: Folder
 
-    def for_entrants(self) -> "Search":
+    def cma_search(self) -> "Search":
         """The search of methods that optimise."""
-        from fastmimic.experiments.entrants import Search
+        from fastmimic.experiments.subject import Search
 
         return Search(self.config, self.search.iterations, self.search.population, self.seed)
 

@@ -12,8 +12,8 @@ from fastmimic.commands.console import FIRST_USE, KEPT, note, optimisation_progr
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:  # loads the compiler
-    from fastmimic.experiments.entrants import Entrant
     from fastmimic.experiments.stress import StressSettings
+    from fastmimic.experiments.subject import Subject
 
 OUT: Final = Path("runs/stress")
 
@@ -46,10 +46,10 @@ class Stress(opt.ExperimentOptions):
     def run(self) -> int:
         """Runs the sweeps and writes the folder; returns the exit status."""
         opt.check_duration(self.duration)
-        from fastmimic.experiments.entrants import MOTIONS, check_methods, make_entrant
         from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of
+        from fastmimic.experiments.subject import MOTIONS, check_methods, make_subject
         from fastmimic.report.result_folder import ResultFolder
-        from fastmimic.report.stress import WRITTEN, write_stress
+        from fastmimic.report.stress_figures import WRITTEN, write_stress
         from fastmimic.simulation.simulators import check_simulator
 
         check_methods(self.methods, self.policy is not None)
@@ -76,10 +76,16 @@ class Stress(opt.ExperimentOptions):
         try:
             for k, method in enumerate(self.methods):
                 with optimisation_progress() as progress:
-                    entrant = make_entrant(
-                        method, motion, robot, self.for_entrants(), self.out / MOTIONS, policy=policy, progress=progress
+                    subject = make_subject(
+                        method,
+                        motion,
+                        robot,
+                        self.cma_search(),
+                        self.out / MOTIONS,
+                        policy=policy,
+                        progress=progress,
                     )
-                self._sweeps(entrant, names, robot, settings, k * len(names), len(planned))
+                self._sweeps(subject, names, robot, settings, k * len(names), len(planned))
         except KeyboardInterrupt:
             write_stress(folder, settings, planned)
             note(KEPT)
@@ -90,7 +96,7 @@ class Stress(opt.ExperimentOptions):
 
     def _sweeps(
         self,
-        entrant: "Entrant",
+        subject: "Subject",
         names: Sequence[str],
         robot: Robot,
         settings: "StressSettings",
@@ -101,12 +107,12 @@ class Stress(opt.ExperimentOptions):
         from fastmimic.experiments.parts import load_part, save_part
         from fastmimic.experiments.stress import sweep, sweep_file
 
-        with share_progress("sweeps") as bar, slow_start(f"{entrant.method.name}: first sweep; {FIRST_USE}"):
+        with share_progress("sweeps") as bar, slow_start(f"{subject.method.name}: first sweep; {FIRST_USE}"):
             for k, name in enumerate(names, done + 1):
-                path = sweep_file(self.out, entrant.method.name, name)
-                if load_part(path, entrant.digest) is None:
-                    save_part(path, sweep(entrant, name, robot, settings), entrant.digest)
+                path = sweep_file(self.out, subject.method.name, name)
+                if load_part(path, subject.digest) is None:
+                    save_part(path, sweep(subject, name, robot, settings), subject.digest)
                 if bar is not None:
-                    bar(k / total, f"{entrant.method.name}, {name}")
+                    bar(k / total, f"{subject.method.name}, {name}")
                 else:
-                    note(f"{k}/{total} {entrant.method.name}, {name}")
+                    note(f"{k}/{total} {subject.method.name}, {name}")

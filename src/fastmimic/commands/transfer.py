@@ -46,10 +46,10 @@ class Transfer(opt.ExperimentOptions):
     def run(self) -> int:
         """Runs the trials and writes the folder; returns the exit status."""
         opt.check_duration(self.duration)
-        from fastmimic.experiments.entrants import check_methods
+        from fastmimic.experiments.subject import check_methods
         from fastmimic.experiments.transfer import PARTS, TransferSettings
         from fastmimic.report.result_folder import ResultFolder
-        from fastmimic.report.transfer import WRITTEN, write_transfer
+        from fastmimic.report.transfer_figures import WRITTEN, write_transfer
         from fastmimic.simulation.simulators import check_simulator
 
         if not self.motions:
@@ -100,16 +100,16 @@ class Transfer(opt.ExperimentOptions):
         policy: "tuple[MakeController, str] | None",
     ) -> None:
         """Runs the trials of a method on a motion, unless they are finished."""
-        from fastmimic.experiments.entrants import MOTIONS, make_entrant
         from fastmimic.experiments.parts import load_part, save_part
+        from fastmimic.experiments.subject import MOTIONS, make_subject
         from fastmimic.experiments.transfer import part_file, run_trials
 
         with optimisation_progress() as progress:
-            entrant = make_entrant(
-                method, motion, robot, self.for_entrants(), self.out / MOTIONS, policy=policy, progress=progress
+            subject = make_subject(
+                method, motion, robot, self.cma_search(), self.out / MOTIONS, policy=policy, progress=progress
             )
         path = part_file(self.out, motion.name, method)
-        if load_part(path, entrant.digest) is None:
+        if load_part(path, subject.digest) is None:
             with slow_start(f"{motion.name}, {method}: running; {FIRST_USE}"):
-                save_part(path, run_trials(entrant, robot, settings), entrant.digest)
+                save_part(path, run_trials(subject, robot, settings), subject.digest)
         note(f"{motion.name}, {method}: done")

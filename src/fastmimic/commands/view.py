@@ -14,8 +14,8 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:  # loads the compiler
-    from fastmimic.runs.load import MotionSource
-    from fastmimic.viewer.animal import Animal
+    from fastmimic.render.animal import Animal
+    from fastmimic.runs.loading import MotionSource
     from fastmimic.viewer.take import Take
 
 
@@ -50,8 +50,9 @@ class View:
         """Serves until Ctrl-C; returns the exit status."""
         opt.check_duration(self.duration)
         self._check_combination()
-        from fastmimic.runs.load import find_motion
-        from fastmimic.viewer.server import Viewer, free_port, require_viser
+        from fastmimic.runs.loading import find_motion
+        from fastmimic.viewer.viewer import Viewer
+        from fastmimic.viewer.web import free_port, require_viser
 
         require_viser()
         free_port(self.port)  # before anything is simulated
@@ -85,8 +86,8 @@ class View:
     def _prepare(self, source: "MotionSource") -> "tuple[Robot, list[list[Take]], str, Animal | None]":
         """The robot, its takes, the heading, and the animal."""
         from fastmimic.imitation.imitate import EVALUATION_S, default_duration
-        from fastmimic.runs.load import find_motion
-        from fastmimic.viewer.animal import Animal
+        from fastmimic.render.animal import Animal
+        from fastmimic.runs.loading import find_motion
 
         overrides = self.reading.overrides()
         robot = opt.choose_robot(source, self.robot)
