@@ -50,7 +50,7 @@ VERBS: Final = {
     "segment": Verb("segment", "SegmentTake", "find the locomotion cycles in a long take"),
     "inspect": Verb("inspect", "Inspect", "show information about a clip or motion"),
     "render": Verb("render", "Render", "write a video of a motion"),
-    "report": Verb("report", "Report", "write a run or a comparison as one HTML file"),
+    "report": Verb("report", "WriteReport", "write a run or a comparison as one HTML file"),
     "view": Verb("view", "View", "show a motion or a run in the browser"),
     "play": Verb("play", "Play", "steer a live simulated robot in the browser"),
     "deploy": Verb("deploy", "Deploy", "run a motion on a robot (stand up, run, sit down)"),

@@ -144,7 +144,7 @@ def put_figures(figures: dict[str, Any], robot: str) -> None:
         figures,
         reward=f"{figures['reward_mean']:.3f}" + (f" ± {figures['reward_std']:.3f}" if several else ""),
         fell=f"{figures['fell']:.0%} of the episodes" if several else yes_no(figures["fell"]),
-        clearance=f"{clearance} mm",
+        clearance=("swing clearance, mm", clearance),
     )
     if "estimate_drift_percent" in figures:
         drift = figures["estimate_drift_percent"]

@@ -20,14 +20,16 @@ def yes_no(value: Any) -> str:
     return "yes" if value else "no"
 
 
-def figure_rows(figures: Mapping[str, Any], reward: str, fell: str, clearance: str) -> list[tuple[str, str]]:
+def figure_rows(
+    figures: Mapping[str, Any], reward: str, fell: str, clearance: tuple[str, str]
+) -> list[tuple[str, str]]:
     """Name and value of each figure of an episode, for a table."""
     components = [(f"  {name.replace('_', ' ')}", f"{value:.3f}") for name, value in figures["components"].items()]
     return [
         ("reward", reward),
         *components,
         ("fell", fell),
-        ("swing clearance", clearance),
+        clearance,
         ("drift, m/s", f"{figures['drift_m_per_s']:.3f}"),
         ("early contacts, 1/s", f"{figures['early_contacts_per_s']:.1f}"),
         ("stance slip, mm", f"{1e3 * figures['stance_slip_m']:.1f}"),
@@ -58,7 +60,7 @@ def _column(metrics: Mapping[str, Any], column: str) -> dict[str, str]:
         figures | {"components": reward[f"components_{column}"]},
         reward=f"{reward[column]:.3f}",
         fell=yes_no(metrics["fell"][column]),
-        clearance=MISSING if share is None else f"{share:.0%} of the reference",
+        clearance=("swing clearance, % of reference", MISSING if share is None else f"{100 * share:.0f}"),
     )
     if "randomization" in metrics:
         others = metrics["randomization"]["held_out"]
