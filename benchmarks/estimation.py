@@ -20,8 +20,10 @@ from marked import put
 
 import fastmimic as fm
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
+from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.observer import EstimationErrors
-from fastmimic.episode.rollout import Rollout, nominal_start, run_episodes
+from fastmimic.episode.plan import nominal_start
+from fastmimic.episode.rollout import Rollout
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.motion.motion import Motion
 from fastmimic.render.figure_style import AFTER, DEMONSTRATION, STANCE, new_figure, save, tidy

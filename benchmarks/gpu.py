@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 
 import fastmimic as fm
 from fastmimic.base.machine import available_cores
-from fastmimic.episode.rollout import perturbed_start, run_episodes
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.plan import perturbed_start
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
 RECORDED = 64

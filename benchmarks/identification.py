@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 
 from fastmimic.base.errors import LogError
 from fastmimic.control.config import ControllerConfig, default_config
-from fastmimic.episode.rollout import Rollout, run_episodes, run_log
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.rollout import Rollout, run_log
 from fastmimic.episode.run_log import RunLog
 from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.experiments.transfer import ACTUATORS, trial_starts

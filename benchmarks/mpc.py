@@ -23,7 +23,8 @@ import fastmimic as fm
 from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.control.config_parts import HorizonConfig
 from fastmimic.control.daqp import OPTIMAL, solve_qp
-from fastmimic.episode.rollout import ClosedLoop, perturbed_start
+from fastmimic.episode.loop import ClosedLoop
+from fastmimic.episode.plan import perturbed_start
 
 BUILT_IN = ("trot", "pace", "turn", "side-step", "walk")
 RECORDED = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps")

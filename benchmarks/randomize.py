@@ -22,11 +22,11 @@ from marked import put
 
 import fastmimic as fm
 from fastmimic.base.files import replace_file
+from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import swing_clearance
-from fastmimic.episode.rollout import nominal_start, run_episodes
+from fastmimic.episode.plan import episode_duration, nominal_start
 from fastmimic.experiments.subject import Subject
 from fastmimic.experiments.transfer import LAST, STAGES, TransferSettings, run_trials
-from fastmimic.imitation.imitate import default_duration
 from fastmimic.imitation.methods import controller_for
 
 MOTIONS: Final = ("dog:trot", "anim:side-steps", "dog:pace", "dog:right-turn")
@@ -68,7 +68,7 @@ def measured(motion: fm.Motion, settings: Settings) -> dict[str, Any]:
     """What a motion is worth on the robot as it is, on others, and through transfer."""
     robot = fm.load_robot("a1")
     method, config = controller_for(motion)
-    seconds = min(DURATION_S, default_duration(motion, DURATION_S))
+    seconds = episode_duration(motion, DURATION_S)
     nominal = run_episodes(robot, motion, duration_s=seconds, config=config)
     conditions = fm.Conditions(disturbances=fm.Randomization(settings.robots).held_out(HELD_OUT))
     start = nominal_start(HELD_OUT)

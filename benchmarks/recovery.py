@@ -16,7 +16,8 @@ from marked import put
 
 from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.control.config_parts import RecoveryConfig
-from fastmimic.episode.rollout import Start, nominal_start, run_episodes
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.plan import Start, nominal_start
 from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot

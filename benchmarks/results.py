@@ -23,8 +23,9 @@ from marked import put
 import fastmimic as fm
 from fastmimic.base.files import replace_file
 from fastmimic.base.rotations import yaw_from_quat
+from fastmimic.episode.loop import ClosedLoop
 from fastmimic.episode.metrics import swing_clearance
-from fastmimic.episode.rollout import ClosedLoop, nominal_start
+from fastmimic.episode.plan import nominal_start
 from fastmimic.reference.table import planar_turned, reference_table
 from fastmimic.retargeting.balance import BalanceConfig
 from fastmimic.retargeting.config import RetargetConfig

@@ -20,7 +20,8 @@ import numpy as np
 
 import fastmimic as fm
 from fastmimic.base.machine import available_cores
-from fastmimic.episode.rollout import ClosedLoop, nominal_start
+from fastmimic.episode.loop import ClosedLoop
+from fastmimic.episode.plan import nominal_start
 
 REPEATS = 7
 

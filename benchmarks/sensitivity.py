@@ -21,7 +21,7 @@ from marked import put
 from numpy.typing import NDArray
 
 import fastmimic as fm
-from fastmimic.episode.rollout import perturbed_start
+from fastmimic.episode.plan import perturbed_start
 from fastmimic.episode.style import style_distance
 from fastmimic.motion.contacts import stances_of
 from fastmimic.optimize.parameters import FEET_AND_TRUNK

@@ -23,9 +23,9 @@ import fastmimic as fm
 from fastmimic.base.files import replace_file
 from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.control.inertia import WORK, add_standing_leg
-from fastmimic.episode.rollout import run_episodes
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.plan import episode_duration
 from fastmimic.experiments.transfer import ACTUATORS, FLOOR, trial_starts
-from fastmimic.imitation.imitate import default_duration
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import pack_model
 from fastmimic.simulation.conditions import Conditions
@@ -85,7 +85,7 @@ class Results:
                 self.robot,
                 given,
                 start=trial_starts(self.trials, 0),
-                duration_s=min(DURATION_S, default_duration(given, DURATION_S)),
+                duration_s=episode_duration(given, DURATION_S),
                 config=CONFIGS[config],
                 conditions=conditions,
             )

@@ -27,8 +27,9 @@ from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.machine import available_cores
 from fastmimic.clips.data import data_folder
 from fastmimic.control.config import ControllerConfig, default_config, pack_config
+from fastmimic.episode.loop import ClosedLoop
 from fastmimic.episode.metrics import swing_clearance
-from fastmimic.episode.rollout import ClosedLoop, perturbed_start
+from fastmimic.episode.plan import perturbed_start
 
 EPISODES = 2
 EPISODE_S = 4.0

@@ -10,7 +10,7 @@ from control.motions import standing
 from control.rig import Rig, on_reference
 from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.control.inertia import WORK, add_standing_leg
-from fastmimic.episode.rollout import run_episodes
+from fastmimic.episode.loop import run_episodes
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import pack_model

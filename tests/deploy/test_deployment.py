@@ -188,7 +188,7 @@ def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:
     assert again.truth.tobytes() == log.truth.tobytes()
     assert again.meta["result"]["periods"] == len(log.rows)
     assert again.motion.joint_pos.tobytes() == log.motion.joint_pos.tobytes()
-    score = score_log(a1, again)
+    score = score_log(a1, again, default_config())
     assert score is not None
     assert score.reward[0] == log.meta["result"]["reward_mean"]
 

@@ -9,7 +9,9 @@ import pytest
 from control.motions import gait, standing
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.episode.feasibility import Demands, Fall, demands, describe_fall, reasons
-from fastmimic.episode.rollout import Rollout, nominal_start, run_episodes
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.plan import nominal_start
+from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_jacobians

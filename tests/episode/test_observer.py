@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from control.motions import gait, turned
-from fastmimic.episode.rollout import ClosedLoop, Rollout, Start, nominal_start, perturbed_start
+from fastmimic.episode.loop import ClosedLoop
+from fastmimic.episode.plan import Start, nominal_start, perturbed_start
+from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
@@ -65,13 +67,13 @@ class Poisoned(ClosedLoop):
                 hide()
             return reading
 
-        def score(observation: np.ndarray) -> None:
-            assert np.isnan(observation["root_pos"]).all(), "the controller and the estimator had this to look at"
+        def score() -> None:
+            assert np.isnan(truth["root_pos"]).all(), "the controller and the estimator had this to look at"
             truth[...] = hidden[0]
-            ClosedLoop._score(self, observation)
+            ClosedLoop.score(self)
             hide()
 
-        sensors.reset, sensors.measure, self._score = reset, measure, score  # type: ignore[method-assign]
+        sensors.reset, sensors.measure, self.score = reset, measure, score  # type: ignore[method-assign]
         return super().run(*args, **kwargs)  # type: ignore[arg-type]
 
 
@@ -135,7 +137,7 @@ def test_the_reference_is_synchronised_to_the_estimate(robot: Robot, motion: Mot
     loop = ClosedLoop(robot, motion, 1, conditions=conditions)
     loop.run(None, nominal_start(1), motion.n_samples)  # to the start of the second cycle
     assert loop.observer is not None
-    own, judge = loop.observer.clocks[0], loop._clocks[0]
+    own, judge = loop.observer.clocks[0], loop.clocks[0]
     assert own["sample"] == judge["sample"] == 0
     root = loop._table["root_pos"][0, :2]
     turn = own["origin"][2]

@@ -13,7 +13,7 @@ from fastmimic.base.rotations import (
     rotate_planar,
     yaw_from_quat,
 )
-from fastmimic.episode.reward import TALLY, TERMS, WEIGHTS, score_step
+from fastmimic.episode.reward import TALLY, TERMS, WEIGHTS, ScoringContext, score_step
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import make_clocks, place_clocks, reference_table, world_root
 from fastmimic.robot import Robot
@@ -54,18 +54,15 @@ class Scoring:
 
     def score(self, observation: np.ndarray) -> np.ndarray:
         """Terms (n, 5) of this step."""
-        score_step(
-            self.robot.geometry.rows,
-            self.robot.foot_radius,
-            0.2 * LOADED,
-            DT,
-            self.table,
-            self.clocks,
-            observation,
-            self.memories,
-            self.tallies,
-            np.zeros((2, 3, 3)),
+        context = ScoringContext(
+            table=self.table,
+            geometry=self.robot.geometry.rows,
+            foot_radius=self.robot.foot_radius,
+            threshold=0.2 * LOADED,
+            dt=DT,
+            work=np.zeros((2, 3, 3)),
         )
+        score_step(context, self.clocks, observation, self.memories, self.tallies)
         return self.tallies["reward"].copy()
 
     def advance(self) -> None:

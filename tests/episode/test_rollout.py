@@ -12,18 +12,11 @@ from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_rotate, rotate_planar, yaw_from_quat
 from fastmimic.control.config import default_config
+from fastmimic.episode.loop import ClosedLoop, run_episodes
 from fastmimic.episode.metrics import swing_clearance
+from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE, Start, nominal_start, perturbed_start
 from fastmimic.episode.reward import TERMS, WEIGHTS
-from fastmimic.episode.rollout import (
-    JOINT_NOISE,
-    VELOCITY_NOISE,
-    ClosedLoop,
-    Rollout,
-    Start,
-    nominal_start,
-    perturbed_start,
-    run_episodes,
-)
+from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot, load_robot

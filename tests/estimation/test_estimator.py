@@ -10,7 +10,9 @@ from estimation.reference_filter import PlainFilter
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import matrix_from_quat, quat_from_rotvec, quat_from_yaw, rotvec_from_quat, yaw_from_quat
-from fastmimic.episode.rollout import Rollout, nominal_start, run_episodes
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.plan import nominal_start
+from fastmimic.episode.rollout import Rollout
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.estimation.estimator import START, Estimator
 from fastmimic.estimation.reading import READING

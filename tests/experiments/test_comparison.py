@@ -11,8 +11,9 @@ import pytest
 
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.control.config import default_config, paper_config
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.plan import perturbed_start
 from fastmimic.episode.reward import TERMS, WEIGHTS
-from fastmimic.episode.rollout import perturbed_start, run_episodes
 from fastmimic.experiments.ablations import ABLATIONS, ablation_named, ablations_of
 from fastmimic.experiments.compare import ComparisonPlan, compare, prepare
 from fastmimic.experiments.comparison_run import ComparisonSettings, Row, finished_row

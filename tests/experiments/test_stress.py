@@ -10,7 +10,7 @@ import pytest
 
 from control.motions import gait
 from fastmimic.base.errors import ConfigError, OutputError
-from fastmimic.episode.rollout import Start
+from fastmimic.episode.plan import Start
 from fastmimic.experiments import stress
 from fastmimic.experiments.parts import load_part, save_part
 from fastmimic.experiments.stress import (

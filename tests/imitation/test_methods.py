@@ -7,7 +7,7 @@ import pytest
 
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.control.config import CONFIGS, controller_config
-from fastmimic.episode.rollout import run_episodes
+from fastmimic.episode.loop import run_episodes
 from fastmimic.imitation.imitate import evaluate, imitate
 from fastmimic.imitation.methods import (
     FOOT_HEIGHT,

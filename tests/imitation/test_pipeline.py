@@ -9,9 +9,10 @@ import pytest
 import fastmimic as fm
 from control.motions import gait
 from fastmimic.base.errors import CheckpointError, ConfigError
+from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import swing_clearance
+from fastmimic.episode.plan import nominal_start
 from fastmimic.episode.reward import TERMS
-from fastmimic.episode.rollout import nominal_start, run_episodes
 from fastmimic.imitation.imitate import Imitation, evaluate, imitate
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es

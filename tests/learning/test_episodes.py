@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from fastmimic.base.errors import ConfigError, MotionError
-from fastmimic.episode.rollout import JOINT_NOISE, VELOCITY_NOISE, ClosedLoop, Start
+from fastmimic.episode.loop import ClosedLoop
+from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE, Start
 from fastmimic.learning.config import PolicyConfig
 from fastmimic.learning.controller import controlled_by
 from fastmimic.learning.episodes import Episodes, Outcome

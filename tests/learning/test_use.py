@@ -10,7 +10,8 @@ import pytest
 
 from fastmimic.base.errors import ConfigError, OutputError, PolicyError
 from fastmimic.cli import main
-from fastmimic.episode.rollout import perturbed_start, run_episodes
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.plan import perturbed_start
 from fastmimic.experiments.compare import ComparisonPlan, choose_policies, compare, prepare
 from fastmimic.experiments.comparison_run import ComparisonSettings, Row
 from fastmimic.experiments.tables import comparison_table

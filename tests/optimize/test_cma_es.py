@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
-from fastmimic.episode.rollout import Rollout, Start, nominal_start
+from fastmimic.episode.plan import Start, nominal_start
+from fastmimic.episode.rollout import Rollout
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.checkpoint import FILE_NAME, Checkpoint
 from fastmimic.optimize.cma_es import CmaSettings, Optimum, Progress, optimize

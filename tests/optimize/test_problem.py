@@ -10,8 +10,10 @@ from control.motions import gait
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ConfigError
 from fastmimic.control.config import default_config
+from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import swing_clearance
-from fastmimic.episode.rollout import Rollout, nominal_start, perturbed_start, run_episodes
+from fastmimic.episode.plan import nominal_start, perturbed_start
+from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import PARAMETER_GROUPS, Parameter
 from fastmimic.optimize.problem import ImitationProblem, Objective

@@ -9,8 +9,9 @@ import pytest
 
 from control.motions import gait
 from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import swing_clearance
-from fastmimic.episode.rollout import nominal_start, run_episodes
+from fastmimic.episode.plan import nominal_start
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.cma_es import CmaSettings, optimize

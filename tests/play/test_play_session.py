@@ -12,7 +12,7 @@ import pytest
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, rotate_planar, yaw_from_quat
-from fastmimic.episode.rollout import run_episodes
+from fastmimic.episode.loop import run_episodes
 from fastmimic.motion.motion import Motion
 from fastmimic.play.motions import DEFAULTS, load_motions
 from fastmimic.play.pacing import MOST_BEHIND_S, Pacer

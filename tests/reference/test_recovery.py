@@ -12,7 +12,9 @@ from control.motions import gait
 from fastmimic.base.errors import ConfigError
 from fastmimic.control.config import ControllerConfig, default_config, pack_config
 from fastmimic.control.config_parts import RecoveryConfig
-from fastmimic.episode.rollout import Rollout, Start, run_episodes
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.plan import Start
+from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.resync import advance_recovering
 from fastmimic.reference.table import advance_clocks, make_clocks, reference_table

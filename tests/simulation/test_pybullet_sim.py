@@ -11,7 +11,8 @@ from control.motions import gait
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import matrix_from_quat, quat_conjugate, quat_multiply, rotate_planar, rotvec_from_quat
-from fastmimic.episode.rollout import nominal_start, run_episodes
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.plan import nominal_start
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND

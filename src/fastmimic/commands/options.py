@@ -16,7 +16,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
 
 if TYPE_CHECKING:  # loads the compiler
-    from fastmimic.episode.rollout import MakeController
+    from fastmimic.episode.loop import MakeController
     from fastmimic.experiments.subject import Search
     from fastmimic.optimize.randomization import Randomization
     from fastmimic.runs.loading import MotionSource

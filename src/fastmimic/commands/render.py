@@ -108,7 +108,7 @@ class Render:
 
     def _tracks(self) -> "tuple[Robot, list[tuple[Track, float]]]":
         """The robot, and a panel with its rate for each motion."""
-        from fastmimic.imitation.imitate import default_duration
+        from fastmimic.episode.plan import default_duration
         from fastmimic.runs.loading import find_motion
 
         sources = [find_motion(source) for source in self.motions]

@@ -13,7 +13,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:  # loads the compiler
-    from fastmimic.episode.rollout import MakeController
+    from fastmimic.episode.loop import MakeController
     from fastmimic.experiments.transfer import TransferSettings
 
 OUT: Final = Path("runs/transfer")

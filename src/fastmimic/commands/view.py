@@ -85,7 +85,8 @@ class View:
 
     def _prepare(self, source: "MotionSource") -> "tuple[Robot, list[list[Take]], str, Animal | None]":
         """The robot, its takes, the heading, and the animal."""
-        from fastmimic.imitation.imitate import EVALUATION_S, default_duration
+        from fastmimic.episode.plan import default_duration
+        from fastmimic.imitation.imitate import EVALUATION_S
         from fastmimic.render.animal import Animal
         from fastmimic.runs.loading import find_motion
 

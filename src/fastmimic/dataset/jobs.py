@@ -22,7 +22,9 @@ from fastmimic.dataset.excerpts import Excerpt, reason_of
 from fastmimic.dataset.folder import SETTINGS
 from fastmimic.dataset.records import DONE, FAILED, MOTIONS, Record, empty, load_record, save_record, sha256
 from fastmimic.episode.feasibility import demands, describe_fall, reasons
-from fastmimic.episode.rollout import Rollout, nominal_start, perturbed_start, run_episodes
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.plan import nominal_start, perturbed_start
+from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import Report
 from fastmimic.experiments.comparison_run import measure, named_values, plain
 from fastmimic.imitation.imitate import Imitation, imitate, versions

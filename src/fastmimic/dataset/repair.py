@@ -9,8 +9,8 @@ from fastmimic.control.config import controller_config
 from fastmimic.dataset.excerpts import reason_of
 from fastmimic.dataset.folder import DatasetHealth, MotionDataset, check
 from fastmimic.dataset.lock import mending
-from fastmimic.episode.rollout import run_episodes
-from fastmimic.imitation.imitate import default_duration
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.plan import episode_duration
 from fastmimic.imitation.methods import method_named
 from fastmimic.robot import load_robot
 
@@ -48,7 +48,7 @@ def rerun(
         what = f"{row['id']} {row['name']} on {row['robot']}"
         try:
             motion = library.motion(row)
-            seconds = min(recipe.evaluation_s, default_duration(motion.target, recipe.evaluation_s))
+            seconds = episode_duration(motion.target, recipe.evaluation_s)
             robot = load_robot(row["robot_file"] or row["robot"])
             reward = float(run_episodes(robot, motion, duration_s=seconds, config=config).reward[0])
         except (MotionError, RobotError) as error:

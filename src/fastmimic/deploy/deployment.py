@@ -21,7 +21,7 @@ from fastmimic.deploy.safety_limits import SafetyLimits
 from fastmimic.deploy.scoring import figures, score_log, true_states
 from fastmimic.deploy.sequence import MotionSequence, make_sequence
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
-from fastmimic.episode.rollout import MakeController
+from fastmimic.episode.loop import MakeController
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.imitation.methods import check_controller, controller_for
 from fastmimic.motion.motion import Motion
@@ -187,7 +187,7 @@ def deploy(
         log = dataclasses.replace(log, truth=true_states(log, truth, np.arange(len(truth))))
     if recorder.periods > len(log.rows):
         _say(note, LOST_ROWS.format((recorder.periods - len(log.rows)) / rate_hz, len(log.rows) / rate_hz))
-    meta["result"] = _result(robot, log, outcome, recorder.periods)
+    meta["result"] = _result(robot, log, config, outcome, recorder.periods)
     noted = tuple(found.text for found in guard.noted.values()) if isinstance(guard, DryRunGuard) else ()
     return Deployment(outcome, log, noted)
 
@@ -218,10 +218,12 @@ def _ending(motion: Motion, cycles: int | None, duration_s: float | None, endles
     return EndCondition(steps=max(1, round(duration_s * motion.rate_hz))), duration_s
 
 
-def _result(robot: Robot, log: DeploymentLog, outcome: LoopOutcome, periods: int) -> dict[str, Any]:
+def _result(
+    robot: Robot, log: DeploymentLog, config: ControllerConfig, outcome: LoopOutcome, periods: int
+) -> dict[str, Any]:
     rows, dt = log.rows, 1.0 / log.rate_hz
-    estimated = score_log(robot, log)
-    true = None if log.truth is None else score_log(robot, log, log.truth)
+    estimated = score_log(robot, log, config)
+    true = None if log.truth is None else score_log(robot, log, config, log.truth)
     computed = rows[rows["phase"] == DeploymentPhase.FOLLOW]
     solved = rows["solve_s"][(rows["solve_s"] > 0) & (rows["phase"] == DeploymentPhase.FOLLOW)]
     sent = rows[rows["sent"]]

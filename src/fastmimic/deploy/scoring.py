@@ -5,14 +5,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import DeploymentError
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
-from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.episode.metrics import Metrics
-from fastmimic.episode.reward import TALLY, score_step
 from fastmimic.episode.rollout import Rollout, summarised
+from fastmimic.episode.scorer import Scorer
 from fastmimic.imitation.imitate import Evaluation
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import advance_clocks, make_clocks, reference_table
@@ -30,7 +29,9 @@ _FIGURES: Final = (
 )
 
 
-def score_log(robot: Robot, log: DeploymentLog, observation: NDArray[Any] | None = None) -> Rollout | None:
+def score_log(
+    robot: Robot, log: DeploymentLog, config: ControllerConfig, observation: NDArray[Any] | None = None
+) -> Rollout | None:
     """Scores the periods in the motion itself, as every other closed loop, against the motion's demonstration.
 
     The reference starts as the controller's did and is then synchronised to what is scored.
@@ -38,6 +39,7 @@ def score_log(robot: Robot, log: DeploymentLog, observation: NDArray[Any] | None
     Args:
         robot: the robot.
         log: of the deployment.
+        config: with which it ran.
         observation: (t,) of `OBSERVATION`, the state in each of the log's rows; the estimate if None.
 
     Returns:
@@ -53,8 +55,7 @@ def score_log(robot: Robot, log: DeploymentLog, observation: NDArray[Any] | None
     counts = log.rows[rows]
     clock = _first_clock(motion, counts[0], seen[0])
     table = reference_table(motion.target, robot)
-    threshold = default_config().gait.contact_threshold * robot.mass * GRAVITY
-    tally, memory, work = np.zeros(1, TALLY), np.zeros(1, MEMORY), np.zeros((2, 3, 3))
+    scorer, memory = Scorer(robot, table, 1, config, log.rate_hz), np.zeros(1, MEMORY)
     before = counts[0]
     for i in range(len(rows)):
         if i > 0:
@@ -62,19 +63,8 @@ def score_log(robot: Robot, log: DeploymentLog, observation: NDArray[Any] | None
             advance_clocks(clock, table[None], seen["root_pos"][i : i + 1])
         memory["early_touchdowns"] = counts["early_touchdowns"][i] - before["early_touchdowns"]
         memory["qp_failures"] = counts["qp_failures"][i] - before["qp_failures"]
-        score_step(
-            robot.geometry.rows,
-            robot.foot_radius,
-            threshold,
-            1.0 / log.rate_hz,
-            table,
-            clock,
-            seen[i : i + 1],
-            memory,
-            tally,
-            work,
-        )
-    return summarised(tally, len(rows), log.rate_hz)
+        scorer.score(clock, seen[i : i + 1], memory)
+    return summarised(scorer.counted(), len(rows), log.rate_hz)
 
 
 def evaluation_of(robot: Robot, log: DeploymentLog, config: ControllerConfig) -> Evaluation:
@@ -88,7 +78,7 @@ def evaluation_of(robot: Robot, log: DeploymentLog, config: ControllerConfig) ->
     Raises:
         DeploymentError: the robot did not come so far as to the motion.
     """
-    rollout = score_log(robot, log, log.truth)
+    rollout = score_log(robot, log, config, log.truth)
     if rollout is None:
         raise DeploymentError(f"the robot never came to the motion: {log.meta['result']['stopped_because']}")
     conditions = Conditions(observe="sensors")

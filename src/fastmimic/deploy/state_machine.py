@@ -12,7 +12,7 @@ from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.control.controller import Controller
 from fastmimic.deploy.safety import DryRunGuard, Guard, Violation
 from fastmimic.deploy.sequence import Follower, MotionSequence
-from fastmimic.episode.rollout import LoopController, MakeController
+from fastmimic.episode.loop import LoopController, MakeController
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.estimation.estimator import START, Estimator
 from fastmimic.reference.standing import along, rising_path, smooth, standing_gains

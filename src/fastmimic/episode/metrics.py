@@ -8,7 +8,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import quat_rotate
 from fastmimic.base.text import plain
-from fastmimic.episode.reward import TERMS
+from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 
@@ -73,7 +73,7 @@ class Metrics:
             reward_mean=float(r.reward.mean()),
             reward_std=float(r.reward.std()),
             reward_worst=float(r.reward.min()),
-            components={name: float(r.terms[:, i].mean()) for i, name in enumerate(TERMS)},
+            components={name: float(r.terms[:, i].mean()) for i, name in enumerate(REWARD_TERMS)},
             fell=float(r.fell.mean()),
             drift_m_per_s=float(r.drift.mean()),
             swing_clearance_m=tuple(_mean_over_episodes(r.clearance).tolist()),

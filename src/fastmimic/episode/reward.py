@@ -4,17 +4,77 @@ The reward compares the robot with the demonstration, never with the modulated r
 Per step it lies in [0, 1]; the steps after a fall count 0.
 """
 
-from typing import Any, Final
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.registry import Registry
 from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.robot.kinematics import leg_forward
 
-TERMS: Final = ("pose", "velocity", "end_effector", "root_pose", "root_velocity")
-WEIGHTS: Final = (0.25, 0.05, 0.1, 0.3, 0.3)
+TermFunction = Callable[[NDArray[Any], NDArray[Any]], Array]
+"""From the demonstration (n,) of `SAMPLE`, as it is due, in the world frame, and the states (n,) of `OBSERVATION` of n
+robots: the term (n,), each in [0, 1]. Called once a control step."""
+
+
+@dataclass(frozen=True)
+class RewardTerm:
+    """A term of the reward: 1 where the robot does exactly what the demonstration does.
+
+    Attributes:
+        name: in files and tables.
+        weight: positive. All weights are divided by their sum, so that the reward lies in [0, 1].
+        about: what it compares.
+        color, dash: of its line in charts; the lengths of dashes and gaps, in pixels.
+        function: computes it; None for those that are built in, which are compiled.
+    """
+
+    name: str
+    weight: float
+    about: str = ""
+    color: str = "#999999"
+    dash: tuple[int, ...] = (1, 2)
+    function: TermFunction | None = None
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.weight) and self.weight > 0):
+            raise ConfigError(f"reward term '{self.name}': the weight must be positive, found {self.weight}")
+
+    @property
+    def label(self) -> str:
+        """In words."""
+        return self.name.replace("_", " ")
+
+
+_BUILT_IN = (  # colours of Okabe and Ito
+    RewardTerm("pose", 0.25, "joint angles", "#0072b2", ()),
+    RewardTerm("velocity", 0.05, "joint speeds", "#e69f00", (2, 3)),
+    RewardTerm("end_effector", 0.1, "feet relative to the trunk", "#009e73", (8, 3)),
+    RewardTerm("root_pose", 0.3, "position and orientation of the trunk", "#cc79a7", (8, 3, 2, 3)),
+    RewardTerm("root_velocity", 0.3, "linear and angular velocity of the trunk", "#d55e00", (4, 3)),
+)
+TERMS: Final = tuple(term.name for term in _BUILT_IN)
+WEIGHTS: Final = tuple(term.weight for term in _BUILT_IN)
+N_TERMS: Final = len(TERMS)
+REWARD_TERMS: Final = Registry("reward term", _BUILT_IN)
+"""The paper's terms, and those that a user adds: `REWARD_TERMS.register(RewardTerm(…))`, before an episode begins."""
+
+
+def reward_weights() -> Array:
+    """(k,) weights of all terms, in the order of `REWARD_TERMS`; they sum to 1."""
+    if len(REWARD_TERMS) == N_TERMS:
+        return np.array(WEIGHTS)
+    weights = np.array([term.weight for term in REWARD_TERMS.values()])
+    return weights / weights.sum()
+
+
 _HEIGHT_WEIGHT: Final = 3.0  # of the end-effector term's height, from the implementation the paper names
 MAX_DISTANCE: Final = 1.0  # m from the reference
 MAX_ANGLE: Final = np.pi / 2  # rad from the reference
@@ -23,9 +83,9 @@ TALLY: Final = record_dtype(
     [
         ("steps", "i8"),  # until the fall
         ("fallen", "i8"),
-        ("terms", "f8", (5,)),  # sums of the reward's terms
+        ("terms", "f8", (N_TERMS,)),  # sums of the reward's terms
         ("reward_sum", "f8"),
-        ("reward", "f8", (5,)),  # the last step's terms
+        ("reward", "f8", (N_TERMS,)),  # the last step's terms
         ("foot_error_sq", "f8", (4, 3)),  # body frame, sums, m²
         ("peak", "f8", (4,)),  # greatest height of the foot in the swing under way, m
         ("clearance_sum", "f8", (4,)),
@@ -47,29 +107,33 @@ def _gaussian(scale: float, squared: float) -> float:
     return np.exp(-scale * squared)
 
 
-@kernel
-def score_step(
-    geometry: Array,
-    foot_radius: float,
-    threshold: float,
-    dt: float,
-    table: Any,
-    clocks: Any,
-    observations: Any,
-    memories: Any,
-    tallies: Any,
-    work: Array,
-) -> None:
-    """Scores the present state of all robots against the demonstration and adds to their tallies.
+class ScoringContext(NamedTuple):
+    """What scoring needs besides the robots' states.
 
-    Args:
+    Attributes:
+        table: (t,) of `SAMPLE`, the demonstration.
         geometry: (4, 12) leg geometry rows.
         foot_radius: m.
         threshold: vertical force above which a foot is loaded, N.
         dt: control step, s.
-        table: (t,) of `SAMPLE`, the demonstration.
-        clocks, observations, memories, tallies: (n,) records.
         work: (2, 3, 3) scratch.
+    """
+
+    table: NDArray[Any]
+    geometry: Array
+    foot_radius: float
+    threshold: float
+    dt: float
+    work: Array
+
+
+@kernel
+def score_step(context: ScoringContext, clocks: Any, observations: Any, memories: Any, tallies: Any) -> None:
+    """Scores the present state of all robots against the demonstration and adds to their tallies.
+
+    Args:
+        context: the demonstration, the robot and the thresholds.
+        clocks, observations, memories, tallies: (n,) records.
     """
     for i in range(observations.shape[0]):
         if tallies[i].fallen == 0:
@@ -78,23 +142,12 @@ def score_step(
             tally.jump = clock.jump
             tally.early_touchdowns = memories[i].early_touchdowns
             tally.qp_failures = memories[i].qp_failures
-            ref = table[clock.sample]
-            _score_robot(geometry, foot_radius, threshold, dt, ref, clock, observations[i], tally, work)
+            _score_robot(context, context.table[clock.sample], clock, observations[i], tally)
 
 
 @kernel
-def _score_robot(
-    geometry: Array,
-    foot_radius: float,
-    threshold: float,
-    dt: float,
-    ref: Any,
-    clock: Any,
-    obs: Any,
-    tally: Any,
-    work: Array,
-) -> None:
-    rotation, reference = work[0], work[1]
+def _score_robot(context: ScoringContext, ref: Any, clock: Any, obs: Any, tally: Any) -> None:
+    rotation, reference = context.work[0], context.work[1]
     quat_to_matrix(obs.root_quat, rotation)
     quat_to_matrix(ref.root_quat, reference)
     c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
@@ -132,38 +185,28 @@ def _score_robot(
     if not valid or not upright or obs.other_contact > 0.5:
         tally.fallen = 1
         return
-    feet = _score_feet(geometry, foot_radius, threshold, dt, ref, obs, tally, rotation, reference)
+    feet = _score_feet(context, ref, obs, tally, rotation, reference)
     tally.reward[0] = _gaussian(5.0, pose)
     tally.reward[1] = _gaussian(0.1, velocity)
     tally.reward[2] = _gaussian(40.0, feet)
     tally.reward[3] = np.exp(-20.0 * distance_sq - 10.0 * angle * angle)
     tally.reward[4] = np.exp(-2.0 * linear_sq - angular_sq)
-    for k in range(5):
+    for k in range(N_TERMS):
         tally.terms[k] += tally.reward[k]
         tally.reward_sum += WEIGHTS[k] * tally.reward[k]
     tally.steps += 1
 
 
 @inlined
-def _score_feet(
-    geometry: Array,
-    foot_radius: float,
-    threshold: float,
-    dt: float,
-    ref: Any,
-    obs: Any,
-    tally: Any,
-    rotation: Array,
-    reference: Array,
-) -> float:
+def _score_feet(context: ScoringContext, ref: Any, obs: Any, tally: Any, rotation: Array, reference: Array) -> float:
     """Squared end-effector error, relative to the root in each one's heading frame, height in the world, m²."""
-    total = 0.0
+    total, foot_radius, dt = 0.0, context.foot_radius, context.dt
     yaw, yaw_ref = np.arctan2(rotation[1, 0], rotation[0, 0]), np.arctan2(reference[1, 0], reference[0, 0])
     c, s = np.cos(yaw), np.sin(yaw)
     cr, sr = np.cos(yaw_ref), np.sin(yaw_ref)
     for leg in range(4):
         q = obs.joint_pos[3 * leg : 3 * leg + 3]
-        px, py, pz = leg_forward(geometry[leg], q[0], q[1], q[2])
+        px, py, pz = leg_forward(context.geometry[leg], q[0], q[1], q[2])
         rx, ry, rz = ref.foot_pos[leg, 0], ref.foot_pos[leg, 1], ref.foot_pos[leg, 2]
         tally.foot_error_sq[leg, 0] += (px - rx) ** 2
         tally.foot_error_sq[leg, 1] += (py - ry) ** 2
@@ -183,7 +226,7 @@ def _score_feet(
         ex, ey, ez = obs.joint_vel[3 * leg], pitching * np.cos(q[0]), pitching * np.sin(q[0])
         turn_x = obs.ang_vel[0] + rotation[0, 0] * ex + rotation[0, 1] * ey + rotation[0, 2] * ez
         turn_y = obs.ang_vel[1] + rotation[1, 0] * ex + rotation[1, 1] * ey + rotation[1, 2] * ez
-        loaded = obs.foot_force[leg, 2] > threshold
+        loaded = obs.foot_force[leg, 2] > context.threshold
         x, y = obs.root_pos[0] + wx, obs.root_pos[1] + wy
         roll_x, roll_y = foot_radius * turn_y * dt, -foot_radius * turn_x * dt
         _count_foot(tally, leg, ref.contact[leg] == 1, loaded, height - foot_radius, x, y, roll_x, roll_y)

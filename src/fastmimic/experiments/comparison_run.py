@@ -8,7 +8,6 @@ nominal episode from the motion's start (`reward`), and episodes from the same p
 
 import hashlib
 import json
-import math
 import re
 import time
 from collections.abc import Callable
@@ -22,12 +21,14 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import OutputError
 from fastmimic.base.files import replace_file
 from fastmimic.control.config import ControllerConfig, controller_config
+from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.metrics import swing_clearance
+from fastmimic.episode.plan import episode_duration, perturbed_start, start_room
 from fastmimic.episode.reward import TERMS
-from fastmimic.episode.rollout import MakeController, Rollout, perturbed_start, run_episodes
+from fastmimic.episode.rollout import Rollout
 from fastmimic.episode.style import style_distance
 from fastmimic.experiments.ablations import ablation_named
-from fastmimic.imitation.imitate import Imitation, default_duration, imitate, versions
+from fastmimic.imitation.imitate import Imitation, imitate, versions
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
@@ -179,7 +180,7 @@ def perform(
         robot,
         method=run.method,
         config=config,
-        duration_s=_length(demonstration, settings.duration_s),
+        duration_s=episode_duration(demonstration, settings.duration_s),
         iterations=settings.iterations,
         population=settings.population,
         seed=run.seed,
@@ -316,7 +317,7 @@ def measure(
     """
     robot, demonstration = result.robot, result.demonstration
     method = method_named(result.method)
-    seconds = _length(demonstration, evaluation_s)
+    seconds = episode_duration(demonstration, evaluation_s)
 
     def episode(motion: Motion) -> Rollout:
         return run_episodes(robot, motion, duration_s=seconds, config=result.config, log=True, controller=controller)
@@ -324,7 +325,7 @@ def measure(
     after = episode(result.motion)
     before = episode(demonstration) if method.optimises else after
     rng = np.random.default_rng(_EVALUATION_SEED)
-    room = _room(demonstration, seconds)
+    room = start_room(demonstration, seconds)
     start = perturbed_start(perturbed_episodes + 1, room, rng).part(slice(1, None))
     rough = run_episodes(
         robot, result.motion, start=start, duration_s=seconds, config=result.config, controller=controller
@@ -359,19 +360,6 @@ def measure(
 def named_values(result: Imitation) -> str:
     """The parameters found, by name, with all their digits."""
     return " ".join(f"{p.name}={v!r}" for p, v in zip(result.parameters, result.values.tolist(), strict=True))
-
-
-def _length(motion: Motion, seconds: float) -> float:
-    """Of an episode: `seconds`, at most to the end of a motion that does not repeat, s."""
-    return min(seconds, default_duration(motion, seconds))
-
-
-def _room(motion: Motion, seconds: float) -> int:
-    """Number of samples at which an episode may begin: as in `evaluate`, a motion that ends leaves room for all of
-    it."""
-    if motion.cycle is not None:
-        return motion.n_samples
-    return max(1, motion.n_samples - math.ceil(seconds * motion.rate_hz - 1e-9))
 
 
 def _style(result: Imitation) -> float:

@@ -16,11 +16,11 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.errors import ConfigError
-from fastmimic.episode.rollout import Start, nominal_start, run_episodes
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.plan import Start, episode_duration, nominal_start, start_room
 from fastmimic.experiments.comparison_run import Row, slug
 from fastmimic.experiments.parts import all_parts
 from fastmimic.experiments.subject import Subject
-from fastmimic.imitation.imitate import default_duration
 from fastmimic.imitation.methods import ALL_METHODS, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
@@ -116,7 +116,7 @@ def disturbances_of(names: Sequence[str] | None, simulator: str) -> list[str]:
 
 def check_length(motion: Motion, names: Sequence[str], settings: StressSettings) -> float:
     """Length of the motion's episodes, s; raises `ConfigError` if they end before something that is to happen."""
-    seconds = min(settings.duration_s, default_duration(motion, settings.duration_s))
+    seconds = episode_duration(motion, settings.duration_s)
     late = [name for name in names if DISTURBANCES[name].timed]
     if late and seconds <= PUSH_TIME_S:
         raise ConfigError(
@@ -137,10 +137,7 @@ def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSett
     """
     kind, motion = DISTURBANCES[disturbance], subject.motion
     seconds = check_length(motion, [disturbance], settings)
-    room = motion.n_samples
-    if motion.cycle is None:
-        room = max(1, room - math.ceil(seconds * motion.rate_hz - 1e-9))
-    start = _starts(settings.episodes, room, settings.seed)
+    start = _starts(settings.episodes, start_room(motion, seconds), settings.seed)
     rows = []
     for levels in _batches(kind.levels, settings.episodes if kind.per_robot else AT_ONCE):
         values = tuple(float(v) for v in np.repeat(levels, settings.episodes)) if kind.per_robot else levels

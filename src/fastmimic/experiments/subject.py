@@ -11,7 +11,7 @@ import numpy as np
 
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.control.config import ControllerConfig, controller_config
-from fastmimic.episode.rollout import MakeController
+from fastmimic.episode.loop import MakeController
 from fastmimic.experiments.comparison_run import slug
 from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import MADE_WITH, Method, check_controller, method_named

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.episode.reward import TERMS
-from fastmimic.episode.rollout import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.experiments.ablations import ABLATED, ablation_named
 from fastmimic.experiments.comparison_run import Row
 from fastmimic.imitation.methods import ALL_METHODS, RL, method_named

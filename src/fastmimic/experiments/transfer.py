@@ -17,12 +17,13 @@ import numpy as np
 
 from fastmimic.base.errors import ConfigError, LogError
 from fastmimic.control.config import ControllerConfig
-from fastmimic.episode.rollout import Start, perturbed_start, run_episodes, run_log
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.plan import Start, episode_duration, perturbed_start
+from fastmimic.episode.rollout import run_log
 from fastmimic.experiments.comparison_run import Row, slug
 from fastmimic.experiments.parts import all_parts
 from fastmimic.experiments.subject import Subject
 from fastmimic.identification.identify import identify
-from fastmimic.imitation.imitate import default_duration
 from fastmimic.imitation.methods import ALL_METHODS, method_named
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
@@ -136,7 +137,7 @@ def run_trials(
     """
     motion = subject.motion
     rows: list[Row] = []
-    seconds = min(settings.duration_s, default_duration(motion, settings.duration_s))
+    seconds = episode_duration(motion, settings.duration_s)
     start = trial_starts(settings.trials, settings.seed)
     for stage in (*stages, IDENTIFIED) if settings.identify else stages:
         config = identified_config(subject, robot, settings) if stage is IDENTIFIED else subject.config
@@ -178,7 +179,7 @@ def identified_config(subject: Subject, robot: Robot, settings: TransferSettings
         robot,
         motion,
         start=start,
-        duration_s=min(IDENTIFICATION_S, default_duration(motion, IDENTIFICATION_S)),
+        duration_s=episode_duration(motion, IDENTIFICATION_S),
         config=subject.config,
         log=True,
         conditions=conditions,

@@ -16,15 +16,10 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.text import plain
 from fastmimic.clips.clip import Clip
 from fastmimic.control.config import ControllerConfig, controller_config
+from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.metrics import Metrics, swing_clearance
-from fastmimic.episode.rollout import (
-    MakeController,
-    Rollout,
-    nominal_start,
-    perturbed_start,
-    run_episodes,
-    run_log,
-)
+from fastmimic.episode.plan import default_duration, nominal_start, perturbed_start, start_room
+from fastmimic.episode.rollout import Rollout, run_log
 from fastmimic.episode.run_log import RunLog
 from fastmimic.imitation.methods import RL, Method, check_controller, controller_for, made_with, method_named
 from fastmimic.motion.motion import Motion
@@ -414,10 +409,7 @@ def evaluate(
     if chosen.learned:  # a policy imitates the demonstration, whatever was optimised for another controller
         motion = motion.target
     duration_s = duration_s if duration_s is not None else default_duration(motion, EVALUATION_S)
-    room = motion.n_samples
-    if motion.cycle is None:
-        room = max(1, room - math.ceil(duration_s * motion.rate_hz - 1e-9))
-    start = perturbed_start(episodes, room, np.random.default_rng(seed))
+    start = perturbed_start(episodes, start_room(motion, duration_s), np.random.default_rng(seed))
     rollout = run_episodes(
         robot,
         motion,
@@ -429,11 +421,6 @@ def evaluate(
         controller=controller,
     )
     return Evaluation(motion, rollout, chosen.name, config, robot.name, conditions or Conditions())
-
-
-def default_duration(motion: Motion, seconds: float) -> float:
-    """`seconds`, or for a motion that does not repeat the whole of it, s."""
-    return seconds if motion.cycle is not None else motion.period_s - motion.dt
 
 
 def versions() -> dict[str, str]:

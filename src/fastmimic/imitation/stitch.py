@@ -14,7 +14,8 @@ import numpy as np
 from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
 from fastmimic.clips.clip import Clip
 from fastmimic.control.config import ControllerConfig, controller_config
-from fastmimic.episode.rollout import Rollout, run_episodes
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.rollout import Rollout
 from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.imitation.methods import check_controller, made_with, method_named
 from fastmimic.motion.motion import Motion

@@ -11,7 +11,7 @@ from fastmimic.base.errors import PolicyError
 from fastmimic.base.jit import kernel
 from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.control.gait import plan_leg
-from fastmimic.episode.rollout import MakeController
+from fastmimic.episode.loop import MakeController
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, pack_settings
 from fastmimic.learning.observation import act_robot, command_robot, make_senses, observe_robot
 from fastmimic.learning.policy import Policy, infer_robot

@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from fastmimic.episode.reward import TERMS
+from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, action_bounds
 from fastmimic.learning.episodes import EPISODE_S, Episodes, Outcome
 from fastmimic.learning.randomisation import parse_randomisation
@@ -86,7 +86,7 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
         """One policy step: observation, reward, whether the robot fell, whether the episode is over anyway, info."""
         outcome = self._episodes.step(np.asarray(action, np.float64)[None])
         seen = outcome.final[0] if outcome.done[0] else outcome.seen[0].copy()
-        terms = dict(zip(TERMS, self._episodes.terms[0].tolist(), strict=True))
+        terms = dict(zip(REWARD_TERMS, self._episodes.terms[0].tolist(), strict=True))
         return seen, float(outcome.reward[0]), bool(outcome.fell[0]), bool(outcome.ended[0]), {"terms": terms}
 
     def _make(self, seed: int) -> Episodes:

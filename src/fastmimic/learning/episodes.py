@@ -162,8 +162,8 @@ class Episodes:
 
     @property
     def terms(self) -> Array:
-        """(n, 5) the reward's terms in the order of `fastmimic.episode.reward.TERMS`, at the last control step."""
-        return np.concatenate([shard.tallies["reward"] for shard in self._shards])
+        """(n, k) the reward's terms in the order of `REWARD_TERMS`, at the last control step."""
+        return np.concatenate([shard.scorer.terms for shard in self._shards])
 
     def close(self) -> None:
         """Stops the threads."""

@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import kernel
 from fastmimic.control.config import default_config
-from fastmimic.episode.reward import TALLY, score_step
+from fastmimic.episode.scorer import Scorer
 from fastmimic.learning.config import PolicyConfig, pack_settings
 from fastmimic.learning.observation import act, command, make_senses, observe
 from fastmimic.learning.randomisation import RandomWorld
@@ -41,20 +40,19 @@ class Shard:
         self._settings = pack_settings(config, robot)
         self._clocks = make_clocks(motion, n)
         self._senses = make_senses(n)
-        self.tallies = np.zeros(n, TALLY)
+        self.scorer = Scorer(robot, table, n, default_config(), config.control_rate_hz)
+        self.tallies = self.scorer.tallies
         self._memories = np.zeros(n, MEMORY)  # of a gait planner, which policies have none of
         self._commands = np.zeros(n, COMMAND)
-        self._geometry, self._foot_radius = robot.geometry.rows, robot.foot_radius
         self._body = np.zeros(1, BODY)
         self._body["geometry"], self._body["foot_radius"] = robot.geometry.rows, robot.foot_radius
         self._body["lower"], self._body["upper"] = robot.joint_lower, robot.joint_upper
-        self._threshold = default_config().gait.contact_threshold * robot.mass * GRAVITY
-        self._dt = 1.0 / config.control_rate_hz
         self._work = np.zeros((2, 3, 3))
 
     def begin(self, rows: NDArray[np.int64], draws: Array, noise: float, room: int, steps: int, seen: Seen) -> None:
         """Begins episodes of some robots, and writes what these see."""
         places = np.zeros(len(rows), PLACE)
+        self.scorer.reset(rows)
         begin_episodes(
             self._body,
             self._tables[0],
@@ -65,7 +63,6 @@ class Shard:
             steps,
             self._config.decimation,
             self._clocks,
-            self.tallies,
             self._senses,
             self.counts,
             places,
@@ -85,18 +82,7 @@ class Shard:
             command(self._settings, self._senses, commands)
             observation = simulation.step(commands)
             advance_clocks(clocks, tables, observation["root_pos"])
-            score_step(
-                self._geometry,
-                self._foot_radius,
-                self._threshold,
-                self._dt,
-                tables[0],
-                clocks,
-                observation,
-                self._memories,
-                self.tallies,
-                self._work,
-            )
+            self.scorer.score(clocks, observation, self._memories)
         pay(self._config.decimation, self.tallies, self.counts, reward, fell, ended)
         observe(self._settings, tables, clocks, simulation.observation, self._senses, self._work[0], seen)
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix
-from fastmimic.episode.rollout import JOINT_NOISE, VELOCITY_NOISE
+from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.robot.kinematics import leg_forward
 
 DRAWS: Final = 16
@@ -46,7 +46,6 @@ def begin_episodes(
     steps: int,
     decimation: int,
     clocks: Any,
-    tallies: Any,
     senses: Any,
     counts: Any,
     places: Any,
@@ -63,7 +62,7 @@ def begin_episodes(
         room: number of samples at which an episode may begin.
         steps: policy steps of an episode.
         decimation: control steps of a policy step.
-        clocks, tallies, senses, counts: (n,) records, changed in place.
+        clocks, senses, counts: (n,) records, changed in place.
         places: (k,) of `PLACE`, the result.
         work: (2, 3, 3) scratch.
     """
@@ -76,7 +75,6 @@ def begin_episodes(
         count.steps, count.scored = 0, 0.0
         count.limit = steps if clock.repeats == 1 else min(steps, (table.shape[0] - 1 - sample) // decimation)
         senses[i].age = -1
-        _clear(tallies[i])
 
 
 @kernel
@@ -111,21 +109,3 @@ def _place(body: Any, ref: Any, clock: Any, draws: Array, noise: float, place: A
         lowest = min(lowest, rotation[2, 0] * fx + rotation[2, 1] * fy + rotation[2, 2] * fz)
     place.root_pos[0], place.root_pos[1] = 0.0, 0.0
     place.root_pos[2] = max(ref.root_pos[2], body.foot_radius - lowest)
-
-
-@kernel
-def _clear(tally: Any) -> None:
-    """An episode's tally at its beginning, as far as the reward and the fall go by it."""
-    tally.steps, tally.fallen, tally.reward_sum, tally.jump = 0, 0, 0.0, 0.0
-    tally.terms[:] = 0.0
-    tally.reward[:] = 0.0
-    tally.foot_error_sq[:, :] = 0.0
-    tally.peak[:] = 0.0
-    tally.clearance_sum[:] = 0.0
-    tally.swings[:] = 0
-    tally.was_swing[:] = 0
-    tally.slip[:] = 0.0
-    tally.stances[:] = 0
-    tally.foot_xy[:, :] = 0.0
-    tally.early_touchdowns = 0
-    tally.qp_failures = 0

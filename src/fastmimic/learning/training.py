@@ -11,8 +11,9 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic.base.files import replace_file
-from fastmimic.episode.rollout import perturbed_start, run_episodes
-from fastmimic.imitation.imitate import default_duration, versions
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.plan import episode_duration, perturbed_start, start_room
+from fastmimic.imitation.imitate import versions
 from fastmimic.learning.controller import controlled_by
 from fastmimic.learning.learner import Iteration, Learner
 from fastmimic.learning.policy import POLICY_FILE, Policy
@@ -215,10 +216,8 @@ class _Training:
 def evaluate_policy(policy: Policy, robot: Robot, motion: Motion, steps: int, watch: Stopwatch) -> Evaluated:
     """One nominal episode and several from perturbed starts, the same ones as in a comparison."""
     wall_s, cpu_s = watch.wall_s, watch.cpu_s
-    seconds = min(EVALUATION_S, default_duration(motion, EVALUATION_S))
-    room = motion.n_samples
-    if motion.cycle is None:
-        room = max(1, room - int(np.ceil(seconds * motion.rate_hz - 1e-9)))
+    seconds = episode_duration(motion, EVALUATION_S)
+    room = start_room(motion, seconds)
     start = perturbed_start(PERTURBED_EPISODES + 1, room, np.random.default_rng(_EVALUATION_SEED))
     rollout = run_episodes(robot, motion, start=start, duration_s=seconds, controller=controlled_by(policy))
     return Evaluated(

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import CheckpointError, ConfigError
-from fastmimic.episode.rollout import Rollout, Start, nominal_start
+from fastmimic.episode.plan import Start, nominal_start
+from fastmimic.episode.rollout import Rollout
 from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.optimize.problem import Problem
 from fastmimic.simulation.disturbances import Disturbance

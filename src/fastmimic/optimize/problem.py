@@ -24,8 +24,10 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import available_cores
 from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.episode.loop import ClosedLoop
 from fastmimic.episode.metrics import swing_clearance
-from fastmimic.episode.rollout import ClosedLoop, Rollout, Start, nominal_start, perturbed_start
+from fastmimic.episode.plan import Start, episode_steps, nominal_start, perturbed_start
+from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FOOT_HEIGHT, Parameter, begun_at, parameters_of_group
 from fastmimic.optimize.randomization import Randomization
@@ -266,7 +268,7 @@ class ImitationProblem(Problem):
         super().__init__(robot, demonstration, parameters, objective=objective, config=config, workers=workers)
         self._start = np.array(begun_at(parameters, moved or {}))
         self.dmp = dmp
-        self._steps = max(1, math.ceil(self.objective.duration_s * self.config.rate_hz - 1e-9))
+        self._steps = episode_steps(self.objective.duration_s, self.config.rate_hz)
         if self._repeats and self._steps < demonstration.n_samples:  # what no episode reaches is optimised blindly
             self._steps = math.ceil(_CYCLES * demonstration.n_samples)
         self._clearance = swing_clearance(demonstration, robot.foot_radius)

@@ -27,7 +27,8 @@ from fastmimic.base.rotations import (
     yaw_from_quat,
 )
 from fastmimic.control.config import ControllerConfig
-from fastmimic.episode.rollout import Rollout, Start, perturbed_start
+from fastmimic.episode.plan import Start, perturbed_start
+from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.contacts import stances_of
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FOOT_HEIGHT, needed_group

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError, MotionError, did_you_mean
-from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate_inverse, rotate_planar, yaw_from_quat
+from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.control.controller import Controller
-from fastmimic.episode.reward import TALLY, WEIGHTS, score_step
+from fastmimic.episode.placement import on_reference
+from fastmimic.episode.reward import REWARD_TERMS
+from fastmimic.episode.scorer import Scorer
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.play.getting_up import GettingUp, GettingUpPhase
@@ -57,7 +59,7 @@ class Snapshot:
         pose, reference: (19,) of the robot and of what it is scored against: position (world, m), quaternion, joints.
         force, asked: (4, 3) the ground's force on each foot and what the controller asked for, world, N.
         wanted, measured, stance: (4,) schedule, loaded feet, gait planner.
-        terms: (5,) the reward's terms of this step; 0 while it gets up.
+        terms: (k,) the reward's terms of this step; 0 while it gets up.
         reward: of this step.
         velocity_b: (3,) of the base, heading frame, m/s; turn_rate: about the vertical, rad/s.
         push: (3,) force that pushes, world, N.
@@ -120,9 +122,8 @@ class LiveSession:
         self._modulation["speed"] = self._modulation["lift"] = 1.0
         self.wanted = {"speed": 1.0, "turn": 0.0, "lift": 1.0}
         self._clock = np.zeros(1, CLOCK)
-        self._tally = np.zeros(1, TALLY)
-        self._work = np.zeros((2, 3, 3))
         self._truth = np.zeros(1, SAMPLE)
+        self._scorer = Scorer(robot, self._truth, 1, self._given, self.rate_hz)
         stand = self.library.entry(STAND).motion
         self._recovery = GettingUp(robot, self.simulation, stand.joint_pos[0], float(stand.root_pos_w[0, 2]), self.dt)
         self.falls = 0
@@ -138,9 +139,7 @@ class LiveSession:
         self._enter(self.library.entry(name))
         self.goal = name
         self._following = self._entry
-        gait, weight = self._given.gait, robot.mass * GRAVITY
-        self._threshold = gait.contact_threshold * weight  # of an early contact
-        self._loaded = gait.release_threshold * weight
+        self._loaded = self._given.gait.release_threshold * robot.mass * GRAVITY
         self.reset()
 
     # what is asked for
@@ -269,7 +268,7 @@ class LiveSession:
         force, asked = np.nan_to_num(obs["foot_force"]), np.array(memory["force"])
         asked[:, :2] = rotate_planar(yaw, asked[:, :2])
         up = not self.fallen
-        terms = np.array(self._tally["reward"][0]) if up else np.zeros(5)
+        terms = self._scorer.terms[0] if up else np.zeros(len(REWARD_TERMS))
         velocity = np.array(obs["lin_vel"])
         velocity[:2] = rotate_planar(-yaw, velocity[:2])
         return Snapshot(
@@ -282,7 +281,7 @@ class LiveSession:
             measured=force[:, 2] > self._loaded,
             stance=memory["stance"].astype(bool),
             terms=terms,
-            reward=float(terms @ np.array(WEIGHTS)),
+            reward=float(self._scorer.reward[0]) if up else 0.0,
             velocity_b=velocity,
             turn_rate=float(obs["ang_vel"][2]),
             push=self.world.force.copy(),
@@ -306,19 +305,7 @@ class LiveSession:
         self._transition = None
         self._disarm()
         self._fill()
-        row = self._tables[0, 0]
-        velocity, turning = np.array(row["lin_vel"]), np.array(row["ang_vel"])
-        velocity[:2] = rotate_planar(yaw, velocity[:2])
-        tilt = np.array(row["root_quat"])
-        position = np.array([[*self._place["pose"][0, :2], row["root_pos"][2]]])
-        self.simulation.reset(
-            position,
-            quat_multiply(quat_from_yaw(yaw), tilt)[None],
-            row["joint_pos"][None],
-            velocity[None],
-            quat_rotate_inverse(tilt, turning)[None],
-            row["joint_vel"][None],
-        )
+        self.simulation.reset(*on_reference(self._tables[0], np.zeros(1, np.int64), self._place["pose"]))
         self._recovery.phase = GettingUpPhase.DONE
         self._begin_control()
 
@@ -354,19 +341,8 @@ class LiveSession:
         self._stream.fill(self._target, self._next_target, self._place, self._modulation, self._truth)
         self._clock["origin"] = self._place["pose"]
         self._clock["jump"] = self._place["jump"]
-        score_step(
-            self.robot.geometry.rows,
-            self.robot.foot_radius,
-            self._threshold,
-            self.dt,
-            self._truth,
-            self._clock,
-            observation,
-            self.controller.memory,
-            self._tally,
-            self._work,
-        )
-        if self._tally["fallen"][0]:
+        self._scorer.score(self._clock, observation, self.controller.memory)
+        if self._scorer.tallies["fallen"][0]:
             self._has_fallen()
 
     def _fill(self) -> None:
@@ -492,7 +468,7 @@ class LiveSession:
         self._fill_all()
         self._clock["origin"] = self._place["pose"]
         self.controller.reset(np.zeros(1, np.int64))
-        self._tally[...] = np.zeros((), TALLY)
+        self._scorer.reset()
         self._score(self.simulation.observation)
 
     def _fill_all(self) -> None:

@@ -14,7 +14,8 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.control.config import ControllerConfig
-from fastmimic.episode.rollout import Rollout, run_episodes
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 from fastmimic.report.run_folder import CONFIG, METRICS, MOTION, VIDEO, RunFolder
 from fastmimic.robot import Robot, load_robot

@@ -1,0 +1,268 @@
+"""The closed loop: robots in simulation under the controller, scored against the demonstration."""
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.base.rotations import quat_rotate, rotate_planar, yaw_from_quat
+from fastmimic.control.config import ControllerConfig, default_config, pack_config
+from fastmimic.control.controller import Controller
+from fastmimic.control.load import loaded_robot
+from fastmimic.episode.observer import Observer
+from fastmimic.episode.placement import on_reference
+from fastmimic.episode.plan import Start, episode_steps, nominal_start
+from fastmimic.episode.recorder import EpisodeRecorder
+from fastmimic.episode.rollout import Rollout, summarised
+from fastmimic.episode.scorer import Scorer
+from fastmimic.estimation.estimator import START
+from fastmimic.motion.motion import Motion
+from fastmimic.reference.resync import advance_recovering
+from fastmimic.reference.table import advance_clocks, make_clocks, place_clocks, stack_tables, world_root
+from fastmimic.robot import Robot
+from fastmimic.robot.kinematics import foot_positions
+from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.simulators import Simulation, make_simulation
+
+
+class LoopController(Protocol):
+    """What the loop needs of a controller; see `fastmimic.control.controller.Controller`.
+
+    Attributes:
+        config: its rate, and the thresholds by which contacts are counted.
+        tables: (1 or n, t) of `SAMPLE`, what the robots follow.
+        memory: (n,) of `MEMORY`.
+        command: (n,) of `COMMAND`, the last ones.
+    """
+
+    config: ControllerConfig
+    tables: NDArray[Any]
+    memory: NDArray[Any]
+    command: NDArray[Any]
+
+    def reset(self, sample: NDArray[np.int64]) -> None:
+        """Begins n episodes at samples (n,) of the reference."""
+
+    def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
+        """Commands (n,) of `COMMAND` for the next control step."""
+
+
+MakeController = Callable[[Robot, Motion, int, ControllerConfig], LoopController]
+"""Makes a controller for a robot, its demonstration, n robots, and the loop's configuration."""
+
+
+class ClosedLoop:
+    """n robots, their controller and the scoring, reusable for many rollouts. One thread at a time."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        demonstration: Motion,
+        n: int,
+        config: ControllerConfig | None = None,
+        *,
+        threads: int = 1,
+        conditions: Conditions | None = None,
+        controller: MakeController | None = None,
+    ) -> None:
+        """
+        Raises:
+            MotionError: the motion is for another robot.
+            ConfigError: it is for another rate.
+            FastMimicError: as `controller`, which makes another controller than the model-based one.
+        """
+        config = config if config is not None else default_config()
+        self.conditions = conditions if conditions is not None else Conditions()
+        demonstration.check_robot(robot.name)
+        self.robot = robot
+        self.demonstration = demonstration
+        self.n = n
+        self.controller: LoopController = (
+            Controller(robot, [demonstration], n, config)
+            if controller is None
+            else controller(robot, demonstration, n, config)
+        )
+        self.simulation: Simulation = make_simulation(
+            robot, n, self.conditions, control_rate_hz=config.rate_hz, threads=threads
+        )
+        self.observer = (
+            Observer(robot, n, config.rate_hz, self.conditions) if self.conditions.observe == "sensors" else None
+        )
+        self.table = self.controller.tables[0]
+        self.clocks = make_clocks(demonstration, n)
+        self.scorer = Scorer(robot, self.table, n, config, config.rate_hz)
+        self._resync = pack_config(config, robot) if config.recovery.enabled else None
+        self._seen: NDArray[Any] = self.simulation.observation
+        self._truth: NDArray[Any] = self.simulation.observation
+        self._followed = self.clocks  # the controller's own clocks
+
+    def run(
+        self,
+        references: Sequence[Motion] | NDArray[Any] | None,
+        start: Start,
+        steps: int,
+        *,
+        log: bool = False,
+        divisions: Sequence[int] = (),
+    ) -> Rollout:
+        """Runs one episode with each robot.
+
+        Args:
+            references: what the controller follows: motions or tables (k, t) of `SAMPLE`, one or n; None for the
+                demonstration.
+            start: of n episodes.
+            steps: control steps.
+            log: whether to keep the whole course.
+            divisions: control steps, ascending, at which one part of the episodes ends and the next begins.
+
+        Raises:
+            ConfigError: starts or references are not as many as there are robots, or at another rate.
+            MotionError: the references' period is not the demonstration's.
+        """
+        self.place(start, references)
+        rate_hz, scorer = self.controller.config.rate_hz, self.scorer
+        recorder = EpisodeRecorder(self, steps) if log else None
+        cuts = [0, *(d for d in divisions if 0 < d < steps), steps] if len(divisions) else []
+        counted = [scorer.counted()]
+        for step in range(steps):
+            self.apply(self.control())
+            self.score()
+            if recorder is not None:
+                recorder.add(step)
+            if step + 1 in cuts:
+                counted.append(scorer.counted())
+            if step % 64 == 63 and scorer.tallies["fallen"].all() and recorder is None:
+                break
+        counted += [scorer.counted() for _ in range(len(cuts) - len(counted))]  # all fell before
+        parts = tuple(
+            summarised(after.since(before), b - a, rate_hz)
+            for (a, b), (before, after) in zip(pairwise(cuts), pairwise(counted), strict=True)
+        )
+        estimation = self.observer.errors() if self.observer is not None else None
+        course = recorder.log() if recorder is not None else None
+        return summarised(scorer.counted(), steps, rate_hz, course, parts, estimation)
+
+    def place(self, start: Start, references: Sequence[Motion] | NDArray[Any] | None = None) -> None:
+        """Begins n episodes: puts the robots where the demonstration is; arguments and errors as for `run`."""
+        if start.n != self.n:
+            raise ConfigError(f"this loop holds {self.n} robots; {start.n} starts were given")
+        self.controller.tables = self._tables(references)
+        place_clocks(self.clocks, start.sample, self.table, np.zeros((self.n, 3)))
+        place = on_reference(self.table, start.sample, self.clocks["origin"])
+        joints = np.clip(place.joint_pos + start.joint_offset, self.robot.joint_lower, self.robot.joint_upper)
+        place.root_pos[:, 2] += _lift_to_ground(self.robot, place.root_pos, place.root_quat, joints)
+        self.simulation.reset(*place._replace(joint_pos=joints, lin_vel=place.lin_vel + start.velocity_offset))
+        self.controller.reset(start.sample)
+        self.scorer.reset()
+        self._seen = self._truth = self.simulation.observation
+        self._followed = self.clocks
+        if self.observer is not None:
+            self._seen, self._followed = self._first_look(self.observer, start)
+        elif self._resync is not None:
+            self._followed = self.clocks.copy()  # the reward keeps its own
+
+    def control(self) -> NDArray[Any]:
+        """The controller's commands (n,) of `COMMAND` for the next control step."""
+        return self.controller.step(self._seen, self._followed)
+
+    def apply(self, commands: NDArray[Any]) -> None:
+        """Steps the simulation, looks at it as the controller does, and advances the controller's clocks."""
+        controller, observer = self.controller, self.observer
+        if observer is None:
+            self._seen = self._truth = self.simulation.step(commands)
+            if self._resync is not None:
+                advance_recovering(self._resync, self._followed, controller.tables, self._truth)
+        else:
+            self._truth = self.simulation.step(observer.to_motors(commands))
+            self._seen = observer.look(self._truth, controller.memory["stance"], controller.tables, self._resync)
+
+    def score(self) -> None:
+        """Scores the robots' true states against the demonstration, synchronised to the truth."""
+        advance_clocks(self.clocks, self.controller.tables, self._truth["root_pos"])
+        self.scorer.score(self.clocks, self._truth, self.controller.memory)
+        if self.observer is not None:
+            self.observer.compare(self._truth, self.scorer.tallies)
+
+    def _first_look(self, observer: Observer, start: Start) -> tuple[NDArray[Any], NDArray[Any]]:
+        """What sensors tell of robots that start as the demonstration does, and the controller's own clocks.
+
+        What is added to the start, the controller is not told.
+        """
+        table, clocks = self.table, self.clocks
+        position, quat = world_root(table, start.sample, clocks["origin"])
+        known = np.zeros(self.n, START)
+        known["position"], known["heading"] = position[:, :2], yaw_from_quat(quat)
+        known["velocity"] = table["lin_vel"][start.sample]
+        known["velocity"][:, :2] = rotate_planar(clocks["origin"][:, 2], known["velocity"][:, :2])
+        planned = self.controller.memory["stance"]
+        seen = observer.reset(self.simulation.observation, known, planned, start.streams, clocks)
+        return seen, observer.clocks
+
+    def _tables(self, references: Sequence[Motion] | NDArray[Any] | None) -> NDArray[Any]:
+        """What the controller follows, (1 or n, t) of `SAMPLE`, in step with the demonstration."""
+        if references is None:
+            return self.table[None]
+        if isinstance(references, np.ndarray):
+            tables = references
+        else:
+            rate = self.controller.config.rate_hz
+            for motion in references:
+                if abs(motion.rate_hz - rate) > 1e-9:
+                    raise ConfigError(
+                        f"reference '{motion.name}' has {motion.rate_hz:g} samples a second; expected {rate:g}"
+                    )
+            tables = stack_tables(references, loaded_robot(self.robot, self.controller.config.load))
+        if len(tables) not in (1, self.n):
+            raise ConfigError(f"{self.n} robots need 1 or {self.n} references, found {len(tables)}")
+        if tables.shape[1] != len(self.table):
+            raise MotionError(
+                f"the reference has {tables.shape[1]} samples and the demonstration '{self.demonstration.name}'"
+                f" {len(self.table)}; a reference must keep the demonstration's period"
+            )
+        return tables
+
+
+def _lift_to_ground(robot: Robot, position: Array, quat: Array, joints: Array) -> Array:
+    """How far to raise each base (n,) so that no foot starts below the ground, m."""
+    feet = position[:, None] + quat_rotate(quat[:, None], foot_positions(robot, joints))
+    return np.maximum(0.0, robot.foot_radius - feet[..., 2].min(axis=1))
+
+
+def run_episodes(
+    robot: Robot,
+    motion: Motion,
+    *,
+    references: Sequence[Motion] | None = None,
+    start: Start | None = None,
+    duration_s: float = 10.0,
+    config: ControllerConfig | None = None,
+    log: bool = False,
+    conditions: Conditions | None = None,
+    controller: MakeController | None = None,
+) -> Rollout:
+    """Runs episodes of a motion once; the demonstration it is scored against is `motion.target`.
+
+    Args:
+        robot: the robot.
+        motion: what the controller follows, unless `references` are given.
+        references: one reference for each episode.
+        start: of the episodes; one from the motion's start if None.
+        duration_s: length of an episode, s; at most to the end of a motion that does not repeat.
+        config: the controller's.
+        log: whether to keep the whole course.
+        conditions: what the robot meets and what its controller sees.
+        controller: makes another controller than the model-based one, such as a policy.
+    """
+    start = start if start is not None else nominal_start(1)
+    loop = ClosedLoop(robot, motion.target, start.n, config, conditions=conditions, controller=controller)
+    steps = episode_steps(duration_s, loop.controller.config.rate_hz)
+    if motion.cycle is None:  # it ends, and so do its episodes
+        steps = max(1, min(steps, motion.n_samples - 1 - int(start.sample.max())))
+    divisions = [first for first in motion.target.segment_starts if first] if not start.sample.any() else []
+    return loop.run(
+        list(references) if references is not None else [motion], start, steps, log=log, divisions=divisions
+    )
