@@ -130,7 +130,7 @@ BAD = {
     "no such method": (["stand", *QUICK, "--method", "mpc"], "unknown method 'mpc'"),
     "a policy's method": (["stand", *QUICK, "--method", "rl"], "needs a trained policy"),
     "no policy": (["trot", *QUICK, "--policy", "none.npz"], "none.npz"),
-    "loss": (["stand", *QUICK, "--loss", "2"], "loss must be a share"),
+    "loss": (["stand", *QUICK, "--loss", "2"], "link: loss must be in [0, 1]"),
     "somebody's folder": (["stand", *QUICK, "--out", "taken"], "taken holds something else than a deployment"),
     "log": (["stand", *QUICK, "--log", "log.txt"], "must end in .npz"),
     "disturbance": (["stand", *QUICK, "--disturb", "wind=3"], "wind"),

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.a1 import driver as a1
 from fastmimic.deploy.a1.driver import A1Driver
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
@@ -64,10 +63,9 @@ def test_it_asks_with_commands_that_move_nothing(driver: A1Driver) -> None:
     assert driver.packets.sent == 0
 
 
-def test_it_can_listen_without_saying_anything(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(a1, "FIRST_STATE_S", 0.05)
-    with pytest.raises(DriverError, match="no A1's state"):
-        A1Driver(robot, release=False).open()
+def test_it_can_listen_without_saying_anything(robot: Robot) -> None:
+    with pytest.raises(DriverError, match="no state of an A1"):
+        A1Driver(robot, release=False, timeout_s=0.05).open()
     assert not MADE[0].commands
 
 
@@ -138,15 +136,14 @@ def test_another_module_of_that_name_is_not_taken_for_it(robot: Robot, module: t
         A1Driver(robot).open()
 
 
-def test_silence_is_said_to_be_that(robot: Robot, module: types.ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_silence_is_said_to_be_that(robot: Robot, module: types.ModuleType) -> None:
     class Silent(Binding):
         def send_command(self, command: np.ndarray[Any, Any]) -> None:
             pass
 
     module.RobotInterface = Silent  # type: ignore[attr-defined]
-    monkeypatch.setattr(a1, "FIRST_STATE_S", 0.05)
-    with pytest.raises(DriverError, match="no A1's state within"):
-        A1Driver(robot).open()
+    with pytest.raises(DriverError, match="no state of an A1 within"):
+        A1Driver(robot, timeout_s=0.05).open()
 
 
 def test_joints_outside_its_limits_mean_another_robot(robot: Robot, module: types.ModuleType) -> None:
@@ -156,7 +153,5 @@ def test_joints_outside_its_limits_mean_another_robot(robot: Robot, module: type
             self.state.motorState[2].q = 0.4
 
     module.RobotInterface = Other  # type: ignore[attr-defined]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(a1, "FIRST_STATE_S", 0.05)
-        with pytest.raises(DriverError, match=r"FR_knee is at 0\.40 rad, outside the a1's"):
-            A1Driver(robot).open()
+    with pytest.raises(DriverError, match=r"FR_knee is at 0\.40 rad, outside the a1's"):
+        A1Driver(robot, timeout_s=0.05).open()

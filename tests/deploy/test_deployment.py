@@ -82,7 +82,7 @@ def test_lock_step_is_the_same_every_time(a1: Robot, standstill: MotionSequence)
 
 
 def test_a_wire_that_loses_and_delays_is_survived(trotting: Rig, a1: Robot) -> None:
-    trotting.put_in(SimDriver(a1, trotting.clock, link=LinkFaults(latency_s=0.004, loss=0.05)))
+    trotting.put_in(SimDriver(a1, trotting.clock, faults=LinkFaults(latency_s=0.004, loss=0.05)))
     done = trotting.run(duration_s=3.0)
     assert done.outcome.stopped_by is StopReason.DURATION
     assert not done.result["fell"]
@@ -92,8 +92,8 @@ def test_a_wire_that_loses_and_delays_is_survived(trotting: Rig, a1: Robot) -> N
 
 
 def test_what_is_wrong_with_messages_is_counted_and_not_used(stands: Rig, a1: Robot) -> None:
-    link = LinkFaults(duplicated=0.05, reordered=0.05, corrupted=0.05, not_finite=0.02)
-    stands.put_in(SimDriver(a1, stands.clock, link=link))
+    faults = LinkFaults(duplicate=0.05, reorder=0.05, corrupt=0.05, not_finite=0.02)
+    stands.put_in(SimDriver(a1, stands.clock, faults=faults))
     done = stands.run()
     assert done.outcome.stopped_by is StopReason.DURATION
     packets = done.result["packets"]
@@ -216,7 +216,7 @@ def test_a_dry_run_sends_nothing(stands: Rig) -> None:
 
 
 def test_no_state_within_three_seconds(stands: Rig, a1: Robot) -> None:
-    stands.put_in(SimDriver(a1, stands.clock, link=LinkFaults(loss=1.0)))
+    stands.put_in(SimDriver(a1, stands.clock, faults=LinkFaults(loss=1.0)))
     with pytest.raises(DriverError, match="no state of the robot within 3 s"):
         stands.run()
     assert stands.clock.now() == pytest.approx(3.0, abs=0.01)
@@ -274,11 +274,11 @@ def test_without_commands_the_simulated_robot_damps_by_itself(a1: Robot) -> None
             sim.read()
             sim.write(hold)
         stood = sim.truth[-1]["root_pos"][2]
-        assert not sim.damped
+        assert not sim.body.damped
         for _ in range(500):
             clock.time_s += 0.002
             sim.read()
-        assert sim.damped
+        assert sim.body.damped
         assert sim.truth[-1]["root_pos"][2] < 0.6 * stood
 
 
@@ -288,10 +288,10 @@ def test_a_simulated_robot_that_nobody_looked_at_stood_still(a1: Robot) -> None:
         sim.read()
         clock.time_s += 100.0
         assert sim.read() is not None
-        assert sim.tick <= 2
+        assert sim.body.steps <= 2
 
 
 def test_a_link_says_what_it_cannot_be() -> None:
-    with pytest.raises(ConfigError, match="loss must be a share"):
+    with pytest.raises(ConfigError, match=r"link: loss must be in \[0, 1\]"):
         LinkFaults(loss=1.5)
     assert dataclasses.replace(LinkFaults(), latency_s=0.01).perfect

@@ -17,7 +17,6 @@ from deploy.dds_domains import free_domain, unicast_ports
 from fastmimic.base.errors import DriverError
 from fastmimic.deploy.dds import MAX_PARTICIPANTS, Message, Participant, Reader, Writer, program
 from fastmimic.deploy.driver import damping_command
-from fastmimic.deploy.go2 import driver as driver_module
 from fastmimic.deploy.go2 import services
 from fastmimic.deploy.go2.driver import Go2Driver
 from fastmimic.deploy.go2.messages import (
@@ -233,13 +232,10 @@ def test_checksums_that_are_all_wrong_mean_another_version(go2: Robot, publisher
         Go2Driver(go2, domain=publisher.domain).open()
 
 
-def test_joints_outside_the_robots_limits_mean_another_robot(
-    go2: Robot, publisher: Publisher, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(driver_module, "FIRST_STATE_S", 1.0)
+def test_joints_outside_the_robots_limits_mean_another_robot(go2: Robot, publisher: Publisher) -> None:
     publisher.reading["joint_pos"][0, 5] = 1.9
     with publisher.talking(), pytest.raises(DriverError, match=r"FL_knee.* 1\.90 rad, outside the go2's"):
-        Go2Driver(go2, domain=publisher.domain).open()
+        Go2Driver(go2, domain=publisher.domain, timeout_s=1.0).open()
 
 
 def test_two_robots_in_one_domain_are_not_told_apart(go2: Robot, publisher: Publisher) -> None:
@@ -260,7 +256,7 @@ def test_a_robot_that_somebody_else_commands_is_left_to_him(
     thread = threading.Thread(target=command)
     thread.start()
     try:
-        with publisher.talking(), pytest.raises(DriverError, match="somebody else sends commands"):
+        with publisher.talking(), pytest.raises(DriverError, match="another program sends commands"):
             Go2Driver(go2, domain=publisher.domain).open()
         with publisher.talking(), Go2Driver(go2, domain=publisher.domain, release=False) as onlooker:
             assert onlooker.read(5.0) is not None
@@ -281,11 +277,10 @@ def test_a_second_robot_that_comes_later_is_not_listened_to(
     assert driver.packets.rejected == 1
 
 
-def test_silence_is_said_to_be_that(go2: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(driver_module, "FIRST_STATE_S", 0.3)
+def test_silence_is_said_to_be_that(go2: Robot) -> None:
     domain = free_domain()
     with pytest.raises(DriverError, match=rf"no robot's state within 0.3 s in DDS domain {domain} on 'lo'"):
-        Go2Driver(go2, domain=domain).open()
+        Go2Driver(go2, domain=domain, timeout_s=0.3).open()
 
 
 class HumanoidState(Message):
@@ -295,13 +290,12 @@ class HumanoidState(Message):
     _fields_ = LowState._fields_
 
 
-def test_a_robot_of_another_family_is_named(go2: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(driver_module, "FIRST_STATE_S", 0.5)
+def test_a_robot_of_another_family_is_named(go2: Robot) -> None:
     domain = free_domain()
     with Participant(domain) as participant:
         Writer(participant, LOW_STATE_TOPIC, HumanoidState)
         with pytest.raises(DriverError, match=r"not of the Go2's family.*unitree_hg"):
-            Go2Driver(go2, domain=domain).open()
+            Go2Driver(go2, domain=domain, timeout_s=0.5).open()
 
 
 def test_an_unknown_interface_is_named_with_those_that_are_there(go2: Robot) -> None:

@@ -22,6 +22,7 @@ pytest.importorskip("cyclonedds", reason="CycloneDDS is not installed")
 
 from deploy.dds_domains import free_domain
 from fastmimic.deploy.dds import configuration
+from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.driver import Go2Driver
 from fastmimic.deploy.robot_sim.ground_truth import GroundTruthLog
 from fastmimic.deploy.robot_sim.sim_server import SimServer, SimSettings
@@ -43,7 +44,7 @@ def peer(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if found is None:
         pytest.skip(f"{version} is not of CycloneDDS 0.10")
     folder = tmp_path_factory.mktemp("peer")
-    subprocess.run(["idlc", str(HERE / "unitree.idl")], cwd=folder, check=True)
+    subprocess.run(["idlc", str(Path(messages.__file__).with_name("unitree.idl"))], cwd=folder, check=True)
     command = ["gcc", "-O1", "-I.", str(HERE / "peer.c"), "unitree.c", "-lddsc", "-o", "peer"]
     subprocess.run(command, cwd=folder, check=True)
     return folder / "peer"
@@ -131,8 +132,8 @@ def test_a_client_on_0_10_reads_and_commands_the_simulated_robot(start: Callable
     assert seen["gaps"] <= 0.05 * seen["received"]
     assert sim.counts.commands_rejected == 0
     assert sim.counts.commands_received <= seen["sent"]
-    truth = log.truth()
-    obeyed = truth.command[~truth.damped][-1]
+    truth = log.rows()
+    obeyed = truth["command"][~truth["damped"]][-1]
     assert obeyed["joint_pos"] == pytest.approx(0.1 * np.arange(12))
     assert obeyed["joint_vel"] == pytest.approx(0.2 * np.arange(12))
     assert obeyed["stiffness"] == pytest.approx(1.0 + np.arange(12))

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from deploy.rig import Rig, assert_damped, once
+from fastmimic.base.configuration import describe
 from fastmimic.base.errors import ConfigError, DriverError
+from fastmimic.base.text import markdown_table
 from fastmimic.deploy.deployment import Deployment
 from fastmimic.deploy.driver import StateMessage
 from fastmimic.deploy.emergency_stop import StopSwitch
@@ -104,7 +106,7 @@ def test_a_robot_that_is_tipped_over(stands: Rig) -> None:
         roll = np.array([[np.cos(0.4), np.sin(0.4), 0.0, 0.0]])
         still = np.zeros((1, 3))
         position = state["root_pos"][None] + [[0.0, 0.0, 0.2]]
-        stands.sim._simulation.reset(position, roll, state["joint_pos"][None], still, still, np.zeros((1, 12)))
+        stands.sim.body.simulation.reset(position, roll, state["joint_pos"][None], still, still, np.zeros((1, 12)))
 
     done = stands.run(watch=once(following, tip))
     assert done.outcome.stopped_by is StopReason.TILT
@@ -116,11 +118,11 @@ def test_a_base_that_sinks(stands: Rig) -> None:
     """The legs fold under it: the motors of a real robot may lose their power."""
 
     def weaken(machine: StateMachine) -> None:
-        stands.sim._command["stiffness"] = 0.0
+        stands.sim.body._last["stiffness"] = 0.0
         stands.sim._commands.send = lambda *_: None  # no command arrives any more
-        stands.sim._commanded = 1e9  # and its watchdog does not mind
+        stands.sim.body._commanded = 10**9  # and its watchdog does not mind
 
-        stands.sim._command["torque"] *= 0.5
+        stands.sim.body._last["torque"] *= 0.5
 
     done = stands.run(watch=once(following, weaken))
     assert done.outcome.stopped_by is StopReason.HEIGHT
@@ -138,7 +140,7 @@ def test_a_robot_that_falls_silent(stands: Rig) -> None:
 
 def test_a_wire_on_which_all_is_damaged(stands: Rig, a1: Robot) -> None:
     def cut(machine: StateMachine) -> None:
-        stands.sim._states.config = LinkFaults(corrupted=1.0)
+        stands.sim._states.faults = LinkFaults(corrupt=1.0)
 
     done = stands.run(watch=once(following, cut))
     assert_stopped(stands, done, StopReason.STALE_STATE, "no state")
@@ -385,19 +387,27 @@ class TestLimits:
     @pytest.mark.parametrize(
         ("settings", "said"),
         [
-            (["tlit=0.5"], "safety limits: unknown 'tlit'.*did you mean 'tilt'"),
+            (["tlit=0.5"], "--limit: unknown 'tlit'.*did you mean 'tilt'"),
             (["tilt"], "NAME=VALUE"),
             (["tilt=steep"], "NAME=VALUE"),
-            (["tilt=-1"], "tilt must be in"),
+            (["tilt=-1"], r"tilt must be in \(0, 1\.5708\]"),
             (["tilt=nan"], "tilt must be finite"),
-            (["tilt=2"], r"tilt must be in \(0, 1.5708\], found 2"),
+            (["tilt=2"], r"tilt must be in \(0, 1\.5708\]"),
             (["height_least=2"], "must be below height_most"),
-            (["qp_failures=2.5"], "'qp_failures' must be of the kind of 5, not 2.5"),
+            (["qp_failures=2.5"], "of the kind of 5"),
         ],
     )
     def test_what_they_cannot_be(self, settings: list[str], said: str, a1: Robot) -> None:
         with pytest.raises(ConfigError, match=said):
             read_limits(a1, None, settings)
+
+    def test_the_documentation_has_their_table(self) -> None:
+        rows = markdown_table(
+            ("limit", "default", "unit", "range", "meaning, and `stopped_by`"), describe(SafetyLimits)
+        )
+        page = Path(__file__).parents[2] / "docs" / "deploy.md"
+        found = page.read_text(encoding="utf-8").split("<!-- limits:begin -->")[1].split("<!-- limits:end -->")[0]
+        assert found.split("\n")[1:-1] == rows
 
     def test_a_file_that_is_none(self, a1: Robot, tmp_path: Path) -> None:
         path = tmp_path / "limits.toml"

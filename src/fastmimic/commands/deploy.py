@@ -212,8 +212,8 @@ class Deploy:
 
         given = self.simulated
         conditions = Conditions(observe="sensors", seed=given.seed, disturbances=given.disturb)  # type: ignore[arg-type]
-        link = LinkFaults(latency_s=1e-3 * given.latency_ms, loss=given.loss, seed=given.seed)
-        return SimDriver(robot, clock, conditions=conditions, link=link)
+        faults = LinkFaults(latency_s=1e-3 * given.latency_ms, loss=given.loss, seed=given.seed)
+        return SimDriver(robot, clock, conditions=conditions, faults=faults)
 
     def _write_result(self, found: "Deployment", folder: Path) -> None:
         from fastmimic.deploy.files import RESULT

@@ -116,7 +116,7 @@ class Evaluate:
         log = DeploymentLog.load(self.motion)
         if self.truth is not None:
             found = load_ground_truth(self.truth)
-            log = dataclasses.replace(log, truth=true_states(log, found.observation, found.tick))
+            log = dataclasses.replace(log, truth=true_states(log, found["observation"], found["tick"]))
         name = str(log.meta.get("robot", opt.DEFAULT_ROBOT))
         if self.robot is None and name not in ROBOT_NAMES:
             raise ConfigError(f"{self.motion}: robot '{name}' is not built in; give its MJCF by --robot FILE.xml")

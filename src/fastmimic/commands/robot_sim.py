@@ -8,16 +8,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Any, Final
 
 from tyro.conf import OmitArgPrefixes
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import note, put, slow_start
-
-if TYPE_CHECKING:
-    from fastmimic.deploy.robot_sim.sim_server import SimServer, SimSettings
 
 WIRED: Final = ("go2",)
 
@@ -96,56 +93,54 @@ class RobotSim:
         with server, _until_interrupted() as stop:
             note(f"a {self.robot}, {self.start}, in DDS domain {self.domain} on '{self.interface}'; Ctrl-C ends it")
             server.run(stop, duration, _status)
-        self._summarize(server)
+        summary = {"robot": self.robot, **server.summary()}
+        if self.json:
+            put(json.dumps(summary, indent=1))
+        else:
+            for name, value in summary.items():
+                put(f"{name.replace('_', ' ')}: {value}")
         if log is not None and self.log is not None:
             log.save(self.log)
             note(f"ground truth in {self.log}")
         return 0
 
-    def _settings(self) -> "SimSettings":
+    def _settings(self) -> Any:
         """The checked settings of the server."""
         from fastmimic.deploy.dds import check_interface
-        from fastmimic.deploy.robot_sim.faults import Faults
         from fastmimic.deploy.robot_sim.sim_server import SimSettings
-        from fastmimic.deploy.robot_sim.simulated_body import Start
+        from fastmimic.deploy.simulated_link import LinkFaults
         from fastmimic.robot import ROBOT_NAMES
         from fastmimic.simulation.sensors import ideal_sensors
 
         check_interface(self.interface)
         if self.robot.lower() in ROBOT_NAMES and self.robot.lower() not in WIRED:
             raise ConfigError(f"robot-sim does not speak the protocol of a {self.robot}; give {' or '.join(WIRED)}")
-        _check_choice("--start", self.start, [s.value for s in Start])
-        _check_choice("--sensors", self.sensors, ["real", "ideal"])
+        if self.sensors not in ("real", "ideal"):
+            raise ConfigError(f"--sensors takes real or ideal, found '{self.sensors}'")
         fault = self.fault
-        states = Faults(
-            loss=fault.loss,
-            corrupt=fault.corrupt,
-            duplicate=fault.duplicate,
-            reorder=fault.reorder,
-            latency_s=fault.latency_ms / 1e3,
-        )
-        commands = Faults(
-            loss=fault.command_loss, corrupt=fault.command_corrupt, latency_s=fault.command_latency_ms / 1e3
-        )
         return SimSettings(
             domain=self.domain,
             interface=self.interface,
-            start=Start(self.start),
+            start=self.start,
             sensors=ideal_sensors() if self.sensors == "ideal" else None,
             seed=self.seed,
-            states=states,
-            commands=commands,
-            command_timeout_s=self.watchdog_ms / 1e3,
+            states=LinkFaults(
+                loss=fault.loss,
+                corrupt=fault.corrupt,
+                duplicate=fault.duplicate,
+                reorder=fault.reorder,
+                latency_s=fault.latency_ms / 1e3,
+                seed=self.seed,
+            ),
+            commands=LinkFaults(
+                loss=fault.command_loss,
+                corrupt=fault.command_corrupt,
+                latency_s=fault.command_latency_ms / 1e3,
+                seed=self.seed,
+            ),
+            watchdog_s=self.watchdog_ms / 1e3,
             dead_after_s=math.inf if fault.dead_after is None else fault.dead_after,
         )
-
-    def _summarize(self, server: "SimServer") -> None:
-        summary = {"robot": self.robot, **server.summary()}
-        if self.json:
-            put(json.dumps(summary, indent=1))
-            return
-        for name, value in summary.items():
-            put(f"{name.replace('_', ' ')}: {value}")
 
 
 @contextmanager
@@ -161,17 +156,12 @@ def _until_interrupted() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def _check_choice(option: str, found: str, allowed: list[str]) -> None:
-    if found not in allowed:
-        raise ConfigError(f"{option} takes {' or '.join(allowed)}, found '{found}'")
-
-
-def _status(server: "SimServer") -> None:
+def _status(server: Any) -> None:
     counts, body = server.counts, server.body
     height = float(body.observation["root_pos"][0, 2])
-    who = "its own service" if body.service.active else "damped" if body.damped else "commanded"
+    mode = "motion service" if body.service.active else "damped" if body.damped else "commanded"
     note(
         f"{body.time:6.1f} s  {server.realtime_factor:4.0%} of real time  {counts.states_sent} states"
-        f"  {counts.commands_received} commands ({counts.commands_rejected} rejected)  {who}  base at {height:.3f} m"
+        f"  {counts.commands_received} commands ({counts.commands_rejected} rejected)  {mode}  base at {height:.3f} m"
         + ("  fell" if body.fell else "")
     )

@@ -1,17 +1,25 @@
-"""A robot's low-level interface, the same for every robot: read its sensors, write its motors' commands.
+"""A robot's low-level interface: read its sensors, write its motors' commands.
 
-Whatever a vendor counts, orders or signs otherwise is converted in that robot's driver and nowhere else: everything on
-this side of it has the project's units, frames and order of joints (`fastmimic.base.conventions`).
+Each driver converts the vendor's units, order and signs. Everything above it has the project's units, frames and order
+of joints (`fastmimic.base.conventions`).
 """
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.errors import DriverError
+from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
+
+FIRST_STATE_S: Final = 3.0
+"""How long a driver waits for the first state."""
+ENCODER_ERROR: Final = 0.3
+"""How far beyond its range an encoder may show a joint, rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,8 +27,8 @@ class StateMessage:
     """One state message.
 
     Attributes:
-        reading: (1,) of `fastmimic.estimation.reading.READING`; a copy that nobody overwrites.
-        sequence: the robot's own count of its messages; what is not above the last one's is old.
+        reading: (1,) of `fastmimic.estimation.reading.READING`; a copy.
+        sequence: the robot's own count of its messages.
         received: when it arrived, s on the clock of `time.perf_counter`.
     """
 
@@ -35,9 +43,9 @@ class Packets:
 
     Attributes:
         sent: commands written.
-        received: states that were taken.
+        received: states accepted.
         lost: states missing between the sequence numbers of those that arrived.
-        rejected: states that arrived and were not taken: a wrong checksum, duplicates, out of order, not finite.
+        rejected: states with a wrong checksum, duplicates, out of order, or not finite.
     """
 
     sent: int = 0
@@ -46,37 +54,87 @@ class Packets:
     rejected: int = 0
 
 
-class RobotDriver(Protocol):
-    """What the real-time loop needs of a robot. A driver derives from it, and is a context manager:
-    leaving it closes it.
+class RobotDriver:
+    """Base of all drivers; a context manager that opens and closes the connection.
+
+    A driver implements `open`, `close`, `_newest`, `_wait` and `_send`.
+
+    Attributes:
+        packets: see `Packets`.
 
     Errors:
-        `DriverError` from `open` for everything that a user can mend: a missing extra, an interface
-        that does not exist, a robot of another type, no state within three seconds.
+        `open` raises `DriverError` for whatever a user can correct: a missing extra, an unknown interface, another
+        robot, no state within `FIRST_STATE_S`.
     """
 
     packets: Packets
 
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        release: bool = True,
+        say: Callable[[str], None] = lambda text: None,
+        timeout_s: float = FIRST_STATE_S,
+    ) -> None:
+        """
+        Args:
+            robot: the robot expected.
+            release: whether opening may make the robot's own software release the motors; without, it only listens.
+            say: takes lines on what happens while it opens.
+            timeout_s: how long to wait for the first state, s.
+        """
+        self._robot, self._release, self._say, self._timeout_s = robot, release, say, timeout_s
+        self.packets = Packets()
+
     def open(self) -> None:
         """Connects, and waits for the first state. Sends no command."""
-
-    def read(self, timeout_s: float = 0.0) -> StateMessage | None:
-        """The newest state that arrived since the last call, waiting for one up to `timeout_s`; None if there is
-        none. States that fail the checks of `Packets.rejected` are counted and never returned."""
-
-    def write(self, command: NDArray[Any]) -> None:
-        """Sends (1,) of `fastmimic.robot.state.COMMAND` to the motors."""
+        raise NotImplementedError
 
     def close(self) -> None:
         """Disconnects; sends nothing. Closing twice is allowed."""
+        raise NotImplementedError
+
+    def read(self, timeout_s: float = 0.0) -> StateMessage | None:
+        """The newest state since the last call, or None if none arrives within `timeout_s`. States that fail the
+        checks of `Packets.rejected` are counted and never returned."""
+        end = self._now() + timeout_s
+        while (state := self._newest()) is None and (left := end - self._now()) > 0:
+            self._wait(left)
+        return state
+
+    def write(self, command: NDArray[Any]) -> None:
+        """Sends (1,) of `fastmimic.robot.state.COMMAND` to the motors.
+
+        Raises:
+            DriverError: the command is not finite; nothing was sent.
+        """
+        if not np.isfinite(command.view(np.float64)).all():
+            raise DriverError("a command that is not finite was not sent to the motors")
+        if self._send(command):
+            self.packets.sent += 1
+
+    def _now(self) -> float:
+        """The present moment, s."""
+        return time.perf_counter()
+
+    def _newest(self) -> StateMessage | None:
+        """The newest state that has arrived since the last call and is accepted."""
+        raise NotImplementedError
+
+    def _wait(self, most_s: float) -> None:
+        """Waits for a state, up to `most_s`."""
+        raise NotImplementedError
+
+    def _send(self, command: NDArray[Any]) -> bool:
+        """Sends a finite command; whether it left."""
+        raise NotImplementedError
 
     def __enter__(self) -> Self:
         self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -85,3 +143,20 @@ def damping_command(damping: float = 3.0) -> NDArray[Any]:
     command = np.zeros(1, COMMAND)
     command["damping"] = damping
     return command
+
+
+def implausible_joint(robot: Robot, joint_pos: NDArray[np.float64]) -> str:
+    """The message for a joint that is where this robot's cannot be; empty if all are plausible.
+
+    Args:
+        robot: the robot expected.
+        joint_pos: (12,) rad.
+    """
+    off = np.maximum(robot.joint_lower - joint_pos, joint_pos - robot.joint_upper)
+    j = int(np.argmax(off))
+    if off[j] <= ENCODER_ERROR:
+        return ""
+    return (
+        f"{robot.joint_names[j]} is at {joint_pos[j]:.2f} rad, outside the {robot.name}'s {robot.joint_lower[j]:.2f} …"
+        f" {robot.joint_upper[j]:.2f} rad: another robot, or its joints are not calibrated"
+    )

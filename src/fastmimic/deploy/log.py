@@ -3,6 +3,7 @@
 import io
 import json
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -132,9 +133,9 @@ class DeploymentLog:
             "meta_json": np.str_(json.dumps(self.meta, sort_keys=True)),
         }
         arrays[_MOTION] = np.frombuffer(_as_bytes(self.motion), np.uint8)
-        arrays |= _flat("", self.rows)
+        arrays |= columns("", self.rows)
         if self.truth is not None:
-            arrays |= _flat("truth_", self.truth)
+            arrays |= columns("truth_", self.truth)
         replace_file(path, lambda file: np.savez_compressed(file, **arrays))
 
     @classmethod
@@ -158,10 +159,9 @@ class DeploymentLog:
                 f"{path}: version {int(arrays[_MARK])} of the log; this release reads version {FORMAT_VERSION}"
             )
         try:
-            n = len(arrays["time_s"])
-            truth = _unflat("truth_", OBSERVATION, arrays, n) if "truth_root_pos" in arrays else None
+            truth = from_columns("truth_", OBSERVATION, arrays) if "truth_root_pos" in arrays else None
             motion = Motion.load(io.BytesIO(arrays[_MOTION].tobytes()))
-            return cls(_unflat("", ROW, arrays, n), motion, json.loads(str(arrays["meta_json"])), truth)
+            return cls(from_columns("", ROW, arrays), motion, json.loads(str(arrays["meta_json"])), truth)
         except (KeyError, ValueError, MotionError) as error:
             raise DeploymentError(f"{path}: the log is damaged ({error})") from None
 
@@ -185,23 +185,25 @@ def _as_bytes(motion: Motion) -> bytes:
         return path.read_bytes()
 
 
-def _flat(prefix: str, rows: NDArray[Any]) -> dict[str, Any]:
+def columns(prefix: str, rows: NDArray[Any]) -> dict[str, Any]:
+    """A structured array's fields as plain arrays, those of nested records by both names joined."""
     found: dict[str, Any] = {}
     for name in rows.dtype.names or ():
         column = rows[name]
         if column.dtype.names:
-            found |= _flat(f"{prefix}{name}_", column)
+            found |= columns(f"{prefix}{name}_", column)
         else:
             found[f"{prefix}{name}"] = np.ascontiguousarray(column)
     return found
 
 
-def _unflat(prefix: str, dtype: np.dtype[Any], arrays: dict[str, Any], n: int) -> NDArray[Any]:
-    rows = np.zeros(n, dtype)
-    for name in dtype.names or ():
-        field = dtype[name]
-        if field.names:
-            rows[name] = _unflat(f"{prefix}{name}_", field, arrays, n)
-        else:
-            rows[name] = arrays[f"{prefix}{name}"]
+def from_columns(prefix: str, dtype: np.dtype[Any], arrays: Mapping[str, Any]) -> NDArray[Any]:
+    """The structured array (t,) that `columns` took apart; raises `KeyError` and `ValueError`."""
+    parts = {
+        name: from_columns(f"{prefix}{name}_", dtype[name], arrays) if dtype[name].names else arrays[f"{prefix}{name}"]
+        for name in dtype.names or ()
+    }
+    rows = np.zeros(len(next(iter(parts.values()))), dtype)
+    for name, part in parts.items():
+        rows[name] = part
     return rows

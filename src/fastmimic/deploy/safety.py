@@ -1,4 +1,4 @@
-"""Whether the robot may go on: every state and every command is held against the limits before it counts."""
+"""The safety checks: every state before the controller sees it, every command before it is sent."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.configuration import pack, record_fields
 from fastmimic.base.conventions import JOINT_NAMES
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.deploy.safety_limits import SafetyLimits
@@ -15,14 +16,12 @@ from fastmimic.robot import Robot
 
 
 class StopReason(Enum):
-    """Why a deployment ended. The first ones end it as planned, the others by damping."""
+    """Why a deployment ended. The first four end it as planned, the others by damping."""
 
     DURATION = "duration"
     CYCLES = "cycles"
-    END = "end"
-    """Of a motion that does not repeat."""
-    ASKED = "asked"
-    """By a person, to sit down."""
+    END = "end"  # of a motion that does not repeat
+    ASKED = "asked"  # by a person, to sit down
     KEY = "key"
     SIGNAL = "signal"
     JOINT_POSITION = "joint_position"
@@ -35,18 +34,17 @@ class StopReason(Enum):
     OVERRUN = "overrun"
     QP_FAILURE = "qp_failure"
     POSTURE = "posture"
-    DRIVER = "driver"
-    """The driver failed."""
+    DRIVER = "driver"  # it failed
 
     @property
     def planned(self) -> bool:
-        """Whether the robot has sat down by itself."""
+        """Whether the robot sat down by itself."""
         return self in (StopReason.DURATION, StopReason.CYCLES, StopReason.END, StopReason.ASKED)
 
 
 @dataclass(frozen=True)
 class Violation:
-    """What ended a deployment before its time: the reason, and a line that says what was found and what is allowed."""
+    """What ended a deployment early: the reason, and a line with the value found and the limit."""
 
     reason: StopReason
     text: str
@@ -54,26 +52,15 @@ class Violation:
 
 _LIMITS: Final = record_dtype(
     [
-        ("lower", "f8", (12,)),
-        ("upper", "f8", (12,)),
-        ("range_lower", "f8", (12,)),
-        ("range_upper", "f8", (12,)),
-        ("speed", "f8", (12,)),
-        ("most_speed", "f8", (12,)),
-        ("torque", "f8", (12,)),
-        ("most_torque", "f8", (12,)),
-        ("peak_torque", "f8", (12,)),
-        ("torque_time", "f8"),
-        ("tilt", "f8"),
-        ("height_least", "f8"),
-        ("height_most", "f8"),
-        ("stiffness", "f8"),
-        ("damping", "f8"),
+        ("joint_lower", "f8", (12,)),
+        ("joint_upper", "f8", (12,)),
+        ("speed_limit", "f8", (12,)),
+        ("torque_limit", "f8", (12,)),
         ("dt", "f8"),
+        *record_fields(SafetyLimits),
     ]
 )
-"""Limits and robot as the kernels read them; `range_` and `most_` are where a state is a violation, the others where a
-command is cut."""
+"""Limits of the robot, the period, and `SafetyLimits`, as the kernels read them."""
 
 _FINE, _NOT_FINITE, _POSITION, _SPEED, _PEAK, _TORQUE, _TILT, _HEIGHT = range(8)
 _JOINT_CHECKS: Final = {
@@ -98,7 +85,7 @@ def _finite(reading: Any) -> bool:
 
 @inlined
 def _tilt(quat: Any, reference: Any) -> float:
-    """Angle between the verticals of two orientations (4,), rad, whatever their headings."""
+    """Angle between the verticals of two orientations (4,), rad, for any headings."""
     w, x, y, z = quat[0], quat[1], quat[2], quat[3]
     a, b, e, f = reference[0], reference[1], reference[2], reference[3]
     # the world's vertical in either body frame
@@ -123,17 +110,20 @@ def _check_state(limits: Any, readings: Any, table: Any, clock: Any, strained: A
         return _NOT_FINITE, 0, 0.0, 0.0
     for j in range(12):
         q, dq, torque = reading.joint_pos[j], abs(reading.joint_vel[j]), abs(reading.torque[j])
-        if q < limit.range_lower[j]:
-            return _POSITION, j, q, limit.range_lower[j]
-        if q > limit.range_upper[j]:
-            return _POSITION, j, q, limit.range_upper[j]
-        if dq > limit.most_speed[j]:
-            return _SPEED, j, dq, limit.most_speed[j]
-        if torque > limit.peak_torque[j]:
-            return _PEAK, j, torque, limit.peak_torque[j]
-        strained[j] = strained[j] + limit.dt if torque > limit.most_torque[j] else 0.0
-        if strained[j] > limit.torque_time:
-            return _TORQUE, j, torque, limit.most_torque[j]
+        lower, upper = limit.joint_lower[j] - limit.joint_margin, limit.joint_upper[j] + limit.joint_margin
+        most_speed, most_torque = limit.joint_speed * limit.speed_limit[j], limit.torque * limit.torque_limit[j]
+        peak_torque = limit.torque_peak * limit.torque_limit[j]
+        if q < lower:
+            return _POSITION, j, q, lower
+        if q > upper:
+            return _POSITION, j, q, upper
+        if dq > most_speed:
+            return _SPEED, j, dq, most_speed
+        if torque > peak_torque:
+            return _PEAK, j, torque, peak_torque
+        strained[j] = strained[j] + limit.dt if torque > most_torque else 0.0
+        if strained[j] > limit.torque_time_s:
+            return _TORQUE, j, torque, most_torque
     tilt = _tilt(reading.quat, table[clock[0].sample].root_quat)
     if not tilt <= limit.tilt:
         return _TILT, 0, tilt, limit.tilt
@@ -163,46 +153,37 @@ def _cut(value: float, low: float, high: float) -> float:
 
 @kernel
 def _cut_command(records: Any, commands: Any) -> int:
-    """Cuts a command (1,) to what the robot can, in place; returns how many numbers were changed, −1 if one is not
-    finite."""
+    """Cuts a command (1,) to the limits, in place; returns how many numbers changed, −1 if one is not finite."""
     limits, command, cut = records[0], commands[0], 0
     for j in range(12):
         q, dq, torque = command.joint_pos[j], command.joint_vel[j], command.torque[j]
         kp, kd = command.stiffness[j], command.damping[j]
         if not np.isfinite(q + dq + torque + kp + kd):
             return -1
-        command.joint_pos[j] = _cut(q, limits.lower[j], limits.upper[j])
-        command.joint_vel[j] = _cut(dq, -limits.speed[j], limits.speed[j])
-        command.torque[j] = _cut(torque, -limits.torque[j], limits.torque[j])
-        command.stiffness[j] = _cut(kp, 0.0, limits.stiffness)
-        command.damping[j] = _cut(kd, 0.0, limits.damping)
+        command.joint_pos[j] = _cut(q, limits.joint_lower[j], limits.joint_upper[j])
+        command.joint_vel[j] = _cut(dq, -limits.speed_limit[j], limits.speed_limit[j])
+        command.torque[j] = _cut(torque, -limits.torque_limit[j], limits.torque_limit[j])
+        command.stiffness[j] = _cut(kp, 0.0, limits.stiffness_most)
+        command.damping[j] = _cut(kd, 0.0, limits.damping_most)
         cut += int(command.joint_pos[j] != q) + int(command.joint_vel[j] != dq) + int(command.torque[j] != torque)
         cut += int(command.stiffness[j] != kp) + int(command.damping[j] != kd)
     return cut
 
 
 class Guard:
-    """Holds states and commands of one robot against the limits. Nothing that it does depends on anything else.
+    """Checks states and commands of one robot against the limits.
 
     Attributes:
-        cut: how many numbers of the last command were beyond what the robot can.
+        cut: how many numbers of the last command were cut to the limits.
     """
 
     def __init__(self, robot: Robot, limits: SafetyLimits, rate_hz: float) -> None:
         self.limits = limits
         record = np.zeros(1, _LIMITS)
-        record["lower"], record["upper"] = robot.joint_lower, robot.joint_upper
-        record["range_lower"] = robot.joint_lower - limits.joint_margin
-        record["range_upper"] = robot.joint_upper + limits.joint_margin
-        record["speed"] = robot.joint_speed_limit
-        record["most_speed"] = limits.joint_speed * robot.joint_speed_limit
-        record["torque"] = robot.torque_limit
-        record["most_torque"] = limits.torque * robot.torque_limit
-        record["peak_torque"] = limits.torque_peak * robot.torque_limit
-        record["tilt"] = limits.tilt
-        record["height_least"], record["height_most"] = limits.height_least, limits.height_most
-        record["torque_time"], record["dt"] = limits.torque_time_s, 1.0 / rate_hz
-        record["stiffness"], record["damping"] = limits.stiffness_most, limits.damping_most
+        record["joint_lower"], record["joint_upper"] = robot.joint_lower, robot.joint_upper
+        record["speed_limit"], record["torque_limit"] = robot.joint_speed_limit, robot.torque_limit
+        record["dt"] = 1.0 / rate_hz
+        pack(limits, record)
         self._record = record
         self._strained = np.zeros(12)
         self._upright, self._still = np.zeros(1, SAMPLE), np.zeros(1, CLOCK)
@@ -210,36 +191,32 @@ class Guard:
         self.cut = 0
 
     def reset(self) -> None:
-        """Forgets how long motors have been near their limits."""
+        """Clears how long motors have been near their limits."""
         self._strained[:] = 0.0
 
     def check_age(self, age_s: float) -> Violation | None:
-        """The age of the newest state, s."""
+        """Checks the age of the newest state, s."""
         if age_s <= self.limits.stale_s:
             return None
-        return Violation(
-            StopReason.STALE_STATE,
-            f"no state of the robot for {1e3 * age_s:.0f} ms; {1e3 * self.limits.stale_s:.0f} are allowed",
-        )
+        text = f"no state of the robot for {1e3 * age_s:.0f} ms; {1e3 * self.limits.stale_s:.0f} are allowed"
+        return Violation(StopReason.STALE_STATE, text)
 
     def check_lateness(self, late_s: float) -> Violation | None:
-        """By how much a command goes out after its period's end, s."""
+        """Checks how long after its period's end a command is sent, s."""
         if late_s <= self.limits.overrun_s:
             return None
-        return Violation(
-            StopReason.OVERRUN,
-            f"a command was {1e3 * late_s:.1f} ms late; {1e3 * self.limits.overrun_s:.0f} are allowed",
-        )
+        text = f"a command was {1e3 * late_s:.1f} ms late; {1e3 * self.limits.overrun_s:.0f} are allowed"
+        return self._found(StopReason.OVERRUN, text)
 
     def check_state(
         self, reading: NDArray[Any], table: NDArray[Any] | None = None, clock: NDArray[Any] | None = None
     ) -> Violation | None:
-        """A state.
+        """Checks a state.
 
         Args:
             reading: (1,) of `READING`.
-            table: (t,) of `SAMPLE`, whose trunk's tilt the robot's should be near; None for upright.
-            clock: (1,) of `CLOCK`, where in it.
+            table: (t,) of `SAMPLE`, the reference for the trunk's tilt; None for upright.
+            clock: (1,) of `CLOCK`, the reference's sample.
         """
         followed = table if table is not None else self._upright
         at = clock if clock is not None else self._still
@@ -247,89 +224,63 @@ class Guard:
         if what == _FINE:
             return None
         if what == _NOT_FINITE:
-            return Violation(StopReason.NOT_FINITE, "a state of the robot is not finite")
+            return self._found(StopReason.NOT_FINITE, "a state of the robot is not finite")
         if what == _TILT:
-            whose = "from the vertical" if table is None else "from the reference's"
-            return Violation(StopReason.TILT, f"the trunk's tilt is {value:.2f} rad {whose}; {limit:g} are allowed")
+            origin = "from the vertical" if table is None else "from the reference's"
+            text = f"the trunk's tilt is {value:.2f} rad {origin}; {limit:g} are allowed"
+            return self._found(StopReason.TILT, text)
         reason, name, unit = _JOINT_CHECKS[what]
         took = f" for more than {self.limits.torque_time_s:g} s" if what == _TORQUE else ""
-        return Violation(reason, f"{JOINT_NAMES[joint]}: {name} {value:.2f} {unit}, beyond {limit:.2f} {unit}{took}")
+        return self._found(reason, f"{JOINT_NAMES[joint]}: {name} {value:.2f} {unit}, beyond {limit:.2f} {unit}{took}")
 
     def check_estimate(self, observation: NDArray[Any], table: NDArray[Any], clock: NDArray[Any]) -> Violation | None:
-        """What the controller is told, (1,) of `OBSERVATION`, beside the reference as above."""
+        """Checks the controller's input, (1,) of `OBSERVATION`, against the reference as above."""
         what, height, least, most = _check_estimate(self._record, observation, table, clock)
         if what == _FINE:
             return None
         if what == _NOT_FINITE:
-            return Violation(StopReason.NOT_FINITE, "the estimate of the robot's state is not finite")
-        return Violation(
-            StopReason.HEIGHT, f"the base is {height:.3f} m above the ground; {least:.3f} to {most:.3f} m are allowed"
-        )
+            return self._found(StopReason.NOT_FINITE, "the estimate of the robot's state is not finite")
+        text = f"the base is {height:.3f} m above the ground; {least:.3f} to {most:.3f} m are allowed"
+        return self._found(StopReason.HEIGHT, text)
 
     def check_solver(self, failed_in_a_row: int) -> Violation | None:
-        """Failures of the controller's optimisation in a row."""
+        """Checks the number of consecutive failures of the stance QP."""
         if failed_in_a_row <= self.limits.qp_failures:
             return None
-        return Violation(
-            StopReason.QP_FAILURE,
-            f"the controller's forces could not be computed {failed_in_a_row} times in a row;"
-            f" {self.limits.qp_failures} are allowed",
-        )
+        text = f"the stance QP failed {failed_in_a_row} times in a row; {self.limits.qp_failures} are allowed"
+        return self._found(StopReason.QP_FAILURE, text)
 
     def check_posture(self, reading: NDArray[Any], target: NDArray[np.float64]) -> Violation | None:
-        """Whether the joints of a state are where they should be, (12,) rad."""
+        """Checks that the joints of a state are near a posture (12,), rad."""
         error = np.abs(reading["joint_pos"][0] - target)
         joint = int(np.argmax(error))
         if error[joint] <= self.limits.posture:
             return None
-        return Violation(
-            StopReason.POSTURE,
-            f"{JOINT_NAMES[joint]}: {error[joint]:.2f} rad off the standing posture; {self.limits.posture:g} are"
-            " allowed",
-        )
+        found = f"{error[joint]:.2f} rad off the standing posture; {self.limits.posture:g} are allowed"
+        return self._found(StopReason.POSTURE, f"{JOINT_NAMES[joint]}: {found}")
 
     def cut_command(self, command: NDArray[Any]) -> Violation | None:
-        """Cuts a command (1,) of `COMMAND` to what the robot can, in place."""
+        """Cuts a command (1,) of `COMMAND` to the limits, in place."""
         self.cut = _cut_command(self._record, command)
         if self.cut >= 0:
             return None
         return Violation(StopReason.NOT_FINITE, "a command of the controller is not finite")
 
+    def _found(self, reason: StopReason, text: str) -> Violation | None:
+        return Violation(reason, text)
+
 
 class DryRunGuard(Guard):
-    """Notes what is beyond the limits and lets it pass: for a robot that gets no commands and so is not where they
-    would have it.
+    """Notes violations without stopping: in a dry run the robot does not follow the commands.
 
     Attributes:
-        noted: the first of each kind.
+        noted: the first violation of each kind.
     """
 
     def __init__(self, robot: Robot, limits: SafetyLimits, rate_hz: float) -> None:
         super().__init__(robot, limits, rate_hz)
         self.noted: dict[StopReason, Violation] = {}
 
-    def check_lateness(self, late_s: float) -> Violation | None:
-        self._note(super().check_lateness(late_s))
+    def _found(self, reason: StopReason, text: str) -> Violation | None:
+        self.noted.setdefault(reason, Violation(reason, text))
         return None
-
-    def check_state(
-        self, reading: NDArray[Any], table: NDArray[Any] | None = None, clock: NDArray[Any] | None = None
-    ) -> Violation | None:
-        self._note(super().check_state(reading, table, clock))
-        return None
-
-    def check_estimate(self, observation: NDArray[Any], table: NDArray[Any], clock: NDArray[Any]) -> Violation | None:
-        self._note(super().check_estimate(observation, table, clock))
-        return None
-
-    def check_solver(self, failed_in_a_row: int) -> Violation | None:
-        self._note(super().check_solver(failed_in_a_row))
-        return None
-
-    def check_posture(self, reading: NDArray[Any], target: NDArray[np.float64]) -> Violation | None:
-        self._note(super().check_posture(reading, target))
-        return None
-
-    def _note(self, found: Violation | None) -> None:
-        if found is not None:
-            self.noted.setdefault(found.reason, found)

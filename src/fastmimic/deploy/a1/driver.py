@@ -7,62 +7,48 @@ turn. Legs come FR, FL, RR, RL, the quaternion w, x, y, z, angles and signs as i
 
 import importlib
 import time
-from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage
-from fastmimic.deploy.identity import impossible_joint
+from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage, implausible_joint
 from fastmimic.estimation.reading import READING
-from fastmimic.robot import Robot
 
 MODULE: Final = "robot_interface"
 LOW_LEVEL: Final = 0xFF
-FIRST_STATE_S: Final = 3.0
 FOOT_N_PER_COUNT: Final = 1.0
-"""Of the pressure sensors in the feet. Assumed: the vendor gives no unit."""
+"""Scale of the pressure sensors in the feet. Assumed: the vendor gives no unit."""
 
 _FIELDS: Final = ("joint_pos", "stiffness", "joint_vel", "damping", "torque")
 _POLL_S: Final = 0.0002
-_ASK_S: Final = 0.002
+_REQUEST_S: Final = 0.002
 
 
 class A1Driver(RobotDriver):
     """A `RobotDriver`.
 
-    The A1 answers those who write to it: until the first state, `open` writes commands without gains or torque, which
-    move nothing but end the damping that it may be in. Checksums are the SDK's business; of lost states it says
-    nothing, so `packets.lost` stays 0.
-
-    Args:
-        robot: which it is expected to be.
-        release: write such commands; without, it only listens, and hears something only if the A1 answers anyway.
-        say: is told what happens while it opens.
+    The A1 answers whoever writes to it. Until the first state, `open` therefore writes commands without gains or
+    torque: they move nothing, but end the robot's damping mode. The SDK checks checksums and reports no lost states,
+    so `packets.lost` stays 0. With `release=False` it only listens, and may hear nothing.
     """
 
-    def __init__(self, robot: Robot, *, release: bool = True, say: Callable[[str], None] = lambda text: None) -> None:
-        self._robot = robot
-        self._release, self._say = release, say
-        self.packets = Packets()
-        self._interface: Any = None
-        self._sequence = -1
-        self._command = np.zeros(60, np.float32)
+    _interface: Any = None
+    _sequence = -1
 
     def open(self) -> None:
-        """See `RobotDriver`; but for commands without gains or torque, until it answers.
+        """See `RobotDriver`; sends commands without gains or torque until the robot answers.
 
         Raises:
-            DriverError: no binding, or another one of that name; no state; another robot.
+            DriverError: no binding, or another module of that name; no state; another robot.
         """
         interface = _binding()
         try:
             self._interface = interface(LOW_LEVEL)
-        except TypeError:  # the older binding knows low-level control only
+        except TypeError:  # the older binding has only low-level control
             self._interface = interface()
-        self._sequence = -1
+        self._sequence, self._command = -1, np.zeros(60, np.float32)
         try:
             self._await_state()
         except BaseException:
@@ -70,41 +56,15 @@ class A1Driver(RobotDriver):
             raise
         self.packets = Packets()
 
-    def read(self, timeout_s: float = 0.0) -> StateMessage | None:
-        """See `RobotDriver`."""
-        end = time.perf_counter() + timeout_s
-        while True:
-            reading = self._newest()
-            if reading is not None:
-                return StateMessage(reading, self._sequence, time.perf_counter())
-            left = end - time.perf_counter()
-            if left <= 0:
-                return None
-            time.sleep(min(_POLL_S, left))
-
-    def write(self, command: NDArray[Any]) -> None:
-        """See `RobotDriver`.
-
-        Raises:
-            DriverError: the command is not finite; nothing was sent.
-        """
-        if not np.isfinite(command.view(np.float64)).all():
-            raise DriverError("a command that is not finite was not sent to the motors")
-        for k, name in enumerate(_FIELDS):
-            self._command[k::5] = command[name][0]
-        self._interface.send_command(self._command)
-        self.packets.sent += 1
-
     def close(self) -> None:
         """See `RobotDriver`."""
         self._interface = None
 
-    def _newest(self) -> NDArray[Any] | None:
-        """(1,) of `READING` if there is a state that is new and makes sense."""
+    def _newest(self) -> StateMessage | None:
         state = self._interface.receive_observation()
         tick = int(state.tick)
         if tick == self._sequence or (self._sequence < 0 and tick == 0):
-            return None  # the same one again
+            return None  # no new state
         reading = _reading(state)
         norm = float(np.linalg.norm(reading["quat"]))
         if tick < self._sequence or not np.isfinite(reading.view(np.float64)).all() or not 0.9 < norm < 1.1:
@@ -113,26 +73,34 @@ class A1Driver(RobotDriver):
         reading["quat"] /= norm
         self._sequence = tick
         self.packets.received += 1
-        return reading
+        return StateMessage(reading, tick, self._now())
+
+    def _wait(self, most_s: float) -> None:
+        time.sleep(min(_POLL_S, most_s))
+
+    def _send(self, command: NDArray[Any]) -> bool:
+        for k, name in enumerate(_FIELDS):
+            self._command[k::5] = command[name][0]
+        self._interface.send_command(self._command)
+        return True
 
     def _await_state(self) -> None:
-        end, outside = time.monotonic() + FIRST_STATE_S, ""
-        nothing = np.zeros(60, np.float32)
+        end, problem = time.monotonic() + self._timeout_s, ""
         if self._release:
-            self._say("asking the A1 for its state by commands without gains or torque")
+            self._say("requesting the A1's state by commands without gains or torque")
         while time.monotonic() < end:
             if self._release:
-                self._interface.send_command(nothing)
-            time.sleep(_ASK_S)
-            reading = self._newest()
-            if reading is not None:
-                outside = impossible_joint(self._robot, reading["joint_pos"][0])
-                if not outside:
+                self._interface.send_command(np.zeros(60, np.float32))
+            time.sleep(_REQUEST_S)
+            state = self._newest()
+            if state is not None:
+                problem = implausible_joint(self._robot, state.reading["joint_pos"][0])
+                if not problem:
                     return
         raise DriverError(
-            outside
-            or f"no A1's state within {FIRST_STATE_S:g} s: is it on, in damping mode, and this computer on its network"
-            " (192.168.123.x)?"
+            problem
+            or f"no state of an A1 within {self._timeout_s:g} s: is it on, in damping mode, and this computer on its"
+            " network (192.168.123.x)?"
         )
 
 

@@ -18,19 +18,19 @@ from fastmimic.deploy.dds.domain import (
     configuration,
 )
 from fastmimic.deploy.dds.endpoints import Reader, TextReader, Writer
-from fastmimic.deploy.dds.types import Message, Octets, program
+from fastmimic.deploy.dds.types import Message, messages_of, program
 
 __all__ = [
     "LOOPBACK",
     "MAX_DOMAIN",
     "MAX_PARTICIPANTS",
     "Message",
-    "Octets",
     "Participant",
     "Reader",
     "TextReader",
     "Writer",
     "check_interface",
     "configuration",
+    "messages_of",
     "program",
 ]

@@ -1,6 +1,7 @@
-"""Types: their layout in memory, and what the library needs to know to put them on the wire."""
+"""Message types: read from IDL, laid out as C structures, and described to CycloneDDS for serialisation."""
 
 import ctypes
+import re
 from typing import Any, ClassVar, Final
 
 _CODES: Final = {
@@ -20,7 +21,11 @@ _FIXED_SIZE: Final = 1 << 4
 
 
 class Message(ctypes.Structure):
-    """A DDS type. Subclasses that are sent have its name on the wire."""
+    """A DDS type.
+
+    Attributes:
+        typename: the name by which peers match it.
+    """
 
     typename: ClassVar[str] = ""
 
@@ -36,8 +41,45 @@ class Octets(ctypes.Structure):
     ]
 
 
+_IDL_TYPES: Final[dict[str, Any]] = {
+    "octet": ctypes.c_uint8,
+    "boolean": ctypes.c_bool,
+    "short": ctypes.c_int16,
+    "unsigned short": ctypes.c_uint16,
+    "long": ctypes.c_int32,
+    "unsigned long": ctypes.c_uint32,
+    "long long": ctypes.c_int64,
+    "float": ctypes.c_float,
+    "string": ctypes.c_char_p,
+    "sequence<octet>": Octets,
+}
+_TOKEN: Final = re.compile(r"module (\w+) {|struct (\w+) {([^}]*)}|}")
+_MEMBER: Final = re.compile(r"(\w[\w<> ]*?)\s+(\w+)(?:\[(\d+)\])?;")
+
+
+def messages_of(idl: str) -> dict[str, Any]:
+    """The structures that an IDL defines, as `Message` classes by their full names.
+
+    Modules, structures, comments, the types of `_IDL_TYPES` and arrays of one dimension are understood.
+    """
+    found: dict[str, Any] = {}
+    known, modules = dict(_IDL_TYPES), []
+    for module, struct, body in _TOKEN.findall(re.sub(r"//.*", "", idl)):
+        if module:
+            modules.append(module)
+        elif struct:
+            fields = []
+            for kind, name, length in _MEMBER.findall(body):
+                fields.append((name, known[kind] * int(length) if length else known[kind]))
+            typename = "::".join([*modules, struct])
+            known[struct] = found[typename] = type(struct, (Message,), {"_fields_": fields, "typename": typename})
+        else:
+            modules.pop()
+    return found
+
+
 def program(message: Any, offset: int = 0) -> list[int]:
-    """What to serialise of a structure and in which order, in CycloneDDS's instructions; nested ones are unrolled.
+    """CycloneDDS's instructions to serialise a structure; nested ones are unrolled.
 
     Args:
         message: a subclass of `ctypes.Structure`.
@@ -64,7 +106,7 @@ def program(message: Any, offset: int = 0) -> list[int]:
 
 
 def fixed_size(message: Any) -> bool:
-    """Whether there is neither a text nor a sequence in it."""
+    """Whether it has neither a string nor a sequence."""
     kinds = [getattr(kind, "_type_", kind) if hasattr(kind, "_length_") else kind for _, kind in message._fields_]
     nested = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, ctypes.Structure)]
     return ctypes.c_char_p not in kinds and Octets not in nested and all(fixed_size(kind) for kind in nested)
@@ -94,7 +136,7 @@ class _Descriptor(ctypes.Structure):
 
 
 def described(message: type[Message]) -> tuple[_Descriptor, Any]:
-    """What a topic of a type is created from, and the memory that it refers to."""
+    """The descriptor from which a topic is created, and the memory that it refers to."""
     instructions = [*program(message), _END]
     array = (ctypes.c_uint32 * len(instructions))(*instructions)
     descriptor = _Descriptor(

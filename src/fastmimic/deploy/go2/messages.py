@@ -1,162 +1,45 @@
-"""The Go2's low-level messages in C's layout, and what they mean in the project's units.
+"""The Go2's low-level messages in C's layout, converted to and from the project's units.
 
-Field names, order and sizes are Unitree's IDL (unitree_go/msg). CDR's alignment differs from C's between nested
-structures; the checksum is over C's layout with its padding. Joints come FR, FL, RR, RL and abduction (Unitree: hip),
-hip (thigh), knee (calf), with the axes of Unitree's description (x, y, y): the project's order and signs. The
-quaternion is w, x, y, z, body → world; the IMU's axes are the body's.
+Fields are those of Unitree's IDL, in `unitree.idl`; a quadruped uses the first 12 of the 20 motors. CDR's alignment
+differs from C's between nested structures; the checksum covers C's layout with its padding. Joints come FR, FL, RR, RL
+and abduction (Unitree: hip), hip (thigh), knee (calf), with the axes of Unitree's description (x, y, y): the project's
+order and signs. The quaternion is w, x, y, z, body → world; the IMU's axes are the body's.
 """
 
-import ctypes
 import math
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.jit import kernel
-from fastmimic.deploy.dds import Message
+from fastmimic.deploy.dds import messages_of
 from fastmimic.deploy.go2.crc import TABLE, checksum, crc32
 
 LOW_COMMAND_TOPIC: Final = "rt/lowcmd"
 LOW_STATE_TOPIC: Final = "rt/lowstate"
 HEAD: Final = (0xFE, 0xEF)
 LOW_LEVEL: Final = 0xFF
-"""The level flag of whoever commands the motors themselves."""
+"""The level flag of commands to the motors."""
 SERVO: Final = 0x01
-"""The motor's mode in which it obeys; 0 switches it off."""
+"""The motor's mode in which it follows commands; 0 switches it off."""
 STOP_POSITION: Final = 2.146e9
-"""A position that means none: its stiffness does not act."""
+"""A position that means none: the stiffness does not act."""
 STOP_VELOCITY: Final = 16000.0
-"""The same for the velocity."""
-MOTORS: Final = 20
-"""Slots in a message; a quadruped uses the first twelve."""
+"""A velocity that means none: the damping does not act."""
 RATE_HZ: Final = 500.0
-"""Of states and commands."""
+"""Rate of states and commands."""
 TICKS_PER_STATE: Final = 2
 """The state's tick counts milliseconds."""
 FOOT_COUNTS_PER_N: Final = 1.0
-"""Of the pressure sensors in the feet. Assumed: the vendor gives no unit. Both sides of the wire here use it."""
+"""Scale of the pressure sensors in the feet. Assumed: the vendor gives no unit."""
 
-_U8, _U16, _U32, _F32 = ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32, ctypes.c_float
-_I16, _I32 = ctypes.c_int16, ctypes.c_int32
-
-
-class BmsCommand(Message):
-    """To the battery's management."""
-
-    _fields_ = [("off", _U8), ("reserve", _U8 * 3)]  # noqa: RUF012
-
-
-class MotorCommand(Message):
-    """To one motor: it applies tau + kp (q − its angle) + kd (dq − its speed)."""
-
-    _fields_ = [  # noqa: RUF012
-        ("mode", _U8),
-        ("q", _F32),
-        ("dq", _F32),
-        ("tau", _F32),
-        ("kp", _F32),
-        ("kd", _F32),
-        ("reserve", _U32 * 3),
-    ]
-
-
-class LowCommand(Message):
-    """LowCmd_: 812 bytes."""
-
-    typename = "unitree_go::msg::dds_::LowCmd_"
-    _fields_ = [  # noqa: RUF012
-        ("head", _U8 * 2),
-        ("level_flag", _U8),
-        ("frame_reserve", _U8),
-        ("sn", _U32 * 2),
-        ("version", _U32 * 2),
-        ("bandwidth", _U16),
-        ("motor_cmd", MotorCommand * MOTORS),
-        ("bms_cmd", BmsCommand),
-        ("wireless_remote", _U8 * 40),
-        ("led", _U8 * 12),
-        ("fan", _U8 * 2),
-        ("gpio", _U8),
-        ("reserve", _U32),
-        ("crc", _U32),
-    ]
-
-
-class ImuState(Message):
-    """Of the IMU: orientation, rad/s, m/s², roll, pitch and yaw in rad, °C."""
-
-    _fields_ = [  # noqa: RUF012
-        ("quaternion", _F32 * 4),
-        ("gyroscope", _F32 * 3),
-        ("accelerometer", _F32 * 3),
-        ("rpy", _F32 * 3),
-        ("temperature", _U8),
-    ]
-
-
-class MotorState(Message):
-    """Of one motor, at the joint: rad, rad/s, rad/s², N·m, °C, messages lost on the way to it."""
-
-    _fields_ = [  # noqa: RUF012
-        ("mode", _U8),
-        ("q", _F32),
-        ("dq", _F32),
-        ("ddq", _F32),
-        ("tau_est", _F32),
-        ("q_raw", _F32),
-        ("dq_raw", _F32),
-        ("ddq_raw", _F32),
-        ("temperature", _U8),
-        ("lost", _U32),
-        ("reserve", _U32 * 2),
-    ]
-
-
-class BmsState(Message):
-    """Of the battery: charge in percent, current in mA, cell voltages in mV."""
-
-    _fields_ = [  # noqa: RUF012
-        ("version_high", _U8),
-        ("version_low", _U8),
-        ("status", _U8),
-        ("soc", _U8),
-        ("current", _I32),
-        ("cycle", _U16),
-        ("bq_ntc", _U8 * 2),
-        ("mcu_ntc", _U8 * 2),
-        ("cell_vol", _U16 * 15),
-    ]
-
-
-class LowState(Message):
-    """LowState_: 1180 bytes."""
-
-    typename = "unitree_go::msg::dds_::LowState_"
-    _fields_ = [  # noqa: RUF012
-        ("head", _U8 * 2),
-        ("level_flag", _U8),
-        ("frame_reserve", _U8),
-        ("sn", _U32 * 2),
-        ("version", _U32 * 2),
-        ("bandwidth", _U16),
-        ("imu_state", ImuState),
-        ("motor_state", MotorState * MOTORS),
-        ("bms_state", BmsState),
-        ("foot_force", _I16 * 4),
-        ("foot_force_est", _I16 * 4),
-        ("tick", _U32),
-        ("wireless_remote", _U8 * 40),
-        ("bit_flag", _U8),
-        ("adc_reel", _F32),
-        ("temperature_ntc1", _U8),
-        ("temperature_ntc2", _U8),
-        ("power_v", _F32),
-        ("power_a", _F32),
-        ("fan_frequency", _U16 * 4),
-        ("reserve", _U32),
-        ("crc", _U32),
-    ]
+_TYPES: Final = messages_of(Path(__file__).with_name("unitree.idl").read_text(encoding="utf-8"))
+LowCommand: Final = _TYPES["unitree_go::msg::dds_::LowCmd_"]
+LowState: Final = _TYPES["unitree_go::msg::dds_::LowState_"]
+Request: Final = _TYPES["unitree_api::msg::dds_::Request_"]
+Response: Final = _TYPES["unitree_api::msg::dds_::Response_"]
 
 
 class CommandWire:
@@ -175,7 +58,7 @@ class CommandWire:
         self._words = record.view(np.uint32).reshape(len(record), -1)
 
     def clear(self) -> None:
-        """What is the same in every command: head, level, and unused motors without a target."""
+        """Sets what all commands share: head, level, and unused motors without a target."""
         self.record[...] = np.zeros((), self.record.dtype)
         self.record["head"] = HEAD
         self.record["level_flag"] = LOW_LEVEL
@@ -199,7 +82,7 @@ class CommandWire:
         )
 
     def read(self, i: int, command: NDArray[Any]) -> None:
-        """Puts message i into (1,) of `COMMAND`; what a motor is told not to follow has no gain."""
+        """Puts message i into (1,) of `COMMAND`; a position or velocity that means none gets no gain."""
         for name, wire in self._fields:
             command[name][0] = wire[i]
         command["stiffness"][command["joint_pos"] >= STOP_POSITION / 2] = 0.0
@@ -235,7 +118,7 @@ class StateWire:
         )
 
     def clear(self) -> None:
-        """What a healthy robot says that nobody here looks at."""
+        """Sets the fields that are not used here to a healthy robot's values."""
         self.record[...] = np.zeros((), self.record.dtype)
         self.record["head"] = HEAD
         self.record["level_flag"] = LOW_LEVEL
@@ -259,12 +142,12 @@ class StateWire:
         self._words[0, -1] = crc32(self._words[0])
 
     def read(self, i: int, reading: NDArray[Any]) -> "Received":
-        """Puts message i into (1,) of `READING`, and says what to think of it."""
+        """Puts message i into (1,) of `READING`; returns what the checks need."""
         return Received(*_read_state(self._words[i], self._floats[i], self._shorts[i], _STATE_WORDS, TABLE, reading))
 
 
 class Received(NamedTuple):
-    """What is to be known of a state message.
+    """What the checks of a state message need.
 
     Attributes:
         checksum, expected: the checksum that it carries, and the one that it should.
@@ -279,17 +162,14 @@ class Received(NamedTuple):
 
 
 def _state_words() -> NDArray[np.int64]:
-    """Where in a state message are: quaternion, gyroscope, accelerometer, the first motor's q, dq and tau_est, from
-    there to the next motor's, foot forces, tick; in words, which are two 16-bit numbers each."""
-    imu, motor = LowState.imu_state.offset, LowState.motor_state.offset
-    octets = [
-        *(imu + getattr(ImuState, name).offset for name in ("quaternion", "gyroscope", "accelerometer")),
-        *(motor + getattr(MotorState, name).offset for name in ("q", "dq", "tau_est")),
-        ctypes.sizeof(MotorState),
-        LowState.foot_force.offset,
-        LowState.tick.offset,
-    ]
-    return np.array(octets, np.int64) // 4
+    """Offsets in a state message, in words of 4 bytes: quaternion, gyroscope, accelerometer; the first motor's q, dq
+    and tau_est; from there to the next motor's; foot forces; tick."""
+    state = np.dtype(LowState)
+    imu, motors = state["imu_state"], state["motor_state"].base
+    at = {name: state.fields[name][1] for name in ("imu_state", "motor_state", "foot_force", "tick")}
+    octets = [at["imu_state"] + imu.fields[name][1] for name in ("quaternion", "gyroscope", "accelerometer")]
+    octets += [at["motor_state"] + motors.fields[name][1] for name in ("q", "dq", "tau_est")]
+    return np.array([*octets, motors.itemsize, at["foot_force"], at["tick"]], np.int64) // 4
 
 
 _STATE_WORDS: Final = _state_words()

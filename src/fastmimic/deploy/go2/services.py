@@ -3,14 +3,14 @@
 A service called S listens on rt/api/S/request and answers on rt/api/S/response; parameters and results are JSON.
 """
 
-import ctypes
 import json
 import time
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.dds import LOOPBACK, Message, Octets, Participant, TextReader, Writer
+from fastmimic.deploy.dds import LOOPBACK, Participant, TextReader, Writer
+from fastmimic.deploy.go2.messages import Request, Response
 
 MOTION_SWITCHER: Final = "motion_switcher"
 CHECK_MODE: Final = 1001
@@ -29,46 +29,6 @@ ANSWER_S: Final = 5.0
 LIE_DOWN_S: Final = 10.0  # for the robot to lie down
 SETTLE_S: Final = 0.5  # from when it looks as if it lay
 RELEASE_S: Final = 10.0
-
-_I32, _I64 = ctypes.c_int32, ctypes.c_int64
-
-
-class _Identity(Message):
-    _fields_ = [("id", _I64), ("api_id", _I64)]  # noqa: RUF012
-
-
-class _Lease(Message):
-    _fields_ = [("id", _I64)]  # noqa: RUF012
-
-
-class _Policy(Message):
-    _fields_ = [("priority", _I32), ("noreply", ctypes.c_bool)]  # noqa: RUF012
-
-
-class _RequestHeader(Message):
-    _fields_ = [("identity", _Identity), ("lease", _Lease), ("policy", _Policy)]  # noqa: RUF012
-
-
-class Request(Message):
-    """Request_."""
-
-    typename = "unitree_api::msg::dds_::Request_"
-    _fields_ = [("header", _RequestHeader), ("parameter", ctypes.c_char_p), ("binary", Octets)]  # noqa: RUF012
-
-
-class _Status(Message):
-    _fields_ = [("code", _I32)]  # noqa: RUF012
-
-
-class _ResponseHeader(Message):
-    _fields_ = [("identity", _Identity), ("status", _Status)]  # noqa: RUF012
-
-
-class Response(Message):
-    """Response_."""
-
-    typename = "unitree_api::msg::dds_::Response_"
-    _fields_ = [("header", _ResponseHeader), ("data", ctypes.c_char_p), ("binary", Octets)]  # noqa: RUF012
 
 
 class Answer(NamedTuple):
@@ -121,26 +81,24 @@ class ServiceServer:
     """Answers requests to one service: for the simulated robot.
 
     Args:
-        participant: whose.
+        participant: in the robot's domain.
         service: its name.
-        handlers: by api id, from the request's parameters to the result.
+        handlers: by api id; each returns the result, None for an empty one.
     """
 
-    def __init__(
-        self, participant: Participant, service: str, handlers: dict[int, Callable[[dict[str, Any]], dict[str, Any]]]
-    ) -> None:
+    def __init__(self, participant: Participant, service: str, handlers: dict[int, Callable[[], Any]]) -> None:
         self._handlers = handlers
         self._requests = TextReader(participant, f"rt/api/{service}/request", Request)
         self._responses = Writer(participant, f"rt/api/{service}/response", Response)
 
     def poll(self) -> None:
         """Answers what has arrived."""
-        for number, api_id, parameter in self._requests.take(_asked):
+        for number, api_id in self._requests.take(_asked):
             handler = self._handlers.get(api_id)
             response = self._responses.message
             response.header.identity.id, response.header.identity.api_id = number, api_id
             response.header.status.code = 0 if handler else NOT_IMPLEMENTED
-            response.data = json.dumps(handler(parameter) if handler else {}).encode()
+            response.data = json.dumps((handler() if handler else None) or {}).encode()
             self._responses.write()
 
 
@@ -216,8 +174,8 @@ def _heard(response: Any) -> tuple[int, int, dict[str, Any]]:
     return response.header.identity.id, response.header.status.code, _json(response.data)
 
 
-def _asked(request: Any) -> tuple[int, int, dict[str, Any]]:
-    return request.header.identity.id, request.header.identity.api_id, _json(request.parameter)
+def _asked(request: Any) -> tuple[int, int]:
+    return request.header.identity.id, request.header.identity.api_id
 
 
 def _json(text: bytes | None) -> dict[str, Any]:

@@ -1,61 +1,59 @@
-"""The simulated robot's computer: real time, its wire, and its account of what happened."""
+"""The simulated robot's computer: a Go2's DDS interface to a simulated body, in real time."""
 
+import dataclasses
 import math
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Any, Final, Self
 
 import numpy as np
 
+from fastmimic.base.configuration import check, documented, parameter
 from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.deploy.dds import LOOPBACK, Participant, Reader, Writer
 from fastmimic.deploy.go2 import messages, services
-from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowCommand, StateWire, roll_pitch_yaw
-from fastmimic.deploy.robot_sim.faults import Faults, FaultyLine
+from fastmimic.deploy.go2.messages import RATE_HZ, TICKS_PER_STATE, CommandWire, LowCommand, StateWire, roll_pitch_yaw
 from fastmimic.deploy.robot_sim.ground_truth import GroundTruthLog
-from fastmimic.deploy.robot_sim.simulated_body import COMMAND_TIMEOUT_S, MODE, PHYSICS_RATE_HZ, SimulatedBody, Start
+from fastmimic.deploy.simulated_body import STARTS, WATCHDOG_S, SimulatedBody
+from fastmimic.deploy.simulated_link import LinkFaults, SimulatedLink
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
-from fastmimic.simulation.sensors import SensorConfig
+from fastmimic.simulation.mujoco_sim import MujocoSimulation
+from fastmimic.simulation.sensors import SensorConfig, Sensors
 
+PHYSICS_RATE_HZ: Final = 1000.0
+MODE: Final = "normal"
+"""The motion service's mode while it is active."""
 MOST_BEHIND_S: Final = 0.05
-"""What it still catches up with on a busy machine; the rest is lost, and the real-time factor says so."""
+"""The delay that a busy machine can catch up; the real-time factor shows the rest."""
+_PER_STATE: Final = round(PHYSICS_RATE_HZ / RATE_HZ)
+_LINK_S: Final = 1.0 / RATE_HZ  # part of the sensors' assumed latency; here the real connection adds it
 _LOOK_S: Final = 0.5  # for another robot
-_SERVICE_PERIOD: Final = 20  # physics steps between two looks at requests to the services
+_SERVICE_PERIOD: Final = 20  # physics steps between two polls of the services
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class SimSettings:
-    """Of a simulated robot on the wire.
+    """Settings of a simulated robot. `states` and `commands` are the faults of its link."""
 
-    Attributes:
-        domain, interface: of DDS.
-        start: how it begins.
-        sensors: what it measures with; None for `robot_sensors`.
-        seed: of the sensors' errors and of the faults.
-        states, commands: faults on the way out and in.
-        command_timeout_s: after which motors without commands damp.
-        dead_after_s: when it falls silent for good and its motors damp, as if its computer had died.
-    """
-
-    domain: int = 0
+    domain: int = parameter(0, low=None, about="DDS domain")
     interface: str = LOOPBACK
-    start: Start = Start.LYING
+    start: str = parameter(STARTS[0], choices=STARTS, about="how it starts")
     sensors: SensorConfig | None = None
-    seed: int = 0
-    states: Faults = field(default_factory=Faults)
-    commands: Faults = field(default_factory=Faults)
-    command_timeout_s: float = COMMAND_TIMEOUT_S
+    seed: int = parameter(0, low=None, about="seed of the sensors' errors")
+    states: LinkFaults = field(default_factory=LinkFaults)
+    commands: LinkFaults = field(default_factory=LinkFaults)
+    watchdog_s: float = parameter(WATCHDOG_S, above=0.0, unit="s", about="after which motors without commands damp")
     dead_after_s: float = math.inf
+    """When it falls silent and its motors damp, as if its computer had died."""
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.command_timeout_s) and self.command_timeout_s > 0):
-            raise ConfigError(f"commands must be able to be on time: found {self.command_timeout_s:g} s for them")
+        check(self, "robot-sim: ")
         if not self.dead_after_s >= 0:
-            raise ConfigError(f"a robot dies after some seconds, not after {self.dead_after_s:g}")
+            raise ConfigError(f"robot-sim: dead_after_s must not be negative, found {self.dead_after_s:g}")
 
 
 @dataclass
@@ -63,11 +61,11 @@ class SimCounts:
     """Messages, from the robot's side.
 
     Attributes:
-        states_sent: that went onto the wire.
-        states_lost: that a fault kept off it.
-        commands_received: that were obeyed.
-        commands_rejected: that were not: a wrong checksum, head or level, or not finite.
-        commands_ignored: that came while the motion service had the motors.
+        states_sent: published.
+        states_lost: lost by a fault.
+        commands_received: obeyed.
+        commands_rejected: with a wrong checksum, head or level, or not finite.
+        commands_ignored: received while the motion service was active.
         damped: how often the motors began to damp because commands stopped.
     """
 
@@ -79,81 +77,86 @@ class SimCounts:
     damped: int = 0
 
 
-class SimServer:
-    """A robot on the Go2's wire. A context manager.
+def robot_sensors() -> SensorConfig:
+    """The sensors of `SensorConfig`, less the one period of latency that the real connection adds."""
+    config = SensorConfig()
+    names = ("imu_latency_s", "joint_latency_s", "foot_latency_s")
+    return dataclasses.replace(config, **{name: getattr(config, name) - _LINK_S for name in names})
 
-    Args:
-        robot: whose body.
-        settings: see `SimSettings`.
-        log: where the truth goes; None for nowhere.
+
+def go2_body(robot: Robot, settings: SimSettings) -> SimulatedBody:
+    """The simulated body at its start."""
+    rate = PHYSICS_RATE_HZ
+    simulation = MujocoSimulation(robot, 1, control_rate_hz=rate, physics_rate_hz=rate)
+    sensors = Sensors(robot, 1, RATE_HZ, settings.sensors if settings.sensors is not None else robot_sensors())
+    body = SimulatedBody(robot, simulation, sensors, rate, settings.start, settings.watchdog_s)
+    body.reset(np.random.default_rng(settings.seed))
+    return body
+
+
+class SimServer:
+    """A simulated robot with a Go2's DDS interface. A context manager.
 
     Attributes:
-        body: it.
+        body: see `SimulatedBody`.
         counts: see `SimCounts`.
-        realtime_factor: simulated time for each second since it began, in (0, 1]; 1 if the machine keeps up.
-
-    Raises:
-        DriverError: see `Participant`; or somebody else publishes states in the domain.
+        realtime_factor: simulated time per second, in (0, 1]; 1 if the machine keeps up.
     """
 
     def __init__(self, robot: Robot, settings: SimSettings | None = None, log: GroundTruthLog | None = None) -> None:
-        self.settings = settings = settings if settings is not None else SimSettings()
-        self.counts = SimCounts()
-        self.realtime_factor = 1.0
+        """
+        Args:
+            robot: the robot.
+            settings: see `SimSettings`.
+            log: collects the ground truth; None for none.
+
+        Raises:
+            DriverError: see `Participant`; or another robot in the domain.
+        """
+        self.settings = settings if settings is not None else SimSettings()
+        self.counts, self.realtime_factor = SimCounts(), 1.0
         self._log = log
-        self._participant = participant = Participant(settings.domain, settings.interface)
+        self._participant = Participant(self.settings.domain, self.settings.interface)
         try:
-            self.body = SimulatedBody(
-                robot, settings.start, settings.sensors, settings.seed, settings.command_timeout_s
-            )
-            _check_alone(participant)
-            self._connect(participant)
+            self.body = go2_body(robot, self.settings)
+            _check_alone(self._participant)
+            self._connect(self._participant)
         except BaseException:
-            participant.close()
+            self.close()
             raise
 
     def _connect(self, participant: Participant) -> None:
-        """Everything that is said and heard."""
+        """Creates readers, writers and services."""
         settings = self.settings
         self._reader = Reader(participant, messages.LOW_COMMAND_TOPIC, LowCommand, 16)
         self._writer = Writer(participant, messages.LOW_STATE_TOPIC, messages.LowState)
         self._state = np.zeros(1, np.dtype(messages.LowState))
         self._wire = StateWire(self._state)
         self._wire.clear()
-        rng = np.random.default_rng([settings.seed, 1])
-        self._out, self._in = FaultyLine(settings.states, rng), FaultyLine(settings.commands, rng)
+        self._out = SimulatedLink(settings.states, 1.0 / RATE_HZ, 0)
+        self._in = SimulatedLink(settings.commands, 1.0 / RATE_HZ, 1)
         self._received = np.zeros(1, np.dtype(LowCommand))
         self._received_wire = CommandWire(self._received)
         self._command = np.zeros(1, COMMAND)
-        self._tick = 0
+        self._tick = self._heard = 0
         self._was_damped = True
-        # what is compiled at its first use is so before anybody waits for it
+        # compiles the kernels before they are needed in real time
         self._wire.write(self.body.reading, 0)
         self._received_wire.intact(0)
         self.body.sensors.to_motors(self._command)
-        self._servers = self._serve(participant)
-
-    def _serve(self, participant: Participant) -> tuple[services.ServiceServer, ...]:
-        """The services of its own software."""
-        return (
-            services.ServiceServer(
-                participant,
-                services.MOTION_SWITCHER,
-                {
-                    services.CHECK_MODE: lambda _: {"form": "0", "name": MODE if self.body.service.active else ""},
-                    services.SELECT_MODE: lambda _: self._select(),
-                    services.RELEASE_MODE: lambda _: self._release(),
-                },
-            ),
-            services.ServiceServer(
-                participant,
-                services.SPORT,
-                {
-                    services.STAND_UP: lambda _: self._moved(self.body.service.stand_up),
-                    services.STAND_DOWN: lambda _: self._moved(self.body.service.lie_down),
-                },
-            ),
-        )
+        service = self.body.service
+        handlers: dict[str, dict[int, Callable[[], Any]]] = {
+            services.MOTION_SWITCHER: {
+                services.CHECK_MODE: lambda: {"form": "0", "name": MODE if service.active else ""},
+                services.SELECT_MODE: lambda: service.take_over(self.body.observation["joint_pos"][0]),
+                services.RELEASE_MODE: lambda: setattr(service, "active", False),
+            },
+            services.SPORT: {
+                services.STAND_UP: lambda: service.stand_up() if service.active else None,
+                services.STAND_DOWN: lambda: service.lie_down() if service.active else None,
+            },
+        }
+        self._servers = [services.ServiceServer(participant, name, found) for name, found in handlers.items()]
 
     def run(
         self,
@@ -162,12 +165,12 @@ class SimServer:
         report: Callable[["SimServer"], None] = lambda sim: None,
         every_s: float = 1.0,
     ) -> None:
-        """Is a robot, in real time, until `stop` is set or so many s of its own time have passed.
+        """Runs in real time until `stop` is set or `duration_s` of simulated time has passed.
 
         Args:
             stop: ends it.
             duration_s: s.
-            report: called each `every_s` of its own time.
+            report: called every `every_s` of simulated time.
             every_s: s.
         """
         dt = 1.0 / PHYSICS_RATE_HZ
@@ -180,8 +183,9 @@ class SimServer:
                 continue
             due = max(due + dt, now - MOST_BEHIND_S)
             self._receive()
-            if self.body.step():
-                self._measured()
+            self.body.step()
+            if self.body.steps % _PER_STATE == 0:
+                self._publish()
             self._send()
             if self.body.time >= next_report:
                 next_report += every_s
@@ -192,7 +196,7 @@ class SimServer:
         self.realtime_factor = min(1.0, self.body.time / max(time.perf_counter() - begin, 1e-9))
 
     def summary(self) -> dict[str, Any]:
-        """What happened, in numbers and words that JSON knows."""
+        """The run's figures, JSON-serialisable."""
         truth, counts = self.body.observation[0], self.counts
         return {
             "duration_s": round(self.body.time, 3),
@@ -213,15 +217,13 @@ class SimServer:
         }
 
     def close(self) -> None:
-        """Leaves the wire; closing twice is allowed."""
+        """Leaves the domain; closing twice is allowed."""
         self._participant.close()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
@@ -232,65 +234,57 @@ class SimServer:
         now = self.body.time
         for i in range(self._reader.take()):
             if self._reader.valid[i]:
-                self._in.push(self._reader.samples[i : i + 1], now)
-        for message in self._in.pop(now):
-            self._received[...] = message
-            if self._dead:
-                continue
-            if not self._received_wire.intact(0):
-                self.counts.commands_rejected += 1
-            elif self.body.service.active:
-                self.counts.commands_ignored += 1
-            else:
-                self.counts.commands_received += 1
-                self._received_wire.read(0, self._command)
-                self.body.obey(self._command)
-        if round(now * PHYSICS_RATE_HZ) % _SERVICE_PERIOD == 0 and not self._dead:
+                self._heard += 1
+                self._in.send(now, self._heard, self._reader.samples[i : i + 1])
+        for packet in self._in.arrived(now):
+            self._received[...] = np.frombuffer(packet.content, self._received.dtype)
+            if not self._dead:
+                self._obey()
+        if self.body.steps % _SERVICE_PERIOD == 0 and not self._dead:
             for server in self._servers:
                 server.poll()
 
-    def _measured(self) -> None:
+    def _obey(self) -> None:
+        """The command received, if it is intact and the motion service is not active."""
+        if not self._received_wire.intact(0):
+            self.counts.commands_rejected += 1
+        elif self.body.service.active:
+            self.counts.commands_ignored += 1
+        else:
+            self.counts.commands_received += 1
+            self._received_wire.read(0, self._command)
+            self.body.obey(self._command)
+
+    def _publish(self) -> None:
+        """Measures, logs and sends a state."""
         body = self.body
+        reading = body.measure()
         self._tick += TICKS_PER_STATE
-        if body.damped and not self._was_damped:
-            self.counts.damped += 1
+        self.counts.damped += int(body.damped and not self._was_damped)
         self._was_damped = body.damped
         if self._log is not None:
             self._log.add(body.time, self._tick, body.observation, body.command, body.damped, body.service.active)
         if not self._dead:
-            self._wire.write(body.reading, self._tick)
-            self._out.push(self._state, body.time)
+            self._wire.write(reading, self._tick)
+            self._out.send(body.time, self._tick, self._state)
 
     def _send(self) -> None:
+        """Publishes the states that have passed the link."""
         record = self._writer.record
         assert record is not None
-        for message in self._out.pop(self.body.time):
-            record[...] = message
-            if self._writer.write():
-                self.counts.states_sent += 1
+        for packet in self._out.arrived(self.body.time):
+            record[...] = np.frombuffer(packet.content, record.dtype)
+            self.counts.states_sent += int(self._writer.write())
         self.counts.states_lost = self._out.lost
-
-    def _release(self) -> dict[str, Any]:
-        self.body.service.active = False
-        return {}
-
-    def _select(self) -> dict[str, Any]:
-        self.body.service.take_over(self.body.observation["joint_pos"][0])
-        return {}
-
-    def _moved(self, move: Callable[[], None]) -> dict[str, Any]:
-        if self.body.service.active:
-            move()
-        return {}
 
 
 def _check_alone(participant: Participant) -> None:
-    """Waits until whoever is in the domain can have been found; raises `DriverError` if there is a robot in it."""
+    """Raises `DriverError` if another robot publishes states in the domain; waits until it must have been found."""
     end = time.monotonic() + _LOOK_S
     while time.monotonic() < end:
         if participant.publishers(messages.LOW_STATE_TOPIC):
             raise DriverError(
                 f"another robot publishes states in DDS domain {participant.domain} on '{participant.interface}':"
-                " take another domain"
+                " use another domain"
             )
         time.sleep(0.02)

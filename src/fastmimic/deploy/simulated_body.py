@@ -1,0 +1,158 @@
+"""The body of a simulated robot: physics, sensors, motors with a watchdog, and the robot's own motion service."""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.errors import ConfigError
+from fastmimic.deploy.driver import damping_command
+from fastmimic.reference.standing import rising_path, smooth, standing_gains
+from fastmimic.robot import Robot
+from fastmimic.robot.state import COMMAND
+from fastmimic.simulation.sensors import Sensors
+
+STARTS: Final = ("lying", "standing")
+WATCHDOG_S: Final = 0.02
+"""Without a command for longer, the motors only damp."""
+_SETTLE_S: Final = 0.5
+_MOVE_S: Final = 1.5  # for standing up or lying down
+_TIPPED: Final = 0.5  # cosine of the tilt beyond which it has fallen
+_IMPACT: Final = 0.7  # m/s; landing faster on anything but the feet is a fall
+
+
+class MotionService:
+    """The robot's own software, which moves it until it is released: it stands, lies down and gets up.
+
+    Attributes:
+        active: whether it commands the motors.
+    """
+
+    def __init__(self, robot: Robot, lying: Array, *, active: bool) -> None:
+        self._stand, self._lying = robot.home_joint_pos, lying
+        self._from, self._to, self._time = self._stand, self._stand, _MOVE_S
+        self._command = np.zeros(1, COMMAND)
+        self._command["stiffness"], self._command["damping"] = standing_gains(robot)
+        self.active = active
+
+    def lie_down(self) -> None:
+        """Begins to lie down."""
+        self._move(self._lying)
+
+    def stand_up(self) -> None:
+        """Begins to stand up."""
+        self._move(self._stand)
+
+    def take_over(self, joints: Array) -> None:
+        """Becomes active with the joints (12,) where they are, and stands up."""
+        self._command["joint_pos"] = joints
+        self.active = True
+        self.stand_up()
+
+    def command(self, dt: float) -> NDArray[Any]:
+        """(1,) of `COMMAND` for the next dt s."""
+        self._time = min(self._time + dt, _MOVE_S)
+        share = smooth(self._time / _MOVE_S)
+        self._command["joint_pos"] = (1 - share) * self._from + share * self._to
+        return self._command
+
+    def _move(self, to: Array) -> None:
+        self._from, self._to, self._time = self._command["joint_pos"][0].copy(), to, 0.0
+
+
+class SimulatedBody:
+    """One simulated robot, step by step.
+
+    Attributes:
+        service: its own motion service; active if it starts standing.
+        command: (1,) of `COMMAND`, what the motors followed in the last step.
+        damped: whether its motors damp for lack of commands; `damped_s` for how long in all, s.
+        fell: whether it tipped over or landed on anything but its feet at more than 0.7 m/s.
+        steps: since the start.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        simulation: Any,
+        sensors: Sensors,
+        rate_hz: float,
+        start: str = STARTS[0],
+        watchdog_s: float = WATCHDOG_S,
+    ) -> None:
+        """
+        Args:
+            robot: the robot.
+            simulation: of this one robot, stepped at `rate_hz`.
+            sensors: of this one robot.
+            rate_hz: of `step`.
+            start: one of `STARTS`.
+            watchdog_s: motors without commands for longer damp.
+
+        Raises:
+            ConfigError: no such start.
+        """
+        if start not in STARTS:
+            raise ConfigError(f"a simulated robot starts {' or '.join(STARTS)}, not '{start}'")
+        self.robot, self.simulation, self.sensors = robot, simulation, sensors
+        self._dt, self._standing, self._watchdog_s = 1.0 / rate_hz, start == "standing", watchdog_s
+        self._damping = damping_command()
+
+    def reset(self, generator: np.random.Generator) -> NDArray[Any]:
+        """Puts the robot at its start, at rest; returns (1,) of `READING`. `generator` draws the sensors' errors."""
+        path, height = rising_path(self.robot, self.robot.home_joint_pos)
+        joints = path[0]
+        self.service = MotionService(self.robot, joints, active=self._standing)
+        if self._standing:
+            joints, height = self.robot.home_joint_pos, self.robot.home_height
+        position, zero = np.array([[0.0, 0.0, height]]), np.zeros((1, 3))
+        self.simulation.reset(position, np.array([[1.0, 0, 0, 0]]), joints[None], zero, zero, np.zeros((1, 12)))
+        for _ in range(round(_SETTLE_S / self._dt)):
+            self.simulation.step(self.service.command(self._dt) if self._standing else self._damping)
+        self.command, self._last = self._damping, np.zeros(1, COMMAND)
+        self._commanded: int | None = None
+        self.steps, self.damped, self.damped_s, self.fell = 0, True, 0.0, False
+        return self.sensors.reset([generator], self.observation)
+
+    @property
+    def observation(self) -> NDArray[Any]:
+        """(1,) of `OBSERVATION`, the true state."""
+        observation: NDArray[Any] = self.simulation.observation
+        return observation
+
+    @property
+    def reading(self) -> NDArray[Any]:
+        """(1,) of `READING`, the last that the sensors delivered."""
+        return self.sensors.reading
+
+    @property
+    def time(self) -> float:
+        """Since the start, s."""
+        return self.steps * self._dt
+
+    def obey(self, command: NDArray[Any]) -> None:
+        """Takes a new command (1,) of `COMMAND`."""
+        self._last[...] = command
+        self._commanded = self.steps
+
+    def step(self) -> None:
+        """One step with the motion service's command, the last one obeyed, or damping."""
+        fresh = self._commanded is not None and (self.steps - self._commanded) * self._dt <= self._watchdog_s
+        self.damped = not fresh and not self.service.active
+        if self.service.active:
+            self.command = self.service.command(self._dt)
+        else:
+            self.command = self._last if fresh else self._damping
+        self.damped_s += self._dt if self.damped else 0.0
+        falling = -float(self.observation["lin_vel"][0, 2])
+        self._motors = self.sensors.to_motors(self.command)
+        self.simulation.step(self._motors)
+        self.steps += 1
+        _, x, y, _ = self.observation["root_quat"][0]
+        landed = self.observation["other_contact"][0] > 0 and falling > _IMPACT
+        self.fell = self.fell or bool(1 - 2 * (x * x + y * y) < _TIPPED or landed)
+
+    def measure(self) -> NDArray[Any]:
+        """(1,) of `READING`, what the sensors deliver after this step."""
+        return self.sensors.measure(self.observation, self._motors)
