@@ -6,16 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from fastmimic.primitive.twist import PlanarTwist, planar_exp, planar_log
+from fastmimic.primitive.twist import PlanarTwist
 from primitive.motions import planar_matrix, planar_twist_matrix
 
 lengths = st.floats(-2, 2)
-
-
-@given(x=lengths, y=lengths, yaw=st.floats(-4.5, 4.5))
-def test_log_and_exp_are_inverse(x: float, y: float, yaw: float) -> None:
-    translation = planar_log(np.array([x, y]), yaw)
-    np.testing.assert_allclose(planar_exp(translation, np.float64(yaw)), [x, y], atol=1e-12)
 
 
 @given(x=lengths, y=lengths, yaw=st.floats(-4.5, 4.5), phase=st.floats(-7, 14))
@@ -25,13 +19,6 @@ def test_the_pose_is_the_matrix_exponential(x: float, y: float, yaw: float, phas
     expected = planar_matrix(*origin) @ expm(planar_twist_matrix(cycle) * phase / (2 * np.pi))
     np.testing.assert_allclose(position, expected[:2, 2], atol=1e-9)
     np.testing.assert_allclose([np.cos(heading), np.sin(heading)], expected[:2, 0], atol=1e-9)
-
-
-@pytest.mark.parametrize("yaw", [0.0, 1e-300, 1e-12, -1e-8, 1e-5])
-def test_straight_is_the_limit_of_turning(yaw: float) -> None:
-    translation = planar_log(np.array([0.7, -0.2]), yaw)
-    np.testing.assert_allclose(translation, [0.7, -0.2], atol=1e-5)
-    np.testing.assert_allclose(planar_exp(translation, np.float64(yaw)), [0.7, -0.2], atol=1e-15)
 
 
 @pytest.mark.parametrize("yaw", [0.5, -1.7, 3.1, 4.6, 2 * np.pi, -2 * np.pi + 0.3, 4 * np.pi])

@@ -16,11 +16,9 @@ from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import read_clip
 from fastmimic.clips.formats.robot_points import robot_points
 from fastmimic.clips.synthesis import generate
+from fastmimic.motion.ground import ground_demand, push_directions
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.balance import BalanceConfig
-from fastmimic.retargeting.cycle import planar_exp, planar_log
-from fastmimic.retargeting.dynamics import ground_demand, push_directions
-from fastmimic.retargeting.measure import feet_in_world
 from fastmimic.retargeting.retarget import RetargetConfig, RetargetReport, retarget
 from fastmimic.retargeting.signal import resample_open, resample_periodic
 from fastmimic.robot import Robot, load_robot
@@ -85,7 +83,7 @@ def test_a_whole_take_is_not_a_cycle_and_its_cut_is_one(data_folder: Path, a1: R
 
 def test_standing_feet_rest_on_the_ground_and_no_foot_is_below_it(a1: Robot, trot) -> None:  # type: ignore[no-untyped-def]
     motion, _ = trot
-    height = feet_in_world(motion)[..., 2]
+    height = motion.foot_pos_w[..., 2]
     assert height[motion.contact] == pytest.approx(a1.foot_radius, abs=1e-9)
     assert height.min() > a1.foot_radius - 1e-9
 
@@ -93,7 +91,7 @@ def test_standing_feet_rest_on_the_ground_and_no_foot_is_below_it(a1: Robot, tro
 def test_feet_land_and_leave_at_rest(trot) -> None:  # type: ignore[no-untyped-def]
     """Speed over the ground just before touch-down and just after lift-off is a hundredth of that in mid-swing."""
     motion, _ = trot
-    speed = np.linalg.norm(np.diff(feet_in_world(motion), axis=0), axis=-1) * motion.rate_hz
+    speed = np.linalg.norm(np.diff(motion.foot_pos_w, axis=0), axis=-1) * motion.rate_hz
     lands = ~motion.contact[:-1] & motion.contact[1:]
     leaves = motion.contact[:-1] & ~motion.contact[1:]
     assert speed[lands | leaves].max() < 0.02 * speed.max()
@@ -272,13 +270,6 @@ def test_a_foot_that_stands_while_the_others_walk_is_given_a_step(a1: Robot) -> 
     assert not motion.contact[:, 0].all()
     duty = next(bound for bound in report.bounds if bound.name == "duty change")
     assert "given a step" in duty.reason
-
-
-@given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-6, 6))
-def test_planar_logarithm_and_exponential_are_inverse(x: float, y: float, angle: float) -> None:
-    moved, turned = planar_exp(planar_log(np.array([x, y, angle])), np.ones(()))
-    assert moved == pytest.approx([x, y], abs=1e-9)
-    assert turned == pytest.approx(angle)
 
 
 @settings(deadline=None)

@@ -8,10 +8,9 @@ import pytest
 
 from control.motions import gait, standing
 from fastmimic.base.errors import ConfigError, MotionError
-from fastmimic.base.rotations import quat_rotate, quat_rotate_inverse, rotate_planar, yaw_from_quat
+from fastmimic.base.rotations import quat_rotate_inverse, rotate_planar, yaw_from_quat
 from fastmimic.motion.contacts import stances_of
 from fastmimic.motion.motion import Motion
-from fastmimic.retargeting.measure import feet_in_world
 from fastmimic.robot import Robot, load_robot
 from fastmimic.stitching.join import default_cycles, stitch_motions
 from fastmimic.stitching.layout import Layout
@@ -125,7 +124,7 @@ class TestTransitions:
             assert np.abs(moved - mean).max() < 0.02 * np.abs(velocity).max() + 0.02, name
 
     def test_standing_feet_stand_still(self, stitched: Motion, robot: Robot) -> None:
-        feet = feet_in_world(stitched)
+        feet = stitched.foot_pos_w
         for leg in range(4):
             for touch_down, lift_off in stances_of(stitched.contact[:, leg], periodic=False):
                 path = feet[touch_down:lift_off, leg]
@@ -133,7 +132,7 @@ class TestTransitions:
                 np.testing.assert_allclose(path[:, 2], robot.foot_radius, atol=1e-3)
 
     def test_no_foot_goes_below_the_ground(self, stitched: Motion, robot: Robot) -> None:
-        assert feet_in_world(stitched)[..., 2].min() > robot.foot_radius - 1e-3
+        assert stitched.foot_pos_w[..., 2].min() > robot.foot_radius - 1e-3
 
     def test_joints_keep_their_limits(self, stitched: Motion, robot: Robot) -> None:
         assert np.all(stitched.joint_pos >= robot.joint_lower)
@@ -230,7 +229,7 @@ class TestStanding:
     def test_a_stand_into_a_gait_and_back(self, robot: Robot, trot: Motion) -> None:
         stand = named(standing(robot, n_samples=200), "stand")
         motion = stitch_motions(robot, [stand, trot, stand], [4, 6, 4])
-        feet = feet_in_world(motion)
+        feet = motion.foot_pos_w
         for leg in range(4):
             for touch_down, lift_off in stances_of(motion.contact[:, leg], periodic=False):
                 path = feet[touch_down:lift_off, leg, :2]
@@ -285,7 +284,7 @@ def test_recorded_motions(data_folder: Path, robot: Robot) -> None:
 
     parts = [load_motion(name, robot) for name in ("dog:trot", "dog:right-turn")]
     motion = stitch_motions(robot, parts)
-    feet = motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
+    feet = motion.foot_pos_w
     for leg in range(4):
         for touch_down, lift_off in stances_of(motion.contact[:, leg], periodic=False):
             path = feet[touch_down:lift_off, leg, :2]

@@ -14,6 +14,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import FRONT, LEFT
 from fastmimic.base.errors import ConfigError, did_you_mean
+from fastmimic.base.planar import planar_exp
 from fastmimic.base.rotations import quat_from_rotvec, quat_from_yaw, quat_multiply, quat_rotate, rotate_planar
 from fastmimic.clips.clip import Clip
 
@@ -217,17 +218,9 @@ def _in_range(what: str, value: float, low: float, high: float, unit: str) -> No
         raise ConfigError(f"{what} must be between {low:g} and {high:g} {unit}, found {value}")
 
 
-def _planar(twist: Array, share: Array) -> tuple[Array, Array]:
-    """Position (t, 2) and heading (t,) of the steady motion after `share` (t,) of a period."""
-    angle = share * twist[2]
-    along, across = np.sinc(angle / np.pi), angle / 2 * np.sinc(angle / (2 * np.pi)) ** 2
-    x, y = share * twist[0], share * twist[1]
-    return np.stack([along * x - across * y, across * x + along * y], axis=-1), angle
-
-
 def _trunk(spec: GaitSpec, share: Array, twist: Array, animal: float) -> tuple[Array, Array]:
     """Middle of the neck–pelvis line (t, 3) and the trunk's orientation (t, 4)."""
-    xy, heading = _planar(twist, share)
+    xy, heading = planar_exp(twist, share)
     left = 2 * np.pi * (share - _middle_of_stance(spec, left=True))
     front = 2 * np.pi * spec.bob_harmonic * (share - _middle_of_stance(spec, left=False))
     sway = spec.sway * animal * np.cos(left)
@@ -263,7 +256,7 @@ def _toe(spec: GaitSpec, leg: int, share: Array, twist: Array, animal: float) ->
 
 def _foothold(spec: GaitSpec, leg: int, middle: Array, twist: Array, animal: float) -> Array:
     """Where the foot stands (t, 2): under its hip at mid-stance (t,), at the gait's half width."""
-    xy, heading = _planar(twist, middle)
+    xy, heading = planar_exp(twist, middle)
     under = np.array([_HIP[leg, 0], _SIDE[leg] * spec.half_width * animal])
     return xy + rotate_planar(heading, np.broadcast_to(under, xy.shape))
 

@@ -17,9 +17,8 @@ from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, quat_rotate_inverse, yaw_from_quat
 from fastmimic.episode.reward import MAX_ANGLE, MAX_DISTANCE
 from fastmimic.episode.rollout import Rollout
+from fastmimic.motion.ground import ground_demand, push_directions
 from fastmimic.motion.motion import Motion
-from fastmimic.retargeting.dynamics import ground_demand, push_directions
-from fastmimic.retargeting.measure import feet_in_world
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 from fastmimic.simulation.mujoco_sim import FLOOR, GROUND_FRICTION, build_model
@@ -226,7 +225,7 @@ def _ground_forces(robot: Robot, wanted: Array, force: Array, wrench: Array, can
 
 def _slide(motion: Motion) -> float:
     """Furthest horizontal motion of a foot within a stance, m; a stance across a cycle's seam is looked at in two."""
-    feet, worst = feet_in_world(motion)[..., :2], 0.0
+    feet, worst = motion.foot_pos_w[..., :2], 0.0
     for leg in range(4):
         edges = np.flatnonzero(np.diff(motion.contact[:, leg].astype(np.int8), prepend=0, append=0))
         for start, end in edges.reshape(-1, 2):

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.rotations import quat_rotate
 from fastmimic.base.text import plain
 from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.episode.rollout import Rollout
@@ -139,7 +138,7 @@ def swing_clearance(motion: Motion, foot_radius: float) -> Array:
     Returns:
         (4,); NaN without swings. A swing that the motion's end cuts off does not count.
     """
-    feet = motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
+    feet = motion.foot_pos_w
     height = feet[..., 2] - foot_radius
     out = np.full(4, np.nan)
     for leg in range(4):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.errors import MotionError
 from fastmimic.base.files import replace_file
+from fastmimic.base.rotations import quat_rotate
 
 FORMAT_VERSION: Final = 1
 
@@ -115,6 +116,11 @@ class Motion:
     @property
     def name(self) -> str:
         return str(self.meta.get("name", "motion"))
+
+    @property
+    def foot_pos_w(self) -> NDArray[np.float64]:
+        """Centres of the feet (t, 4, 3), world, m."""
+        return self.root_pos_w[:, None] + quat_rotate(self.root_quat_wxyz[:, None], self.foot_pos_b)
 
     @property
     def cycle_starts(self) -> NDArray[np.int64]:

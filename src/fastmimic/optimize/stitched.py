@@ -21,7 +21,6 @@ from fastmimic.base.rotations import (
     quat_from_rotvec,
     quat_from_yaw,
     quat_multiply,
-    quat_rotate,
     rotate_planar,
     rotvec_from_quat,
     yaw_from_quat,
@@ -252,7 +251,7 @@ def segment_clearance(motion: Motion, foot_radius: float, layout: Layout) -> Arr
 
     A swing counts where it ends, as in the rollout's own count.
     """
-    feet = motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
+    feet = motion.foot_pos_w
     height = feet[..., 2] - foot_radius
     bounds = [s.last for s in layout.segments]
     total, count = np.zeros((len(bounds), 4)), np.zeros((len(bounds), 4))

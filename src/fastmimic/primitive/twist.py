@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.planar import planar_exp, planar_log
 from fastmimic.base.rotations import rotate_planar
 
 
@@ -36,29 +37,11 @@ class PlanarTwist:
         cycle = np.asarray(cycle, dtype=np.float64)
         turns = 2 * np.pi * np.round(cycle[2] / (2 * np.pi)) if abs(cycle[2]) > 1.5 * np.pi else 0.0
         angle = float(cycle[2] - turns)
-        return cls(np.array(origin, dtype=np.float64), planar_log(cycle[:2], angle), angle, float(turns))
+        translation = planar_log(np.array([*cycle[:2], angle]))[:2]
+        return cls(np.array(origin, dtype=np.float64), translation, angle, float(turns))
 
     def pose(self, phase: Array) -> tuple[Array, Array]:
         """World position (..., 2) and heading (...), not wrapped, of X at phases (...)."""
         share = np.asarray(phase, dtype=np.float64) / (2 * np.pi)
-        local = planar_exp(share[..., None] * self.translation, share * self.rotation)
-        return self.origin[:2] + rotate_planar(self.origin[2], local), self.origin[2] + share * self.rotation
-
-
-def planar_exp(translation: Array, angle: Array) -> Array:
-    """Displacement (..., 2) of the SE(2) exponential of a twist (translation (..., 2), angle (...))."""
-    a, b = _v_matrix(np.asarray(angle, dtype=np.float64))
-    x, y = translation[..., 0], translation[..., 1]
-    return np.stack([a * x - b * y, b * x + a * y], axis=-1)
-
-
-def planar_log(displacement: Array, angle: float) -> Array:
-    """Translational part (2,) of the SE(2) logarithm of (displacement (2,), angle); smooth at angle 0."""
-    a, b = _v_matrix(np.float64(angle))
-    x, y = displacement
-    return np.array([a * x + b * y, -b * x + a * y]) / (a * a + b * b)
-
-
-def _v_matrix(angle: Array | np.float64) -> tuple[Array, Array]:
-    """sin θ/θ and (1 − cos θ)/θ, without dividing by θ."""
-    return np.sinc(angle / np.pi), angle / 2 * np.sinc(angle / (2 * np.pi)) ** 2
+        local, angle = planar_exp(np.array([*self.translation, self.rotation]), share)
+        return self.origin[:2] + rotate_planar(self.origin[2], local), self.origin[2] + angle

@@ -91,7 +91,7 @@ def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
 
 def _lift(motion: Motion, height: Array, foot_radius: float) -> Array:
     """How far (t, 4) the demonstration's feet are above where they stand, m: what the swing height multiplies."""
-    feet = motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
+    feet = motion.foot_pos_w
     return np.where(motion.contact, 0.0, np.maximum(feet[..., 2] - foot_radius, 0.0)) * np.ones_like(height)
 
 

@@ -25,8 +25,8 @@ from fastmimic.base.rotations import (
     rotate_planar,
     yaw_from_quat,
 )
+from fastmimic.motion.ground import ground_demand
 from fastmimic.motion.motion import Motion
-from fastmimic.retargeting.dynamics import ground_demand
 from fastmimic.robot import Robot
 
 SAMPLE: Final = record_dtype(

@@ -12,17 +12,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import course_of
-from fastmimic.retargeting.balance import balance
 from fastmimic.retargeting.config import RetargetConfig
+from fastmimic.retargeting.consistency import Consistency
 from fastmimic.retargeting.cycle import TrunkTrack
-from fastmimic.retargeting.dynamics import GroundDemand, ground_demand
-from fastmimic.retargeting.measure import feet_in_world
-from fastmimic.retargeting.pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
-from fastmimic.retargeting.spline import TrunkSpline
+from fastmimic.retargeting.pose import solve_pose
 from fastmimic.robot import Robot
 
 _RATES: Final = {
@@ -96,21 +92,11 @@ def at_speed(robot: Robot, motion: Motion, speed: float, config: RetargetConfig 
     The feet stay where they stand and swing; the robot's rate is not the motion's any more.
     """
     config = config or RetargetConfig()
-    rate = motion.rate_hz * speed
-    track = _track(motion)
-    feet_w = feet_in_world(motion)
-    height = float(track.root_z.mean())
-    spline = TrunkSpline(motion.n_samples, rate, periodic=True, hz=config.balance.hz)
-    sample = np.arange(0, motion.n_samples, max(1, round(config.balance.sample_s * rate)))
-
-    def demand_of(coefficients: Array) -> GroundDemand:
-        moved = track.deviated(spline.values(coefficients))
-        pose = unlimited_pose(robot, moved, feet_w, height)
-        return ground_demand(robot, _motion(pose, moved, motion, rate), sample)
-
-    balanced = track.deviated(spline.values(balance(robot, spline, demand_of, config.balance)))
+    feet_w = motion.foot_pos_w
+    consistency = Consistency(robot, _track(motion), motion.contact, motion.rate_hz * speed, config)
+    balanced = consistency.balanced_over(feet_w)
     pose = solve_pose(robot, balanced, feet_w, float(balanced.root_z.mean()), 0.0, 0.0, config.limit_margin_rad)
-    return _motion(pose, balanced, motion, rate)
+    return consistency.motion(pose, balanced)
 
 
 def _track(motion: Motion) -> TrunkTrack:
@@ -119,7 +105,7 @@ def _track(motion: Motion) -> TrunkTrack:
     heading = np.unwrap(yaw_from_quat(quat))
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-    feet = feet_in_world(motion)
+    feet = motion.foot_pos_w
     planar = rotate_planar(-heading[:, None], feet[..., :2] - motion.root_pos_w[:, None, :2])
     return TrunkTrack(
         root_xy=np.array(motion.root_pos_w[:, :2]),
@@ -129,22 +115,6 @@ def _track(motion: Motion) -> TrunkTrack:
         toe_from_hip=planar,
         toe_height=feet[..., 2],
         cycle=np.array(motion.cycle),
-    )
-
-
-def _motion(pose: Pose, track: TrunkTrack, like: Motion, rate_hz: float) -> Motion:
-    linear, angular = root_velocity(pose, track, rate_hz)
-    return Motion(
-        rate_hz=rate_hz,
-        root_pos_w=pose.root_pos_w,
-        root_quat_wxyz=pose.root_quat_wxyz,
-        joint_pos=pose.joint_pos,
-        joint_vel=joint_velocity(pose.joint_pos, rate_hz, True),
-        foot_pos_b=pose.foot_pos_b,
-        contact=like.contact,
-        root_lin_vel_w=linear,
-        root_ang_vel_w=angular,
-        cycle=track.cycle,
     )
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.retargeting.dynamics import GroundDemand, push_directions
+from fastmimic.motion.ground import GroundDemand, push_directions
 from fastmimic.retargeting.spline import TrunkSpline
 from fastmimic.robot import Robot
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.planar import planar_exp, planar_log
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.retargeting.scaled_clip import ScaledClip
 from fastmimic.retargeting.signal import closing_error, extrapolate_next, resample_open, resample_periodic
@@ -103,22 +104,6 @@ class WorldPath:
         for k in np.unique(cycle_index):
             if k != 0:
                 points[cycle_index == k, :2] = self.track.moved(points[cycle_index == k, :2], sign * int(k))
-
-
-def planar_exp(twist: Array, share: Array) -> tuple[Array, Array]:
-    """Displacement (..., 2) and rotation (...) after `share` (...) of the planar twist (vx, vy, ω)."""
-    angle = share * twist[2]
-    a, b = np.sinc(angle / np.pi), angle / 2 * np.sinc(angle / (2 * np.pi)) ** 2
-    x, y = share * twist[0], share * twist[1]
-    return np.stack([a * x - b * y, b * x + a * y], axis=-1), angle
-
-
-def planar_log(displacement: Array) -> Array:
-    """The twist (vx, vy, ω) whose exponential is the planar displacement (dx, dy, dyaw); |dyaw| < 2π."""
-    x, y, angle = displacement
-    a, b = np.sinc(angle / np.pi), angle / 2 * np.sinc(angle / (2 * np.pi)) ** 2
-    square = a * a + b * b
-    return np.array([(a * x + b * y) / square, (-b * x + a * y) / square, angle])
 
 
 def cycle_displacement(source: ScaledClip) -> Array:

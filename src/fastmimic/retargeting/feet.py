@@ -1,6 +1,5 @@
 """Feet that stand still while they stand, and swing as the animal's did in between."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,7 +48,7 @@ def plant_feet(
     ground_z: float,
     rate_hz: float,
     config: SwingPathConfig,
-    evenness: Sequence[float] | None = None,
+    evenness: Array | None = None,
 ) -> Array:
     """Consistent foot paths: fixed in the world in stance, the animal's path between footholds in swing.
 
@@ -70,7 +69,7 @@ def plant_feet(
     """
     feet = np.empty_like(raw_w)
     for leg in range(4):
-        leg_config = config if evenness is None else replace(config, evenness=evenness[leg])
+        leg_config = config if evenness is None else replace(config, evenness=float(evenness[leg]))
         path = WorldPath(raw_w[:, leg], track)
         feet[:, leg] = _plant(path, stances[leg], holds[leg], highest, rate_hz, leg_config)
     feet[..., 2] += ground_z

@@ -48,7 +48,7 @@ def make_report(fitted: Fitted, robot: Robot, source: ScaledClip, stances: Stanc
     """The figures of one retargeting, held against the bounds."""
     motion, track, pose = fitted.motion, fitted.track, fitted.pose
     n, periodic = motion.n_samples, track.cycle is not None
-    feet = measure.feet_in_world(motion)
+    feet = motion.foot_pos_w
     planted = np.linalg.norm((feet - fitted.raw_w)[..., :2], axis=-1)
     heading = np.unwrap(yaw_from_quat(motion.root_quat_wxyz))
     turn = track.cycle[2] if track.cycle is not None else heading[-1] - heading[0]

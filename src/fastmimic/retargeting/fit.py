@@ -1,26 +1,22 @@
 """From a track of the animal to a motion of the robot: balance the trunk, plant the feet, keep the limits."""
 
 from dataclasses import dataclass, replace
-from typing import Final
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.motion.contacts import Stances, contact_mask
 from fastmimic.motion.motion import Motion
-from fastmimic.retargeting.balance import balance
 from fastmimic.retargeting.config import RetargetConfig
+from fastmimic.retargeting.consistency import Consistency
 from fastmimic.retargeting.cycle import TrunkTrack
-from fastmimic.retargeting.dynamics import GroundDemand, ground_demand
 from fastmimic.retargeting.feet import plant_feet
-from fastmimic.retargeting.pose import Pose, folding_rise, joint_velocity, root_velocity, solve_pose, unlimited_pose
+from fastmimic.retargeting.pose import Pose, folding_rise, joint_velocity, solve_pose
 from fastmimic.retargeting.reach import Reach, footholds
-from fastmimic.retargeting.spline import InnerSpline, TrunkSpline
 from fastmimic.robot import Robot
-
-_EVENNESS: Final = (0.1, 0.4, 1.6, 6.4)
-"""Of the swings of a leg whose joints are too fast, tried one after the other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +35,7 @@ class Fitted:
     track: TrunkTrack
     raw_w: Array
     pose: Pose
-    smoothed: tuple[int, int, int, int]
+    smoothed: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +57,12 @@ class Fitter:
     height: float
     rate_hz: float
     config: RetargetConfig
+
+    @cached_property
+    def consistency(self) -> Consistency:
+        """The steps that are shared with stitching."""
+        contact = contact_mask(self.stances, len(self.track.root_z))
+        return Consistency(self.robot, self.track, contact, self.rate_hz, self.config)
 
     @property
     def reach(self) -> Reach:
@@ -93,24 +95,23 @@ class Fitter:
         track, raw_w = self._balanced(self._animal_feet(offset))
         holds = self._footholds(raw_w, track)
         limit = self.config.speed_share * self.robot.joint_speed_limit
-        evenness, times = np.full(4, self.config.swing.evenness), np.zeros(4, dtype=int)
-        for more in (*_EVENNESS, None):
-            feet_w = self._planted(raw_w, holds, tuple(evenness))
-            pose = self._pose(track, feet_w, max_raising)
+
+        def solve(evenness: Array) -> Pose:
+            return self._pose(track, self._planted(raw_w, holds, evenness), max_raising)
+
+        def too_fast(pose: Pose) -> NDArray[np.int_]:
             speed = np.abs(joint_velocity(pose.joint_pos, self.rate_hz, self.periodic))
-            too_fast = (speed > limit).reshape(-1, 4, 3).any(axis=(0, 2))
-            if more is None or not too_fast.any():
-                break
-            evenness[too_fast] = more
-            times += too_fast
-        smoothed = (int(times[0]), int(times[1]), int(times[2]), int(times[3]))
-        return Fitted(self._motion(pose, track), track, raw_w, pose, smoothed)
+            return (speed > limit).reshape(-1, 4, 3).sum(axis=(0, 2))
+
+        *earlier, (pose, _) = self.consistency.attempts(solve, too_fast)
+        smoothed = np.sum([samples > 0 for _, samples in earlier], axis=0, dtype=int) * np.ones(4, dtype=int)
+        return Fitted(self.consistency.motion(pose, track), track, raw_w, pose, tuple(smoothed.tolist()))
 
     def _as_scaled(self, raw_w: Array) -> Fitted:
         """The robot on the animal's foot paths as they are."""
         feet_w = raw_w + np.array([0.0, 0.0, self.robot.foot_radius])
         pose = self._pose(self.track, feet_w, 0.0)
-        return Fitted(self._motion(pose, self.track), self.track, raw_w, pose, (0, 0, 0, 0))
+        return Fitted(self.consistency.motion(pose, self.track), self.track, raw_w, pose, (0, 0, 0, 0))
 
     def _pose(self, track: TrunkTrack, feet_w: Array, max_raising: float) -> Pose:
         lowering, margin = self.config.max_lowering_m, self.config.limit_margin_rad
@@ -125,35 +126,27 @@ class Fitter:
 
     def _balanced(self, raw_w: Array) -> tuple[TrunkTrack, Array]:
         """The trunk as the standing feet can move it, and the foot paths shifted under it."""
-        n = len(raw_w)
-        # how a recording that does not repeat begins and ends is its own: a trunk that is free to move there falls
-        hz = self.config.balance.hz
-        spline = TrunkSpline(n, self.rate_hz, True, hz) if self.periodic else InnerSpline(n, self.rate_hz, hz)
-        sample = np.arange(0, n, max(1, round(self.config.balance.sample_s * self.rate_hz)))
 
-        def applied(coefficients: Array) -> tuple[TrunkTrack, Array]:
-            # a constant shift of the trunk over its feet is given to the feet: a turning robot would travel at
-            # another speed
-            deviation = spline.values(coefficients)
+        def applied(deviation: Array) -> tuple[TrunkTrack, Array]:
+            # a constant shift of the trunk over its feet is given to the feet: it would change a turning robot's speed
             shift = deviation[:, :2].mean(axis=0)
             deviation[:, :2] -= shift
             moved_w = raw_w.copy()
-            moved_w[..., :2] -= rotate_planar(self.track.heading, np.broadcast_to(shift, (n, 2)))[:, None]
+            shifts = rotate_planar(self.track.heading, np.broadcast_to(shift, (len(raw_w), 2)))
+            moved_w[..., :2] -= shifts[:, None]
             return self.track.deviated(deviation), moved_w
 
-        def demand_of(coefficients: Array) -> GroundDemand:
-            track, moved_w = applied(coefficients)
-            feet_w = self._planted(moved_w, self._footholds(moved_w, self.track), None)
-            pose = unlimited_pose(self.robot, track, feet_w, self.height)
-            return ground_demand(self.robot, self._motion(pose, track), sample)
+        def moved(deviation: Array) -> tuple[TrunkTrack, Array]:
+            track, moved_w = applied(deviation)
+            return track, self._planted(moved_w, self._footholds(moved_w, self.track), None)
 
-        return applied(balance(self.robot, spline, demand_of, self.config.balance))
+        return applied(self.consistency.balanced(moved, self.height))
 
     def _footholds(self, raw_w: Array, track: TrunkTrack) -> list[list[Array]]:
         linger = round(self.config.swing.linger_s * self.rate_hz)
         return footholds(raw_w, track, self.stances, self.reach, linger)
 
-    def _planted(self, raw_w: Array, holds: list[list[Array]], evenness: tuple[float, ...] | None) -> Array:
+    def _planted(self, raw_w: Array, holds: list[list[Array]], evenness: Array | None) -> Array:
         return plant_feet(
             raw_w,
             self.track,
@@ -164,19 +157,4 @@ class Fitter:
             self.rate_hz,
             self.config.swing,
             evenness,
-        )
-
-    def _motion(self, pose: Pose, track: TrunkTrack) -> Motion:
-        linear, angular = root_velocity(pose, track, self.rate_hz)
-        return Motion(
-            rate_hz=self.rate_hz,
-            root_pos_w=pose.root_pos_w,
-            root_quat_wxyz=pose.root_quat_wxyz,
-            joint_pos=pose.joint_pos,
-            joint_vel=joint_velocity(pose.joint_pos, self.rate_hz, self.periodic),
-            foot_pos_b=pose.foot_pos_b,
-            contact=contact_mask(self.stances, len(pose.joint_pos)),
-            root_lin_vel_w=linear,
-            root_ang_vel_w=angular,
-            cycle=track.cycle,
         )

@@ -11,7 +11,6 @@ from fastmimic.base.rotations import (
     quat_from_rotvec,
     quat_from_yaw,
     quat_multiply,
-    quat_rotate,
     rotate_planar,
     rotvec_from_quat,
 )
@@ -28,11 +27,6 @@ class Closure:
 
     distance_m: float
     angle_deg: float
-
-
-def feet_in_world(motion: Motion) -> Array:
-    """Foot centres (t, 4, 3), world, m."""
-    return motion.root_pos_w[:, None] + quat_rotate(motion.root_quat_wxyz[:, None], motion.foot_pos_b)
 
 
 def slip(feet_w: Array, track: TrunkTrack, stances: Stances) -> Array:
@@ -72,7 +66,7 @@ def closure_of_motion(motion: Motion, track: TrunkTrack) -> Closure:
     ahead = _continued(motion.root_pos_w[-3:])
     repeated = np.array([*track.moved(motion.root_pos_w[0, :2], 1), motion.root_pos_w[0, 2]])
     distance = float(np.linalg.norm(ahead - repeated))
-    feet = feet_in_world(motion)
+    feet = motion.foot_pos_w
     for leg in range(4):
         repeated = np.array([*track.moved(feet[0, leg, :2], 1), feet[0, leg, 2]])
         distance = max(distance, float(np.linalg.norm(_continued(feet[-3:, leg]) - repeated)))

@@ -16,8 +16,9 @@ from fastmimic.base.rotations import (
     quat_rotate,
     quat_rotate_inverse,
 )
+from fastmimic.motion.derivatives import differentiate, pad_open, pad_periodic
+from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.cycle import TrunkTrack
-from fastmimic.retargeting.signal import differentiate, pad_open
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 
@@ -197,10 +198,9 @@ def joint_velocity(joint_pos: Array, rate_hz: float, periodic: bool) -> Array:
     return differentiate(_pad(joint_pos, periodic), 1.0 / rate_hz)
 
 
-def root_velocity(pose: Pose, track: TrunkTrack, rate_hz: float) -> tuple[Array, Array]:
-    """Linear and angular velocity of the base, (t, 3) each, world, m/s and rad/s."""
-    position = _pad(pose.root_pos_w, track.cycle is not None)
-    quat = _pad(pose.root_quat_wxyz, track.cycle is not None)
+def motion_of(pose: Pose, track: TrunkTrack, contact: NDArray[np.bool_], rate_hz: float) -> Motion:
+    """The motion of a pose and its contacts (t, 4), with velocities, without provenance."""
+    position, quat = _pad(pose.root_pos_w, track.cycle is not None), _pad(pose.root_quat_wxyz, track.cycle is not None)
     if track.cycle is not None:
         turn = quat_from_yaw(track.cycle[2])
         for rows, cycles in ((slice(0, 2), -1), (slice(-2, None), 1)):
@@ -208,8 +208,19 @@ def root_velocity(pose: Pose, track: TrunkTrack, rate_hz: float) -> tuple[Array,
             quat[rows] = quat_multiply(turn if cycles > 0 else quat_conjugate(turn), quat[rows])
     quat = quat_continuous(quat)
     rate = quat_multiply(differentiate(quat, 1.0 / rate_hz), quat_conjugate(quat[2:-2]))
-    return differentiate(position, 1.0 / rate_hz), 2.0 * rate[:, 1:]
+    return Motion(
+        rate_hz=rate_hz,
+        root_pos_w=pose.root_pos_w,
+        root_quat_wxyz=pose.root_quat_wxyz,
+        joint_pos=pose.joint_pos,
+        joint_vel=joint_velocity(pose.joint_pos, rate_hz, track.cycle is not None),
+        foot_pos_b=pose.foot_pos_b,
+        contact=contact,
+        root_lin_vel_w=differentiate(position, 1.0 / rate_hz),
+        root_ang_vel_w=2.0 * rate[:, 1:],
+        cycle=track.cycle,
+    )
 
 
 def _pad(values: Array, periodic: bool) -> Array:
-    return np.concatenate([values[-2:], values, values[:2]]) if periodic else pad_open(values)
+    return pad_periodic(values) if periodic else pad_open(values)

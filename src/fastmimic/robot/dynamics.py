@@ -1,7 +1,7 @@
-"""Rigid-body dynamics of one leg on a moving trunk: the feed-forward torques of swing, and link positions.
+"""Rigid-body dynamics: one leg on a moving trunk in closed form, and the whole robot through MuJoCo.
 
-Recursive Newton-Euler (Featherstone 2008, ch. 5), written for three hinges (x, y, y), with every vector expressed
-in the body frame, so that no transforms between link frames are needed.
+The closed form is recursive Newton-Euler (Featherstone 2008, ch. 5) for three hinges (x, y, y). Every vector is in the
+body frame, so that no transforms between link frames are needed.
 """
 
 from typing import TYPE_CHECKING
@@ -208,3 +208,32 @@ def leg_torques(
         out,
     )
     return out
+
+
+def inverse_dynamics(robot: "Robot", position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
+    """Forces that move the whole robot, legs included, as given, without contacts.
+
+    Args:
+        robot: the robot.
+        position: (k, 19) base position (world, m) and quaternion (w, x, y, z), joints (rad).
+        velocity: (k, 18) base velocity (world, m/s), angular velocity (body frame, rad/s), joints (rad/s).
+        acceleration: (k, 18) the derivative of `velocity`.
+
+    Returns:
+        Generalised forces (k, 18): force on the base (world, N), moment (body frame, N·m), joint torques (N·m); and the
+        robot's centre of mass (k, 3), world, m.
+    """
+    import mujoco
+
+    model = robot.model()
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    data = mujoco.MjData(model)
+    joints = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in robot.joint_names]
+    place = np.append(np.arange(7), model.jnt_qposadr[joints])
+    degree = np.append(np.arange(6), model.jnt_dofadr[joints])
+    force, com = np.zeros((len(position), 18)), np.zeros((len(position), 3))
+    for k in range(len(position)):
+        data.qpos[place], data.qvel[degree], data.qacc[degree] = position[k], velocity[k], acceleration[k]
+        mujoco.mj_inverse(model, data)
+        force[k], com[k] = data.qfrc_inverse[degree], data.subtree_com[0]
+    return force, com

@@ -13,24 +13,18 @@ from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import quat_continuous
 from fastmimic.motion.contacts import Stance, Stances, stances_of
 from fastmimic.motion.motion import Motion
-from fastmimic.retargeting.balance import balance
 from fastmimic.retargeting.config import RetargetConfig
+from fastmimic.retargeting.consistency import Consistency
 from fastmimic.retargeting.cycle import TrunkTrack
-from fastmimic.retargeting.dynamics import GroundDemand, ground_demand
 from fastmimic.retargeting.feet import plant_feet
-from fastmimic.retargeting.measure import feet_in_world
-from fastmimic.retargeting.pose import Pose, joint_velocity, root_velocity, solve_pose, unlimited_pose
+from fastmimic.retargeting.pose import Pose, joint_velocity, solve_pose
 from fastmimic.retargeting.reach import Reach, footholds
-from fastmimic.retargeting.spline import InnerSpline
 from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout, Span
 from fastmimic.stitching.switch import Cycle
 
 _PAD: Final = 4
 """Samples beyond the rebuilt ones that derivatives are taken over."""
-_EVENNESS: Final = (0.1, 0.4, 1.6, 6.4)
-"""Of the swings of a leg whose joints are too fast or at their limits, tried one after the other, as in retargeting: a
-swing of steady speed also reaches less far ahead before it lands."""
 _LOWERING_SHARE: Final = 0.3
 """Of a transition, in which the trunk goes down and comes up again."""
 
@@ -118,9 +112,8 @@ def make_transition(
         return holds
 
     def planted(holds: list[list[Array]], evenness: Array | None) -> Array:
-        values = None if evenness is None else tuple(evenness)
         feet = plant_feet(
-            raw, local, plan.stances, holds, reach.clearance, robot.foot_radius, rate_hz, config.swing, values
+            raw, local, plan.stances, holds, reach.clearance, robot.foot_radius, rate_hz, config.swing, evenness
         )
         for leg, span in enumerate(plan.rebuilt):  # the rest is as it was
             inside = np.arange(window.start, window.end)
@@ -128,21 +121,12 @@ def make_transition(
             feet[keep, leg] = raw_w[part][keep, leg]
         return feet
 
-    spline = InnerSpline(window.end - window.start, rate_hz, config.balance.hz)
-    sample = np.arange(0, window.end - window.start, max(1, round(config.balance.sample_s * rate_hz)))
-    standing = contact[part]
-    first = planted(held(local), None)
-
-    def demand_of(coefficients: Array) -> GroundDemand:
-        moved = local.deviated(spline.values(coefficients))
-        pose = unlimited_pose(robot, moved, first, height)
-        return ground_demand(robot, _motion(pose, moved, standing, rate_hz), sample)
-
-    balanced = local.deviated(spline.values(balance(robot, spline, demand_of, config.balance)))
+    consistency = Consistency(robot, local, contact[part], rate_hz, config)
+    balanced = consistency.balanced_over(planted(held(local), None))
     holds = held(balanced)
-    lowered, pose = _within_limits(robot, balanced, lambda evenness: planted(holds, evenness), rate_hz, config)
-    motion = _motion(pose, lowered, standing, rate_hz)
-    inner = slice(_PAD, len(standing) - _PAD)
+    lowered, pose = _within_limits(consistency, balanced, lambda evenness: planted(holds, evenness))
+    motion = consistency.motion(pose, lowered)
+    inner = slice(_PAD, motion.n_samples - _PAD)
     names = ("root_pos_w", "root_quat_wxyz", "joint_pos", "joint_vel", "foot_pos_b", "root_lin_vel_w", "root_ang_vel_w")
     return Transition(
         span=Span(window.start + _PAD, window.end - _PAD),
@@ -152,30 +136,35 @@ def make_transition(
 
 
 def _within_limits(
-    robot: Robot, track: TrunkTrack, planted: Callable[[Array], Array], rate_hz: float, config: RetargetConfig
+    consistency: Consistency, track: TrunkTrack, planted: Callable[[Array], Array]
 ) -> tuple[TrunkTrack, Pose]:
-    """Trunk and joints with the fewest samples beyond the joints' limits and speeds: the swings of a leg that is
-    beyond them made more even, and the trunk lowered smoothly, by as little as it takes."""
+    """Trunk and joints with the fewest samples beyond the joints' limits and speeds.
+
+    The swings of a leg that is beyond them are made more even. Then the trunk is lowered smoothly, step by step.
+    """
+    robot, config = consistency.robot, consistency.config
     limit = config.speed_share * robot.joint_speed_limit
     n = len(track.root_z)
     edge = Span(0, max(1, round(_LOWERING_SHARE * n)))
     shape = edge.smooth_step(np.arange(n)) * edge.smooth_step(np.arange(n)[::-1])
+
+    def beyond(pose: Pose) -> NDArray[np.int_]:
+        speed = np.abs(joint_velocity(pose.joint_pos, consistency.rate_hz, False))
+        joints = pose.limited | (speed > limit)
+        joints[:_PAD] = joints[-_PAD:] = False
+        return np.asarray(joints.reshape(-1, 4, 3).sum(axis=(0, 2)) + pose.unreachable.sum(axis=0))
+
     best: tuple[int, TrunkTrack, Pose] | None = None
     for lowering in np.arange(0.0, config.max_lowering_m + 1e-9, 0.005):
         lowered = replace(track, root_z=track.root_z - lowering * shape)
-        evenness = np.full(4, config.swing.evenness)
-        for more in (*_EVENNESS, None):
-            feet_w = planted(evenness)
-            pose = solve_pose(robot, lowered, feet_w, float(lowered.root_z.mean()), 0.0, 0.0, config.limit_margin_rad)
-            speed = np.abs(joint_velocity(pose.joint_pos, rate_hz, False))
-            beyond = pose.limited | (speed > limit)
-            beyond[:_PAD] = beyond[-_PAD:] = False
-            legs = beyond.reshape(-1, 4, 3).sum(axis=(0, 2)) + pose.unreachable.sum(axis=0)
-            if best is None or legs.sum() < best[0]:
-                best = (int(legs.sum()), lowered, pose)
-            if more is None or not legs.any():
-                break
-            evenness[legs > 0] = more
+        height = float(lowered.root_z.mean())
+
+        def solve(evenness: Array, lowered: TrunkTrack = lowered, height: float = height) -> Pose:
+            return solve_pose(robot, lowered, planted(evenness), height, 0.0, 0.0, config.limit_margin_rad)
+
+        for pose, samples in consistency.attempts(solve, beyond):
+            if best is None or samples.sum() < best[0]:
+                best = (int(samples.sum()), lowered, pose)
         if best is not None and best[0] == 0:
             break
     assert best is not None
@@ -256,21 +245,6 @@ def _plan(layout: Layout, index: int, contact: NDArray[np.bool_], own: tuple[Cyc
     return _Plan(window, tuple(rebuilt), inside, kept)
 
 
-def _motion(pose: Pose, track: TrunkTrack, contact: NDArray[np.bool_], rate_hz: float) -> Motion:
-    linear, angular = root_velocity(pose, track, rate_hz)
-    return Motion(
-        rate_hz=rate_hz,
-        root_pos_w=pose.root_pos_w,
-        root_quat_wxyz=pose.root_quat_wxyz,
-        joint_pos=pose.joint_pos,
-        joint_vel=joint_velocity(pose.joint_pos, rate_hz, False),
-        foot_pos_b=pose.foot_pos_b,
-        contact=contact,
-        root_lin_vel_w=linear,
-        root_ang_vel_w=angular,
-    )
-
-
 def _measure(
     robot: Robot, motion: Motion, pose: Pose, before: TrunkTrack, after: TrunkTrack, plan: _Plan, rate_hz: float
 ) -> dict[str, Any]:
@@ -280,7 +254,7 @@ def _measure(
     acceleration = np.gradient(motion.root_lin_vel_w, motion.dt, axis=0)[inner]
     turning = np.gradient(motion.root_ang_vel_w, motion.dt, axis=0)[inner]
     moved = np.concatenate([after.root_xy - before.root_xy, (after.root_z - before.root_z)[:, None]], axis=1)
-    feet_w, slip = feet_in_world(motion), 0.0
+    feet_w, slip = motion.foot_pos_w, 0.0
     for leg, stances in enumerate(plan.stances):
         for s in stances:
             points = feet_w[s.touch_down : s.lift_off, leg, :2]

@@ -1,0 +1,86 @@
+"""The wrench that a motion needs from the ground, and the wrenches that standing feet can give."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.rotations import quat_from_yaw, quat_rotate, quat_rotate_inverse, rotate_planar, yaw_from_quat
+from fastmimic.motion.derivatives import differentiate, pad_open, pad_periodic
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
+from fastmimic.robot.dynamics import inverse_dynamics
+
+_PYRAMID: Final = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
+
+
+@dataclass(frozen=True, eq=False)
+class GroundDemand:
+    """The wrench that a motion needs at some of its samples, heading frame, about the centre of mass.
+
+    Attributes:
+        sample: (k,) indices.
+        wrench: (k, 6) force, N, and moment, N·m.
+        arm: (k, 4, 3) from the centre of mass to the contact point of each foot, m.
+        stands: (k, 4) the feet in stance.
+        joint_torque: (k, 12) torques of the joints if the wrench acted on the trunk, N·m.
+    """
+
+    sample: NDArray[np.int_]
+    wrench: Array
+    arm: Array
+    stands: NDArray[np.bool_]
+    joint_torque: Array
+
+
+def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> GroundDemand:
+    """The ground wrench at samples (k,), by inverse dynamics of the whole robot, legs included."""
+    quat = motion.root_quat_wxyz
+    linear, angular, joint = _accelerations(motion)
+    velocity_b, acceleration_b = quat_rotate_inverse(quat, motion.root_ang_vel_w), quat_rotate_inverse(quat, angular)
+    force, com = inverse_dynamics(
+        robot,
+        np.hstack([motion.root_pos_w, quat, motion.joint_pos])[sample],
+        np.hstack([motion.root_lin_vel_w, velocity_b, motion.joint_vel])[sample],
+        np.hstack([linear, acceleration_b, joint])[sample],
+    )
+    base, unturn = motion.root_pos_w[sample], quat_from_yaw(-yaw_from_quat(quat[sample]))
+    moment = quat_rotate(quat[sample], force[:, 3:6]) + np.cross(base - com, force[:, :3])
+    contact = motion.foot_pos_w[sample] - np.array([0.0, 0.0, robot.foot_radius])
+    return GroundDemand(
+        sample=sample,
+        wrench=np.concatenate([quat_rotate(unturn, force[:, :3]), quat_rotate(unturn, moment)], axis=1),
+        arm=quat_rotate(unturn[:, None], contact - com[:, None]),
+        stands=motion.contact[sample],
+        joint_torque=force[:, 6:],
+    )
+
+
+def push_directions(demand: GroundDemand, friction: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Pushes of 1 N normal force along the edges of each foot's friction pyramid.
+
+    Returns:
+        forces (k, 16, 3); their wrenches about the centre of mass (k, 16, 6); which feet can give them (k, 16).
+    """
+    k = len(demand.sample)
+    force = np.broadcast_to(_PYRAMID * np.array([friction, friction, 1.0]), (k, 4, 4, 3))
+    moment = np.cross(demand.arm[:, :, None], force)
+    wrench = np.concatenate([force, moment], axis=-1)
+    return force.reshape(k, 16, 3), wrench.reshape(k, 16, 6), np.repeat(demand.stands, 4, axis=1)
+
+
+def _accelerations(motion: Motion) -> tuple[Array, Array, Array]:
+    """Of the root (t, 3), its rotation (t, 3), world, and of the joints (t, 12)."""
+
+    def of(velocity: Array, planar: bool) -> Array:
+        if motion.cycle is None:
+            return differentiate(pad_open(velocity), motion.dt)
+        padded = pad_periodic(velocity)
+        if planar:
+            padded[:2, :2] = rotate_planar(-motion.cycle[2], padded[:2, :2])
+            padded[-2:, :2] = rotate_planar(motion.cycle[2], padded[-2:, :2])
+        return differentiate(padded, motion.dt)
+
+    return of(motion.root_lin_vel_w, True), of(motion.root_ang_vel_w, True), of(motion.joint_vel, False)
