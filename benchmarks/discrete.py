@@ -85,7 +85,7 @@ def run(piece: str, robot: fm.Robot, iterations: int, population: int, seed: int
         "duration_s": motion.period_s,
         "held_s": motion.meta.get("held_s"),
         "travel_m": float(np.hypot(*travel)),
-        "turn_deg": report.yaw_after_deg,
+        "turn_deg": report.after.yaw_deg,
         "height_m": [float(motion.root_pos_w[i, 2]) for i in (0, -1)],
         "unmet": [bound.name for bound in report.bounds if not bound.met],
         "fit_error_m": fit_errors(motion, robot),

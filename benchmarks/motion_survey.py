@@ -137,8 +137,8 @@ def survey(
     falls = rollout.steps[rollout.fell] / motion.rate_hz
     return Surveyed(
         name=motion.name,
-        speed_m_per_s=report.speed_after_m_per_s,
-        yaw_rad_per_s=float(np.radians(report.yaw_after_deg)) / motion.period_s,
+        speed_m_per_s=report.after.speed_m_per_s,
+        yaw_rad_per_s=float(np.radians(report.after.yaw_deg)) / motion.period_s,
         period_s=motion.period_s,
         steps=not motion.contact.all(),
         mismatch=_mismatch(clip),

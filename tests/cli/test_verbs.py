@@ -128,7 +128,7 @@ def test_options_reach_the_clip(run: Run, in_folder: Path) -> None:
     meta = Motion.load(in_folder / "o.npz").meta
     assert meta["source"]["frames"] == [4, 36]
     assert meta["retarget"]["scale"] == 0.7
-    assert meta["retarget"]["period_before_s"] == pytest.approx(32 / 50)
+    assert meta["retarget"]["before"]["period_s"] == pytest.approx(32 / 50)
 
 
 def test_inspect_says_what_a_clip_is(run: Run, in_folder: Path) -> None:

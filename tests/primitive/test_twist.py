@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
@@ -12,6 +12,7 @@ from primitive.motions import planar_matrix, planar_twist_matrix
 lengths = st.floats(-2, 2)
 
 
+@settings(deadline=None)
 @given(x=lengths, y=lengths, yaw=st.floats(-4.5, 4.5), phase=st.floats(-7, 14))
 def test_the_pose_is_the_matrix_exponential(x: float, y: float, yaw: float, phase: float) -> None:
     cycle, origin = np.array([x, y, yaw]), np.array([0.3, -0.8, 2.0])

@@ -56,7 +56,7 @@ class TestSitting:
         motion, report = sit
         assert motion.root_pos_w[-1, 2] < motion.root_pos_w[0, 2] - 0.03
         assert demands(a1, motion).body_clearance_m > 0
-        assert max(report.slip_after_m) < 1e-3
+        assert max(report.after.slip_m) < 1e-3
         assert sum(report.unreachable) + sum(report.joint_limited) == 0
 
     def test_who_ends_standing_is_held_there_at_rest(self, sit: Retargeted) -> None:
@@ -80,8 +80,8 @@ class TestOnce:
 
     def test_it_is_consistent(self, once: Retargeted) -> None:
         motion, report = once
-        assert max(report.slip_after_m) < 1e-3
-        assert report.closure_before_m == report.closure_after_m == 0
+        assert max(report.after.slip_m) < 1e-3
+        assert report.before.closure_m == report.after.closure_m == 0
         steps = np.diff(motion.root_pos_w, axis=0) * motion.rate_hz
         np.testing.assert_allclose(motion.root_lin_vel_w[1:-1], (steps[1:] + steps[:-1]) / 2, atol=0.02)
 
@@ -101,6 +101,6 @@ def test_pieces_of_a_real_take(data_folder: Path, a1: Robot, take: str, first: i
     """A turn on the spot; getting up from sitting."""
     file = data_folder / "dog_keypoints" / f"{take}_joint_pos.txt"
     motion, report = retarget(open_clip(file, robot=a1, frames=(first, end), discrete=True), a1)
-    assert max(report.slip_after_m) < 1e-3
+    assert max(report.after.slip_m) < 1e-3
     assert demands(a1, motion).body_clearance_m > 0
     assert motion.period_s == pytest.approx((end - first - 1) / 60, abs=0.003)

@@ -18,15 +18,20 @@ def raw(a1: Robot) -> tuple[Motion, RetargetReport]:
 
 def test_the_feet_slide_as_the_animals_do(a1: Robot, raw: tuple[Motion, RetargetReport]) -> None:
     consistent = retarget(generate("pace"), a1)[1]
-    assert max(consistent.slip_after_m) < 1e-3
-    np.testing.assert_allclose(raw[1].slip_after_m, raw[1].slip_before_m, rtol=0.02)
-    assert max(raw[1].slip_after_m) > 5e-3
+    assert max(consistent.after.slip_m) < 1e-3
+    np.testing.assert_allclose(raw[1].after.slip_m, raw[1].before.slip_m, rtol=0.02)
+    assert max(raw[1].after.slip_m) > 5e-3
 
 
 def test_contacts_and_trunk_are_left_alone(raw: tuple[Motion, RetargetReport]) -> None:
     report = raw[1]
-    assert report.duty_after == report.duty_before
-    assert (report.pairing, report.common_duty, report.closed_flights, report.widened_swings) == (None, False, 0, 0)
+    assert report.after.duty == report.before.duty
+    assert (
+        report.changes.pairing,
+        report.changes.common_duty,
+        report.changes.closed_flights,
+        report.changes.widened_swings,
+    ) == (None, False, 0, 0)
     np.testing.assert_allclose([*report.trunk_change_m, *report.trunk_change_deg], 0.0, atol=1e-12)
     assert report.heading_aligned_deg == 0.0
 

@@ -1,16 +1,7 @@
-"""Where an animal's take repeats itself: its locomotion cycles, found and named.
+"""Cuts an animal's take into locomotion cycles, standing and movement that does not repeat, and names the gaits.
 
-Period: the difference function of the pitch detector YIN (de Cheveigné and Kawahara 2002), over the toes' paths under
-the hips instead of a sound. At frame t and lag L it compares the cycle before t with the one after it,
-
-    d(t, L) = mean over s in [t - L, t) of |x(s + L) - x(s)|²,
-
-relative to its mean over all shorter lags, d'(t, L): near 0 where x repeats after L, near 1 where it does not. The
-course of the lag over time, with stretches where nothing repeats, is the cheapest path through d' (Viterbi), as pitch
-trackers find it. Cycles that follow one another and are alike in tempo, speed, turning and footfall are a segment.
-
-Gait: from the legs' phases (Hildebrand 1965). In a symmetrical gait left and right are half a cycle apart, and the part
-of a cycle by which a fore foot follows the hind foot of its side tells pace (0), walk (1/4) and trot (1/2) apart.
+`periodicity` finds where the take repeats and with which period. Neighbouring cycles that are alike in tempo, speed,
+turning and footfall are a segment; `footfall` names its gait.
 """
 
 import math
@@ -22,59 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import ClipError, ConfigError
+from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip
+from fastmimic.clips.footfall import FOOTFALLS, footfall_of
+from fastmimic.clips.periodicity import SegmentConfig, aperiodicity_of, cheapest_track
 
 STAND: Final = "stand"
 DISCRETE: Final = "discrete"
 TURN: Final = "turn"
-FOOTFALLS: Final = ("walk", "trot", "pace", "canter", "gallop", "bound")
 GAITS: Final = (*FOOTFALLS, TURN, STAND, DISCRETE)
-"""What a segment can be; `discrete` is movement that does not repeat, `turn` any footfall that turns enough."""
-
-_SQUARE: Final = 0.125  # of a cycle: half way between pace, walk and trot
-
-
-@dataclass(frozen=True)
-class SegmentConfig:
-    """How takes are cut.
-
-    Attributes:
-        shortest_s, longest_s: of the cycles that are looked for, s.
-        aperiodic: d' from which not repeating is the better account of a frame.
-        onset: cost of beginning or ending a stretch that repeats, in the same unit.
-        drift: cost of changing the lag, per unit of its logarithm.
-        tempo, speed, turning, footfall: cycles that differ by more are not of one segment: relative change of the
-            period; share of the speed, 0.1 m/s besides; rad a cycle; cycles of any leg's phase.
-        turn_rad: a segment that turns by more in a cycle is a turn.
-        still_m: toes that move less under their hips, and a trunk that moves less, in half a second, stand.
-        stand_s: standing that is shorter than this is not told.
-        discrete_s: nor is other movement that is shorter.
-    """
-
-    shortest_s: float = 0.25
-    longest_s: float = 1.5
-    aperiodic: float = 0.45
-    onset: float = 2.0
-    drift: float = 6.0
-    tempo: float = 0.12
-    speed: float = 0.25
-    turning: float = 0.30
-    footfall: float = 0.16
-    turn_rad: float = 0.26
-    still_m: float = 0.02
-    stand_s: float = 0.5
-    discrete_s: float = 0.25
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (math.isfinite(value) and value > 0):
-                raise ConfigError(f"segment: {name} must be positive, found {value}")
-        if self.longest_s <= self.shortest_s:
-            raise ConfigError(
-                f"segment: the longest cycle ({self.longest_s:g} s) must be longer than the shortest"
-                f" ({self.shortest_s:g} s)"
-            )
+"""What a segment can be: `discrete` does not repeat, `turn` is any footfall that turns enough."""
 
 
 @dataclass(frozen=True)
@@ -136,8 +84,8 @@ def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segme
     if config.shortest_s * clip.rate_hz < 6:
         raise ClipError(f"{clip.rate_hz:g} frames a second are too few for cycles of {config.shortest_s:g} s")
     take = _take(clip)
-    lags, aperiodicity = _aperiodicity(take.toes, clip.rate_hz, config)
-    period = _track(lags, aperiodicity, config)
+    lags, aperiodicity = aperiodicity_of(take.toes, clip.rate_hz, config)
+    period = cheapest_track(lags, aperiodicity, config)
     period[_still(take, config)] = 0
     segments = _periodic(take, period, lags, aperiodicity, config)
     return _with_the_rest(take, segments, aperiodicity, config)
@@ -162,54 +110,6 @@ def _take(clip: Clip) -> _Take:
     x, y, z = np.moveaxis(clip.toes_w - clip.hips_w, -1, 0)
     toes = np.stack([c * x + s * y, c * y - s * x, z], axis=-1)
     return _Take(toes, heading, ((neck + pelvis) / 2)[:, :2], clip.rate_hz)
-
-
-def _aperiodicity(toes: Array, rate_hz: float, config: SegmentConfig) -> tuple[NDArray[np.int64], Array]:
-    """The lags (k,), frames, that are looked at, and d' (t, k); NaN where the take holds less than half of a cycle on
-    one side."""
-    x = toes.reshape(len(toes), -1)
-    n, first = len(x), math.ceil(config.shortest_s * rate_hz)
-    lags = np.arange(1, min(math.floor(config.longest_s * rate_hz), 2 * n // 3) + 1)
-    difference = np.full((n, len(lags)), np.nan)
-    t = np.arange(n)
-    for lag in lags:
-        squares = np.sum((x[lag:] - x[:-lag]) ** 2, axis=1)
-        until = np.concatenate([[0.0], np.cumsum(squares)])
-        start, end = np.clip([t - lag, t], 0, len(squares))
-        known = 2 * (end - start) >= lag
-        difference[known, lag - 1] = (until[end] - until[start])[known] / (end - start)[known]
-    count = np.cumsum(np.isfinite(difference), axis=1)
-    mean = np.nancumsum(difference, axis=1) / np.maximum(count, 1)
-    relative = difference / np.maximum(mean, 1e-12)
-    return lags[first - 1 :], relative[:, first - 1 :]
-
-
-def _track(lags: NDArray[np.int64], aperiodicity: Array, config: SegmentConfig) -> NDArray[np.int64]:
-    """(t,) the lag at which each frame repeats, 0 where it does not: the cheapest path."""
-    n, k = aperiodicity.shape
-    cost = np.where(np.isfinite(aperiodicity), aperiodicity, np.inf)
-    step = np.array([-2, -1, 0, 1, 2])
-    at = np.arange(k)[:, None] + step  # (k, 5) where a lag can have come from
-    inside = (at >= 0) & (at < k)
-    at = np.clip(at, 0, k - 1)
-    change = np.where(inside, config.drift * np.abs(np.log(lags[at] / lags[:, None])), np.inf)
-    came = np.zeros((n, k + 1), np.int64)  # the state before: index of a lag, or k where nothing repeats
-    best, silent = cost[0], config.aperiodic
-    for t in range(1, n):
-        ways = best[at] + change
-        choice = ways.argmin(axis=1)
-        staying, beginning = ways[np.arange(k), choice], silent + config.onset
-        last = int(best.argmin())
-        ending = best[last] + config.onset
-        came[t, :k] = np.where(beginning < staying, k, at[np.arange(k), choice])
-        came[t, k] = last if ending < silent else k
-        best, silent = cost[t] + np.minimum(staying, beginning), config.aperiodic + min(ending, silent)
-    state = int(best.argmin()) if best.min() < silent else k
-    found = np.zeros(n, np.int64)
-    for t in range(n - 1, -1, -1):
-        found[t] = lags[state] if state < k else 0
-        state = came[t, state]
-    return found
 
 
 def _still(take: _Take, config: SegmentConfig) -> NDArray[np.bool_]:
@@ -368,27 +268,6 @@ def _best_cycle(take: _Take, start: int, end: int, period: int) -> tuple[int, in
     gap += (period / (2 * math.pi)) ** 2 * np.sum((velocity[period:] - velocity[:-period]) ** 2, axis=1)
     first = start + int(gap.argmin())
     return first, first + period
-
-
-def footfall_of(phases: Array) -> str:
-    """The gait of legs whose paths have these phases (4,), cycles, in the common order; one of `FOOTFALLS`."""
-
-    def apart(a: int, b: int) -> float:
-        return float(abs((phases[a] - phases[b] + 0.5) % 1.0 - 0.5))
-
-    fr, fl, rr, rl = range(4)
-    fore, hind = apart(fr, fl), apart(rr, rl)
-    if fore > 0.5 - 1.5 * _SQUARE and hind > 0.5 - 1.5 * _SQUARE:  # symmetrical
-        diagonal = (apart(fr, rl) + apart(fl, rr)) / 2
-        lateral = (apart(fr, rr) + apart(fl, rl)) / 2
-        if lateral < _SQUARE:
-            return "pace"
-        return "trot" if diagonal < _SQUARE else "walk"
-    if fore < _SQUARE / 2 and hind < _SQUARE / 2:
-        return "bound"
-    if min(apart(fr, rl), apart(fl, rr)) < _SQUARE / 2:
-        return "canter"  # three beats: one diagonal lands together
-    return "gallop"
 
 
 def _with_the_rest(take: _Take, segments: list[Segment], aperiodicity: Array, config: SegmentConfig) -> list[Segment]:

@@ -9,6 +9,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.text import plain
 from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.episode.rollout import Rollout
+from fastmimic.motion.contacts import swing_tops
 from fastmimic.motion.motion import Motion
 
 
@@ -138,20 +139,10 @@ def swing_clearance(motion: Motion, foot_radius: float) -> Array:
     Returns:
         (4,); NaN without swings. A swing that the motion's end cuts off does not count.
     """
-    feet = motion.foot_pos_w
-    height = feet[..., 2] - foot_radius
+    height = motion.foot_pos_w[..., 2] - foot_radius
     out = np.full(4, np.nan)
     for leg in range(4):
-        swing = ~motion.contact[:, leg]
-        if not swing.any() or swing.all():
-            continue
-        h = height[:, leg]
-        if motion.cycle is not None:
-            first = int(np.flatnonzero(motion.contact[:, leg])[0])  # start in a stance, so that no swing is cut in two
-            swing, h = np.roll(swing, -first), np.roll(h, -first)
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], swing.view(np.int8), [0]]))).reshape(-1, 2)
-        if motion.cycle is None:
-            edges = edges[edges[:, 1] < len(h)]  # as the episodes count: what has come down
-        if len(edges):
-            out[leg] = np.mean([h[a:b].max() for a, b in edges])
+        tops = [top for _, top in swing_tops(motion.contact[:, leg], height[:, leg], motion.cycle is not None)]
+        if tops:
+            out[leg] = np.mean(tops)
     return out

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.configuration import documented, parameter
 
 
 class Stance(NamedTuple):
@@ -30,27 +31,24 @@ Stances = list[list[Stance]]
 """The contacts of each leg in order of time."""
 
 
+@documented
 @dataclass(frozen=True)
 class ContactConfig:
-    """How contacts are detected.
+    """How contacts are detected. A foot's activity is that of `foot_activity`."""
 
-    Attributes:
-        enter: a foot lands when its activity (see `foot_activity`) falls below this.
-        leave: it lifts off when its activity rises above this.
-        height_weight: of height against speed in the activity. Below 1, because an animal rolls over its toes: the
-            marker rises by a quarter of the swing's height while the foot still carries weight.
-        window_s: how far before and after a moment the motion is looked at to judge what is much and what is little.
-        least_height_m, least_speed_m_per_s: a foot that moves less than this in all that time is standing.
-        shortest_s: stances and swings shorter than this are flicker.
-    """
-
-    enter: float = 0.25
-    leave: float = 0.30
-    height_weight: float = 0.5
-    window_s: float = 0.75
-    least_height_m: float = 0.03
-    least_speed_m_per_s: float = 0.6
-    shortest_s: float = 0.06
+    enter: float = parameter(0.25, about="a foot lands when its activity falls below this")
+    leave: float = parameter(0.30, about="a foot lifts off when its activity rises above this")
+    height_weight: float = parameter(
+        0.5,
+        about="weight of height against speed; below 1, because an animal rolls over its toes and the marker rises by a"
+        " quarter of the swing height while the foot still carries weight",
+    )
+    window_s: float = parameter(0.75, unit="s", about="how far before and after a moment the largest values are sought")
+    least_height_m: float = parameter(
+        0.03, unit="m", scale="length", about="a foot that rises less in that time is standing"
+    )
+    least_speed_m_per_s: float = parameter(0.6, unit="m/s", about="a foot that is slower in that time is standing")
+    shortest_s: float = parameter(0.06, unit="s", about="shorter stances and swings are flicker")
 
 
 def foot_activity(toe_height: Array, toe_speed: Array, rate_hz: float, periodic: bool, config: ContactConfig) -> Array:
@@ -139,6 +137,23 @@ def swings_of(spans: list[Stance], n: int, periodic: bool) -> list[tuple[int, in
     else:
         swings = [(0, spans[0].touch_down), *swings, (spans[-1].lift_off, n)]
     return [swing for swing in swings if swing[1] > swing[0]]
+
+
+def swing_tops(contact: NDArray[np.bool_], height: Array, periodic: bool) -> list[tuple[int, float]]:
+    """The touch-down sample and the greatest height of each swing of one foot.
+
+    Args:
+        contact: (n,) True in stance.
+        height: (n,) above the ground, m.
+        periodic: whether sample n repeats sample 0; if not, a swing that the end cuts off does not count.
+    """
+    n = len(contact)
+    first = int(contact.argmax()) if periodic else 0  # from a stance, so that no swing is cut in two
+    swings = stances_of(np.roll(~contact, -first), periodic=False)
+    rolled = np.roll(height, -first)
+    if not contact.any():
+        return []
+    return [(b + first, float(rolled[a:b].max())) for a, b in swings if periodic or b < n]
 
 
 def _hysteresis(series: Array, config: ContactConfig, periodic: bool) -> NDArray[np.bool_]:

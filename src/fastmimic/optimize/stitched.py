@@ -28,7 +28,7 @@ from fastmimic.base.rotations import (
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.plan import Start, perturbed_start
 from fastmimic.episode.rollout import Rollout
-from fastmimic.motion.contacts import stances_of
+from fastmimic.motion.contacts import swing_tops
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FOOT_HEIGHT, needed_group
 from fastmimic.optimize.problem import ImitationProblem, Objective, Problem, clearance_penalty
@@ -251,15 +251,12 @@ def segment_clearance(motion: Motion, foot_radius: float, layout: Layout) -> Arr
 
     A swing counts where it ends, as in the rollout's own count.
     """
-    feet = motion.foot_pos_w
-    height = feet[..., 2] - foot_radius
+    height = motion.foot_pos_w[..., 2] - foot_radius
     bounds = [s.last for s in layout.segments]
     total, count = np.zeros((len(bounds), 4)), np.zeros((len(bounds), 4))
     for leg in range(4):
-        for start, end in stances_of(~motion.contact[:, leg], periodic=False):
-            if end == motion.n_samples:
-                continue
+        for end, top in swing_tops(motion.contact[:, leg], height[:, leg], periodic=False):
             segment = int(np.searchsorted(bounds, end, side="left"))
-            total[segment, leg] += height[start:end, leg].max()
+            total[segment, leg] += top
             count[segment, leg] += 1
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)

@@ -91,11 +91,11 @@ def at_speed(robot: Robot, motion: Motion, speed: float, config: RetargetConfig 
 
     The feet stay where they stand and swing; the robot's rate is not the motion's any more.
     """
-    config = config or RetargetConfig()
+    config = (config or RetargetConfig()).for_robot(robot)
     feet_w = motion.foot_pos_w
     consistency = Consistency(robot, _track(motion), motion.contact, motion.rate_hz * speed, config)
     balanced = consistency.balanced_over(feet_w)
-    pose = solve_pose(robot, balanced, feet_w, float(balanced.root_z.mean()), 0.0, 0.0, config.limit_margin_rad)
+    pose = solve_pose(robot, balanced, feet_w, float(balanced.root_z.mean()), config)
     return consistency.motion(pose, balanced)
 
 

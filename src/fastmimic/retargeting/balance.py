@@ -22,38 +22,36 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.configuration import documented, parameter
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.motion.ground import GroundDemand, push_directions
 from fastmimic.retargeting.spline import TrunkSpline
 from fastmimic.robot import Robot
 
 
+@documented
 @dataclass(frozen=True)
 class BalanceConfig:
-    """How the trunk is balanced.
+    """How the trunk is balanced."""
 
-    Attributes:
-        rounds: linearisations at most; 0 leaves the trunk as the animal's.
-        hz: fastest motion of the correction.
-        linear_weight, angular_weight: of a residual acceleration, s⁴, against the deviation from the animal.
-        outlier: weighted residual beyond which its cost grows only linearly: the reaction to a leg that is thrown
-            forwards is shorter than any correction of the trunk could be.
-        friction: coefficient that the motion may count on.
-        force_weight: of the squared pushes, in quarters of the weight: spreads the load and keeps the centre of
-            pressure in the middle of the support, where the robot can correct either way.
-        min_load: of each standing foot, share of an even load: a foot that is said to stand must be felt to stand.
-        sample_s: time between the instants that are looked at.
-    """
-
-    rounds: int = 8
-    hz: float = 12.0
-    linear_weight: float = 16.0
-    angular_weight: float = 3.0
-    outlier: float = 6.0
-    friction: float = 0.6
-    force_weight: float = 1.0
-    min_load: float = 0.2
-    sample_s: float = 0.01
+    rounds: int = parameter(8, about="linearisations at most; 0 leaves the trunk as the animal's")
+    hz: float = parameter(12.0, unit="Hz", above=0.0, about="highest frequency of the correction")
+    linear_weight: float = parameter(16.0, unit="s⁴", about="weight of a residual linear acceleration")
+    angular_weight: float = parameter(3.0, unit="s⁴", about="weight of a residual angular acceleration")
+    outlier: float = parameter(
+        6.0,
+        above=0.0,
+        about="weighted residual beyond which the cost grows linearly: a leg that is thrown forwards acts for less time"
+        " than any correction of the trunk",
+    )
+    friction: float = parameter(0.6, about="coefficient of friction that the motion may use")
+    force_weight: float = parameter(
+        1.0,
+        about="weight of the squared pushes, in quarters of the robot's weight: it spreads the load and keeps the"
+        " centre of pressure inside the support",
+    )
+    min_load: float = parameter(0.2, about="least load of each standing foot, share of an even load")
+    sample_s: float = parameter(0.01, unit="s", above=0.0, about="time between the instants of the demand")
 
 
 _POSITION_COST: Final = np.array([20.0, 20.0, 500.0, 10.0, 10.0, 10.0])

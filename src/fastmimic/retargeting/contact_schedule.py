@@ -6,49 +6,61 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.configuration import documented, parameter
 from fastmimic.motion.contacts import Stance, Stances, contact_mask, stances_of, swings_of
 
 PAIRINGS: Final = {"diagonal": ((0, 3), (1, 2)), "lateral": ((0, 2), (1, 3)), "transverse": ((0, 1), (2, 3))}
 """Legs that move together in a trot, a pace and a bound, as indices into FR, FL, RR, RL."""
 
 
+@documented
 @dataclass(frozen=True)
 class ContactScheduleConfig:
-    """How contacts are made consistent.
+    """How contacts are made a consistent schedule."""
 
-    Attributes:
-        same_stance: two stances of a pair's legs count as one when they share at least this part of their union.
-        flight_s: moments without any foot on the ground that are shorter than this are closed. Two edges, each known
-            to about a frame and a half of a 60 Hz recording, cannot tell a shorter flight from none.
-        swing_s: a swing lasts at least this long; a motor needs the time.
-        slide_m, step_s: a leg that stands throughout a cycle and would slide further than the first is given a step
-            that lasts the second.
-    """
-
-    same_stance: float = 0.62
-    flight_s: float = 0.08
-    swing_s: float = 0.12
-    slide_m: float = 0.005
-    step_s: float = 0.24
+    same_stance: float = parameter(
+        0.62, about="two stances of a pair's legs count as one if they share this part of their union"
+    )
+    flight_s: float = parameter(
+        0.08,
+        unit="s",
+        about="shorter flights are closed: two edges of a 60 Hz recording do not resolve them",
+    )
+    swing_s: float = parameter(0.12, unit="s", about="shortest swing: motors need the time")
+    slide_m: float = parameter(
+        0.005, unit="m", scale="length", about="a leg that stands for a whole cycle and would slide further gets a step"
+    )
+    step_s: float = parameter(0.24, unit="s", about="duration of such a step")
 
 
 @dataclass(frozen=True)
-class GaitChanges:
-    """What `make_consistent` did to the contacts.
+class ScheduleChanges:
+    """What was changed to make the contacts consistent.
 
     Attributes:
-        pairing: name of the pairs whose legs were given common times, or None.
+        pairing: the pairs of legs that were given common times, or None.
         common_duty: whether left and right were given one duty factor.
-        closed_flights: number of short moments without support that were closed.
-        widened_swings: number of swings that were too short and were made longer.
-        steps: number of legs that stood throughout a cycle that travels, and were given a step.
+        closed_flights: short flights that were closed.
+        widened_swings: short swings that were made longer.
+        steps: legs that stood for a whole cycle that travels, and were given a step.
     """
 
-    pairing: str | None
-    common_duty: bool
-    closed_flights: int
-    widened_swings: int
+    pairing: str | None = None
+    common_duty: bool = False
+    closed_flights: int = 0
+    widened_swings: int = 0
     steps: int = 0
+
+    def reasons(self) -> list[str]:
+        """The changes in words."""
+        said = {
+            f"{self.pairing} pairs were given common times": self.pairing is not None,
+            "left and right were given one duty factor": self.common_duty,
+            f"{self.closed_flights} moments without support were closed": self.closed_flights,
+            f"{self.widened_swings} short swings were widened": self.widened_swings,
+            f"{self.steps} legs that stood while the cycle travels were given a step": self.steps,
+        }
+        return [text for text, holds in said.items() if holds]
 
 
 def make_consistent(
@@ -59,7 +71,7 @@ def make_consistent(
     straight: bool,
     longest_s: float,
     config: ContactScheduleConfig,
-) -> tuple[Stances, GaitChanges]:
+) -> tuple[Stances, ScheduleChanges]:
     """Cleans detected contacts by one rule for every gait.
 
     1. Legs that land and lift off together (a trot's diagonals, a pace's sides) get their common mean times:
@@ -86,7 +98,7 @@ def make_consistent(
         stances = _common_duty(stances, n, pairing is not None)
     stances, widened = _widen_swings(stances, n, round(config.swing_s * rate_hz), periodic)
     stances, closed = _close_flights(stances, n, round(config.flight_s * rate_hz), longest_s * rate_hz, periodic)
-    return stances, GaitChanges(pairing, common, closed, widened)
+    return stances, ScheduleChanges(pairing, common, closed, widened)
 
 
 def with_steps(

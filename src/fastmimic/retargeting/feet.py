@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.configuration import documented, parameter
 from fastmimic.motion.contacts import Stance, Stances, swings_of
 from fastmimic.retargeting.cycle import TrunkTrack, WorldPath
 
@@ -18,25 +19,26 @@ _FLAT = 0.1
 _CLEARANCE_ROUNDS = 4
 
 
+@documented
 @dataclass(frozen=True)
 class SwingPathConfig:
-    """How a swing is fitted.
+    """How the path of a swing is fitted."""
 
-    Attributes:
-        knot_s: spacing of the spline's knots; faster motion than it can follow is taken for marker noise.
-        stiffness: weight of the spline's third differences against its distance from the animal's path.
-        evenness: weight of the spline's horizontal first differences, which favours a steady speed over the animal's
-            own timing.
-        min_clearance_m: every swing lifts at least this much.
-        linger_s: for so long before touch-down and after lift-off the foot is still near its foothold, and must be in
-            reach.
-    """
-
-    knot_s: float = 0.025
-    stiffness: float = 1.0
-    evenness: float = 0.0
-    min_clearance_m: float = 0.02
-    linger_s: float = 0.02
+    knot_s: float = parameter(
+        0.025, unit="s", above=0.0, about="spacing of the spline's knots; faster motion is taken for marker noise"
+    )
+    stiffness: float = parameter(
+        1.0, about="weight of the third differences against the distance from the animal's path"
+    )
+    evenness: float = parameter(
+        0.0, about="weight of the horizontal first differences: a steady speed instead of the animal's own timing"
+    )
+    min_clearance_m: float = parameter(0.02, unit="m", scale="length", about="least height of every swing")
+    linger_s: float = parameter(
+        0.02,
+        unit="s",
+        about="time before touch-down and after lift-off in which the foot is near its foothold and must be in reach",
+    )
 
 
 def plant_feet(

@@ -86,8 +86,7 @@ class Fitter:
         """With the trunk raised where, and only where, folded legs need it."""
         raw_w = self._animal_feet(offset)
         feet_w = self._planted(raw_w, self._footholds(raw_w, self.track), None)
-        margin, highest = self.config.limit_margin_rad, self.config.max_raising_m
-        rise = folding_rise(self.robot, self.track, feet_w, self.height, highest, margin, self.rate_hz)
+        rise = folding_rise(self.robot, self.track, feet_w, self.height, self.config, self.rate_hz)
         track = replace(self.track, root_z=self.track.root_z + rise)
         return replace(self, track=track, height=self.height + float(rise.mean()))
 
@@ -114,8 +113,10 @@ class Fitter:
         return Fitted(self.consistency.motion(pose, self.track), self.track, raw_w, pose, (0, 0, 0, 0))
 
     def _pose(self, track: TrunkTrack, feet_w: Array, max_raising: float) -> Pose:
-        lowering, margin = self.config.max_lowering_m, self.config.limit_margin_rad
-        return solve_pose(self.robot, track, feet_w, self.height, lowering, max_raising, margin)
+        lowering = self.config.max_lowering_m
+        return solve_pose(
+            self.robot, track, feet_w, self.height, self.config, max_lowering=lowering, max_raising=max_raising
+        )
 
     def _animal_feet(self, offset: Array) -> Array:
         """The animal's foot paths (t, 4, 3) under the robot's hips, world; z is the height above the ground."""

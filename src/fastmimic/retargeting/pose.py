@@ -18,6 +18,7 @@ from fastmimic.base.rotations import (
 )
 from fastmimic.motion.derivatives import differentiate, pad_open, pad_periodic
 from fastmimic.motion.motion import Motion
+from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.cycle import TrunkTrack
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
@@ -25,8 +26,6 @@ from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 _STEP_M: Final = 0.005
 _RISE_S: Final = 0.1
 """In which the base rises for folded legs, and for which it is there before and after."""
-_KNEE_CLEARANCE_M: Final = 0.02
-"""Of the knees above the centre of a standing foot, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,37 +65,35 @@ def solve_pose(
     track: TrunkTrack,
     feet_w: Array,
     height: float,
-    max_lowering: float,
-    max_raising: float,
-    margin_rad: float,
+    config: RetargetConfig,
+    *,
+    max_lowering: float = 0.0,
+    max_raising: float = 0.0,
 ) -> Pose:
-    """Inverse kinematics; the base is moved, constantly, as far as the legs need: down to reach every foothold, up to
-    keep folded legs within their limits and knees off the ground.
+    """Inverse kinematics with the base moved, by a constant, as far as the legs need.
+
+    It goes down until every foothold is in reach, or up until folded legs keep their limits and knees their clearance.
 
     Args:
         robot: limits and geometry.
         track: the trunk.
         feet_w: (t, 4, 3) centres of the feet, world, m.
         height: mean height of the base, m.
-        max_lowering: m.
-        max_raising: m.
-        margin_rad: kept to the joint limits.
+        config: margin to the joint limits and clearance of the knees.
+        max_lowering, max_raising: m.
     """
-    quat = trunk_quaternion(track.heading, track.tilt)
-    lower, upper = robot.joint_lower + margin_rad, robot.joint_upper - margin_rad
-    best: tuple[float, float] | None = None
+    lower, upper = _limits(robot, config)
     rest = track.root_z - track.root_z.mean() + height
+    quat = trunk_quaternion(track.heading, track.tilt)
 
     def violation_at(lowering: float) -> tuple[float, float]:
-        """Of all limits, rad, and what of it raising the base would help."""
+        """Of all limits, rad, and the part that raising the base would reduce."""
         q, reachable = _joints(robot, track, quat, feet_w, height - lowering)
-        low = np.maximum(lower - q, 0)
-        beyond = np.where(robot.knee_sign > 0, np.maximum(q - upper, 0)[:, 2::3], low[:, 2::3])
-        knees = _knee_height(robot, quat, q) + (rest - lowering)[:, None]
-        knees = np.maximum(robot.foot_radius + _KNEE_CLEARANCE_M - knees, 0) / robot.calf_length
-        limits = low + np.maximum(q - upper, 0)
-        return float(limits.sum() + np.sum(~reachable) + knees.sum()), float(beyond.sum() + knees.sum())
+        folded, knees = _folding(robot, quat, q, rest - lowering, config)
+        limits = np.maximum(lower - q, 0) + np.maximum(q - upper, 0)
+        return float(limits.sum() + np.sum(~reachable) + knees.sum()), float(folded.sum() + knees.sum())
 
+    best: tuple[float, float] | None = None
     up = round(max_raising / _STEP_M) if violation_at(0.0)[1] > 0 else 0
     steps = np.arange(-up, round(max_lowering / _STEP_M) + 1)
     for lowering in _STEP_M * steps[np.argsort(np.abs(steps), kind="stable")]:
@@ -120,38 +117,39 @@ def solve_pose(
 
 
 def folding_rise(
-    robot: Robot, track: TrunkTrack, feet_w: Array, height: float, max_raising: float, margin_rad: float, rate_hz: float
+    robot: Robot, track: TrunkTrack, feet_w: Array, height: float, config: RetargetConfig, rate_hz: float
 ) -> Array:
-    """How much higher the base must be at each moment for folded legs to keep within their limits and their knees off
-    the ground, (t,) m: as little as it takes in steps of 5 mm, at most `max_raising`, and smooth.
+    """The rise (t,) of the base, m, that keeps folded legs within their limits and knees off the ground.
 
-    Args:
-        robot: limits and geometry.
-        track: the trunk.
-        feet_w: (t, 4, 3) centres of the feet, world, m.
-        height: mean height of the base, m.
-        max_raising: m.
-        margin_rad: kept to the joint limits.
-        rate_hz: of the samples.
+    It is the least in steps of 5 mm, at most `config.max_raising_m`, and smooth. Arguments as in `solve_pose`.
     """
     from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
     quat = trunk_quaternion(track.heading, track.tilt)
-    lower, upper = robot.joint_lower + margin_rad, robot.joint_upper - margin_rad
     rest = track.root_z - track.root_z.mean() + height
     least, best = np.full(len(rest), np.inf), np.zeros(len(rest))
-    for rise in _STEP_M * np.arange(round(max_raising / _STEP_M) + 1):
+    for rise in _STEP_M * np.arange(round(config.max_raising_m / _STEP_M) + 1):
         q, _ = _joints(robot, track, quat, feet_w, height + rise)
-        beyond, below = np.maximum(q - upper, 0)[:, 2::3], np.maximum(lower - q, 0)[:, 2::3]
-        folded = np.where(robot.knee_sign > 0, beyond, below)
-        knees = _knee_height(robot, quat, q) + (rest + rise)[:, None]
-        low = np.maximum(robot.foot_radius + _KNEE_CLEARANCE_M - knees, 0) / robot.calf_length
-        violation = folded.sum(axis=1) + low.sum(axis=1)
+        folded, knees = _folding(robot, quat, q, rest + rise, config)
+        violation = folded.sum(axis=1) + knees.sum(axis=1)
         better = violation < least - 1e-9
         least[better], best[better] = violation[better], rise
     wide = 2 * round(_RISE_S * rate_hz) + 1
     wide_rise = maximum_filter1d(best, wide, mode="nearest")
     return np.asarray(gaussian_filter1d(wide_rise, 0.5 * _RISE_S * rate_hz, mode="nearest"))
+
+
+def _limits(robot: Robot, config: RetargetConfig) -> tuple[Array, Array]:
+    return robot.joint_lower + config.limit_margin_rad, robot.joint_upper - config.limit_margin_rad
+
+
+def _folding(robot: Robot, quat: Array, q: Array, base_z: Array, config: RetargetConfig) -> tuple[Array, Array]:
+    """How far (t, 4) each knee is folded beyond its limit, rad, and lacks clearance, share of the calf's length."""
+    lower, upper = _limits(robot, config)
+    beyond, below = np.maximum(q - upper, 0)[:, 2::3], np.maximum(lower - q, 0)[:, 2::3]
+    height = _knee_height(robot, quat, q) + base_z[:, None]
+    lacking = np.maximum(robot.foot_radius + config.knee_clearance_m - height, 0) / robot.calf_length
+    return np.where(robot.knee_sign > 0, beyond, below), lacking
 
 
 def unlimited_pose(robot: Robot, track: TrunkTrack, feet_w: Array, height: float) -> Pose:

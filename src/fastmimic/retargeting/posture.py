@@ -1,9 +1,8 @@
-"""What of an animal's postures a robot can take in a recording that does not repeat.
+"""The postures of a recording that does not repeat, as far as a robot can take them.
 
-A cycle has one posture, about which everything is periodic. Who sits down or gets up has two or more: the attitude that
-counts as level is that of the tallest of them, and a girdle goes no lower than its folded legs allow, moment by moment:
-an animal sits on its rump, a robot on its feet. The trunk keeps its pitch as far as its upper end is then no higher
-than it stands.
+A cycle has one posture. A recording of sitting down or getting up has two or more. The tallest of them counts as level.
+Shoulders and hips go no lower than folded legs allow at each moment: an animal sits on its rump, a robot on its feet.
+The trunk keeps its pitch as far as its upper end then stays below standing height.
 """
 
 from dataclasses import replace
@@ -17,24 +16,27 @@ from fastmimic.retargeting.reach import Reach
 from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE
 from fastmimic.retargeting.scaled_clip import ScaledClip
 from fastmimic.robot import Robot
+from fastmimic.robot.scaling import length_ratio
 
+# m, at the A1's size
 _TALL_M: Final = 0.03
 """Frames that are so much lower than the tallest have 1/e of its weight."""
 _ROOM_M: Final = 0.05
-"""Of a folded leg beyond its shortest: its foot stands ahead of the hip, or behind it, and its knee off the ground."""
+"""Added to the shortest leg: a folded leg's foot stands ahead of the hip or behind it, and its knee off the ground."""
 _SOFT_M: Final = 0.02
-"""Over which a girdle comes to rest at its lowest height."""
+"""Range of the smooth passage to the lowest height."""
 
 
-def levelled(source: ScaledClip) -> ScaledClip:
-    """With the attitude that it has where it stands tallest taken for level; before, it was the mean."""
-    weight = np.exp((source.root_z - source.root_z.max()) / _TALL_M)
+def levelled(source: ScaledClip, robot: Robot) -> ScaledClip:
+    """The clip with its attitude at its tallest as level; before, the mean attitude was level."""
+    weight = np.exp((source.root_z - source.root_z.max()) / (_TALL_M * length_ratio(robot)))
     return replace(source, tilt=source.tilt - weight @ source.tilt / weight.sum())
 
 
 def within_folded_legs(source: ScaledClip, robot: Robot, lowered_m: float, config: RetargetConfig) -> ScaledClip:
-    """With shoulders and hips no lower than legs that are folded, and lifted as the animal's, need: the trunk is raised
-    as a whole, and levelled as far as its other end would be higher than it stands.
+    """The clip with shoulders and hips no lower than folded legs need that are lifted as the animal's.
+
+    The trunk is raised as a whole, and levelled as far as its other end would be higher than it stands.
 
     Args:
         source: at the robot's size, level.
@@ -49,9 +51,10 @@ def within_folded_legs(source: ScaledClip, robot: Robot, lowered_m: float, confi
     x = robot.hip_pos_b[:, 0].reshape(2, 2).mean(axis=1)  # of shoulders and hips
     slope = -np.sin(source.tilt[:, 1])
     girdle = height[:, None] + slope[:, None] * x
-    least = shortest + _ROOM_M + lift.reshape(-1, 2, 2).max(axis=2)
-    rise = (_no_lower(girdle, least) - girdle).max(axis=1, keepdims=True)
-    raised = -_no_lower(-(girdle + rise), -np.maximum(height.max(), least))
+    size = length_ratio(robot)
+    least = shortest + _ROOM_M * size + lift.reshape(-1, 2, 2).max(axis=2)
+    rise = (_no_lower(girdle, least, _SOFT_M * size) - girdle).max(axis=1, keepdims=True)
+    raised = -_no_lower(-(girdle + rise), -np.maximum(height.max(), least), _SOFT_M * size)
     raised = np.where(rise > 0, raised, girdle)
     new_slope = slope + ((raised - girdle) @ np.array([1.0, -1.0])) / (x[0] - x[1])
     rise = (raised - girdle)[:, 0] - (new_slope - slope) * x[0]
@@ -66,8 +69,8 @@ def within_folded_legs(source: ScaledClip, robot: Robot, lowered_m: float, confi
     )
 
 
-def _no_lower(value: Array, least: Array) -> Array:
-    """The greater of the two, with a smooth passage; `value` itself where it is well above."""
+def _no_lower(value: Array, least: Array, soft: float) -> Array:
+    """The greater of the two, with a smooth passage of ± `soft` m between them."""
     above = value - least
-    soft = least + (above + _SOFT_M) ** 2 / (4 * _SOFT_M)
-    return np.where(above >= _SOFT_M, value, np.where(above <= -_SOFT_M, least, soft))
+    passage = least + (above + soft) ** 2 / (4 * soft)
+    return np.where(above >= soft, value, np.where(above <= -soft, least, passage))

@@ -1,19 +1,19 @@
 """Retargeting: an animal's clip becomes a consistent reference motion of a robot.
 
-After Peng et al. 2020 (section IV), then made consistent; one rule for every clip. The steps, each in its own module:
+After Peng et al. 2020 (section IV), then made consistent, by one rule for every clip. The steps are in these modules:
 
-    retarget_source    keypoints → trunk and toe targets at the robot's size
-    retarget_posture   of a recording that does not repeat, as low as folded legs allow
-    retarget_cycle     the recording as a continuous motion, closed if it is a cycle
-    contacts           when each foot stands; retarget_gait makes a clean gait of it
-    retarget_reach     where the feet can stand; retarget_feet plants them there and blends their swings
-    retarget_balance   the trunk as the standing feet can move it; retarget_dynamics says what they must push
-    retarget_pose      inverse kinematics, limits and velocities; retarget_fit calls these four
-    retarget_fidelity  what changed, as a retarget_report
+    scaled_clip        keypoints → trunk and toe targets at the robot's size
+    posture            without a cycle: the trunk no lower than folded legs allow
+    cycle              the recording as a continuous motion, closed if it is a cycle
+    contact_schedule   the detected contacts (`motion.contacts`) as a clean schedule
+    reach, feet        footholds within reach, and smooth swings between them
+    consistency        the trunk as the standing feet can carry it (`balance`), joints within their limits (`pose`)
+    fit                calls these on one track
+    measure, report    what changed
 """
 
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,10 +21,10 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.base.rotations import quat_rotate_inverse, rotate_planar
 from fastmimic.clips.clip import Clip
-from fastmimic.motion.contacts import ContactConfig, Stances, detect, foot_activity
+from fastmimic.motion.contacts import Stances, detect, foot_activity
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.contact_schedule import GaitChanges, make_consistent, with_steps
+from fastmimic.retargeting.contact_schedule import ScheduleChanges, make_consistent, with_steps
 from fastmimic.retargeting.cycle import TrunkTrack, cycle_displacement, pose_mismatch, track_cycle, track_open
 from fastmimic.retargeting.fidelity import Before, make_report
 from fastmimic.retargeting.fit import Fitter
@@ -40,10 +40,10 @@ __all__ = ["RetargetConfig", "RetargetReport", "choose_scale", "retarget"]
 DOG_SCALE: Final = 0.825
 """The A1's size over the dog's (Peng et al. 2020)."""
 DOG_LEG_LENGTH_M: Final = 0.4 / DOG_SCALE
-"""Leg length that this scale implies for an animal whose own is not known, so that other robots scale by theirs."""
+"""The leg length of an animal that does not say it, so that other robots scale by theirs."""
 MIN_FRAMES: Final = 8
 _END_S: Final = 0.1
-"""Of a recording, over which is judged whether it comes to rest."""
+"""The end of a recording that shows whether it comes to rest."""
 _SAME_BODY_M: Final = 2e-3
 _EXACT_FEET: Final = 0.2
 
@@ -61,12 +61,12 @@ def retarget(
 
     Args:
         clip: the animal's keypoints.
-        robot: who is to move like it.
+        robot: the robot.
         rate_hz: of the motion; a cycle's period becomes a whole number of samples.
         scale: animal's to robot's size; if None the clip's own, else the ratio of leg lengths (0.825 for a dog on the
             A1).
         cycle: whether the clip is one period; if None what the clip says, else whether it closes.
-        config: settings, `RetargetConfig()` if None.
+        config: settings at the A1's size, `RetargetConfig()` if None.
 
     Returns:
         The motion and what was changed. `motion.meta` holds `name`, `robot`, `source`, `licence` and `retarget` (the
@@ -76,63 +76,154 @@ def retarget(
         ConfigError: rate or scale not positive.
         ClipError: the clip is too short.
     """
-    config = config or RetargetConfig()
     _check(clip, rate_hz, scale)
     scale = choose_scale(clip, robot) if scale is None else float(scale)
-    source = extract(clip, scale, config.roll_share)
-    periodic, cycle_reason = _decide_cycle(clip, source, cycle, config)
-    source, straight, aligned = _align(source, periodic and config.consistent, config)
-    own = _is_own_body(clip, robot, scale)
-    if own:
-        config = _for_own_body(config)
-    lowered = 0.0 if own else config.crouch_m * scale / DOG_SCALE
-    if not periodic and config.consistent and not own:
-        source = within_folded_legs(levelled(source), robot, lowered, config)
-    held = 0 if periodic or not config.consistent else _held_frames(source, config)
-    if held:
-        source = source.held(held)
-        cycle_reason += f"; ends standing, and is held for {held / clip.rate_hz:.2g} s"
-    duration = (clip.n_frames if periodic else clip.n_frames + held - 1) / clip.rate_hz
-    n = max(2, round(duration * rate_hz))
-    activity = _activity(source, n, periodic, config.contact)
-    detected = detect(activity, rate_hz, periodic, config.contact)
-    travels = not (config.consistent and _stands(detected, n))
-    if periodic:
-        track = track_cycle(source, n, config.trunk_hz, config.foot_hz, travels=travels)
-    else:
-        track = track_open(source, n, config.trunk_hz, config.foot_hz)
+    work = _Retargeting(clip, robot, rate_hz, scale, (config or RetargetConfig()).for_robot(robot))
+    work.decide_cycle(cycle)
+    work.align_heading()
+    work.fit_posture()
+    work.hold_end()
+    work.make_track()
+    work.choose_height()
+    work.schedule_contacts()
+    return work.fit()
 
-    height = source.hip_height + robot.foot_radius - lowered
-    raised = _raise(Reach.of_robot(robot, height, config.reach_margin_rad), track, config) if periodic else 0.0
-    height += raised
-    reach = Reach.of_robot(robot, height, config.reach_margin_rad)
-    longest = reach.longest_stance(_speed(track, duration), config.swing.linger_s)
-    if config.consistent:
-        stances, changes = make_consistent(detected, n, rate_hz, periodic, straight, longest, config.gait)
-        if periodic:
-            stances, steps = with_steps(stances, _travel(robot, track), activity, rate_hz, config.gait)
-            changes = replace(changes, steps=steps)
-    else:
-        stances, changes = detected, GaitChanges(None, False, 0, 0)
-    offset = np.zeros((4, 2)) if own else foot_offsets(robot, track, stances, config.stance_width)
-    fitted = Fitter(robot, track, stances, height, rate_hz, config).fit(offset)
 
-    before = Before(scale, duration, cycle_reason, aligned, track, detected, offset, changes, raised)
-    report = make_report(fitted, robot, source, stances, before)
-    meta = {
-        "name": clip.meta.get("name", "motion"),
-        "robot": robot.name,
-        "source": {k: v for k, v in clip.meta.items() if k not in ("name", "licence")},
-        "licence": clip.meta.get("licence"),
-        "retarget": report.as_dict(),
-    }
-    if held:
-        meta["held_s"] = held / clip.rate_hz
-    return replace(fitted.motion, meta=meta), report
+class _Retargeting:
+    """One clip on its way to a motion. Each method is a step and relies on those before it.
+
+    Attributes:
+        source: the animal at the robot's size, as far as it is prepared.
+        periodic: whether the clip is a cycle, and `cycle_reason` why.
+        straight: whether the gait is straight ahead; `aligned`: by how much the heading was turned, rad.
+        own_body: whether the clip is this robot's own motion.
+        lowered, raised: of the base against the animal's height, m.
+        held: frames for which the last pose is held.
+        n: samples of the motion; duration: of the clip, s.
+        activity: (n, 4) of the feet; detected: their contacts.
+        track: trunk and toes on the motion's grid.
+        height: of the base, m.
+        stances, changes: the contact schedule and what was changed for it.
+    """
+
+    def __init__(self, clip: Clip, robot: Robot, rate_hz: float, scale: float, config: RetargetConfig) -> None:
+        self.clip, self.robot, self.rate_hz, self.scale = clip, robot, rate_hz, scale
+        self.source = extract(clip, scale, config.roll_share)
+        self.own_body = _is_own_body(clip, robot, scale)
+        self.config = _for_own_body(config) if self.own_body else config
+        self.lowered = 0.0 if self.own_body else config.crouch_m * scale / DOG_SCALE
+
+    def decide_cycle(self, cycle: bool | None) -> None:
+        self.periodic, self.cycle_reason = _decide_cycle(self.clip, self.source, cycle, self.config)
+
+    def align_heading(self) -> None:
+        """Turns the trunk into the direction of travel if the gait is straight."""
+        self.straight, self.aligned = False, 0.0
+        if not (self.periodic and self.config.consistent):
+            return
+        angle = _travel_angle(self.source, self.config)
+        if angle is not None:
+            self.source, self.straight, self.aligned = self.source.turned(angle), True, angle
+
+    def fit_posture(self) -> None:
+        """Keeps a recording that does not repeat as high as folded legs need."""
+        if not self.periodic and self.config.consistent and not self.own_body:
+            level = levelled(self.source, self.robot)
+            self.source = within_folded_legs(level, self.robot, self.lowered, self.config)
+
+    def hold_end(self) -> None:
+        """Lengthens a recording that ends standing by its last pose."""
+        self.held = 0 if self.periodic or not self.config.consistent else _held_frames(self.source, self.config)
+        if self.held:
+            self.source = self.source.held(self.held)
+            self.cycle_reason += f"; ends standing, and is held for {self.held / self.clip.rate_hz:.2g} s"
+
+    def make_track(self) -> None:
+        """The recording as a continuous motion, and its contacts."""
+        config = self.config
+        frames = self.clip.n_frames if self.periodic else self.clip.n_frames + self.held - 1
+        self.duration = frames / self.clip.rate_hz
+        self.n = max(2, round(self.duration * self.rate_hz))
+        self.activity = self._activity()
+        self.detected = detect(self.activity, self.rate_hz, self.periodic, config.contact)
+        if self.periodic:
+            travels = not (config.consistent and _stands(self.detected, self.n))
+            self.track = track_cycle(self.source, self.n, config.trunk_hz, config.foot_hz, travels=travels)
+        else:
+            self.track = track_open(self.source, self.n, config.trunk_hz, config.foot_hz)
+
+    def _activity(self) -> Array:
+        """The feet's activity (n, 4); between frames it is linear."""
+        source = self.source
+        frames = foot_activity(source.toe_height, source.toe_speed, source.rate_hz, self.periodic, self.config.contact)
+        if self.periodic:
+            frames = np.concatenate([frames, frames[:1]])
+        at = np.arange(self.n) * (len(frames) - 1) / self.n
+        return np.stack([np.interp(at, np.arange(len(frames)), leg) for leg in frames.T], axis=-1)
+
+    def choose_height(self) -> None:
+        """The base's nominal height. A cycle is raised as a whole for folded legs: an animal crouches lower."""
+        config = self.config
+        self.height = self.source.hip_height + self.robot.foot_radius - self.lowered
+        self.raised = 0.0
+        if self.periodic and config.consistent and config.max_raising_m > 0:
+            lift = max(config.swing.min_clearance_m, MIN_CLEARANCE_SHARE * float(self.track.toe_height.max()))
+            self.raised = max(0.0, lift - self._reach().clearance)
+        self.height += self.raised
+
+    def _reach(self) -> Reach:
+        return Reach.of_robot(self.robot, self.height, self.config.reach_margin_rad)
+
+    def schedule_contacts(self) -> None:
+        """A contact schedule that a robot can follow."""
+        self.stances, self.changes = self.detected, ScheduleChanges()
+        if not self.config.consistent:
+            return
+        n, config = self.n, self.config
+        longest = self._reach().longest_stance(_speed(self.track, self.duration), config.swing.linger_s)
+        self.stances, self.changes = make_consistent(
+            self.detected, n, self.rate_hz, self.periodic, self.straight, longest, config.schedule
+        )
+        if self.periodic:
+            travel = _travel(self.robot, self.track)
+            self.stances, steps = with_steps(self.stances, travel, self.activity, self.rate_hz, config.schedule)
+            self.changes = replace(self.changes, steps=steps)
+
+    def fit(self) -> tuple[Motion, RetargetReport]:
+        """The motion with its provenance, and the report."""
+        offset = np.zeros((4, 2))
+        if not self.own_body:
+            offset = foot_offsets(self.robot, self.track, self.stances, self.config.stance_width)
+        fitter = Fitter(self.robot, self.track, self.stances, self.height, self.rate_hz, self.config)
+        fitted = fitter.fit(offset)
+        before = Before(
+            scale=self.scale,
+            duration_s=self.duration,
+            cycle_reason=self.cycle_reason,
+            aligned=self.aligned,
+            source=self.source,
+            track=self.track,
+            stances=self.detected,
+            offset=offset,
+            changes=self.changes,
+            raised_m=self.raised,
+        )
+        report = make_report(fitted, self.robot, self.stances, before, self.config.turning_radius_m)
+        clip = self.clip
+        meta: dict[str, Any] = {
+            "name": clip.meta.get("name", "motion"),
+            "robot": self.robot.name,
+            "source": {k: v for k, v in clip.meta.items() if k not in ("name", "licence")},
+            "licence": clip.meta.get("licence"),
+            "retarget": report.as_dict(),
+        }
+        if self.held:
+            meta["held_s"] = self.held / clip.rate_hz
+        return replace(fitted.motion, meta=meta), report
 
 
 def choose_scale(clip: Clip, robot: Robot) -> float:
-    """The clip's own scale, else the ratio of leg lengths; an animal of unknown legs is taken for the dog of
+    """The clip's own scale, else the ratio of leg lengths; an animal of unknown legs counts as the dog of
     `DOG_SCALE`."""
     if clip.scale is not None:
         return float(clip.scale)
@@ -149,7 +240,7 @@ def _check(clip: Clip, rate_hz: float, scale: float | None) -> None:
 
 
 def is_one_cycle(clip: Clip, config: RetargetConfig | None = None) -> bool:
-    """Whether a clip is taken for one cycle if nothing else is asked: if it says so, or if its ends meet."""
+    """Whether `retarget` takes a clip for one cycle by default: if it says so, or if its ends meet."""
     config = config or RetargetConfig()
     return _decide_cycle(clip, extract(clip, clip.scale or 1.0, config.roll_share), None, config)[0]
 
@@ -168,8 +259,7 @@ def _decide_cycle(clip: Clip, source: ScaledClip, cycle: bool | None, config: Re
 
 
 def _held_frames(source: ScaledClip, config: RetargetConfig) -> int:
-    """For how many frames the last pose of a recording that does not repeat is held: none unless it ends standing, on
-    all feet and with its trunk at rest."""
+    """For how many frames the last pose is held: 0 unless the recording ends standing on all feet, at rest."""
     end = slice(-1 - max(1, round(_END_S * source.rate_hz)), None)
     seconds = (len(source.heading[end]) - 1) / source.rate_hz
     moved = np.linalg.norm(source.root_xy[end][-1] - source.root_xy[end][0]) / seconds
@@ -187,30 +277,17 @@ def _held_frames(source: ScaledClip, config: RetargetConfig) -> int:
     return frames if stands else 0
 
 
-def _align(source: ScaledClip, periodic: bool, config: RetargetConfig) -> tuple[ScaledClip, bool, float]:
-    """Turns the trunk into the direction of travel if the gait is straight; returns source, straightness, angle in
-    rad."""
-    if not periodic:
-        return source, False, 0.0
+def _travel_angle(source: ScaledClip, config: RetargetConfig) -> float | None:
+    """The angle, rad, from the mean heading of a straight gait to its direction of travel, or to the opposite one if
+    it goes backwards; None if the gait is not straight."""
     dx, dy, dyaw = cycle_displacement(source)
     speed = np.hypot(dx, dy) * source.rate_hz / len(source.heading)
     if abs(dyaw) >= np.radians(config.straight_yaw_deg) or speed < config.min_travel_m_per_s:
-        return source, False, 0.0
+        return None
     travel = np.arctan2(dy, dx) - (source.heading.mean() - source.heading[0])
     backward = abs(travel) > np.pi / 2
     angle = float(travel - np.sign(travel) * np.pi if backward else travel)
-    if abs(angle) >= np.radians(config.straight_travel_deg):
-        return source, False, 0.0
-    return source.turned(angle), True, angle
-
-
-def _activity(source: ScaledClip, n: int, periodic: bool, config: ContactConfig) -> Array:
-    """The animal's feet's activity (n, 4) on the output grid; between frames it is linear."""
-    frames = foot_activity(source.toe_height, source.toe_speed, source.rate_hz, periodic, config)
-    if periodic:
-        frames = np.concatenate([frames, frames[:1]])
-    at = np.arange(n) * (len(frames) - 1) / n
-    return np.stack([np.interp(at, np.arange(len(frames)), leg) for leg in frames.T], axis=-1)
+    return angle if abs(angle) < np.radians(config.straight_travel_deg) else None
 
 
 def _stands(stances: Stances, n: int) -> bool:
@@ -219,7 +296,7 @@ def _stands(stances: Stances, n: int) -> bool:
 
 
 def _travel(robot: Robot, track: TrunkTrack) -> Array:
-    """How far each hip (4,) is from where it is a cycle later, m."""
+    """How far each hip (4,) moves in a cycle, m."""
     hips = track.root_xy[0] + rotate_planar(track.heading[0], robot.hip_pos_b[:, :2])
     return np.asarray(np.linalg.norm(track.moved(hips, 1) - hips, axis=-1))
 
@@ -234,21 +311,11 @@ def _is_own_body(clip: Clip, robot: Robot, scale: float) -> bool:
 
 
 def _for_own_body(config: RetargetConfig) -> RetargetConfig:
-    """A robot's own motion has its own height and balance, and its feet are known more exactly than an animal's
-    paws."""
+    """Settings for a robot's own motion: it keeps its height and balance, and its feet are known exactly."""
     contact = replace(
         config.contact, enter=_EXACT_FEET * config.contact.enter, leave=_EXACT_FEET * config.contact.leave
     )
     return replace(config, contact=contact, balance=replace(config.balance, rounds=0), max_raising_m=0.0)
-
-
-def _raise(reach: Reach, track: TrunkTrack, config: RetargetConfig) -> float:
-    """How much the base must be higher for its folded legs to fit under it and be lifted, m: an animal sits and
-    crouches lower than a robot's knees bend."""
-    if not config.consistent or config.max_raising_m == 0:
-        return 0.0
-    lift = max(config.swing.min_clearance_m, MIN_CLEARANCE_SHARE * float(track.toe_height.max()))
-    return max(0.0, lift - reach.clearance)
 
 
 def _speed(track: TrunkTrack, duration_s: float) -> float:

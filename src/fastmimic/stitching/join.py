@@ -65,7 +65,7 @@ def stitch_motions(
         MotionError: a motion that does not repeat, is for another robot, or has another rate; a segment too short for
             its transitions; a foot that never lifts off and would have to move.
     """
-    config = config or RetargetConfig()
+    config = (config or RetargetConfig()).for_robot(robot)
     counts = _check(robot, motions, cycles)
     parts = list({id(m): m for m in motions}.values())
     index = [next(k for k, part in enumerate(parts) if part is m) for m in motions]

@@ -160,7 +160,7 @@ def _within_limits(
         height = float(lowered.root_z.mean())
 
         def solve(evenness: Array, lowered: TrunkTrack = lowered, height: float = height) -> Pose:
-            return solve_pose(robot, lowered, planted(evenness), height, 0.0, 0.0, config.limit_margin_rad)
+            return solve_pose(robot, lowered, planted(evenness), height, config)
 
         for pose, samples in consistency.attempts(solve, beyond):
             if best is None or samples.sum() < best[0]:
