@@ -24,9 +24,12 @@ from fastmimic.report.run_folder import write_json
 
 pytest.importorskip("plotly", reason="Plotly is not installed: pip install 'fastmimic[report]'")
 
+pytest.importorskip("jinja2", reason="Jinja2 is not installed: pip install 'fastmimic[report]'")
+
 from fastmimic.report.html import make_report
-from fastmimic.report.html_comparison import markdown, read_rows
+from fastmimic.report.html_comparison import read_rows
 from fastmimic.report.html_limits import motor_torque
+from fastmimic.report.html_page import markdown
 from fastmimic.report.html_search import convergence, parameters
 
 SECTIONS = {"figures", "optimisation", "tracking", "terms", "limits", "run"}
@@ -234,7 +237,7 @@ def test_of_a_motion_done_once_no_cycle_and_no_drift_is_told(run: Path, page: Pa
     html = make_report(folder).html
     assert "One loop a cycle" not in html
     assert "From the first posture to the last" in html
-    assert "the motion is done once" in html
+    assert "the motion is run once" in html
     assert [key for key, *_ in Parsed(html).metrics if key == "drift_m_per_s.before"] == ["drift_m_per_s.before"]
 
 
@@ -254,11 +257,11 @@ def test_without_viser_one_line_says_what_to_install(
 
 
 def test_says_if_the_search_found_nothing_better() -> None:
-    from fastmimic.report.html_run import Course
+    from fastmimic.report.html_run import SearchHistory
 
-    course = Course(np.full((3, 4), 0.5), np.zeros((3, 4, 2)))
-    assert "found nothing better" in convergence(course, 0.9, 0.91, unchanged=True).title
-    assert "The reward rises: 0.900 before, 0.910 after 3 iterations" in convergence(course, 0.9, 0.91).title
+    search = SearchHistory(np.full((3, 4), 0.5), np.zeros((3, 4, 2)))
+    assert "found nothing better" in convergence(search, 0.9, 0.91, unchanged=True).title
+    assert "The reward rises: 0.900 before, 0.910 after 3 iterations" in convergence(search, 0.9, 0.91).title
 
 
 def test_angles_have_a_scale_of_their_own() -> None:
@@ -267,7 +270,7 @@ def test_angles_have_a_scale_of_their_own() -> None:
         return {"name": name, "unit": unit, "initial": initial, "value": initial + 0.1, **bounds}
 
     figure = parameters([parameter("FR_foot_z.goal", "m", -0.3), parameter("root_pitch.goal", "rad", 0.0)])
-    found = {p.layout["xaxis"]["title"]["text"]: p.data[2]["x"] for p in figure.panels}
+    found = {p.layout["xaxis"]["title"]["text"]: p.data[2]["x"] for p in figure.plots}
     assert found == {
         "change of the baseline (mm)": [100.0],
         "change of the baseline (°)": [pytest.approx(5.7296, 1e-4)],
@@ -278,6 +281,12 @@ def test_angles_have_a_scale_of_their_own() -> None:
 def test_without_plotly_says_what_to_install(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
     with pytest.raises(ConfigError, match=r"pip install 'fastmimic\[report\]'"):
+        make_report(run)
+
+
+def test_without_jinja2_says_what_to_install(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    with pytest.raises(ConfigError, match=r"Jinja2.*pip install 'fastmimic\[report\]'"):
         make_report(run)
 
 

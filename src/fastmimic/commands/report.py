@@ -11,7 +11,7 @@ from fastmimic.commands import options as opt
 from fastmimic.commands.console import note, put, slow_start
 
 if TYPE_CHECKING:
-    from fastmimic.report.html_run import Episodes
+    from fastmimic.report.html_run import RerunEpisodes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +20,8 @@ class WriteReport:
     'transfer': one self-contained file with the video, the figures before and after, and interactive plots.
 
     The two nominal episodes of a run are simulated again for the plots and checked against its metrics.json. Needs
-    Plotly: pip install 'fastmimic[report]'. With viser (pip install 'fastmimic[view]') the file has a 3D replay.
+    Jinja2 and Plotly: pip install 'fastmimic[report]'. With viser (pip install 'fastmimic[view]') the file has a 3D
+    replay.
     """
 
     runs: Annotated[Positional[tuple[Path, ...]], opt.option("RUN ...")]
@@ -50,7 +51,7 @@ class WriteReport:
         return 0
 
 
-def recorded(e: "Episodes") -> str:
+def recorded(e: "RerunEpisodes") -> str:
     """The episodes as a page with a 3D replay, before and after side by side.
 
     Raises:

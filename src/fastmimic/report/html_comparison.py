@@ -1,13 +1,14 @@
 """The page of a comparison: its plots, its tables, and what it was made with."""
 
 import csv
-import json
-import re
-from html import escape
 from pathlib import Path
 from typing import Any, Final
 
+from markupsafe import Markup
+
 from fastmimic.base.errors import ConfigError, FastMimicError
+from fastmimic.base.files import read_json
+from fastmimic.base.text import NONE
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.compare import RUNS
 from fastmimic.experiments.comparison_run import Row, finished_row
@@ -23,7 +24,8 @@ from fastmimic.report.comparison_folder import (
     TABLE,
     TRACKING_FIGURE,
 )
-from fastmimic.report.html_parts import NONE, Page, embedded, pairs, plotly_bundle, table
+from fastmimic.report.html_page import render
+from fastmimic.report.html_plots import Figure
 
 _TEXT: Final = ("motion", "method", "variant", "robot", "config", "parameters", "digest")
 _EACH: Final = (  # column of results.csv, heading, digits, scale
@@ -44,76 +46,79 @@ _EACH: Final = (  # column of results.csv, heading, digits, scale
 _PICTURES: Final = {
     COMPARISON: "Reward of each method on each motion.",
     TRACKING_FIGURE: "A foot before and after optimisation, and the errors of all feet.",
-    ABLATION_FIGURE: "What each part of the method is worth.",
+    ABLATION_FIGURE: "What each part of the method contributes.",
 }
 
 
-def comparison_page(path: Path) -> tuple[Page, tuple[str, ...]]:
+def comparison_page(path: Path) -> tuple[str, tuple[str, ...]]:
     """The page of a comparison's folder, and a sentence for each thing that the folder lacks.
 
     Raises:
-        ConfigError: `environment.json` or `results.csv` cannot be read.
+        ConfigError: `environment.json` or `results.csv` cannot be read, or Plotly is not installed.
     """
+    environment = read_json(path / ENVIRONMENT)
     try:
-        environment = json.loads((path / ENVIRONMENT).read_text(encoding="utf-8"))
         settings = environment["settings"]
         methods, motions = list(environment["methods"]), list(environment["motions"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (KeyError, TypeError) as error:
         raise ConfigError(f"{path / ENVIRONMENT}: cannot be read ({error})") from None
     missing: list[str] = []
     rows = _rows(path, missing)
-    plotted = bool(rows)
-    try:
-        plotly_bundle()
-    except ConfigError as error:
-        missing.append(f"{error}: with pictures in place of the plots")
-        plotted = False
-    page = Page("Comparison: FastMimic report")
-    page.add(
-        "<h1>Comparison</h1>",
-        f'<p class="lead">{len(methods)} methods on {len(motions)} motions; {escape(str(settings.get("robot")))},'
-        f" {escape(str(settings.get('config')))} controller, {environment.get('seeds')} seed(s) where something is"
-        " optimised.</p>",
-    )
-    at = len(page.body)
-    page.add('<p class="hint screen">The heading of a column sorts its table.</p>')
     whole = [row for row in rows if not row["variant"]]
-    page.section("methods", "Methods")
-    if plotted and whole:
-        found = summaries(whole)
-        page.figure(html_methods.rewards(found))
-        page.figure(html_methods.manners(found))
-        spent = html_methods.cost(found)
-        if spent is not None:
-            page.figure(spent)
-    else:
-        _picture(page, path / COMPARISON, missing)
-    if not whole or any(method_named(row["method"]).optimises for row in whole):
-        _picture(page, path / TRACKING_FIGURE, missing)
-    _text(page, path / TABLE, missing)
+    parts: dict[str, Any] = {"methods": _methods(path, whole, missing), "ablations": None}
     of = {row["motion"] for row in rows if row["variant"]}
     if of or environment.get("ablations"):
-        page.section("ablations", "Ablations")
         own = [row for row in rows if row["motion"] in of and row["method"] == ABLATED]
-        if plotted and own:
-            page.figure(html_methods.ablations(summaries(own)))
-        else:
-            _picture(page, path / ABLATION_FIGURE, missing)
-        _text(page, path / ABLATION_TABLE, missing)
-    if rows:
-        page.section("runs", "Every run")
-        page.add(f"<details><summary>{len(rows)} runs with their figures</summary>", _each(rows), "</details>")
-    page.section("run", "What was run")
-    said: dict[str, Any] = {"motions": ", ".join(motions), "methods": ", ".join(methods), **settings}
-    page.add(
-        f'<div class="two"><div><h3>Settings</h3>{pairs(said)}</div><div><h3>Machine</h3>'
-        f"{pairs(environment.get('machine', {}))}<h3 class='next'>Versions</h3>"
-        f"{pairs(environment.get('versions', {}))}</div></div>"
+        parts["ablations"] = _ablations(path, own, missing)
+    columns, lines, left = _each(rows)
+    page = render(
+        "comparison.html",
+        [figure for part in parts.values() if part for figure in part["figures"]],
+        title="Comparison",
+        lead=f"{len(methods)} methods on {len(motions)} motions; {settings.get('robot')}, {settings.get('config')}"
+        f" controller, {environment.get('seeds')} seed(s) where something is optimised.",
+        missing=missing,
+        columns=columns,
+        rows=lines,
+        left=left,
+        settings={"motions": ", ".join(motions), "methods": ", ".join(methods), **settings},
+        machine=environment.get("machine", {}),
+        versions=environment.get("versions", {}),
+        **parts,
     )
-    if missing:
-        notes = "".join(f"<li>{escape(m)}</li>" for m in missing)
-        page.body.insert(at, f'<div class="notes" id="notes"><ul>{notes}</ul></div>')
     return page, tuple(missing)
+
+
+def _methods(path: Path, rows: list[Row], missing: list[str]) -> dict[str, Any]:
+    """Plots of the methods, or their picture where no run has finished, pictures of the tracking, and the table."""
+    figures, pictures = [], []
+    if rows:
+        found = summaries(rows)
+        spent = html_methods.cost(found)
+        figures = [html_methods.rewards(found), html_methods.manners(found), *([] if spent is None else [spent])]
+    else:
+        pictures.append(COMPARISON)
+    if not rows or any(method_named(row["method"]).optimises for row in rows):
+        pictures.append(TRACKING_FIGURE)
+    return _part(path, figures, pictures, TABLE, missing)
+
+
+def _ablations(path: Path, rows: list[Row], missing: list[str]) -> dict[str, Any]:
+    figures = [html_methods.ablations(summaries(rows))] if rows else []
+    return _part(path, figures, [] if rows else [ABLATION_FIGURE], ABLATION_TABLE, missing)
+
+
+def _part(path: Path, figures: list[Figure], names: list[str], table: str, missing: list[str]) -> dict[str, Any]:
+    """One part of the page: its plots, those of its pictures that are there, and its table in Markdown."""
+    there = [name for name in names if (path / name).is_file()]
+    missing += [f"{path / name} is missing: without that figure" for name in names if name not in there]
+    pictures = [(path / name, _PICTURES[name]) for name in there]
+    try:
+        text = (path / table).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        text = ""
+        missing.append(f"{path / table} is missing: without that table; 'compare --resume' writes it when it is done")
+    return {"figures": figures, "pictures": pictures, "table": text}
 
 
 def read_rows(text: str) -> list[Row]:
@@ -157,67 +162,22 @@ def _rows(path: Path, missing: list[str]) -> list[Row]:
     return found
 
 
-def _picture(page: Page, file: Path, missing: list[str]) -> None:
-    what = _PICTURES[file.name]
-    try:
-        source = embedded(file, "image/png")
-    except OSError:
-        missing.append(f"{file} is missing: without that figure")
-        return
-    page.add(f'<figure><img alt="{escape(what)}" src="{source}">')
-    page.add(f'<figcaption><p class="hint">{escape(what)}</p></figcaption></figure>')
-
-
-def _text(page: Page, file: Path, missing: list[str]) -> None:
-    try:
-        page.add(markdown(file.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError):
-        missing.append(f"{file} is missing: without that table; 'compare --resume' writes it when it is done")
-
-
-def _each(rows: list[Row]) -> str:
-    """A line a run, with the values of `results.csv` as data."""
+def _each(rows: list[Row]) -> tuple[list[str], list[list[Any]], int]:
+    """A line a run, with the values of `results.csv` as data: headings, cells, and how many columns are text."""
     columns = [column for column in _EACH if any(row.get(column[0]) is not None for row in rows)]
-    variants = any(row["variant"] for row in rows)
-    header = ["motion", "method", *(["variant"] if variants else []), "seed", *(name for _, name, _, _ in columns)]
-    body = []
+    texts = ["motion", "method", *(["variant"] if any(row["variant"] for row in rows) else [])]
+    lines = []
     for row in rows:
-        cells = [f"<code>{escape(row['motion'])}</code>", escape(method_named(row["method"]).label)]
-        cells += [escape(row["variant"])] if variants else []
-        cells.append(f'<td class="n">{row["seed"]:g}</td>')
+        cells: list[Any] = [Markup("<code>{}</code>").format(row["motion"]), method_named(row["method"]).label]
+        cells += [row[name] for name in texts[2:]]
+        cells.append(f"{row['seed']:g}")
         for key, _, digits, scale in columns:
             value = row.get(key)
-            if isinstance(value, bool):
-                cells.append(f'<td class="n" data-value="{int(value)}">{"yes" if value else "no"}</td>')
-            elif value is None:
-                cells.append(f'<td class="n">{NONE}</td>')
+            if value is None:
+                cells.append(NONE)
+            elif isinstance(value, bool):
+                cells.append({"value": int(value), "text": "yes" if value else "no"})
             else:
-                cells.append(f'<td class="n" data-value="{value!r}">{scale * value:.{digits}f}</td>')
-        body.append(cells)
-    lines = table(header, body, left=3 if variants else 2, sortable=True)
-    return f'<div class="dense" id="each">{lines}</div>'
-
-
-def markdown(text: str) -> str:
-    """HTML of the Markdown that a comparison's tables are written in: tables, lists, paragraphs, `code`, **bold** and
-    *italics*. The tables can be sorted."""
-    html = []
-    for block in re.split(r"\n\s*\n", text.strip()):
-        lines = block.splitlines()
-        if lines[0].startswith("|"):
-            rows = [[_inline(cell.strip()) for cell in line.strip("| ").split(" | ")] for line in lines]
-            html.append('<div class="dense">')
-            html.append(table([cell for cell in lines[0].strip("| ").split(" | ")], rows[2:], left=2, sortable=True))
-            html.append("</div>")
-        elif lines[0].startswith("- "):
-            html.append(f"<ul>{''.join(f'<li>{_inline(line[2:])}</li>' for line in lines)}</ul>")
-        else:
-            html.append(f"<p>{_inline(' '.join(lines))}</p>")
-    return "\n".join(html)
-
-
-def _inline(text: str) -> str:
-    text = escape(text)
-    text = re.sub(r"`([^`]+)`", r"<code>\1</code>", text)
-    text = re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", text)
-    return re.sub(r"\*([^*]+)\*", r"<em>\1</em>", text)
+                cells.append({"value": repr(value), "text": f"{scale * value:.{digits}f}"})
+        lines.append(cells)
+    return [*texts, "seed", *(name for _, name, _, _ in columns)], lines, len(texts)

@@ -1,7 +1,5 @@
 """The page of a deployment: how it ended, whether the computer was fast enough, and what it asked of the motors."""
 
-import json
-from html import escape
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,14 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.conventions import JOINTS_PER_LEG
 from fastmimic.base.errors import ConfigError, DeploymentError
+from fastmimic.base.files import read_json
 from fastmimic.deploy.files import LOG, RESULT
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.deploy.summary import summary_rows
-from fastmimic.report.html_parts import Figure, Key, Page, Panel, numbers, pairs
-from fastmimic.report.html_traces import LIMIT, curve, greatest, layout_of, level
+from fastmimic.report.html_limits import against_limit
+from fastmimic.report.html_page import render
+from fastmimic.report.html_plots import Figure, Key, Plot, curve, greatest, layout_of, numbers
 
 ROBOT: Final = Key("the robot", "var(--after)")
 BINS: Final = 60
@@ -24,37 +23,35 @@ _SHOWN: Final = 99.9
 """Percentile at which the histograms end; what is beyond is in the last bar."""
 
 
-def deployment_page(path: Path) -> tuple[Page, tuple[str, ...]]:
+def deployment_page(path: Path) -> tuple[str, tuple[str, ...]]:
     """The page of a deployment's folder, and a sentence for each thing that it lacks.
 
     Raises:
         ConfigError: its figures cannot be read.
     """
+    about = read_json(path / RESULT)
     try:
-        about = json.loads((path / RESULT).read_text(encoding="utf-8"))
         result = about["result"]
         title = f"{about['motion']} on {about['robot']}, deployed by driver {about['driver']}"
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (KeyError, TypeError) as error:
         raise ConfigError(f"{path / RESULT}: not the figures of a deployment ({error})") from None
     missing: list[str] = []
-    log = None
+    sections: dict[str, list[Figure]] = {"base": [], "times": [], "limits": []}
     try:
-        log = DeploymentLog.load(_log_file(path, about))
+        sections = _sections(DeploymentLog.load(_log_file(path, about)), result)
     except DeploymentError as error:
         missing.append(f"{error}: without the plots")
-    page = Page(f"{title}: FastMimic report")
-    page.add(f"<h1>{escape(title)}</h1>", f'<p class="lead">{escape(_summary(result))}</p>')
-    if missing:
-        page.add(f'<div class="notes" id="notes"><ul>{"".join(f"<li>{escape(m)}</li>" for m in missing)}</ul></div>')
-    page.section("figures", "In numbers")
-    page.add(pairs(dict(summary_rows(result))))
-    if log is not None:
-        _plots(page, log, result)
-    page.section("run", "What was run")
-    arguments = {k.replace("_", "-"): v for k, v in about["arguments"].items() if v not in (None, False, "", [])}
-    page.add(
-        f'<div class="two"><div><h3>Arguments</h3>{pairs(arguments)}<h3 class="next">Versions</h3>'
-        f"{pairs(about.get('versions', {}))}</div><div><h3>Safety limits</h3>{pairs(about['limits'])}</div></div>"
+    page = render(
+        "deployment.html",
+        [figure for found in sections.values() for figure in found],
+        title=title,
+        lead=_lead(result),
+        missing=missing,
+        summary=dict(summary_rows(result)),
+        sections=sections,
+        arguments={k.replace("_", "-"): v for k, v in about["arguments"].items() if v not in (None, False, "", [])},
+        versions=about.get("versions", {}),
+        limits=about["limits"],
     )
     return page, tuple(missing)
 
@@ -64,24 +61,29 @@ def _log_file(path: Path, about: dict[str, Any]) -> Path:
     return Path(given) if given else path / LOG
 
 
-def _summary(result: dict[str, Any]) -> str:
+def _lead(result: dict[str, Any]) -> str:
     if result["stopped_because"]:
         return f"Stopped while {result['stopped_in']}: {result['stopped_because']}."
     return f"Ended as planned ({result['stopped_by']}), after {result['cycles']:.1f} cycles."
 
 
-def _plots(page: Page, log: DeploymentLog, result: dict[str, Any]) -> None:
+def _sections(log: DeploymentLog, result: dict[str, Any]) -> dict[str, list[Figure]]:
+    """The plots by section."""
     rows = log.rows
     time = rows["time_s"]
-    page.section("base", "The base")
-    page.figure(_base(time, rows, log))
-    if result["control_us"]["max"]:  # on a virtual clock nothing takes any time
-        page.section("times", "Times")
-        page.figure(_periods(time, rows, log))
-        page.figure(_histograms(rows))
-    page.section("limits", "Limits of the robot")
-    for figure in _motors(time, rows, log):
-        page.figure(figure)
+    timed = bool(result["control_us"]["max"])  # on a virtual clock nothing takes any time
+    span = float(time[0]), float(time[-1])
+    return {
+        "base": [_base(time, rows, log)],
+        "times": [_periods(time, rows, log), _histograms(rows)] if timed else [],
+        "limits": [
+            against_limit((name, f"{title}, as the robot says", unit), [(time, values, ROBOT)], limit, span)
+            for name, title, unit, values, limit in (
+                ("torque", "Motor torque", "N·m", rows["reading"]["torque"], log.meta["torque_limit"]),
+                ("speed", "Joint speed", "rad/s", rows["reading"]["joint_vel"], log.meta["joint_speed_limit"]),
+            )
+        ],
+    }
 
 
 def _base(time: Array, rows: NDArray[Any], log: DeploymentLog) -> Figure:
@@ -96,15 +98,15 @@ def _base(time: Array, rows: NDArray[Any], log: DeploymentLog) -> Figure:
     if log.truth is not None:
         data.insert(0, curve(time, log.truth["root_pos"][:, 2], key))
         legend.append(key)
-    panels = [
-        Panel("Height", data, layout_of("time (s)", "height of the base (m)", 240, span)),
-        Panel("Tilt", [curve(time, tilt, ROBOT, peak=True)], layout_of("time (s)", "tilt (rad)", 240, span)),
+    plots = [
+        Plot("Height", data, layout_of("time (s)", "height of the base (m)", 240, span)),
+        Plot("Tilt", [curve(time, tilt, ROBOT, peak=True)], layout_of("time (s)", "tilt (rad)", 240, span)),
     ]
     return Figure(
         "base",
         f"Height and tilt: at most {greatest(tilt):.2f} rad from the vertical",
         "The height is the estimate, which there is while the controller is at work.",
-        panels,
+        plots,
         2,
         legend,
     )
@@ -117,9 +119,9 @@ def _periods(time: Array, rows: NDArray[Any], log: DeploymentLog) -> Figure:
     layout = layout_of("time (s)", f"|period − {1e3 / log.rate_hz:g} ms| (µs)", 240, span)
     layout["yaxis"]["type"] = "log"
     least = 0.1  # µs, for the logarithm
-    panels = [
-        Panel("Period error", [curve(time, np.fmax(error, least), ROBOT, peak=True)], layout),
-        Panel(
+    plots = [
+        Plot("Period error", [curve(time, np.fmax(error, least), ROBOT, peak=True)], layout),
+        Plot(
             "Age of the state when it was used",
             [curve(time, 1e3 * rows["age_s"], ROBOT, peak=True)],
             layout_of("time (s)", "age (ms)", 240, span),
@@ -132,14 +134,14 @@ def _periods(time: Array, rows: NDArray[Any], log: DeploymentLog) -> Figure:
         if len(found)
         else "Periods",
         "The greatest value of so many periods that the page stays small.",
-        panels,
+        plots,
         2,
     )
 
 
 def _histograms(rows: NDArray[Any]) -> Figure:
     following = rows[rows["phase"] == DeploymentPhase.FOLLOW]
-    panels, said = [], []
+    plots, said = [], []
     for title, name, values in (
         ("State in hand to command ready", "control", following["control_s"]),
         ("Planning ahead", "planning", following["solve_s"][following["solve_s"] > 0]),
@@ -159,48 +161,13 @@ def _histograms(rows: NDArray[Any]) -> Figure:
             "marker": {"color": ROBOT.color},
             "hovertemplate": "%{x:.0f} µs: %{y}",
         }
-        label = f"{title} <small>median {np.median(us):.0f} µs, 99 % below {np.percentile(us, 99):.0f} µs</small>"
-        panels.append(Panel(label, [bars], layout_of("µs", "periods", 220)))
+        note = f"median {np.median(us):.0f} µs, 99 % below {np.percentile(us, 99):.0f} µs"
+        plots.append(Plot(title, [bars], layout_of("µs", "periods", 220), note))
         said.append(f"{name} {np.median(us):.0f} µs")
     return Figure(
         "histograms",
         f"What takes how long, in the median: {', '.join(said)}",
         f"The last bar holds everything beyond the {_SHOWN:g}th percentile.",
-        panels,
+        plots,
         2,
     )
-
-
-def _motors(time: Array, rows: NDArray[Any], log: DeploymentLog) -> list[Figure]:
-    figures = []
-    span = float(time[0]), float(time[-1])
-    for name, title, unit, values, limit in (
-        ("torque", "Motor torque", "N·m", rows["reading"]["torque"], log.meta["torque_limit"]),
-        ("speed", "Joint speed", "rad/s", rows["reading"]["joint_vel"], log.meta["joint_speed_limit"]),
-    ):
-        limits = np.array(limit).reshape(4, 3)
-        largest = np.abs(values).reshape(-1, 4, 3).max(axis=1)
-        panels, used = [], 0.0
-        for j, joint in enumerate(JOINTS_PER_LEG):
-            most, peak = float(limits[:, j].min()), greatest(largest[:, j])
-            used = max(used, peak / most)
-            layout = layout_of("time (s)", f"greatest of four ({unit})", 230, span, (0, 1.08 * max(most, peak)))
-            layout["shapes"] = [level(most, LIMIT)]
-            panels.append(
-                Panel(
-                    f"{joint.capitalize()} <small>peak {peak:.1f}, limit {most:g} {unit}</small>",
-                    [curve(time, largest[:, j], ROBOT, peak=True)],
-                    layout,
-                )
-            )
-        figures.append(
-            Figure(
-                name,
-                f"{title}, as the robot says: at most {100 * used:.0f} % of the limit",
-                "The greatest absolute value among the four legs.",
-                panels,
-                3,
-                (ROBOT, LIMIT),
-            )
-        )
-    return figures

@@ -8,14 +8,15 @@ from fastmimic.base.conventions import GRAVITY, LEGS
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.reward import TERMS, WEIGHTS
 from fastmimic.render.tracks import realised_feet
-from fastmimic.report.html_parts import Figure, Key, Panel, numbers
-from fastmimic.report.html_run import Episodes
-from fastmimic.report.html_traces import (
+from fastmimic.report.html_plots import (
     DEMONSTRATION,
     ONLY,
     STANCE,
+    Figure,
+    Key,
+    Plot,
     arrow,
-    between_rows,
+    bar_marker,
     curve,
     first_window,
     intervals,
@@ -23,6 +24,9 @@ from fastmimic.report.html_traces import (
     layout_of,
     line,
     log_of,
+    numbers,
+    rows_axis,
+    rule,
     segment_lines,
     series,
     shades,
@@ -30,9 +34,10 @@ from fastmimic.report.html_traces import (
     times,
     whole_episode,
 )
+from fastmimic.report.html_run import RerunEpisodes
 
 
-def feet(e: Episodes) -> list[Figure]:
+def feet(e: RerunEpisodes) -> list[Figure]:
     """Height and fore-aft position of the four feet, two figures."""
     log = log_of(e.before)
     time = times(log)
@@ -45,7 +50,7 @@ def feet(e: Episodes) -> list[Figure]:
         values = np.concatenate([wanted[shown], *(f[shown] for f in realised)])[:, :, axis]
         low, high = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
         half = 0.56 * max(float(np.max(high - low)), 0.01)
-        panels = []
+        plots = []
         for leg, label in enumerate(LEGS):
             data = [curve(time, wanted[:, leg, axis], DEMONSTRATION)]
             errors = []
@@ -57,7 +62,7 @@ def feet(e: Episodes) -> list[Figure]:
                 "time (s)", f"{'xyz'[axis]}, body frame (m)", 230, window, (centre - half, centre + half)
             )
             layout["shapes"] = shades(time, log.wanted[0, :, leg]) + segment_lines(e)
-            panels.append(Panel(f"{label} <small>RMS error {arrow(errors, 1)} mm</small>", data, layout))
+            plots.append(Plot(label, data, layout, f"RMS error {arrow(errors, 1)} mm"))
         rms = [1e3 * float(np.sqrt(np.mean(r.foot_rmse[0, :, axis] ** 2))) for r, _ in series(e)]
         figures.append(
             Figure(
@@ -65,7 +70,7 @@ def feet(e: Episodes) -> list[Figure]:
                 f"{what}: RMS error {arrow(rms, 1)} mm over the four feet",
                 "Realised paths against the demonstration that the reward compares with, until a fall; the panels have"
                 " one scale.",
-                panels,
+                plots,
                 4,
                 (DEMONSTRATION, *keys(e), STANCE),
             )
@@ -73,7 +78,7 @@ def feet(e: Episodes) -> list[Figure]:
     return figures
 
 
-def paths(e: Episodes) -> Figure:
+def paths(e: RerunEpisodes) -> Figure:
     """The feet seen from the side: fore-aft position against height."""
     log = log_of(e.before)
     time = times(log)
@@ -82,7 +87,7 @@ def paths(e: Episodes) -> Figure:
     wanted = log.demonstration["foot_pos"][0]
     realised = [realised_feet(rollout, e.robot) for rollout, _ in series(e)]
     lifted = swing_clearance(e.motion.target, e.robot.foot_radius)
-    panels = []
+    plots = []
     shares: list[list[float]] = []
     for leg, label in enumerate(LEGS):
         drawn = [(wanted, DEMONSTRATION), *zip(reversed(realised), reversed(keys(e)), strict=True)]
@@ -100,38 +105,37 @@ def paths(e: Episodes) -> Figure:
         layout["hovermode"] = "closest"
         share = [100 * float(rollout.clearance[0, leg] / lifted[leg]) for rollout, _ in series(e)]
         shares.append(share)
-        panels.append(Panel(f"{label} <small>lifted {arrow(share, 0)} %</small>", data, layout))
+        plots.append(Plot(label, data, layout, f"lifted {arrow(share, 0)} %"))
     least = [float(np.nanmin(s)) if np.isfinite(s).any() else float("nan") for s in np.array(shares).T]
     return Figure(
         "paths",
         f"Feet from the side: every foot is lifted at least {arrow(least, 0)} % as high as in the demonstration",
         f"{'From the first posture to the last' if e.done_once else 'One loop a cycle'}. What the animal's step looks"
         " like is its shape; a motion that is only shuffled is flat. The scales of x and z differ.",
-        panels,
+        plots,
         4,
         (DEMONSTRATION, *keys(e)),
     )
 
 
-def gait(e: Episodes) -> Figure:
+def gait(e: RerunEpisodes) -> Figure:
     """What the schedule wants of each leg, what its state machine decided, and whether the foot is loaded."""
     threshold = e.config.gait.release_threshold * e.robot.mass * GRAVITY
     rows = [
-        Key("wanted by the motion", "var(--demo)", "fill"),
-        Key("state machine: stance", "var(--after)", "fill"),
-        Key("foot loaded", "var(--before)", "fill"),
+        Key("wanted by the motion", "var(--demo)", pattern=""),
+        Key("state machine: stance", "var(--after)", pattern="/"),
+        Key("foot loaded", "var(--before)", pattern="."),
     ]
-    patterns = ("", "/", ".")
+    words = ("wanted", "state", "loaded")
+    border = Key("", "var(--line)")
     shares: list[float] = []
-    panels = []
+    plots = []
     for rollout, key in series(e):
         log = log_of(rollout)
         alive = int(rollout.steps[0])
         loaded = log.observation["foot_force"][0, :, :, 2] > threshold
         data = []
-        for source, row, pattern, word in zip(
-            (log.wanted[0], log.stance[0], loaded), rows, patterns, ("wanted", "state", "loaded"), strict=True
-        ):
+        for source, row, word in zip((log.wanted[0], log.stance[0], loaded), rows, words, strict=True):
             base, length, names = [], [], []
             for leg, label in enumerate(LEGS):
                 for a, b in intervals(source[:alive, leg]):
@@ -147,51 +151,32 @@ def gait(e: Episodes) -> Figure:
                     "base": numbers(base),
                     "x": numbers(length),
                     "width": 0.72,
-                    "marker": {
-                        "color": row.color,
-                        "line": {"width": 0},
-                        "pattern": {
-                            "shape": pattern,
-                            "fillmode": "overlay",
-                            "fgcolor": "var(--paper)",
-                            "fgopacity": 0.6,
-                            "size": 6,
-                            "solidity": 0.2,
-                        },
-                    },
+                    "marker": bar_marker(row, fgopacity=0.6, size=6, solidity=0.2),
                     "hovertemplate": "%{y}: from %{base:.3f} s for %{x:.3f} s<extra></extra>",
                 }
             )
         layout = layout_of("time (s)", "", 330, first_window(e))
-        order = [f"{leg} {word}" for leg in LEGS for word in ("wanted", "state", "loaded")]
-        layout["yaxis"] |= {
-            "categoryorder": "array",
-            "categoryarray": order,
-            "range": [len(order) - 0.4, -0.6],
-            "showgrid": False,
-            "tickmode": "linear",
-            "dtick": 1,
-            "type": "category",
-        }
+        order = [f"{leg} {word}" for leg in LEGS for word in words]
+        layout["yaxis"] |= {**rows_axis(order), "showgrid": False}
         layout["hovermode"] = "closest"
         layout["barmode"] = "overlay"
-        layout["shapes"] = [*(between_rows(3 * leg - 0.5) for leg in range(1, 4)), *segment_lines(e)]
+        layout["shapes"] = [*(rule(border, y=3 * leg - 0.5, width=1) for leg in range(1, 4)), *segment_lines(e)]
         shares.append(100 * float(np.mean(log.stance[0, :alive] == log.wanted[0, :alive])) if alive else 0.0)
-        panels.append(Panel(short(key) if key is not ONLY else "", data, layout))
+        plots.append(Plot(short(key) if key is not ONLY else "", data, layout))
     return Figure(
         "gait",
         f"Gait: the legs are in the state that the motion wants {arrow(shares, 1)} % of the time",
         f"Three bars a leg. A foot counts as loaded above {100 * e.config.gait.release_threshold:g} % of the weight"
         f" ({threshold:.0f} N), below which the state machine takes it for free.",
-        panels,
-        len(panels),
+        plots,
+        len(plots),
         rows,
     )
 
 
-def reward(e: Episodes) -> Figure:
+def reward(e: RerunEpisodes) -> Figure:
     """The reward and its five terms over time."""
-    panels = []
+    plots = []
     for i, name in enumerate(("reward", *TERMS)):
         data: list[dict[str, Any]] = []
         means = []
@@ -210,7 +195,7 @@ def reward(e: Episodes) -> Figure:
             yrange=(max(-0.02, lowest - 0.06 * (1 - lowest) - 0.01), 1.012),
         )
         layout["shapes"] = segment_lines(e)
-        panels.append(Panel(f"{label} <small>mean {arrow(means, 3)}</small>", data, layout))
+        plots.append(Plot(label, data, layout, f"mean {arrow(means, 3)}"))
     falls = [
         f"{short(key).lower()} falls after {rollout.steps[0] / log_of(rollout).rate_hz:.2f} s"
         for rollout, key in series(e)
@@ -223,7 +208,7 @@ def reward(e: Episodes) -> Figure:
         f"Reward over time: {seen}",
         "The reward is the weighted sum of five terms, each 1 where the robot does exactly what the demonstration does;"
         " after a fall it is 0. The vertical scales differ.",
-        panels,
+        plots,
         3,
         keys(e),
     )

@@ -1,5 +1,7 @@
-"""The plots of what it took: torque, speed, friction, and time to plan."""
+"""The plots of what the motion takes: torque, speed, friction, and time to plan."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -7,86 +9,114 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY, JOINTS_PER_LEG, LEGS
 from fastmimic.episode.rollout import Log
-from fastmimic.report.html_parts import Figure, Key, Panel, numbers
-from fastmimic.report.html_run import Episodes
-from fastmimic.report.html_traces import (
+from fastmimic.report.html_plots import (
     BEFORE,
     LIMIT,
+    Figure,
+    Key,
+    Plot,
     arrow,
     curve,
     first_window,
     greatest,
     keys,
     layout_of,
-    level,
     log_of,
+    numbers,
     points,
+    rule,
     segment_lines,
     series,
     times,
     whole_episode,
 )
+from fastmimic.report.html_run import RerunEpisodes
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
 
 LOADED: Final = 0.05
-"""Share of the robot's weight above which a foot counts as loaded in the plot of friction."""
+"""Share of the robot's weight above which the plot of friction shows a foot."""
 
 
-def limits(e: Episodes) -> list[Figure]:
+def limits(e: RerunEpisodes) -> list[Figure]:
     """Joint torque and joint speed against the motors' limits, two figures."""
-    figures = []
-    for name, title, unit, limit in (
-        ("torque", "Motor torque", "N·m", e.robot.torque_limit),
-        ("speed", "Joint speed", "rad/s", e.robot.joint_speed_limit),
-    ):
-        panels, used = [], [0.0 for _ in series(e)]
-        for j, joint in enumerate(JOINTS_PER_LEG):
-            most = float(np.min(limit.reshape(4, 3)[:, j]))
-            data: list[dict[str, Any]] = []
-            peaks = []
-            for i, (rollout, key) in enumerate(series(e)):
-                log = log_of(rollout)
-                values = motor_torque(log, limit) if name == "torque" else log.observation["joint_vel"][0].copy()
-                values[rollout.steps[0] :] = np.nan
-                largest = np.abs(values).reshape(-1, 4, 3)[:, :, j].max(axis=1)
-                data.insert(0, curve(times(log), largest, key, peak=True))
-                peaks.append(greatest(largest))
-                used[i] = float(np.fmax(used[i], peaks[-1] / most))
-            layout = layout_of(
-                "time (s)", f"greatest of four ({unit})", 230, whole_episode(e), yrange=(0, 1.08 * max(most, *peaks))
-            )
-            layout["shapes"] = [level(most, LIMIT), *segment_lines(e)]
-            panels.append(
-                Panel(
-                    f"{joint.capitalize()} <small>peak {arrow(peaks, 1)}, limit {most:g} {unit}</small>", data, layout
-                )
-            )
-        beyond = ", beyond it" if max(used) > 1.0 else ""
-        how = (
-            "Torque of the motor law at the start of each control step, cut off at the limit."
-            if name == "torque"
-            else "The simulation does not cut speeds off: above the limit a real motor would not follow."
-        )
-        figures.append(
-            Figure(
-                name,
-                f"{title}: at most {arrow([100 * u for u in used], 0)} % of the limit{beyond}",
-                f"The greatest absolute value among the four legs. {how}",
-                panels,
-                3,
-                (*keys(e), LIMIT),
-            )
-        )
-    return figures
+    torques, speeds = [], []
+    for rollout, key in series(e):
+        log, alive = log_of(rollout), rollout.steps[0]
+        torque, speed = motor_torque(log, e.robot.torque_limit), log.observation["joint_vel"][0].copy()
+        torque[alive:] = speed[alive:] = np.nan
+        torques.append((times(log), torque, key))
+        speeds.append((times(log), speed, key))
+    span, shapes = whole_episode(e), segment_lines(e)
+    return [
+        against_limit(
+            ("torque", "Motor torque", "N·m"),
+            torques,
+            e.robot.torque_limit,
+            span,
+            "Torque of the motor law at the start of each control step, cut off at the limit.",
+            shapes,
+        ),
+        against_limit(
+            ("speed", "Joint speed", "rad/s"),
+            speeds,
+            e.robot.joint_speed_limit,
+            span,
+            "The simulation does not cut speeds off: above the limit a real motor would not follow.",
+            shapes,
+        ),
+    ]
 
 
-def friction(e: Episodes) -> Figure:
+def against_limit(
+    names: tuple[str, str, str],
+    found: Sequence[tuple[Array, Array, Key]],
+    limit: Array,
+    span: tuple[float, float],
+    hint: str = "",
+    shapes: Sequence[dict[str, Any]] = (),
+) -> Figure:
+    """The greatest value among the four legs, joint by joint, against the motors' limits.
+
+    Args:
+        names: id and title of the figure, and unit of the values.
+        found: of each series the times (t,), s, the values (t, 12), and how it is drawn.
+        limit: (12,).
+        span: times that are shown, s.
+        hint: what else there is to say.
+        shapes: drawn in each plot.
+    """
+    name, title, unit = names
+    plots, used = [], [0.0] * len(found)
+    for j, joint in enumerate(JOINTS_PER_LEG):
+        most = float(np.min(np.reshape(limit, (4, 3))[:, j]))
+        data: list[dict[str, Any]] = []
+        peaks = []
+        for i, (time, values, key) in enumerate(found):
+            largest = np.abs(values).reshape(-1, 4, 3)[:, :, j].max(axis=1)
+            data.insert(0, curve(time, largest, key, peak=True))
+            peaks.append(greatest(largest))
+            used[i] = float(np.fmax(used[i], peaks[-1] / most))
+        layout = layout_of("time (s)", f"greatest of four ({unit})", 230, span, (0, 1.08 * max(most, *peaks)))
+        layout["shapes"] = [rule(LIMIT, y=most), *shapes]
+        plots.append(Plot(joint.capitalize(), data, layout, f"peak {arrow(peaks, 1)}, limit {most:g} {unit}"))
+    beyond = ", beyond it" if max(used) > 1.0 else ""
+    return Figure(
+        name,
+        f"{title}: at most {arrow([100 * u for u in used], 0)} % of the limit{beyond}",
+        f"The greatest absolute value among the four legs. {hint}".strip(),
+        plots,
+        3,
+        (*(key for *_, key in found), LIMIT),
+    )
+
+
+def friction(e: RerunEpisodes) -> Figure:
     """Tangential over normal force of each loaded foot."""
     loaded = LOADED * e.robot.mass * GRAVITY
     assumed, ground = e.config.stance.friction, GROUND_FRICTION
     mu = Key(f"μ that the controller assumes, {assumed:g}", "var(--limit)", "dashdot")
     real = Key(f"μ of the simulated ground, {ground:g}", "var(--muted)", "dot")
-    panels, top = [], []
+    plots, top = [], []
     for leg, label in enumerate(LEGS):
         data: list[dict[str, Any]] = []
         typical = []
@@ -100,24 +130,23 @@ def friction(e: Episodes) -> Figure:
             data.insert(0, curve(times(log), use, key, peak=True))
             typical.append(float(np.nanpercentile(use, 95)) if on.any() else float("nan"))
         top.append(typical)
-        layout = layout_of(
-            "time (s)", "tangential / normal force", 230, first_window(e), (0, 1.15 * max(assumed, ground))
-        )
-        layout["shapes"] = [level(assumed, mu), level(ground, real), *segment_lines(e)]
-        panels.append(Panel(f"{label} <small>95 % below {arrow(typical, 2)}</small>", data, layout))
+        highest = 1.15 * max(assumed, ground)
+        layout = layout_of("time (s)", "tangential / normal force", 230, first_window(e), (0, highest))
+        layout["shapes"] = [rule(mu, y=assumed), rule(real, y=ground), *segment_lines(e)]
+        plots.append(Plot(label, data, layout, f"95 % below {arrow(typical, 2)}"))
     worst = [greatest(np.array(column)) for column in zip(*top, strict=True)]
     return Figure(
         "friction",
         f"Friction use: {arrow(worst, 2)} at most for 95 % of the time on any foot; the ground has μ {ground:g}",
         f"Only feet that carry more than {100 * LOADED:g} % of the weight ({loaded:.0f} N); gaps are swings. Where a"
         " curve reaches the ground's μ the foot slides.",
-        panels,
+        plots,
         4,
         (*keys(e), mu, real),
     )
 
 
-def solve_times(e: Episodes) -> Figure | None:
+def solve_times(e: RerunEpisodes) -> Figure | None:
     """How long the controller planned ahead; None if it never did."""
     data, legend, medians, worst = [], [], [], []
     for rollout, key in series(e):
@@ -126,9 +155,9 @@ def solve_times(e: Episodes) -> Figure | None:
         if not len(at):
             return None
         ms = 1e3 * log.solve_time[0, at]
-        shown = Key(key.label, key.color, "o" if key is BEFORE else "d")
-        legend.append(shown)
-        data.append(points(numbers((at + 1) / log.rate_hz), numbers(ms), shown, "", size=5))
+        symbol, size = ("circle-open", 7.5) if key is BEFORE else ("diamond", 5.0)
+        legend.append(replace(key, symbol=symbol))
+        data.append(points(numbers((at + 1) / log.rate_hz), numbers(ms), legend[-1], "%{y}: %{x:.4g}", size=size))
         medians.append(float(np.median(ms)))
         worst.append(float(np.percentile(ms, 99)))
     layout = layout_of("time (s)", "solve time (ms)", 260, whole_episode(e))
@@ -138,7 +167,7 @@ def solve_times(e: Episodes) -> Figure | None:
         f"Planning ahead takes {arrow(medians, 2)} ms in the median, 99 % stay below {arrow(worst, 2)} ms",
         f"One point a plan, {e.config.horizon.solve_rate_hz:g} a second, measured while this page was made, on the"
         " machine that made it.",
-        [Panel("", data, layout)],
+        [Plot("", data, layout)],
         1,
         legend,
     )

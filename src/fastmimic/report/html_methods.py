@@ -1,7 +1,7 @@
 """The plots of a comparison: methods and ablations, with every seed. The numbers are those of results.csv."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -9,8 +9,7 @@ import numpy as np
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.tables import Summary
 from fastmimic.imitation.methods import ALL_METHODS, method_named
-from fastmimic.report.html_parts import Figure, Key, Panel, numbers
-from fastmimic.report.html_traces import layout_of
+from fastmimic.report.html_plots import Figure, Key, Plot, bar_marker, layout_of, numbers, points, rows_axis, rule
 
 _STYLES: Final = {  # colour, pattern of a bar, symbol of a point: no two methods share all of them
     "rl": ("var(--rl)", ".", "cross"),
@@ -25,10 +24,12 @@ _BAR: Final = 0.84
 """Share of a group's width that its bars take."""
 _ALIKE: Final = 0.005
 """Rewards that differ by less are called alike."""
-_SEED: Final = Key("each seed", "var(--ink)", "o")
-_ROUGH: Final = Key("from perturbed starts", "var(--ink)", "o")
-_WHOLE: Final = Key(f"{method_named(ABLATED).label} as it is", "var(--muted)", "dash")
-_BEFORE: Final = Key("before the optimisation", "var(--ink)", "solid")
+_SEED: Final = Key("each seed", "var(--ink)", symbol="circle-open")
+_ROUGH: Final = Key("from perturbed starts", "var(--ink)", symbol="circle-open")
+_WHOLE: Final = Key(f"{method_named(ABLATED).label} unchanged", "var(--muted)", "dash")
+_BEFORE: Final = Key("before the optimisation", "var(--ink)")
+_NOMINAL: Final = Key("nominal, mean ± std over the seeds", "var(--after)", symbol="diamond")
+_INK_BARS: Final = {"color": "var(--ink)", "thickness": 1.2, "width": 3}
 
 
 @dataclass(frozen=True)
@@ -116,37 +117,23 @@ def cost(found: Sequence[Summary]) -> Figure | None:
     """
     data = []
     for name in _methods(found):
-        color, _, symbol = _style(name)
         rows = [row for s in found if s.method == name for row in s.rows if row.get("cpu_s")]
         if rows:
-            data.append(
-                {
-                    "type": "scatter",
-                    "mode": "markers",
-                    "name": method_named(name).label,
-                    "x": numbers([row["cpu_s"] for row in rows]),
-                    "y": numbers([row["reward"] for row in rows], 17),
-                    "text": [f"{row['motion']}, seed {row['seed']:g}" for row in rows],
-                    "marker": {
-                        "symbol": symbol,
-                        "size": 10,
-                        "color": color,
-                        "line": {"width": 1, "color": "var(--paper)"},
-                    },
-                    "hovertemplate": "%{text}: reward %{y:.3f}, %{x:.3g} s",
-                }
-            )
+            x, y = numbers([row["cpu_s"] for row in rows]), numbers([row["reward"] for row in rows], 17)
+            trace = points(x, y, _key(name), "%{text}: reward %{y:.3f}, %{x:.3g} s")
+            trace["marker"]["line"] = {"width": 1, "color": "var(--paper)"}
+            data.append({**trace, "text": [f"{row['motion']}, seed {row['seed']:g}" for row in rows]})
     if not data:
         return None
     layout = layout_of("processor time (s)", "reward (0 to 1)", 330)
     layout["xaxis"]["type"] = "log"
     layout["hovermode"] = "closest"
-    legend = [Key(method_named(n).label, _style(n)[0], f"symbol {_style(n)[2]}") for n in _methods(found)]
+    legend = [replace(_key(name), pattern=None) for name in _methods(found)]
     return Figure(
         "cost",
         "What a reward costs: the processor time of each run, optimisation and evaluation",
         "One point a run, on the machine named below. Methods that optimise nothing need only the evaluation.",
-        [Panel("", data, layout)],
+        [Plot("", data, layout)],
         1,
         legend,
     )
@@ -164,75 +151,34 @@ def ablations(found: Sequence[Summary]) -> Figure:
     title = "Ablations"
     if there:
         worst = min(there, key=lambda v: there[v])
-        title = f"What the parts are worth: most is lost by {worst}, {there[worst]:+.3f} of reward on average"
-    panels = []
+        title = f"What the parts contribute: most is lost by {worst}, {there[worst]:+.3f} of reward on average"
+    plots = []
     for motion in dict.fromkeys(s.motion for s in found):
         own = [s for s in found if s.motion == motion]
         names = [s.variant or ABLATED for s in own]
-        data = [
-            {
-                **_marks(
-                    _rounded([s.mean("reward") for s in own]), names, "diamond", "var(--after)", 10, "reward %{x:.3f}"
-                ),
-                "name": "reward",
-                "error_x": {
-                    "type": "data",
-                    "array": numbers([s.std("reward") or 0.0 for s in own]),
-                    "color": "var(--ink)",
-                    "thickness": 1.2,
-                    "width": 3,
-                },
-            },
-            {
-                **_marks(
-                    _rounded([s.mean("reward_perturbed") for s in own]),
-                    names,
-                    "circle-open",
-                    "var(--ink)",
-                    8,
-                    "perturbed starts %{x:.3f}",
-                ),
-                "name": "perturbed",
-            },
-        ]
+        nominal = _marks([s.mean("reward") for s in own], names, _NOMINAL, "reward", 10)
+        perturbed = _marks([s.mean("reward_perturbed") for s in own], names, _ROUGH, "perturbed starts", 8)
+        stds = numbers([s.std("reward") or 0.0 for s in own])
+        data = [nominal | {"error_x": {"type": "data", "array": stds, **_INK_BARS}}, perturbed]
         layout = layout_of("reward", "", 90 + 24 * len(variants))
         layout["hovermode"] = "closest"
-        layout["yaxis"] |= {
-            "type": "category",
-            "categoryorder": "array",
-            "categoryarray": [v or ABLATED for v in variants],
-            "range": [len(variants) - 0.4, -0.6],
-            "tickmode": "linear",
-            "dtick": 1,
-        }
+        layout["yaxis"] |= rows_axis([v or ABLATED for v in variants])
         whole = next((s.mean("reward") for s in own if not s.variant), None)
         if whole is not None:
-            dashed = {"color": "var(--muted)", "dash": "dash", "width": 1.2}
-            layout["shapes"] = [
-                {
-                    "type": "line",
-                    "xref": "x",
-                    "yref": "paper",
-                    "x0": whole,
-                    "x1": whole,
-                    "y0": 0,
-                    "y1": 1,
-                    "line": dashed,
-                }
-            ]
-        panels.append(Panel(motion, data, layout))
+            layout["shapes"] = [rule(_WHOLE, x=whole, width=1.2)]
+        plots.append(Plot(motion, data, layout))
     return Figure(
         "ablation",
         title,
-        f"Each row is {method_named(ABLATED).label} with one part taken away or changed, optimised anew. The scales"
+        f"Each row is {method_named(ABLATED).label} with one part taken away or changed, optimised again. The scales"
         " begin where the values do.",
-        panels,
+        plots,
         2,
-        (Key("nominal, mean ± std over the seeds", "var(--after)", "d"), _ROUGH, _WHOLE),
+        (_NOMINAL, _ROUGH, _WHOLE),
     )
 
 
-def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Panel:
+def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Plot:
     """Bars in groups, a group a motion."""
     motions, methods = list(dict.fromkeys(s.motion for s in found)), _methods(found)
     width = _BAR / len(methods)
@@ -240,7 +186,6 @@ def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Pane
     dots: tuple[list[float], list[float], list[str]] = ([], [], [])
     before: list[dict[str, Any]] = []
     for j, name in enumerate(methods):
-        color, pattern, _ = _style(name)
         own = [s for s in found if s.method == name and s.mean(measure.column) is not None]
         at = [motions.index(s.motion) - _BAR / 2 + (j + 0.5) * width for s in own]
         means = [measure.scale * float(s.mean(measure.column) or 0.0) for s in own]
@@ -254,25 +199,8 @@ def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Pane
                 "y": numbers(means, 17),
                 "width": numbers([0.9 * width] * len(own)),
                 "customdata": [[s.motion, std] for s, std in zip(own, numbers(stds), strict=True)],
-                "marker": {
-                    "color": color,
-                    "pattern": {
-                        "shape": pattern,
-                        "fillmode": "overlay",
-                        "fgcolor": "var(--paper)",
-                        "fgopacity": 0.7,
-                        "size": 7,
-                        "solidity": 0.25,
-                    },
-                },
-                "error_y": {
-                    "type": "data",
-                    "array": numbers(stds),
-                    "visible": any(stds),
-                    "color": "var(--ink)",
-                    "thickness": 1.2,
-                    "width": 3,
-                },
+                "marker": bar_marker(_key(name), fgopacity=0.7, size=7, solidity=0.25),
+                "error_y": {"type": "data", "array": numbers(stds), "visible": any(stds), **_INK_BARS},
                 "hovertemplate": f"{label} on %{{customdata[0]}}: %{{y:.4g}} ± %{{customdata[1]:.2g}}<extra></extra>",
             }
         )
@@ -287,18 +215,8 @@ def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Pane
                 y = measure.scale * was
                 ends = {"xref": "x", "yref": "y", "x0": x - 0.45 * width, "x1": x + 0.45 * width, "y0": y, "y1": y}
                 before.append({"type": "line", **ends, "line": {"color": "var(--ink)", "width": 2}})
-    data.append(
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": _SEED.label,
-            "x": numbers(dots[0]),
-            "y": numbers(dots[1], 17),
-            "text": dots[2],
-            "marker": {"symbol": "circle-open", "size": 5, "color": "var(--ink)", "line": {"width": 1.2}},
-            "hovertemplate": "%{text}: %{y:.4g}<extra></extra>",
-        }
-    )
+    seeds = points(numbers(dots[0]), numbers(dots[1], 17), _SEED, "%{text}: %{y:.4g}<extra></extra>", size=5)
+    data.append({**seeds, "text": dots[2]})
     layout = layout_of("motion", measure.unit, height)
     layout["xaxis"] |= {
         "tickmode": "array",
@@ -309,30 +227,21 @@ def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Pane
     }
     layout["yaxis"] |= {"rangemode": "tozero"} if measure.top is None else {"range": [0, measure.top]}
     layout["hovermode"], layout["barmode"], layout["shapes"] = "closest", "overlay", before
-    return Panel(measure.title, data, layout)
+    return Plot(measure.title, data, layout)
 
 
-def _marks(x: list[float | None], y: list[str], symbol: str, color: str, size: int, hover: str) -> dict[str, Any]:
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "x": x,
-        "y": y,
-        "marker": {"symbol": symbol, "size": size, "color": color, "line": {"width": 1.6, "color": color}},
-        "hovertemplate": f"%{{y}}: {hover}<extra></extra>",
-    }
-
-
-def _rounded(values: Sequence[float | None]) -> list[float | None]:
-    return numbers([np.nan if v is None else v for v in values], 17)
+def _marks(x: Sequence[float | None], names: Sequence[str], key: Key, hover: str, size: int) -> dict[str, Any]:
+    values = numbers([np.nan if v is None else v for v in x], 17)
+    return points(values, names, key, f"%{{y}}: {hover} %{{x:.3f}}<extra></extra>", size=size)
 
 
 def _legend(found: Sequence[Summary]) -> list[Key]:
-    return [Key(method_named(n).label, _style(n)[0], f"fill{_style(n)[1]}") for n in _methods(found)]
+    return [_key(name) for name in _methods(found)]
 
 
-def _style(method: str) -> tuple[str, str, str]:
-    return _STYLES.get(method, _OTHER)
+def _key(method: str) -> Key:
+    color, pattern, symbol = _STYLES.get(method, _OTHER)
+    return Key(method_named(method).label, color, symbol=symbol, pattern=pattern)
 
 
 def _methods(found: Sequence[Summary]) -> list[str]:

@@ -4,7 +4,6 @@ The episodes are not stored: they follow, bit for bit, from `motion.npz` and `co
 checked against the rewards in `metrics.json`.
 """
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, FastMimicError
+from fastmimic.base.files import read_json
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout
@@ -22,7 +22,7 @@ from fastmimic.robot import Robot, load_robot
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class SearchHistory:
     """What the optimiser tried.
 
     Attributes:
@@ -35,7 +35,7 @@ class Course:
 
 
 @dataclass(frozen=True, eq=False)
-class Episodes:
+class RerunEpisodes:
     """The run's nominal episodes, run again with their logs.
 
     Attributes:
@@ -65,7 +65,7 @@ class RunData:
     Attributes:
         path: the folder.
         metrics, config: the two JSON files; `config` is empty if it is missing.
-        course: of the optimiser; None if nothing was optimised or it is missing.
+        search: what the optimiser tried; None if nothing was optimised or it is missing.
         episodes: None if they cannot be run again.
         video: its file; None without one.
         missing: a sentence for each thing that is not there: what is left out because of it.
@@ -74,8 +74,8 @@ class RunData:
     path: Path
     metrics: dict[str, Any]
     config: dict[str, Any]
-    course: Course | None
-    episodes: Episodes | None
+    search: SearchHistory | None
+    episodes: RerunEpisodes | None
     video: Path | None
     missing: tuple[str, ...]
 
@@ -91,22 +91,22 @@ def read_run(path: Path) -> RunData:
     Raises:
         ConfigError: `metrics.json` is missing, cannot be read, or is not a run's.
     """
-    metrics = _json(path / METRICS)
+    metrics = read_json(path / METRICS)
     lacking = [key for key in ("motion", "robot", "reward", "fell", "parameters", "duration_s") if key not in metrics]
     if lacking:
         raise ConfigError(f"{path / METRICS}: not the figures of a run ({', '.join(lacking)} missing)")
     missing: list[str] = []
     config: dict[str, Any] = {}
     try:
-        config = _json(path / CONFIG)
+        config = read_json(path / CONFIG)
     except ConfigError as error:
         missing.append(f"{error}: without arguments and controller, and without the plots of the episodes")
-    course = None
+    search = None
     if metrics["parameters"]:
         try:
-            course = _course(RunFolder(path).checkpoint, len(metrics["parameters"]))
+            search = _search(RunFolder(path).checkpoint, len(metrics["parameters"]))
         except ConfigError as error:
-            missing.append(f"{error}: without the course of the optimisation")
+            missing.append(f"{error}: without the plot of the optimisation")
     episodes = None
     if config:
         try:
@@ -116,10 +116,10 @@ def read_run(path: Path) -> RunData:
     video = path / VIDEO if (path / VIDEO).is_file() else None
     if video is None and not config.get("arguments", {}).get("no_video"):
         missing.append(f"{path / VIDEO} is missing: without the video")
-    return RunData(path, metrics, config, course, episodes, video, tuple(missing))
+    return RunData(path, metrics, config, search, episodes, video, tuple(missing))
 
 
-def _run_again(path: Path, metrics: dict[str, Any], config: dict[str, Any]) -> Episodes:
+def _run_again(path: Path, metrics: dict[str, Any], config: dict[str, Any]) -> RerunEpisodes:
     if not (path / MOTION).is_file():
         raise ConfigError(f"{path / MOTION} is missing")
     try:
@@ -141,29 +141,17 @@ def _run_again(path: Path, metrics: dict[str, Any], config: dict[str, Any]) -> E
                 f"{name}: the episode run again has reward {rollout.reward[0]:.6f}, the run recorded"
                 f" {metrics['reward'][name]:.6f}"
             )
-    return Episodes(robot, motion, controller, before, after, tuple(differences))
+    return RerunEpisodes(robot, motion, controller, before, after, tuple(differences))
 
 
-def _course(path: Path, parameters: int) -> Course:
+def _search(path: Path, parameters: int) -> SearchHistory:
     try:
         with np.load(path, allow_pickle=False) as file:
-            course = Course(np.asarray(file["scores"], float), np.asarray(file["candidates"], float))
+            search = SearchHistory(np.asarray(file["scores"], float), np.asarray(file["candidates"], float))
     except FileNotFoundError:
         raise ConfigError(f"{path} is missing") from None
     except Exception as error:  # noqa: BLE001 (a damaged archive can raise almost anything)
         raise ConfigError(f"{path} cannot be read ({error})") from None
-    if course.scores.ndim != 2 or course.candidates.shape != (*course.scores.shape, parameters):
+    if search.scores.ndim != 2 or search.candidates.shape != (*search.scores.shape, parameters):
         raise ConfigError(f"{path} is of another run")
-    return course
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path} is missing") from None
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path} cannot be read ({error})") from None
-    if not isinstance(value, dict):
-        raise ConfigError(f"{path} does not hold an object")
-    return value
+    return search

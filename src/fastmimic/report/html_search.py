@@ -5,10 +5,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from fastmimic.report.html_parts import Figure, Key, Panel, numbers
-from fastmimic.report.html_run import Course
-from fastmimic.report.html_traces import layout_of, line, points
+from fastmimic.report.html_plots import Figure, Key, Plot, layout_of, line, numbers, points, rows_axis
+from fastmimic.report.html_run import SearchHistory
 
+_FITTED: Final = Key("as fitted", "var(--before)", symbol="circle-open")
+_FOUND: Final = Key("found", "var(--after)", symbol="diamond")
 _CHOICE: Final = (
     "the reward of an episode less the penalty for feet lifted too little. The result is chosen by longer, perturbed"
     " episodes among the best of them and the motion as fitted."
@@ -21,23 +22,23 @@ _CHOICE_OVER_ROBOTS: Final = (
 
 
 def convergence(
-    course: Course, before: float, after: float, *, unchanged: bool = False, randomized: bool = False
+    search: SearchHistory, before: float, after: float, *, unchanged: bool = False, randomized: bool = False
 ) -> Figure:
     """Scores of the candidates by generation, and how far apart they still are.
 
     Args:
-        course: of the optimiser.
+        search: what the optimiser tried.
         before, after: rewards of the run.
         unchanged: whether the motion as fitted is the result.
         randomized: whether each iteration scored on robots of its own.
     """
-    scores = course.scores
+    scores = search.scores
     k = np.arange(1, len(scores) + 1)
     mean, std = scores.mean(axis=1), scores.std(axis=1)
     best = scores.max(axis=1) if randomized else np.maximum.accumulate(scores.max(axis=1))
-    spread = course.candidates.std(axis=1).mean(axis=1)
+    spread = search.candidates.std(axis=1).mean(axis=1)
     x, mode = k.tolist(), "lines" if len(k) > 2 else "lines+markers"
-    band = Key("candidates, ± 1 std", "var(--band)", "fill")
+    band = Key("candidates, ± 1 std", "var(--band)", pattern="")
     average = Key("candidates, mean", "var(--before)", "dot")
     leader = Key("best of the iteration" if randomized else "best so far", "var(--after)", "solid")
     start = Key("reward before", "var(--demo)", "dash")
@@ -61,13 +62,13 @@ def convergence(
     effort = f"{len(k)} iteration{'s' if len(k) > 1 else ''}"
     title = f"The reward {verb}: {before:.3f} before, {after:.3f} after {effort}"
     if unchanged:
-        title = f"{effort.capitalize()} found nothing better than the motion as fitted, whose reward is {after:.3f}"
+        title = f"{effort.capitalize()} found nothing better than the motion as fitted (reward {after:.3f})"
     return Figure(
         "convergence",
         title,
         f"Left, the candidates' scores: {_CHOICE_OVER_ROBOTS if randomized else _CHOICE} Right, how far the"
         " candidates of CMA-ES are apart, mean standard deviation over the parameters: it falls as the search settles.",
-        [Panel("Score", data, reward), Panel("Spread of the candidates", [line(x, spread, leader, mode=mode)], step)],
+        [Plot("Score", data, reward), Plot("Spread of the candidates", [line(x, spread, leader, mode=mode)], step)],
         2,
         (leader, average, band, start),
     )
@@ -84,7 +85,7 @@ def parameters(found: Sequence[dict[str, Any]]) -> Figure:
     Args:
         found: of `metrics.json`.
     """
-    panels = []
+    plots = []
     for kind, measured, title, axis, unit, scale in (
         ("goal", "m", "Baseline g", "change of the baseline (mm)", "mm", 1e3),
         ("goal", "rad", "Baseline g of angles", "change of the baseline (°)", "°", float(np.degrees(1.0))),
@@ -106,29 +107,21 @@ def parameters(found: Sequence[dict[str, Any]]) -> Figure:
                 "marker": {"symbol": "line-ns-open", "size": 11, "color": "var(--muted)"},
                 "line": {"color": "var(--grid)", "width": 6},
             },
-            points(
-                numbers([scale * (p["initial"] - s) for p, s in zip(own, shift, strict=True)]),
-                names,
-                Key("as fitted", "var(--before)", "o"),
-                unit,
-            ),
-            points(
-                numbers([scale * (p["value"] - s) for p, s in zip(own, shift, strict=True)]),
-                names,
-                Key("found", "var(--after)", "d"),
-                unit,
+            *(
+                points(
+                    numbers([scale * (p[value] - s) for p, s in zip(own, shift, strict=True)]),
+                    names,
+                    key,
+                    f"%{{y}}: %{{x:.4g}} {unit}".rstrip(),
+                    size=size,
+                )
+                for value, key, size in (("initial", _FITTED, 15), ("value", _FOUND, 10))
             ),
         ]
         layout = layout_of(axis, "", height=70 + 26 * len(own))
-        layout["yaxis"] |= {
-            "autorange": "reversed",
-            "showgrid": False,
-            "tickmode": "linear",
-            "dtick": 1,
-            "type": "category",
-        }
+        layout["yaxis"] |= {**rows_axis(names), "showgrid": False}
         layout["hovermode"] = "closest"
-        panels.append(Panel(title, data, layout))
+        plots.append(Plot(title, data, layout))
     at = sum(min(p["value"] - p["lower"], p["upper"] - p["value"]) < 0.01 * (p["upper"] - p["lower"]) for p in found)
     ending = "none at a bound" if not at else f"{at} at a bound, where the search would have gone further"
     if as_fitted(found):
@@ -138,11 +131,7 @@ def parameters(found: Sequence[dict[str, Any]]) -> Figure:
         f"What the optimiser chose: {len(found)} parameters, {ending}",
         "Each grey bar is what the search may use. The baseline moves a foot's path up or down, the amplitude stretches"
         " it about its mean; the shape stays the animal's.",
-        panels,
+        plots,
         2,
-        (
-            Key("as fitted", "var(--before)", "o"),
-            Key("found", "var(--after)", "d"),
-            Key("bounds", "var(--grid)", "fill"),
-        ),
+        (_FITTED, _FOUND, Key("bounds", "var(--grid)", pattern="")),
     )

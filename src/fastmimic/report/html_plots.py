@@ -1,7 +1,9 @@
-"""What the plots of a run have in common, as plain Plotly: lines, layouts, the two series before and after, and which
-times are shown. Colours are names of the style sheet's."""
+"""Plots as plain Plotly: figures, series, lines, axes, and which times are shown. Colours are names of the style
+sheet's."""
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -9,14 +11,71 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.episode.rollout import Log, Rollout
-from fastmimic.report.html_parts import Key, numbers
-from fastmimic.report.html_run import Episodes
+from fastmimic.report.html_run import RerunEpisodes
+
+
+@dataclass(frozen=True)
+class Key:
+    """A series: its name and how it is drawn, in a plot and in the legend.
+
+    Attributes:
+        label: its name.
+        color: `var(--name)` of the style sheet.
+        dash: one of Plotly's dash patterns.
+        symbol: Plotly's name of a marker, for a series of points.
+        pattern: Plotly's name of a pattern, for an area or bars; "" for a plain one.
+    """
+
+    label: str
+    color: str
+    dash: str = "solid"
+    symbol: str = ""
+    pattern: str | None = None
+
+
+@dataclass(frozen=True)
+class Plot:
+    """One plot.
+
+    Attributes:
+        title: a few words.
+        data: Plotly traces.
+        layout: Plotly layout without what the theme gives.
+        note: small print after the title.
+    """
+
+    title: str
+    data: list[dict[str, Any]]
+    layout: dict[str, Any]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Plots under one heading.
+
+    Attributes:
+        name: its id in the page.
+        title: what there is to see.
+        hint: how to read it.
+        plots: the plots.
+        columns: of the plots on a wide page.
+        legend: how the series are drawn.
+    """
+
+    name: str
+    title: str
+    hint: str
+    plots: Sequence[Plot]
+    columns: int = 1
+    legend: Sequence[Key] = ()
+
 
 BEFORE: Final = Key("before: as retargeted", "var(--before)", "2px,5px")
 AFTER: Final = Key("after: optimised", "var(--after)", "solid")
 ONLY: Final = Key("as retargeted, not optimised", "var(--after)", "solid")
 DEMONSTRATION: Final = Key("demonstration", "var(--demo)", "dash")
-STANCE: Final = Key("stance wanted", "var(--stance)", "fill")
+STANCE: Final = Key("stance wanted", "var(--stance)", pattern="")
 LIMIT: Final = Key("limit", "var(--limit)", "dashdot")
 POINTS: Final = 1000
 """Points of a curve at most: a page is to open on a phone."""
@@ -24,7 +83,7 @@ CYCLES: Final = 2  # shown at first
 TRANSITION_S: Final = 2.0  # of a stitched motion, shown at first
 
 
-def first_window(e: Episodes) -> tuple[float, float]:
+def first_window(e: RerunEpisodes) -> tuple[float, float]:
     """The times that are shown at first, s: the last cycles before the end, or the first transition."""
     log = log_of(e.before)
     total = log.wanted.shape[1] / log.rate_hz
@@ -37,17 +96,17 @@ def first_window(e: Episodes) -> tuple[float, float]:
     return start, max(alive, start + 0.1)
 
 
-def whole_episode(e: Episodes) -> tuple[float, float]:
+def whole_episode(e: RerunEpisodes) -> tuple[float, float]:
     """From 0 to the end of the episodes, s."""
     log = log_of(e.before)
     return 0.0, log.wanted.shape[1] / log.rate_hz
 
 
-def series(e: Episodes) -> list[tuple[Rollout, Key]]:
+def series(e: RerunEpisodes) -> list[tuple[Rollout, Key]]:
     return [(e.before, ONLY)] if e.after is None else [(e.before, BEFORE), (e.after, AFTER)]
 
 
-def keys(e: Episodes) -> tuple[Key, ...]:
+def keys(e: RerunEpisodes) -> tuple[Key, ...]:
     return tuple(key for _, key in series(e))
 
 
@@ -102,22 +161,23 @@ def line(x: Any, y: Any, key: Key, *, width: float = 2.0, **more: Any) -> dict[s
     }
 
 
-def points(x: Sequence[Any], y: Sequence[Any], key: Key, unit: str, *, size: int = 10) -> dict[str, Any]:
-    symbol, share = {"o": ("circle-open", 1.5), "d": ("diamond", 1.0)}[key.dash]
+def points(x: Sequence[Any], y: Sequence[Any], key: Key, hover: str, *, size: float = 10) -> dict[str, Any]:
+    """A marker at each point."""
     return {
         "type": "scatter",
         "mode": "markers",
         "name": key.label,
         "x": list(x),
         "y": list(y),
-        "marker": {
-            "symbol": symbol,
-            "size": share * size,
-            "color": key.color,
-            "line": {"width": 1.8, "color": key.color},
-        },
-        "hovertemplate": f"%{{y}}: %{{x:.4g}} {unit}".rstrip(),
+        "marker": {"symbol": key.symbol, "size": size, "color": key.color, "line": {"width": 1.8, "color": key.color}},
+        "hovertemplate": hover,
     }
+
+
+def bar_marker(key: Key, **pattern: Any) -> dict[str, Any]:
+    """Colour and pattern of bars."""
+    shape = {"shape": key.pattern, "fillmode": "overlay", "fgcolor": "var(--paper)", **pattern}
+    return {"color": key.color, "line": {"width": 0}, "pattern": shape}
 
 
 def layout_of(
@@ -161,22 +221,35 @@ def shades(time: Array, stance: NDArray[np.bool_]) -> list[dict[str, Any]]:
     ]
 
 
-def level(value: float, key: Key) -> dict[str, Any]:
-    line = {"color": key.color, "dash": key.dash, "width": 1.6}
-    return {"type": "line", "xref": "paper", "yref": "y", "x0": 0, "x1": 1, "y0": value, "y1": value, "line": line}
-
-
-def between_rows(y: float) -> dict[str, Any]:
-    line = {"color": "var(--line)", "width": 1}
+def rule(key: Key, *, x: float | None = None, y: float | None = None, width: float = 1.6) -> dict[str, Any]:
+    """A line across the whole plot: upright at `x`, or level at `y`."""
+    line = {"color": key.color, "dash": key.dash, "width": width}
+    if x is not None:
+        return {"type": "line", "xref": "x", "yref": "paper", "x0": x, "x1": x, "y0": 0, "y1": 1, "line": line}
     return {"type": "line", "xref": "paper", "yref": "y", "x0": 0, "x1": 1, "y0": y, "y1": y, "line": line}
 
 
-def segment_lines(e: Episodes) -> list[dict[str, Any]]:
+def rows_axis(names: Sequence[str]) -> dict[str, Any]:
+    """An axis of words, the first one on top."""
+    return {
+        "type": "category",
+        "categoryorder": "array",
+        "categoryarray": list(names),
+        "range": [len(names) - 0.4, -0.6],
+        "tickmode": "linear",
+        "dtick": 1,
+    }
+
+
+def segment_lines(e: RerunEpisodes) -> list[dict[str, Any]]:
     """Where a stitched motion passes from one segment to the next."""
-    line = {"color": "var(--muted)", "dash": "dash", "width": 1}
     rate = log_of(e.before).rate_hz
+    border = Key("", "var(--muted)", "dash")
+    return [rule(border, x=s / rate, width=1) for s in e.motion.target.segment_starts if s]
+
+
+def numbers(values: Any, digits: int = 5) -> list[float | None]:
+    """A list for JSON: `digits` significant ones, None for what is not a number."""
     return [
-        {"type": "line", "xref": "x", "yref": "paper", "x0": s / rate, "x1": s / rate, "y0": 0, "y1": 1, "line": line}
-        for s in e.motion.target.segment_starts
-        if s
+        float(f"{v:.{digits}g}") if math.isfinite(v) else None for v in np.asarray(values, dtype=np.float64).tolist()
     ]

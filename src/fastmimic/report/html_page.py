@@ -1,0 +1,116 @@
+"""Pages: templates filled with data, and everything a page shows in the one file."""
+
+import base64
+import gzip
+import json
+import re
+from collections.abc import Iterable
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup, escape
+
+from fastmimic import __version__
+from fastmimic.base.errors import ConfigError, OutputError
+from fastmimic.report.html_plots import Figure
+
+
+def render(template: str, figures: Iterable[Figure], *, title: str, replay: str = "", **data: Any) -> str:
+    """A page.
+
+    Args:
+        template: name of a file in `templates/`.
+        figures: all that the page shows.
+        title: of the document.
+        replay: an HTML page to be opened inside this one; empty for none.
+        **data: what the template shows.
+
+    Raises:
+        ConfigError: there are figures, and Plotly is not installed.
+        OutputError: a file that the page shows cannot be read.
+    """
+    plots = {
+        f"{figure.name}-{i}": {"data": plot.data, "layout": plot.layout}
+        for figure in figures
+        for i, plot in enumerate(figure.plots, start=1)
+    }
+    return _environment().get_template(template).render(title=title, plots=plots, replay=replay, **data)
+
+
+def plotly_bundle() -> str:
+    """Plotly's JavaScript out of its Python package.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        from plotly.offline import get_plotlyjs
+    except ImportError:
+        raise ConfigError(
+            "the report's plots need Plotly, which is not installed: pip install 'fastmimic[report]'"
+        ) from None
+    return str(get_plotlyjs())
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("fastmimic.report"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.globals |= {"version": __version__, "asset": _asset, "plotly": plotly_bundle}
+    environment.filters |= {"json": _json, "gzip": compressed, "embed": _embedded, "markdown": markdown}
+    return environment
+
+
+def _asset(name: str) -> Markup:
+    return Markup(resources.files("fastmimic.report").joinpath("templates", name).read_text(encoding="utf-8"))
+
+
+def _json(value: Any) -> Markup:
+    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    return Markup(text.replace("<", "\\u003c"))  # no text can end the script element
+
+
+def compressed(text: str) -> str:
+    """A text as the page keeps it: gzip, in base64."""
+    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
+
+
+def _embedded(path: Path, mime: str) -> str:
+    """A file as a `data:` URL."""
+    try:
+        return f"data:{mime};base64,{base64.b64encode(path.read_bytes()).decode()}"
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be read ({error.strerror or error})") from None
+
+
+def markdown(text: str) -> Markup:
+    """HTML of the Markdown in a comparison's tables: tables that can be sorted, lists, paragraphs, `code`, **bold**
+    and *italics*."""
+    table = _environment().get_template("parts.html").module.table  # type: ignore[attr-defined]
+    html = []
+    for block in re.split(r"\n\s*\n", text.strip()):
+        lines = block.splitlines()
+        if block.startswith("|"):
+            header, _, *rows = ([_inline(cell.strip()) for cell in line.strip("| ").split(" | ")] for line in lines)
+            html.append(Markup('<div class="dense">{}</div>').format(table(header, rows, left=2, sortable=True)))
+        elif block.startswith("- "):
+            items = Markup("").join(Markup("<li>{}</li>").format(_inline(line[2:])) for line in lines)
+            html.append(Markup("<ul>{}</ul>").format(items))
+        elif block:
+            html.append(Markup("<p>{}</p>").format(_inline(" ".join(lines))))
+    return Markup("\n").join(html)
+
+
+def _inline(text: str) -> Markup:
+    html = str(escape(text))
+    html = re.sub(r"`([^`]+)`", r"<code>\1</code>", html)
+    html = re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", html)
+    return Markup(re.sub(r"\*([^*]+)\*", r"<em>\1</em>", html))
