@@ -20,7 +20,7 @@ from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.experiments.comparison_run import slug
 from fastmimic.report.result_folder import ENVIRONMENT, TABLE
 from fastmimic.report.stress_figures import SUCCESS_FIGURE
-from fastmimic.simulation.disturbances import DISTURBANCES
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 

@@ -8,7 +8,7 @@ import pytest
 
 from cli.running import TINY, Run
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.randomization import OVER
+from fastmimic.optimize.randomization import usual_randomization
 
 TWO = ("--randomize", "2", "--randomize-over", "payload=1:4", "friction", "--criterion", "worst")
 
@@ -57,7 +57,8 @@ def test_what_was_asked_for_and_what_came_of_it_is_recorded(run: Run, tmp_path: 
 def test_without_a_number_it_is_four_robots_that_differ_in_the_usual(run: Run, tmp_path: Path) -> None:
     assert run("imitate", "trot", "--randomize", *TINY, "--out", "run").status == 0
     asked = read(tmp_path / "run" / "config.json")["arguments"]["randomize"]
-    assert (asked["robots"], asked["criterion"], set(asked["over"])) == (4, "mean", set(OVER))
+    usual = {r.name for r in usual_randomization()}
+    assert (asked["robots"], asked["criterion"], set(asked["over"])) == (4, "mean", usual)
 
 
 def test_without_it_nothing_is_recorded(run: Run, tmp_path: Path) -> None:

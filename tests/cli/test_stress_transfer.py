@@ -22,6 +22,12 @@ def test_evaluate_says_what_was_disturbed(run: Run) -> None:
     assert found["simulator"] == "mujoco"
 
 
+def test_values_of_an_option_follow_each_other_or_its_repetition(run: Run) -> None:
+    arguments = ("--disturb", "friction=0.5", "payload=2", "--disturb", "delay=0.002")
+    found = json.loads(run("evaluate", "trot", "--duration", "0.2", *arguments, "--json").out)
+    assert found["disturbances"] == {"friction": 0.5, "payload": 2.0, "delay": 0.002}
+
+
 def test_evaluate_in_the_second_simulator(run: Run) -> None:
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'fastmimic[pybullet]'")
     found = json.loads(run("evaluate", "trot", "--duration", "0.4", "--simulator", "pybullet", "--json").out)

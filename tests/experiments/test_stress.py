@@ -28,7 +28,8 @@ from fastmimic.motion.motion import Motion
 from fastmimic.report.stress_figures import stress_figure
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.disturbances import DISTURBANCES, Disturbance, known
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES
+from fastmimic.simulation.disturbances import Disturbance, known
 
 SETTINGS = StressSettings(episodes=2, duration_s=0.6)
 
@@ -97,7 +98,7 @@ class TestSweep:
         self, subject: Subject, robot: Robot, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         kind = dataclasses.replace(DISTURBANCES["roughness"], levels=(0.0, 0.03))
-        monkeypatch.setitem(DISTURBANCES, "roughness", kind)
+        monkeypatch.setitem(DISTURBANCES._entries, "roughness", kind)
         rows = sweep(subject, "roughness", robot, SETTINGS)
         assert [row["value"] for row in rows] == [0.0, 0.03]
 

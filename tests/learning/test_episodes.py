@@ -12,10 +12,10 @@ from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE, Start
 from fastmimic.learning.config import PolicyConfig
 from fastmimic.learning.controller import controlled_by
 from fastmimic.learning.episodes import Episodes, Outcome
-from fastmimic.learning.randomisation import Randomisation, parse_randomisation
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
+from fastmimic.simulation.ranges import Range, check_lasting, parse_range
 from learning.hand_made import follower
 
 DECIMATION = PolicyConfig().decimation
@@ -134,7 +134,7 @@ def test_a_motion_that_ends_ends_its_episodes(robot: Robot, motion: Motion) -> N
 
 
 def test_robots_can_differ(robot: Robot, motion: Motion) -> None:
-    ranges = (Randomisation("friction", 0.3, 1.2), Randomisation("payload", 0.0, 3.0))
+    ranges = (Range("friction", 0.3, 1.2), Range("payload", 0.0, 3.0))
     actions = noise(2, 4) * 0
     alike = Episodes(robot, motion, 2, seed=6, perturbed=False)
     differing = Episodes(robot, motion, 2, seed=6, perturbed=False, randomize=ranges)
@@ -151,7 +151,6 @@ def test_robots_can_differ(robot: Robot, motion: Motion) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("friction", "written name=lower:upper"),
         ("friction=a:b", "written name=lower:upper"),
         ("friction=1.2:0.4", "takes a range within"),
         ("fricton=0.4:1.2", "did you mean 'friction'"),
@@ -161,7 +160,7 @@ def test_robots_can_differ(robot: Robot, motion: Motion) -> None:
 )
 def test_ranges_that_cannot_be_are_refused(text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        parse_randomisation(text)
+        check_lasting([parse_range(text)])
 
 
 def test_what_does_not_fit_is_refused(robot: Robot, motion: Motion) -> None:
@@ -174,4 +173,4 @@ def test_what_does_not_fit_is_refused(robot: Robot, motion: Motion) -> None:
     with pytest.raises(ConfigError, match="at least a policy step"):
         Episodes(robot, motion, 1, duration_s=0.01)
     with pytest.raises(ConfigError, match="the range of 'friction' is given twice"):
-        Episodes(robot, motion, 1, randomize=[Randomisation("friction", 0.4, 1.0)] * 2)
+        Episodes(robot, motion, 1, randomize=[Range("friction", 0.4, 1.0)] * 2)

@@ -14,7 +14,13 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.cma_es import CmaSettings, Optimum, Progress, optimize
 from fastmimic.optimize.problem import ImitationProblem, Objective
-from fastmimic.optimize.randomization import CRITERIA, HELD_OUT_ROBOTS, OVER, Randomization, randomization
+from fastmimic.optimize.randomization import (
+    CRITERIA,
+    HELD_OUT_ROBOTS,
+    Randomization,
+    randomization,
+    usual_randomization,
+)
 from fastmimic.optimize.stitched import StitchedProblem
 from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
@@ -96,7 +102,7 @@ class TestRobots:
         assert turned.of_iteration(1, 1) == OVER_TWO.of_iteration(1, 1)
 
     def test_the_usual_ones_differ_in_ground_load_and_motors(self) -> None:
-        assert {r.name for r in Randomization().over} == set(OVER)
+        assert Randomization().over == usual_randomization()
         assert randomization(6) == Randomization(robots=6)
         assert randomization(None) is None
 

@@ -1,7 +1,9 @@
 """Disturbances: how they are written, what is refused, and that each does to MuJoCo's robot what it says."""
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,10 +15,11 @@ from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.disturbances import DISTURBANCES, Disturbance, driving_limit, make_world, parse_disturbance
-from fastmimic.simulation.mujoco_disturbed import DisturbedMujocoSimulation, loaded
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES, DisturbanceKind, loaded
+from fastmimic.simulation.disturbances import Disturbance, driving_limit, make_world, parse_disturbance
+from fastmimic.simulation.mujoco_disturbed import DisturbedMujocoSimulation
 from fastmimic.simulation.mujoco_sim import FLOOR, MujocoSimulation
-from fastmimic.simulation.simulators import make_simulation
+from fastmimic.simulation.simulators import SIMULATORS, Simulator, make_simulation
 from fastmimic.simulation.terrain import rough_ground
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -298,3 +301,71 @@ class TestMotors:
         for _ in range(20):
             o = simulation.step(commands)
         assert np.abs(o["joint_pos"] - robot.home_joint_pos).max() < 0.02, "it sticks below the friction"
+
+
+class TestRegistered:
+    """A user's own disturbance: a function of the simulation at each control step, or a change of its model."""
+
+    @pytest.fixture
+    def wind(self) -> Iterator[DisturbanceKind]:
+        def blow(simulation: Any, force: np.ndarray, time_s: float) -> None:
+            simulation.trunk_force[:, 1] += force * (time_s >= 0.1)
+
+        yield DISTURBANCES.register(
+            DisturbanceKind("wind", unit="N", lower=-50.0, upper=50.0, about="from the side", each_step=blow)
+        )
+        DISTURBANCES.unregister("wind")
+
+    @pytest.mark.usefixtures("wind")
+    @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+    def test_acts_in_every_simulator(self, robot: Robot, simulator: str) -> None:
+        if simulator == "pybullet":
+            pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'fastmimic[pybullet]'")
+        conditions = Conditions(simulator, disturbances=("wind=30",))  # type: ignore[arg-type]
+        simulation = make_simulation(robot, 1, conditions, control_rate_hz=500.0)
+        place(simulation, robot, 1.0)  # type: ignore[arg-type]
+        sideways = []
+        for _ in range(75):
+            seen = simulation.step(hold(1, robot.home_joint_pos))
+            sideways.append(float(seen["lin_vel"][0, 1]))
+        assert abs(sideways[48]) < 1e-3
+        # 0.05 s of 30 N on all of the robot, the legs held
+        assert sideways[-1] == pytest.approx(30.0 * 0.05 / robot.mass, rel=0.2)
+
+    @pytest.mark.usefixtures("wind")
+    def test_is_read_and_refused_like_the_others(self) -> None:
+        assert parse_disturbance("wind=8").values == (8.0,)
+        assert DISTURBANCES["wind"].levels == (-50.0, -25.0, 0.0, 25.0, 50.0)
+        with pytest.raises(ConfigError, match="'wind' takes -50 N to 50 N, found 60"):
+            parse_disturbance("wind=60")
+
+    def test_changes_the_model(self, robot: Robot) -> None:
+        def weaker(simulation: Any, values: np.ndarray) -> None:
+            simulation.batch.expand("opt.gravity")[:, 2] *= values
+            simulation.constants_changed = True
+
+        DISTURBANCES.register(DisturbanceKind("gravity", lower=0.1, upper=1.0, nominal=1.0, apply={"mujoco": weaker}))
+        try:
+            forces = at_rest(robot, Disturbance("gravity", (1.0, 0.5)))["foot_force"][:, :, 2].sum(axis=1)
+            assert forces[1] == pytest.approx(0.5 * forces[0], rel=0.02)
+            with pytest.raises(ConfigError, match="'gravity' is not realised in pybullet"):
+                make_world([Disturbance("gravity", (0.5,))], 1, "pybullet")
+        finally:
+            DISTURBANCES.unregister("gravity")
+
+
+def test_a_registered_simulator_runs_episodes(robot: Robot) -> None:
+    made = []
+
+    def make(robot: Robot, n: int, conditions: Conditions, rate_hz: float, threads: int) -> MujocoSimulation:
+        made.append(n)
+        return MujocoSimulation(robot, n, control_rate_hz=rate_hz)
+
+    SIMULATORS.register(Simulator("mine", "as MuJoCo", make))
+    try:
+        assert make_simulation(robot, 2, Conditions("mine"), control_rate_hz=500.0).observation.shape == (2,)
+        assert made == [2]
+        with pytest.raises(ConfigError, match="not realised in mine"):
+            make_world([Disturbance("payload", (1.0,))], 1, "mine")
+    finally:
+        SIMULATORS.unregister("mine")

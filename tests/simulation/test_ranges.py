@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from fastmimic.base.errors import ConfigError
-from fastmimic.optimize.randomization import OVER
-from fastmimic.simulation.disturbances import DISTURBANCES, PUSH_TIME_S, make_world
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S
+from fastmimic.simulation.disturbances import make_world
 from fastmimic.simulation.ranges import (
     PUSH_WINDOW_S,
-    USUAL,
     Range,
     check_once,
     draw,
@@ -18,14 +17,15 @@ from fastmimic.simulation.ranges import (
     part,
     repeated,
     usual_range,
+    usual_ranges,
 )
 
 RANGES = (Range("friction", 0.4, 1.2), Range("payload", 0.0, 3.0), Range("push", -5.0, 5.0))
 
 
 def test_every_disturbance_that_robots_of_a_batch_can_differ_in_has_a_usual_range() -> None:
-    assert set(USUAL) == {n for n, kind in DISTURBANCES.items() if kind.per_robot and "mujoco" in kind.simulators}
-    for name, (lower, upper) in USUAL.items():
+    assert set(usual_ranges()) == {n for n, k in DISTURBANCES.items() if k.per_robot and k.realized_in("mujoco")}
+    for name, (lower, upper) in usual_ranges().items():
         kind = DISTURBANCES[name]
         assert usual_range(name) == Range(name, lower, upper)
         assert np.isinf(kind.nominal) or lower <= kind.nominal <= upper, "the robot as it is must not be an outsider"
@@ -33,9 +33,9 @@ def test_every_disturbance_that_robots_of_a_batch_can_differ_in_has_a_usual_rang
 
 def test_the_documentation_lists_them() -> None:
     page = (Path(__file__).parents[2] / "docs" / "robustness.md").read_text(encoding="utf-8")
-    for name, (lower, upper) in USUAL.items():
+    for name, (lower, upper) in usual_ranges().items():
         ends = f"{lower:g} … {upper:g} {DISTURBANCES[name].unit}".strip().replace("-", "−")
-        assert f"| `{name}` | {ends} | {'yes' if name in OVER else 'no'} |" in page, name
+        assert f"| `{name}` | {ends} | {'yes' if DISTURBANCES[name].randomized else 'no'} |" in page, name
 
 
 @pytest.mark.parametrize("n", [2, 3, 8])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
+from tyro.conf import OmitArgPrefixes, Positional
 
 from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.commands import options as opt
@@ -77,8 +77,8 @@ class Deploy:
     """Rate at which lh plans. Default: each control period, 500 Hz."""
     limits: Annotated[Path | None, opt.option("FILE.toml")] = None
     """Safety limits. Default: the robot's."""
-    limit: Annotated[UseAppendAction[tuple[str, ...]], opt.option("NAME=VALUE")] = ()
-    """One safety limit, e.g. tilt=0.5. Repeatable. An unknown NAME lists them all."""
+    limit: Annotated[opt.Several, opt.option("NAME=VALUE ...")] = ()
+    """Safety limits, e.g. tilt=0.5. An unknown NAME lists them all."""
     dry_run: opt.Flag = False
     """Compute and show the commands without sending them. Without a robot, the states are simulated."""
     yes: opt.Flag = False
@@ -102,7 +102,7 @@ class Deploy:
         check_driver(self.driver)
         self._check(SIM)
         robot, motion = self._load()
-        limits = read_limits(robot, self.limits, self.limit)
+        limits = read_limits(robot, self.limits, opt.joined(self.limit))
         policy = None if self.policy is None else opt.policy_controller(self.policy, robot, motion)
         folder, log = self._places(robot, motion)
         with open_deployment(folder):
@@ -211,7 +211,8 @@ class Deploy:
         from fastmimic.simulation.conditions import Conditions
 
         given = self.simulated
-        conditions = Conditions(observe="sensors", seed=given.seed, disturbances=given.disturb)  # type: ignore[arg-type]
+        disturbances: Any = opt.joined(given.disturb)
+        conditions = Conditions(observe="sensors", seed=given.seed, disturbances=disturbances)
         faults = LinkFaults(latency_s=1e-3 * given.latency_ms, loss=given.loss, seed=given.seed)
         return SimDriver(robot, clock, conditions=conditions, faults=faults)
 

@@ -63,7 +63,7 @@ class Evaluate:
             simulator=self.simulator,
             observe=self.observe,
             seed=self.seed,
-            disturbances=tuple(parse_disturbance(text) for text in self.disturb),
+            disturbances=tuple(parse_disturbance(text) for text in opt.joined(self.disturb)),
         )
         if self.log is not None:
             opt.check_writable(self.log, ".npz")

@@ -53,10 +53,24 @@ def configs() -> str:
 
 def disturbances() -> str:
     """The disturbances, for a help text."""
-    return one_of("simulation.disturbances", "DISTURBANCES")
+    return one_of("simulation.disturbance_kinds", "DISTURBANCES")
+
+
+def simulators() -> str:
+    """The simulators, for a help text."""
+    from fastmimic.simulation.simulators import SIMULATORS
+
+    return ", or ".join(f"{name} ({entry.about})" for name, entry in SIMULATORS.items())
+
+
+def joined(given: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+    """All values of an option of the kind `Several`, in their order."""
+    return tuple(value for values in given for value in values)
 
 
 Flag = Annotated[bool, option()]
+Several = UseAppendAction[tuple[tuple[str, ...], ...]]
+"""Values of an option that may be given several times, with one or more values each."""
 Seconds = Annotated[float | None, option("S")]
 RobotChoice = Annotated[str | None, option("NAME|FILE.xml", f"{ROBOT_CHOICES}. Default: the motion's robot, else a1.")]
 RobotName = Annotated[str, option("NAME|FILE.xml", f"{ROBOT_CHOICES}.")]
@@ -83,16 +97,16 @@ FoundConfig = Annotated[
 PolicyFile = Annotated[
     Path | None, option("FILE", "Trained policy (policy.npz of 'fastmimic train') in place of the controller.")
 ]
-Simulator = Annotated[str, option("NAME", "Simulator: mujoco, or pybullet with the manufacturer's URDF (slower).")]
+Simulator = Annotated[str, option("NAME", lambda: f"Simulator: {simulators()}.")]
 Observation = Annotated[
     str,
     option("truth|sensors", "Controller input: the true state, or an estimate from noisy, delayed sensors."),
 ]
 Disturbances = Annotated[
-    UseAppendAction[tuple[str, ...]],
+    Several,
     option(
-        "NAME=VALUE",
-        lambda: f"Disturbance unknown to the controller, e.g. payload=2 (kg). Repeatable. Names: {disturbances()}.",
+        "NAME=VALUE ...",
+        lambda: f"Disturbances unknown to the controller, e.g. payload=2 (kg). Names: {disturbances()}.",
     ),
 ]
 Quality = Annotated[str, option("preview|high", "Video quality: fast, or with shadows, reflections and anti-aliasing.")]

@@ -106,15 +106,15 @@ class Train:
         return 0
 
     def _settings(self) -> "TrainingSettings":
-        from fastmimic.learning.randomisation import parse_randomisation
         from fastmimic.learning.settings import TrainingSettings
+        from fastmimic.simulation.ranges import parse_range
 
         return TrainingSettings(
             seed=self.seed,
             robots=self.robots,
             hidden=self.hidden,
             entropy=self.entropy,
-            randomize=tuple(parse_randomisation(text) for text in self.randomize),
+            randomize=tuple(parse_range(text) for text in self.randomize),
             update_threads=self.update_threads,
         )
 

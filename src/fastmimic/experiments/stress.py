@@ -25,7 +25,8 @@ from fastmimic.imitation.methods import ALL_METHODS, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.disturbances import DISTURBANCES, PUSH_TIME_S, Disturbance, disturbance_named, known
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S
+from fastmimic.simulation.disturbances import Disturbance, known
 
 SUCCESS: Final = 0.95
 """Share of the episodes that a disturbance must leave without a fall to be withstood."""
@@ -103,7 +104,7 @@ def disturbances_of(names: Sequence[str] | None, simulator: str) -> list[str]:
     if names is None:
         return there
     for name in names:
-        disturbance_named(name)
+        DISTURBANCES[name]
         if name not in there:
             raise ConfigError(
                 f"disturbance '{name}' is not realised in {simulator}; those that are: {', '.join(there)}"

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, action_bounds
 from fastmimic.learning.episodes import EPISODE_S, Episodes, Outcome
-from fastmimic.learning.randomisation import parse_randomisation
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
+from fastmimic.simulation.ranges import parse_range
 from fastmimic.runs.loading import load_motion
 
 Seen = NDArray[np.float32]
@@ -68,7 +68,7 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
         self._robot = load_robot(robot)
         self._motion = load_motion(motion, self._robot)
         self._config = config if config is not None else PolicyConfig()
-        self._ranges = tuple(parse_randomisation(text) for text in randomize)
+        self._ranges = tuple(parse_range(text) for text in randomize)
         self._options: dict[str, Any] = {"duration_s": duration_s, "perturbed": perturbed}
         self._episodes = self._make(0)
         self.render_mode = render_mode
@@ -131,7 +131,7 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
         self._options: dict[str, Any] = {
             "duration_s": duration_s,
             "perturbed": perturbed,
-            "randomize": tuple(parse_randomisation(text) for text in randomize),
+            "randomize": tuple(parse_range(text) for text in randomize),
             "threads": threads,
         }
         self.num_envs = num_envs

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig
-from fastmimic.learning.randomisation import Randomisation, random_world
 from fastmimic.learning.shard import Shard
 from fastmimic.learning.starts import DRAWS
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
+from fastmimic.simulation.ranges import Range, draw_uniform
+from fastmimic.simulation.ranges import part as part_of
 
 Seen = NDArray[np.float32]
 
@@ -80,7 +81,7 @@ class Episodes:
         threads: int = 1,
         duration_s: float = EPISODE_S,
         perturbed: bool = True,
-        randomize: Sequence[Randomisation] = (),
+        randomize: Sequence[Range] = (),
     ) -> None:
         """
         Args:
@@ -118,11 +119,11 @@ class Episodes:
         self._table = reference_table(demonstration, robot)
         self._steps = max(1, round(duration_s * config.rate_hz))
         self._room = self._phases()
-        world = random_world(randomize, n, np.random.default_rng([seed, n]))
+        robots = draw_uniform(randomize, n, np.random.default_rng([seed, n]))
         bounds = np.linspace(0, n, min(threads, n) + 1).astype(int)
         self._parts = [slice(a, b) for a, b in pairwise(bounds)]
         self._shards = [
-            Shard(robot, demonstration, self._table, part.stop - part.start, config, world.part(part))
+            Shard(robot, demonstration, self._table, part.stop - part.start, config, part_of(robots, part))
             for part in self._parts
         ]
         self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None

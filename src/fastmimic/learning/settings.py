@@ -8,7 +8,7 @@ from typing import Any
 from fastmimic.base.errors import ConfigError
 from fastmimic.learning.config import PolicyConfig
 from fastmimic.learning.episodes import EPISODE_S
-from fastmimic.learning.randomisation import Randomisation
+from fastmimic.simulation.ranges import Range
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class TrainingSettings:
     entropy: float = 0.0
     exploration: float = 0.5
     episode_s: float = EPISODE_S
-    randomize: tuple[Randomisation, ...] = ()
+    randomize: tuple[Range, ...] = ()
     update_threads: int = 1
     policy: PolicyConfig = field(default_factory=PolicyConfig)
 

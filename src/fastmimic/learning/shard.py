@@ -11,12 +11,12 @@ from fastmimic.control.config import default_config
 from fastmimic.episode.scorer import Scorer
 from fastmimic.learning.config import PolicyConfig, pack_settings
 from fastmimic.learning.observation import act, command, make_senses, observe
-from fastmimic.learning.randomisation import RandomWorld
 from fastmimic.learning.starts import BODY, COUNT, PLACE, begin_episodes
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import advance_clocks, make_clocks
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, MEMORY
+from fastmimic.simulation.disturbances import Disturbance
 from fastmimic.simulation.mujoco_disturbed import DisturbedMujocoSimulation
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
@@ -27,11 +27,17 @@ class Shard:
     """Some of the robots, stepped by one thread."""
 
     def __init__(
-        self, robot: Robot, motion: Motion, table: NDArray[Any], n: int, config: PolicyConfig, world: RandomWorld
+        self,
+        robot: Robot,
+        motion: Motion,
+        table: NDArray[Any],
+        n: int,
+        config: PolicyConfig,
+        robots: tuple[Disturbance, ...],
     ) -> None:
         self.simulation: MujocoSimulation = (
-            DisturbedMujocoSimulation(robot, n, world.disturbances, control_rate_hz=config.control_rate_hz)
-            if world.disturbances
+            DisturbedMujocoSimulation(robot, n, robots, control_rate_hz=config.control_rate_hz)
+            if robots
             else MujocoSimulation(robot, n, control_rate_hz=config.control_rate_hz)
         )
         self.counts = np.zeros(n, COUNT)

@@ -15,18 +15,12 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, did_you_mean
-from fastmimic.simulation.disturbances import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S, Disturbance
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S
+from fastmimic.simulation.disturbances import Disturbance
 from fastmimic.simulation.ranges import PUSH_WINDOW_S, Range, check_once, draw, parse_range, usual_range
 
 ROBOTS: Final = 4
 """For each candidate, if nothing is said: a search takes as many times as long."""
-OVER: Final = (
-    *("friction", "restitution", "payload", "com-x", "com-y"),
-    *("motor-strength", "top-speed", "delay", "joint-friction", "joint-damping"),
-)
-"""In what they differ if nothing is said: the ground, the load and the motors, which are never as they were modelled;
-not slopes and pushes, which are tasks of their own."""
-
 _WORST: Final = "worst"
 CRITERIA: Final[dict[str, Callable[[Array], Array]]] = {
     "mean": lambda scores: np.mean(scores, axis=-1),
@@ -40,6 +34,12 @@ HELD_OUT_ROBOTS: Final = 16
 _SEARCH, _CHOICE, _HELD_OUT = 2, 3, 4
 
 
+def usual_randomization() -> tuple[Range, ...]:
+    """The ranges by default: ground, load and motors, which never match their model; not slopes and pushes, which are
+    tasks of their own."""
+    return tuple(usual_range(name) for name, kind in DISTURBANCES.items() if kind.randomized)
+
+
 @dataclass(frozen=True)
 class Randomization:
     """Over which robots a candidate is scored.
@@ -51,7 +51,7 @@ class Randomization:
     """
 
     robots: int = ROBOTS
-    over: tuple[Range, ...] = field(default_factory=lambda: tuple(usual_range(name) for name in OVER))
+    over: tuple[Range, ...] = field(default_factory=usual_randomization)
     criterion: str = "mean"
 
     def __post_init__(self) -> None:

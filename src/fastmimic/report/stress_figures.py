@@ -12,7 +12,7 @@ from fastmimic.experiments.stress import SUCCESS, StressSettings, all_sweeps, st
 from fastmimic.imitation.methods import ALL_METHODS, method_named
 from fastmimic.render.figure_style import MUTED, Line, new_figure, save, tidy
 from fastmimic.report.result_folder import RESULTS_CSV, TABLE, ResultFolder
-from fastmimic.simulation.disturbances import DISTURBANCES
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 
 SUCCESS_FIGURE: Final = "success.png"
 REWARD_FIGURE: Final = "reward.png"

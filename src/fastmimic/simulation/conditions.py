@@ -1,16 +1,16 @@
-"""What a robot meets and what its controller sees: the choices of an evaluation, in one place."""
+"""The conditions of episodes: simulator, disturbances, and what the controller observes."""
 
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
-from fastmimic.base.errors import ConfigError, did_you_mean
+from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.simulation.disturbances import Disturbance, parse_disturbance
 from fastmimic.simulation.sensors import SensorConfig
+from fastmimic.simulation.simulators import SIMULATORS
 
-SIMULATORS: Final = ("mujoco", "pybullet")
 OBSERVED: Final = ("truth", "sensors")
 
 
@@ -20,12 +20,12 @@ class Conditions:
 
     Attributes:
         simulator: one of `SIMULATORS`.
-        observe: what the controller is told: "truth" for the simulator's state, "sensors" for what an estimator makes
-            of noisy, biased and late sensors.
-        seed: of all that is random: sensors and disturbances. Episode i draws from its own stream, so it does not
-            depend on which and how many others run beside it.
-        disturbances: what makes the robot or the ground another than those of the optimisation; texts such as
-            "payload=2" are read as on the command line.
+        observe: what the controller observes: "truth" for the simulator's state, "sensors" for an estimate from noisy,
+            biased and late sensors.
+        seed: of sensors and disturbances. Each episode has its own random stream, so it does not depend on the episodes
+            beside it.
+        disturbances: differences from the robot and the ground of the optimisation, as objects or as texts such as
+            "payload=2".
         sensors, estimator: their parameters where `observe` is "sensors".
     """
 
@@ -37,9 +37,9 @@ class Conditions:
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
 
     def __post_init__(self) -> None:
-        for what, value, known in (("simulator", self.simulator, SIMULATORS), ("observation", self.observe, OBSERVED)):
-            if value not in known:
-                raise ConfigError(f"unknown {what} '{value}'; there are {', '.join(known)}{did_you_mean(value, known)}")
+        _ = SIMULATORS[self.simulator]
+        if self.observe not in OBSERVED:
+            raise unknown("observation", self.observe, OBSERVED)
         if self.seed < 0:
             raise ConfigError(f"seed must not be negative, found {self.seed}")
         given: tuple[Any, ...] = self.disturbances

@@ -25,7 +25,8 @@ from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate,
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import OBSERVATION
-from fastmimic.simulation.disturbances import PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M, Disturbance, driving_limit, make_world
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M
+from fastmimic.simulation.disturbances import Disturbance, driving_limit, make_world
 from fastmimic.simulation.terrain import CELL_M, rough_ground, turns
 
 DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
@@ -110,6 +111,7 @@ class PybulletSimulation:
         self._late = np.round(world["delay"] * physics_rate_hz).astype(np.int64)
         self._steps = 0
         self._headings: Array | None = None
+        self.trunk_force = np.zeros((n, 3))
 
     def close(self) -> None:
         """Ends the physics clients; otherwise done when the simulation is forgotten."""
@@ -132,7 +134,12 @@ class PybulletSimulation:
             self._load(i, client)
             position, quat, joints, velocity, turning, speeds = (a[i] for a in wide)
             self._bodies[i].place(position, quat, joints, velocity, quat_rotate(quat, turning), speeds)
-            self._bodies[i].observe(self.observation[i], self._rate)
+        for name in self.world.given:
+            change = DISTURBANCES[name].apply.get("pybullet")
+            if change is not None:
+                change(self, self.world[name])
+        for i, body in enumerate(self._bodies):
+            body.observe(self.observation[i], self._rate)
 
     def observe(self) -> NDArray[Any]:
         """The robots' present states, (n,) of `OBSERVATION`; contact forces are those of the last substep."""
@@ -143,11 +150,15 @@ class PybulletSimulation:
         self._sent.append(commands.copy())
         if len(self._sent) > int(self._late.max()) // self.substeps + 2:
             self._sent.pop(0)
-        push = self.world.push(self._steps * self.substeps / self._rate) if self.world.given else None
+        time_s = self._steps * self.substeps / self._rate
+        push = self.world.push(time_s) if self.world.given else None
         if push is None:
             self._headings = None
         elif self._headings is None:
             self._headings = yaw_from_quat(self.observation["root_quat"])
+        self.trunk_force[:] = 0.0
+        for act, values in self.world.at_each_step:
+            act(self, values, time_s)
         oldest = self._steps + 1 - len(self._sent)
         for i, body in enumerate(self._bodies):
             strength, top_speed = self.world["motor-strength"][i], self.world["top-speed"][i]
@@ -156,6 +167,8 @@ class PybulletSimulation:
                 body.drive(self._sent[sent - oldest][i], self._limit, strength, top_speed)
                 if push is not None and self._headings is not None:
                     body.push(push[i], self._headings[i])
+                if self.world.at_each_step:
+                    body.pull(self.trunk_force[i])
                 self._bullet.stepSimulation(physicsClientId=self._clients[i])
             body.observe(self.observation[i], self._rate)
         self._steps += 1
@@ -256,9 +269,13 @@ class _Body:
     def push(self, force: Array, heading: float) -> None:
         """A force (2,) on the trunk's centre of mass, along a heading and to its left, for one physics step."""
         c, s = np.cos(heading), np.sin(heading)
-        world = [c * force[0] - s * force[1], s * force[0] + c * force[1], 0.0]
-        at, _ = self._bullet.getBasePositionAndOrientation(self.id, physicsClientId=self._client)
-        self._bullet.applyExternalForce(self.id, -1, world, at, self._bullet.WORLD_FRAME, physicsClientId=self._client)
+        self.pull(np.array([c * force[0] - s * force[1], s * force[0] + c * force[1], 0.0]))
+
+    def pull(self, force_w: Array) -> None:
+        """A force (3,) on the trunk's centre of mass, world frame, for one physics step."""
+        bullet, on = self._bullet, {"physicsClientId": self._client}
+        at, _ = bullet.getBasePositionAndOrientation(self.id, **on)
+        bullet.applyExternalForce(self.id, -1, force_w, at, bullet.WORLD_FRAME, **on)
 
     def observe(self, out: Any, rate: float) -> None:
         """Writes the state, and the ground's forces in the last physics step, into a record of `OBSERVATION`."""

@@ -1,4 +1,4 @@
-"""In what the robots of a batch differ: disturbances drawn for each robot from a range."""
+"""Randomised robots: disturbances drawn for each robot of a batch from a range."""
 
 import math
 import re
@@ -9,32 +9,11 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.errors import ConfigError, did_you_mean
-from fastmimic.simulation.disturbances import DISTURBANCES, PUSH_TIME_S, Disturbance, disturbance_named
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S
+from fastmimic.simulation.disturbances import Disturbance
 
 PUSH_WINDOW_S: Final = 1.0
-"""A push comes at a time drawn from as long as this, from its usual time on: it meets no phase of the gait in
-particular."""
-
-USUAL: Final = {
-    "friction": (0.5, 1.0),
-    "restitution": (0.0, 0.3),
-    "softness": (0.02, 0.04),
-    "slope": (-4.0, 4.0),
-    "side-slope": (-2.0, 2.0),
-    "payload": (0.0, 2.0),
-    "com-x": (-0.03, 0.03),
-    "com-y": (-0.015, 0.015),
-    "motor-strength": (0.85, 1.1),
-    "top-speed": (24.0, 40.0),
-    "delay": (0.0, 0.004),
-    "joint-friction": (0.0, 0.4),
-    "joint-damping": (0.0, 0.04),
-    "push": (-5.0, 5.0),
-    "side-push": (-1.5, 1.5),
-}
-"""By disturbance, what can be expected of a robot of this class on a floor, in the disturbance's unit: every
-disturbance of which each robot of a MuJoCo batch may have a value of its own. The order of magnitude, not identified on
-a robot."""
+"""A push comes at a time drawn from a window of this length after its usual time: at any phase of the gait."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +21,7 @@ class Range:
     """A disturbance drawn uniformly from a range, for each robot once.
 
     Attributes:
-        name: one of `USUAL`.
+        name: of a disturbance that has a usual range.
         lower, upper: of the range, in the disturbance's unit.
     """
 
@@ -51,9 +30,9 @@ class Range:
     upper: float
 
     def __post_init__(self) -> None:
-        kind = disturbance_named(self.name)
-        if self.name not in USUAL:
-            raise ConfigError(f"'{self.name}' cannot differ between robots; what can: {', '.join(USUAL)}")
+        kind = DISTURBANCES[self.name]
+        if kind.usual is None:
+            raise ConfigError(f"'{self.name}' cannot differ between robots; what can: {', '.join(usual_ranges())}")
         finite = math.isfinite(self.lower) and math.isfinite(self.upper)
         if not (finite and kind.lower <= self.lower <= self.upper <= kind.upper):
             raise ConfigError(
@@ -71,21 +50,25 @@ class Range:
         return f"{self.name} {self.lower:g} … {self.upper:g} {unit}".strip()
 
 
+def usual_ranges() -> dict[str, tuple[float, float]]:
+    """Usual lower and upper value by name, of all disturbances in which the robots of a batch can differ."""
+    return {name: kind.usual for name, kind in DISTURBANCES.items() if kind.usual is not None}
+
+
 def usual_range(name: str) -> Range:
     """A disturbance over its usual range.
 
     Raises:
-        ConfigError: there is no such disturbance, or it cannot differ between robots.
+        ConfigError: an unknown disturbance, or one in which robots cannot differ.
     """
-    disturbance_named(name)
-    return Range(name, *USUAL.get(name, (0.0, 0.0)))
+    return Range(name, *(DISTURBANCES[name].usual or (0.0, 0.0)))
 
 
 def parse_range(text: str) -> Range:
     """A range from `name=lower:upper`, or a disturbance's usual one from its name.
 
     Raises:
-        ConfigError: it does not read so, or there is no such disturbance or range.
+        ConfigError: a text of another form, or an unknown disturbance or range.
     """
     found = re.fullmatch(r"\s*([\w-]+)\s*(?:=\s*([^:]+):([^:]+))?", text)
     try:
@@ -97,7 +80,7 @@ def parse_range(text: str) -> Range:
         name = re.match(r"\s*([\w-]*)", text)[1]  # type: ignore[index]  # it matches anything
         raise ConfigError(
             f"a range is written name=lower:upper, such as friction=0.4:1.2, or name for the usual one; found '{text}'."
-            f" There are {', '.join(USUAL)}{did_you_mean(name, USUAL)}"
+            f" There are {', '.join(usual_ranges())}{did_you_mean(name, usual_ranges())}"
         ) from None
 
 
@@ -107,6 +90,26 @@ def check_once(ranges: Sequence[Range]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise ConfigError(f"the range of '{name}' is given twice")
+
+
+def check_lasting(ranges: Sequence[Range]) -> None:
+    """Checks ranges for a training, which can be resumed at any step.
+
+    Raises:
+        ConfigError: a disturbance has two ranges, happens at a time, or is a delay: commands under way are not part of
+            the state from which a training resumes.
+    """
+    check_once(ranges)
+    possible = [name for name in usual_ranges() if not DISTURBANCES[name].timed and name != "delay"]
+    for r in ranges:
+        if r.name not in possible:
+            raise ConfigError(f"'{r.name}' cannot differ between robots; what can: {', '.join(possible)}")
+
+
+def draw_uniform(ranges: Sequence[Range], n: int, rng: np.random.Generator) -> tuple[Disturbance, ...]:
+    """Draws n robots independently of each other; raises as `check_lasting`."""
+    check_lasting(ranges)
+    return tuple(Disturbance(r.name, tuple(rng.uniform(r.lower, r.upper, n).tolist())) for r in ranges)
 
 
 def draw(

@@ -1,13 +1,17 @@
-"""Which simulator episodes run in, behind one small interface."""
+"""The simulators, each an entry of a registry. To add one, register one entry; nothing else has to know it."""
 
-from typing import Any, Protocol
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.registry import Registry
 from fastmimic.robot import Robot
-from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.mujoco_sim import MujocoSimulation
+
+if TYPE_CHECKING:  # its disturbances are entries that refer to simulators
+    from fastmimic.simulation.conditions import Conditions
 
 
 class Simulation(Protocol):
@@ -31,49 +35,96 @@ class Simulation(Protocol):
         """Applies commands (n,) of `COMMAND` for one control step and returns the new observation."""
 
 
+@dataclass(frozen=True)
+class Simulator:
+    """One entry.
+
+    Attributes:
+        name: as on the command line.
+        about: one line.
+        make: `make(robot, n, conditions, control_rate_hz, threads)` returns a simulation.
+        check: raises `ConfigError` if it is not installed or does not know the robot; for before long work.
+        realizes: names of the disturbances that it has by itself, without the disturbance's own functions.
+    """
+
+    name: str
+    about: str
+    make: "Callable[[Robot, int, Conditions, float, int], Simulation]"
+    check: Callable[[Robot], None] = lambda robot: None
+    realizes: tuple[str, ...] = ()
+
+
+def _mujoco(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: float, threads: int) -> Simulation:
+    from fastmimic.simulation.mujoco_disturbed import DisturbedMujocoSimulation
+    from fastmimic.simulation.mujoco_sim import MujocoSimulation
+
+    if not conditions.disturbances:
+        return MujocoSimulation(robot, n, control_rate_hz=control_rate_hz, threads=threads)
+    return DisturbedMujocoSimulation(
+        robot, n, conditions.disturbances, seed=conditions.seed, control_rate_hz=control_rate_hz, threads=threads
+    )
+
+
+def _pybullet(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: float, threads: int) -> Simulation:
+    from fastmimic.simulation.pybullet_sim import PybulletSimulation
+
+    return PybulletSimulation(
+        robot, n, disturbances=conditions.disturbances, seed=conditions.seed, control_rate_hz=control_rate_hz
+    )
+
+
+def _check_pybullet(robot: Robot) -> None:
+    from fastmimic.simulation.pybullet_sim import PybulletSimulation
+
+    PybulletSimulation(robot, 1).close()
+
+
+_MOTORS: Final = ("motor-strength", "top-speed", "delay")
+_PUSHES: Final = ("push", "side-push")
+
+SIMULATORS: Final = Registry(
+    "simulator",
+    [
+        Simulator(
+            "mujoco", "where motions are optimised", _mujoco, realizes=("roughness", *_MOTORS, *_PUSHES)
+        ),
+        Simulator(
+            "pybullet",
+            "slower, with the manufacturer's URDF",
+            _pybullet,
+            _check_pybullet,
+            realizes=(
+                *("friction", "slope", "side-slope", "roughness", "payload", "com-x", "com-y"),
+                *(*_MOTORS, "joint-friction", "joint-damping", *_PUSHES),
+            ),
+        ),
+    ],
+)
+
+
 def check_simulator(robot: Robot, simulator: str) -> None:
-    """Makes sure that the simulator is there and knows the robot; for before long work.
+    """Makes sure that the simulator exists and knows the robot; for before long work.
 
     Raises:
-        ConfigError: PyBullet is not installed or does not know the robot.
+        ConfigError: an unknown simulator, or one that is not installed or does not know the robot.
     """
-    if simulator == "pybullet":
-        from fastmimic.simulation.pybullet_sim import PybulletSimulation
-
-        PybulletSimulation(robot, 1).close()
+    SIMULATORS[simulator].check(robot)
 
 
 def make_simulation(
-    robot: Robot, n: int, conditions: Conditions, *, control_rate_hz: float, threads: int = 1
+    robot: Robot, n: int, conditions: "Conditions", *, control_rate_hz: float, threads: int = 1
 ) -> Simulation:
-    """n robots in the simulator of the conditions, disturbed as they say.
+    """n robots in the simulator of the conditions, with their disturbances.
 
     Args:
         robot: the robot.
         n: how many.
-        conditions: whose `simulator`, `disturbances` and `seed` count here.
+        conditions: only `simulator`, `disturbances` and `seed` are used.
         control_rate_hz: Hz.
-        threads: of MuJoCo; PyBullet has one.
+        threads: at most; PyBullet has one.
 
     Raises:
-        ConfigError: PyBullet is not installed or does not know the robot, a disturbance that the simulator does not
-            realise, or rates that do not fit.
+        ConfigError: the simulator is not installed, does not know the robot or does not realise a disturbance; or rates
+            that do not fit.
     """
-    if conditions.simulator == "pybullet":
-        from fastmimic.simulation.pybullet_sim import PybulletSimulation
-
-        return PybulletSimulation(
-            robot, n, disturbances=conditions.disturbances, seed=conditions.seed, control_rate_hz=control_rate_hz
-        )
-    if conditions.disturbances:
-        from fastmimic.simulation.mujoco_disturbed import DisturbedMujocoSimulation
-
-        return DisturbedMujocoSimulation(
-            robot,
-            n,
-            conditions.disturbances,
-            seed=conditions.seed,
-            control_rate_hz=control_rate_hz,
-            threads=threads,
-        )
-    return MujocoSimulation(robot, n, control_rate_hz=control_rate_hz, threads=threads)
+    return SIMULATORS[conditions.simulator].make(robot, n, conditions, control_rate_hz, threads)
