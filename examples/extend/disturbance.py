@@ -13,6 +13,7 @@ import numpy as np
 import fastmimic as fm
 from fastmimic.base.arrays import Array
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, DisturbanceKind
+from fastmimic.simulation.disturbances import Disturbance
 
 
 def blow(simulation: Any, force: Array, time_s: float) -> None:
@@ -29,7 +30,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--fast", action="store_true", help="half a second of each episode")
     seconds = 0.5 if parser.parse_args().fast else 4.0
-    for wind in (0, 8, 16, 24):
-        conditions = fm.Conditions(disturbances=(f"wind={wind}",))
+    for wind in (0.0, 8.0, 16.0, 24.0):
+        conditions = fm.Conditions(disturbances=(Disturbance("wind", (wind,)),))
         found = fm.evaluate("trot", "a1", duration_s=seconds, conditions=conditions)
-        print(f"wind {wind:2d} N: reward {found.rollout.reward.mean():.3f}, fell: {bool(found.rollout.fell.any())}")
+        print(f"wind {wind:2.0f} N: reward {found.rollout.reward.mean():.3f}, fell: {bool(found.rollout.fell.any())}")

@@ -15,8 +15,8 @@ from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfi
 from fastmimic.learning.episodes import EPISODE_S, Episodes, Outcome
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
-from fastmimic.simulation.ranges import parse_range
 from fastmimic.runs.loading import load_motion
+from fastmimic.simulation.ranges import parse_range
 
 Seen = NDArray[np.float32]
 

@@ -85,9 +85,7 @@ _PUSHES: Final = ("push", "side-push")
 SIMULATORS: Final = Registry(
     "simulator",
     [
-        Simulator(
-            "mujoco", "where motions are optimised", _mujoco, realizes=("roughness", *_MOTORS, *_PUSHES)
-        ),
+        Simulator("mujoco", "where motions are optimised", _mujoco, realizes=("roughness", *_MOTORS, *_PUSHES)),
         Simulator(
             "pybullet",
             "slower, with the manufacturer's URDF",
