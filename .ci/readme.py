@@ -1,10 +1,13 @@
-"""Runs what a Markdown file shows: each fenced block that follows the line `<!-- run -->`, bash and python, in order.
+"""Runs what Markdown pages show: every fenced bash and python block, in order.
 
-    python .ci/readme.py README.md FOLDER
+    python .ci/readme.py FOLDER README.md docs/*.md
 
-All blocks run in FOLDER, which is made, with stand-ins for the reader's own files in it: `my_dog.txt`, `my_robot.xml`.
+All blocks run in FOLDER, with stand-ins for the reader's files and a `fastmimic` that keeps searches short. Servers,
+long commands and those on a real robot, on data that is not there or on placeholders are only parsed. A block after
+the line `<!-- not run: reason -->` is skipped. The first command with a wrong exit status ends the run.
 """
 
+import os
 import re
 import subprocess
 import sys
@@ -14,23 +17,75 @@ import numpy as np
 
 import fastmimic as fm
 
-BLOCK = re.compile(r"^<!-- run -->\n```(bash|python)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-INTERPRETERS = {"bash": ["bash", "-euo", "pipefail", "-c"], "python": [sys.executable, "-c"]}
+BLOCK = re.compile(r"^(?:<!-- not run: (.+) -->\n)?```(bash|python)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+NOT_OURS = re.compile(r"^(?:pip|make|git|sudo|python|cd|\.ci/run|sbatch|tensorboard)\b.*$", re.MULTILINE)
 COLUMN_OF_POINT = (0, 3, 11, 6, 20, 16, 15, 10, 23, 19)
 """Which of a dog file's 27 points each of `POINT_NAMES` is."""
+STAND_IN = """#!{python}
+import os, sys
+from fastmimic import cli
+
+arguments = sys.argv[1:]
+verb, rest = arguments[0], arguments[1:]
+long = verb in ("view", "play", "robot-sim", "data", "train", "compare", "stress", "transfer", "library")
+long = long or ("--driver" in rest and rest[rest.index("--driver") + 1] != "sim") or "--policy" in rest
+long = long or "pybullet" in rest
+data = os.path.isdir(os.environ.get("FASTMIMIC_DATA", ""))
+missing = not data and any(word.startswith(("dog:", "anim:")) for word in rest)
+missing = missing or any(
+    word.startswith("runs/") and before != "--out" and not os.path.exists(word)
+    for before, word in zip(arguments, rest)
+)
+placeholder = any(word in text for text in rest for word in ("NAME", "MOTION", "CLIPS", "\\u2026"))
+if long or missing or placeholder:
+    from fastmimic.base.extensions import load_extensions
+
+    load_extensions()
+    cli.VERBS[verb]
+    try:
+        cli._parse(verb, rest)
+    except cli._UsageError as error:
+        sys.exit(f"{{verb}}: {{error}}")
+    sys.exit(print("(parsed only)", flush=True))
+if verb in ("imitate", "stitch"):
+    for name, value in (("--iterations", "2"), ("--population", "4")):
+        if name in rest:
+            rest[rest.index(name) + 1] = value
+        else:
+            rest += [name, value]
+    rest += [] if "--no-video" in rest else ["--no-video"]
+if verb in ("evaluate", "render") and "--duration" not in rest:
+    rest += ["--duration", "0.5"]
+if verb == "deploy":
+    rest += ["--lock-step", "--duration", "0.5"]
+sys.exit(cli.main([verb, *rest]))
+"""
 
 
-def main(source: Path, folder: Path) -> None:
-    blocks = BLOCK.findall(source.read_text(encoding="utf-8"))
-    if not blocks:
-        sys.exit(f"{source}: no block follows '<!-- run -->'")
-    folder.mkdir(parents=True, exist_ok=True)
+def main(folder: Path, pages: list[Path]) -> None:
+    tools = folder.resolve() / "bin"
+    tools.mkdir(parents=True, exist_ok=True)
+    stand_in = tools / "fastmimic"
+    stand_in.write_text(STAND_IN.format(python=sys.executable))
+    stand_in.chmod(0o755)
     write_dog(folder / "my_dog.txt", cycles=3)
+    for name in ("my_take.txt", "take.txt", "my_animal.txt"):
+        write_dog(folder / name, cycles=12)
+    np.save(folder / "points.npy", fm.open_clip("walk").points_w)
     (folder / "my_robot.xml").write_text(fm.load_robot("go1").spec().to_xml(), encoding="utf-8")
-    for language, code in blocks:
-        sys.stdout.write(f"-- {language}\n{code}")
-        sys.stdout.flush()
-        subprocess.run([*INTERPRETERS[language], code], cwd=folder, check=True)
+    environment = os.environ | {"PATH": f"{tools}{os.pathsep}{os.environ['PATH']}"}
+    for page in pages:
+        for reason, language, code in BLOCK.findall(page.read_text(encoding="utf-8")):
+            if reason:
+                print(f"-- {page}: not run: {reason}", flush=True)
+                continue
+            if language == "bash":
+                command = ["bash", "-euo", "pipefail", "-c", NOT_OURS.sub("", code)]
+            else:
+                command = [sys.executable, "-c", code]
+            print(f"-- {page}: {language}\n{code}", end="", flush=True)
+            if done := subprocess.run(command, cwd=folder, env=environment, check=False).returncode:
+                sys.exit(f"{page}: a block ends with status {done}")
 
 
 def write_dog(path: Path, cycles: int) -> None:
@@ -46,4 +101,4 @@ def write_dog(path: Path, cycles: int) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main(Path(sys.argv[1]), [Path(page) for page in sys.argv[2:]])
