@@ -77,15 +77,20 @@ def main(folder: Path, pages: list[Path]) -> None:
     for page in pages:
         for reason, language, code in BLOCK.findall(page.read_text(encoding="utf-8")):
             if reason:
-                print(f"-- {page}: not run: {reason}", flush=True)
+                say(f"-- {page}: not run: {reason}\n")
                 continue
             if language == "bash":
                 command = ["bash", "-euo", "pipefail", "-c", NOT_OURS.sub("", code)]
             else:
                 command = [sys.executable, "-c", code]
-            print(f"-- {page}: {language}\n{code}", end="", flush=True)
+            say(f"-- {page}: {language}\n{code}")
             if done := subprocess.run(command, cwd=folder, env=environment, check=False).returncode:
                 sys.exit(f"{page}: a block ends with status {done}")
+
+
+def say(text: str) -> None:
+    sys.stdout.write(text)
+    sys.stdout.flush()
 
 
 def write_dog(path: Path, cycles: int) -> None:
