@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from marked import put
 
+from fastmimic.base.machine import versions
 from fastmimic.clips.data import data_folder
 from fastmimic.dataset import BuildRequest, BuildSettings, DatasetSource, MotionDataset, build, find_sources
 from fastmimic.dataset.build import BuildStep
@@ -37,7 +38,7 @@ from fastmimic.dataset.records import DONE, FIGURES, record_file, sha256
 from fastmimic.dataset.warm_start import distance
 from fastmimic.executors import Executor, Report, make_executor
 from fastmimic.executors.local import LocalExecutor
-from fastmimic.imitation.imitate import imitate, versions
+from fastmimic.imitation.imitate import imitate
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import load_motion
 

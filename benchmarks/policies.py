@@ -29,12 +29,13 @@ from learning_cost_figure import cost_figure
 from marked import put
 
 from fastmimic.cli import main as fastmimic
-from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, RUNS
-from fastmimic.experiments.comparison_run import MOTION, Run, slug
+from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS
+from fastmimic.experiments.comparison_folder import RUNS
+from fastmimic.experiments.comparison_run import Run, slug
 from fastmimic.experiments.transfer import STAGES, all_trials, transfer_table
 from fastmimic.learning.training_folder import EVALUATIONS
 from fastmimic.render.figure_style import save
-from fastmimic.report.comparison_folder import ENVIRONMENT
+from fastmimic.runs.folder import ENVIRONMENT, MOTION
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 FIGURE = "policies.png"

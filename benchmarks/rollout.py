@@ -130,7 +130,7 @@ def timed(work: Callable[[], Any]) -> float:
 
 def environment() -> dict[str, Any]:
     """What the figures were measured on and with."""
-    from fastmimic.imitation.imitate import versions
+    from fastmimic.base.machine import versions
 
     return {"machine": platform.machine(), "cores": available_cores(), "load_1min": os.getloadavg()[0], **versions()}
 

@@ -16,13 +16,14 @@ from fastmimic.episode.plan import perturbed_start
 from fastmimic.episode.reward import TERMS, WEIGHTS
 from fastmimic.experiments.ablations import ABLATIONS, ablation_named, ablations_of
 from fastmimic.experiments.compare import ComparisonPlan, compare, prepare
+from fastmimic.experiments.comparison_folder import ComparisonFolder
 from fastmimic.experiments.comparison_run import ComparisonSettings, Row, finished_row
 from fastmimic.experiments.parallel import RunProgress
 from fastmimic.experiments.tables import COLUMNS, ablation_table, comparison_table, summaries
 from fastmimic.imitation.imitate import evaluate
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
-from fastmimic.report.comparison_folder import ComparisonFolder
+from fastmimic.report.comparison_files import write_comparison
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import load_motion
 
@@ -52,7 +53,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Row], lis
     """A finished comparison with its folder written. Not to be changed."""
     out = tmp_path_factory.mktemp("comparison")
     rows, reported = run(PLAN, out)
-    ComparisonFolder(out).write(PLAN, rows)
+    write_comparison(ComparisonFolder.at(out), PLAN, rows)
     return out, rows, reported
 
 
@@ -294,10 +295,10 @@ class TestFolder:
         assert saved in rows
 
     def test_a_smaller_comparison_leaves_nothing_of_the_larger_one(self, rows: list[Row], tmp_path: Path) -> None:
-        folder = ComparisonFolder(tmp_path)
+        folder = ComparisonFolder.at(tmp_path)
         (tmp_path / "ablations.md").write_text("old")
         plan = replace(PLAN, methods=("raibert", "mbc"), ablations=False)
-        folder.write(plan, rows[:2])
+        write_comparison(folder, plan, rows[:2])
         assert {p.name for p in tmp_path.iterdir()} == {"results.csv", "table.md", "comparison.png"}
 
     def test_what_is_kept_stays_in_all_tables_and_figures(self, out: Path, rows: list[Row], tmp_path: Path) -> None:
@@ -306,7 +307,7 @@ class TestFolder:
         prepared = prepare(plan, copy, keep=True, prepared=lambda name: None)
         assert prepared.tasks == ()
         assert len(prepared.kept) == len(rows) - 1
-        ComparisonFolder(copy).write(plan, prepared.finished(), prepared.kept)
+        write_comparison(ComparisonFolder.at(copy), plan, prepared.finished(), prepared.kept)
         for name in ("results.csv", "table.md", "ablations.md"):
             assert (copy / name).read_text() == (out / name).read_text()
         assert {p.name for p in copy.iterdir()} == {p.name for p in out.iterdir()}
@@ -321,7 +322,7 @@ class TestFolder:
 
     def test_unfinished_ablations_say_so(self, out: Path, rows: list[Row], tmp_path: Path) -> None:
         copy = shutil.copytree(out, tmp_path / "copy")
-        ComparisonFolder(copy).write(PLAN, rows[:-1])
+        write_comparison(ComparisonFolder.at(copy), PLAN, rows[:-1])
         expected = sum(row["method"] == "mbc-dmp" for row in rows)
         assert f"Unfinished: {expected - 1} of {expected} runs." in (copy / "ablations.md").read_text()
         assert "Unfinished" not in (copy / "table.md").read_text()

@@ -12,7 +12,7 @@ from control.motions import gait
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.episode.plan import Start
 from fastmimic.experiments import stress
-from fastmimic.experiments.parts import load_part, save_part
+from fastmimic.experiments.results import load_part, save_part
 from fastmimic.experiments.stress import (
     COLUMNS,
     StressSettings,

@@ -51,7 +51,7 @@ def test_the_reward_rises(robot: Robot, motion: Motion) -> None:
 
 def test_resuming_is_exact(robot: Robot, motion: Motion, tmp_path: Path) -> None:
     per = SMALL.steps_per_iteration
-    straight, stopped = TrainingFolder(tmp_path / "straight"), TrainingFolder(tmp_path / "stopped")
+    straight, stopped = TrainingFolder.at(tmp_path / "straight"), TrainingFolder.at(tmp_path / "stopped")
     whole = training.train(robot, motion, 6 * per, straight, SMALL, evaluate_every=2 * per)
     training.train(robot, motion, 3 * per, stopped, SMALL, evaluate_every=2 * per, threads=2)
     rest = training.train(robot, motion, 6 * per, stopped, SMALL, evaluate_every=2 * per, resume=True)
@@ -67,7 +67,7 @@ def test_resuming_is_exact(robot: Robot, motion: Motion, tmp_path: Path) -> None
 
 def test_a_folder_holds_the_best_policy_and_its_course(robot: Robot, motion: Motion, tmp_path: Path) -> None:
     per = SMALL.steps_per_iteration
-    found = training.train(robot, motion, 3 * per, TrainingFolder(tmp_path), SMALL, evaluate_every=per)
+    found = training.train(robot, motion, 3 * per, TrainingFolder.at(tmp_path), SMALL, evaluate_every=per)
     policy = Policy.load(tmp_path / "policy.npz")
     best = max(found, key=lambda e: e.reward + e.reward_perturbed)
     assert policy.training["steps"] == best.steps
@@ -133,4 +133,4 @@ def test_settings_out_of_range_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="hidden layers need a width"):
         TrainingSettings(hidden=())
     with pytest.raises(CheckpointError, match="no checkpoint to resume from"):
-        TrainingFolder(tmp_path).load()
+        TrainingFolder.at(tmp_path).load()

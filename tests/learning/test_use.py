@@ -13,13 +13,14 @@ from fastmimic.cli import main
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import perturbed_start
 from fastmimic.experiments.compare import ComparisonPlan, choose_policies, compare, prepare
+from fastmimic.experiments.comparison_folder import ComparisonFolder
 from fastmimic.experiments.comparison_run import ComparisonSettings, Row
 from fastmimic.experiments.tables import comparison_table
 from fastmimic.imitation.imitate import evaluate, imitate
 from fastmimic.imitation.methods import ALL_METHODS, METHODS
 from fastmimic.learning.controller import controlled_by
 from fastmimic.motion.motion import Motion
-from fastmimic.report.comparison_folder import ComparisonFolder
+from fastmimic.report.comparison_files import write_comparison
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion
 from learning.hand_made import follower
@@ -136,7 +137,7 @@ class TestCompare:
         policies = choose_policies([policy_file.parent], ["side-step"])
         plan = ComparisonPlan(TINY, ("side-step",), ("mbc", "rl"), seeds=1, ablations=False, policies=policies)
         rows = run(plan, tmp_path)
-        ComparisonFolder(tmp_path).write(plan, rows)
+        write_comparison(ComparisonFolder.at(tmp_path), plan, rows)
         with (tmp_path / "results.csv").open() as file:
             written = {row["method"]: row for row in csv.DictReader(file)}
         assert list(written) == ["rl", "mbc"]

@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 
 from fastmimic.base.errors import ConfigError
+from fastmimic.base.files import write_json
 from fastmimic.cli import main
 from fastmimic.commands.report import recorded
 from fastmimic.experiments.tables import COLUMNS, to_csv
-from fastmimic.report.run_folder import write_json
 
 pytest.importorskip("plotly", reason="Plotly is not installed: pip install 'fastmimic[report]'")
 

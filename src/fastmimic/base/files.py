@@ -1,9 +1,9 @@
-"""Files that are replaced whole or not at all, and folders of work that can be resumed."""
+"""Files that are replaced whole or not at all."""
 
 import json
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -99,54 +99,6 @@ def read_section(path: Path, name: str) -> dict[str, Any] | None:
     except ConfigError:
         return None
     return section if isinstance(section, dict) else None
-
-
-def check_resumable(
-    path: Path,
-    what: str,
-    found: Sequence[str],
-    earlier: Mapping[str, Any] | None,
-    same: Mapping[str, Any],
-    *,
-    resume: bool,
-    overwrite: bool,
-    begun: bool = True,
-) -> None:
-    """Checks a folder of long work that can be resumed, before it begins or goes on; writes nothing.
-
-    Args:
-        path: the folder.
-        what: is in it, with its article, such as "a training".
-        found: names of files of such work that are there.
-        earlier: the settings of the work there; None if there is none.
-        same: settings that must be those of `earlier` to resume.
-        resume: whether to go on with it.
-        overwrite: whether to replace it.
-        begun: whether `earlier` has left anything that would be lost.
-
-    Raises:
-        ConfigError: both `resume` and `overwrite`.
-        OutputError: the folder holds something else, work of other settings, or work that would be lost; or nothing to
-            resume.
-    """
-    if resume and overwrite:
-        raise ConfigError(f"--resume goes on with {what} and --overwrite replaces it: give one of them")
-    if found and earlier is None:
-        raise OutputError(f"{path} holds {', '.join(found)} of something else; choose another --out")
-    if earlier is None or not begun:
-        if resume:
-            raise OutputError(f"{path} holds no {what.split()[-1]} to resume; leave out --resume to start one")
-        return
-    if not (resume or overwrite):
-        raise OutputError(
-            f"{path} holds {what}; --resume goes on with it, --overwrite replaces it, or choose another --out"
-        )
-    differ = [name for name, value in same.items() if earlier.get(name) != value]
-    if resume and differ:
-        old = ", ".join(f"{name.replace('_', '-')} {earlier.get(name)}" for name in differ)
-        raise OutputError(
-            f"{path} holds {what} of other settings ({old}); --resume it with these, or choose another --out"
-        )
 
 
 def _umask() -> int:

@@ -1,8 +1,16 @@
-"""What the machine has."""
+"""The machine and the installed packages."""
 
 import os
+import platform
+from importlib import metadata
 
 
 def available_cores() -> int:
     """Processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of those that its results depend on."""
+    names = ("fastmimic", "mujoco", "daqp", "cma", "numba", "numpy")
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in names}}

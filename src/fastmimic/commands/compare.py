@@ -14,9 +14,9 @@ from fastmimic.commands.console import KEPT, note, put, share_progress
 
 if TYPE_CHECKING:
     from fastmimic.experiments.compare import ComparisonPlan, Prepared
+    from fastmimic.experiments.comparison_folder import ComparisonFolder
     from fastmimic.experiments.comparison_run import Row
     from fastmimic.experiments.parallel import ReportProgress, RunProgress
-    from fastmimic.report.comparison_folder import ComparisonFolder
 
 OUT: Final = Path("runs/comparison")
 
@@ -59,7 +59,9 @@ class Compare:
         plan = self._plan()
         from fastmimic.base.machine import available_cores
         from fastmimic.experiments.compare import prepare
-        from fastmimic.report.comparison_folder import open_comparison
+        from fastmimic.experiments.comparison_folder import ABLATION_TABLE, open_comparison
+        from fastmimic.report.comparison_files import write_comparison
+        from fastmimic.runs.folder import TABLE
 
         workers = self.workers if self.workers is not None else available_cores()
         if workers < 1:
@@ -79,8 +81,8 @@ class Compare:
                 if folder.begun:
                     _leave(folder, prepared)
                 raise
-            folder.write(plan, rows, prepared.kept)
-        put(*folder.table().splitlines(), f"results in {self.out}")
+            write_comparison(folder, plan, rows, prepared.kept)
+        put(*folder.read(TABLE, ABLATION_TABLE).splitlines(), f"results in {self.out}")
         return 0
 
     def _plan(self) -> "ComparisonPlan":
@@ -109,10 +111,12 @@ class Compare:
 
 def _leave(folder: "ComparisonFolder", prepared: "Prepared") -> None:
     """Writes the results so far of an interrupted or failed comparison, and prints how to continue."""
+    from fastmimic.report.comparison_files import write_comparison
+
     try:
         rows = prepared.finished()
         if rows or prepared.kept:
-            folder.write(prepared.plan, rows, prepared.kept)
+            write_comparison(folder, prepared.plan, rows, prepared.kept)
     except FastMimicError as error:  # the interruption or the run's failure is reported
         note(f"the tables could not be written: {error}")
     note(KEPT)
@@ -120,10 +124,10 @@ def _leave(folder: "ComparisonFolder", prepared: "Prepared") -> None:
 
 def _environment(plan: "ComparisonPlan", workers: int, kept: "Sequence[Row]") -> dict[str, Any]:
     """Everything that the results depend on, JSON-serialisable; `kept` are the rows of other runs."""
+    from fastmimic.base.machine import versions
     from fastmimic.control.config import controller_config
     from fastmimic.experiments.ablations import ABLATIONS, ablation_named
     from fastmimic.experiments.comparison_run import run_of
-    from fastmimic.imitation.imitate import versions
     from fastmimic.imitation.methods import ALL_METHODS, method_named
 
     config = controller_config(plan.settings.config)

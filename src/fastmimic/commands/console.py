@@ -31,9 +31,9 @@ def put_json(value: Mapping[str, Any]) -> None:
     """Prints one JSON object on stdout; infinite and undefined numbers become null."""
     import json
 
-    from fastmimic.report.run_folder import finite
+    from fastmimic.base.text import plain
 
-    put(json.dumps(finite(value), allow_nan=False))
+    put(json.dumps(plain(value), allow_nan=False))
 
 
 def put_table(rows: Sequence[Sequence[str]], *, right: Sequence[int] = ()) -> None:

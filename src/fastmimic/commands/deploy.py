@@ -95,9 +95,10 @@ class Deploy:
 
     def run(self) -> int:
         """Runs the motion, writes the folder, prints the figures; returns the exit status."""
+        from fastmimic.deploy.deployment_folder import open_deployment
         from fastmimic.deploy.drivers import SIM, check_driver
-        from fastmimic.deploy.files import MOTION, open_deployment
         from fastmimic.deploy.safety_limits import read_limits
+        from fastmimic.runs.folder import MOTION
 
         check_driver(self.driver)
         self._check(SIM)
@@ -155,8 +156,8 @@ class Deploy:
 
     def _places(self, robot: Robot, motion: Motion) -> tuple[Path, Path]:
         """The folder and the log's file."""
-        from fastmimic.deploy.files import LOG
-        from fastmimic.report.run_folder import default_folder
+        from fastmimic.deploy.deployment_folder import LOG
+        from fastmimic.runs.run_folder import default_folder
 
         name = opt.folder_name("deploy", motion.name, robot.name, self.driver)
         folder = self.out if self.out is not None else default_folder(opt.RUNS, name, resume=False)
@@ -217,9 +218,9 @@ class Deploy:
         return SimDriver(robot, clock, conditions=conditions, faults=faults)
 
     def _write_result(self, found: "Deployment", folder: Path) -> None:
-        from fastmimic.deploy.files import RESULT
-        from fastmimic.imitation.imitate import versions
-        from fastmimic.report.run_folder import write_json
+        from fastmimic.base.files import write_json
+        from fastmimic.base.machine import versions
+        from fastmimic.deploy.deployment_folder import RESULT
 
         about = {k: v for k, v in found.log.meta.items() if k != "result"}
         write_json(

@@ -12,13 +12,13 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import note, optimisation_progress
 from fastmimic.commands.search_run import SearchRun
-from fastmimic.commands.show import note_origin, put_result, unmet_bounds
+from fastmimic.commands.show import note_origin, put_result, unmet_bounds, write_run
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.imitation.imitate import Imitation
-    from fastmimic.report.run_folder import RunFolder
+    from fastmimic.runs.run_folder import RunFolder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ class Imitate(SearchRun):
                 note(f"retargeting: {sentence}")
             result = self._imitate(robot, motion, method, folder)
             result = dataclasses.replace(result, wall_s=result.wall_s + loading_s)
-            folder.write(result, config)
+            write_run(result, folder, config)
         return put_result(result, folder, self.search.iterations, video=video)
 
     def _method(self) -> str:

@@ -12,7 +12,7 @@ from fastmimic.commands.console import note
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:  # loads the compiler
-    from fastmimic.report.run_folder import RunFolder
+    from fastmimic.runs.run_folder import RunFolder
 
 _NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", "quality")
 """Arguments that change where and how a run happens, but not its result."""
@@ -57,10 +57,10 @@ class SearchRun:
             method: the method that runs.
             about: further content of `config.json`.
         """
+        from fastmimic.base.machine import versions
         from fastmimic.control.config import controller_config
-        from fastmimic.imitation.imitate import versions
         from fastmimic.imitation.methods import method_named
-        from fastmimic.report.run_folder import default_folder, open_run
+        from fastmimic.runs.run_folder import default_folder, open_run
 
         resume = self.folder.resume
         default = opt.folder_name(name, robot.name, method, self.seed)

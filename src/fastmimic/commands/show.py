@@ -9,7 +9,7 @@ from fastmimic.robot import Robot
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.imitation.imitate import Imitation
-    from fastmimic.report.run_folder import RunFolder
+    from fastmimic.runs.run_folder import RunFolder
 
 MISSING: Final = "–"
 _PER_COLUMN: Final = ("drift_m_per_s", "early_contacts_per_s", "stance_slip_m", "foot_z_rmse_m", "foot_x_rmse_m")
@@ -79,6 +79,15 @@ def least_share(realised: Sequence[float | None], wanted: Sequence[float | None]
     return min(shares) if shares else None
 
 
+def write_run(result: "Imitation", folder: "RunFolder", config: Mapping[str, Any]) -> None:
+    """Writes everything but the video, in place of an earlier run; raises `OutputError`."""
+    from fastmimic.report.run_figures import draw_run
+
+    folder.clear_results()
+    draw_run(result, folder)
+    folder.write(result.motion, config, result.metrics(), searched=result.history is not None)
+
+
 def put_result(result: "Imitation", folder: "RunFolder", iterations: int, *, video: str | None) -> int:
     """Prints the figures and adds the video to the folder; returns the exit status.
 
@@ -88,11 +97,13 @@ def put_result(result: "Imitation", folder: "RunFolder", iterations: int, *, vid
         iterations: the number that was asked for.
         video: its quality; None for no video.
     """
+    from fastmimic.report.run_figures import write_video
+
     put_comparison(result)
     if video is not None:
         try:
             with count_progress("video, frame") as progress:
-                folder.write_video(result, progress, video)
+                write_video(result, folder, progress, video)
         except KeyboardInterrupt:
             note(f"the video was not written; everything else is in {folder.path}")
             raise

@@ -12,14 +12,14 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import note, optimisation_progress, put_table
 from fastmimic.commands.search_run import SearchRun
-from fastmimic.commands.show import put_result, yes_no
+from fastmimic.commands.show import put_result, write_run, yes_no
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.imitation.stitch import Stitching
     from fastmimic.optimize.cma_es import Progress
-    from fastmimic.report.run_folder import RunFolder
     from fastmimic.runs.loading import MotionSource
+    from fastmimic.runs.run_folder import RunFolder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ class Stitch(SearchRun):
         with self.opened(robot, names, self.method, motion="+".join(self.motions)) as (folder, config):
             result = self._stitch(sources, robot, folder)
             meta = result.motion.meta
-            folder.write(result, config | {"source": meta.get("source"), "licence": meta.get("licence")})
+            write_run(result, folder, config | {"source": meta.get("source"), "licence": meta.get("licence")})
         put_table(segment_rows(result), right=range(1, 8))
         return put_result(result, folder, self.iterations, video=video)
 

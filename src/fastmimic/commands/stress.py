@@ -46,10 +46,11 @@ class Stress(opt.ExperimentOptions):
     def run(self) -> int:
         """Runs the sweeps and writes the folder; returns the exit status."""
         opt.check_duration(self.duration)
+        from fastmimic.experiments.results import open_results
         from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of
-        from fastmimic.experiments.subject import MOTIONS, check_methods, make_subject
-        from fastmimic.report.result_folder import ResultFolder
+        from fastmimic.experiments.subject import check_methods, make_subject
         from fastmimic.report.stress_figures import WRITTEN, write_stress
+        from fastmimic.runs.folder import MOTIONS, TABLE
         from fastmimic.simulation.simulators import check_simulator
 
         check_methods(self.methods, self.policy is not None)
@@ -70,8 +71,8 @@ class Stress(opt.ExperimentOptions):
         check_length(motion, names, settings)
         check_simulator(robot, self.simulator)
         about = {"motion": motion.name, **asdict(settings)}
-        folder = ResultFolder(self.out, "stress", SWEEPS, WRITTEN, about)
-        folder.open(resume=self.folder.resume, overwrite=self.folder.overwrite)
+        resume, overwrite = self.folder.resume, self.folder.overwrite
+        folder = open_results(self.out, "stress", SWEEPS, WRITTEN, about, resume=resume, overwrite=overwrite)
         planned = [(method, name) for method in self.methods for name in names]
         try:
             for k, method in enumerate(self.methods):
@@ -91,7 +92,7 @@ class Stress(opt.ExperimentOptions):
             note(KEPT)
             raise
         write_stress(folder, settings, planned)
-        put(folder.table(), f"results in {self.out}")
+        put(folder.read(TABLE), f"results in {self.out}")
         return 0
 
     def _sweeps(
@@ -104,7 +105,7 @@ class Stress(opt.ExperimentOptions):
         total: int,
     ) -> None:
         """Runs the sweeps of one method that are not finished yet."""
-        from fastmimic.experiments.parts import load_part, save_part
+        from fastmimic.experiments.results import load_part, save_part
         from fastmimic.experiments.stress import sweep, sweep_file
 
         with share_progress("sweeps") as bar, slow_start(f"{subject.method.name}: first sweep; {FIRST_USE}"):

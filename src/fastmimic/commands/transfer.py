@@ -46,10 +46,11 @@ class Transfer(opt.ExperimentOptions):
     def run(self) -> int:
         """Runs the trials and writes the folder; returns the exit status."""
         opt.check_duration(self.duration)
+        from fastmimic.experiments.results import open_results
         from fastmimic.experiments.subject import check_methods
         from fastmimic.experiments.transfer import PARTS, TransferSettings
-        from fastmimic.report.result_folder import ResultFolder
         from fastmimic.report.transfer_figures import WRITTEN, write_transfer
+        from fastmimic.runs.folder import TABLE
         from fastmimic.simulation.simulators import check_simulator
 
         if not self.motions:
@@ -76,8 +77,8 @@ class Transfer(opt.ExperimentOptions):
         check_simulator(loaded[0][0], "pybullet")
         policy = opt.policy_with_digest(self.policy, *loaded[0])
         about = {"robot": loaded[0][0].name, **asdict(settings)}
-        folder = ResultFolder(self.out, "transfer", PARTS, WRITTEN, about)
-        folder.open(resume=self.folder.resume, overwrite=self.folder.overwrite)
+        resume, overwrite = self.folder.resume, self.folder.overwrite
+        folder = open_results(self.out, "transfer", PARTS, WRITTEN, about, resume=resume, overwrite=overwrite)
         planned = [(name, method) for name in names for method in self.methods]
         try:
             for robot, motion in loaded:
@@ -88,7 +89,7 @@ class Transfer(opt.ExperimentOptions):
             note(KEPT)
             raise
         write_transfer(folder, planned)
-        put(folder.table(), f"results in {self.out}")
+        put(folder.read(TABLE), f"results in {self.out}")
         return 0
 
     def _one(
@@ -100,9 +101,10 @@ class Transfer(opt.ExperimentOptions):
         policy: "tuple[MakeController, str] | None",
     ) -> None:
         """Runs the trials of a method on a motion, unless they are finished."""
-        from fastmimic.experiments.parts import load_part, save_part
-        from fastmimic.experiments.subject import MOTIONS, make_subject
+        from fastmimic.experiments.results import load_part, save_part
+        from fastmimic.experiments.subject import make_subject
         from fastmimic.experiments.transfer import part_file, run_trials
+        from fastmimic.runs.folder import MOTIONS
 
         with optimisation_progress() as progress:
             subject = make_subject(

@@ -10,6 +10,7 @@ from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.formats import detect_format
 from fastmimic.control.config import controller_config
 from fastmimic.experiments.ablations import ABLATED, ablation_named, ablations_of
+from fastmimic.experiments.comparison_folder import RUNS
 from fastmimic.experiments.comparison_run import (
     POLICY,
     ComparisonSettings,
@@ -28,6 +29,7 @@ from fastmimic.optimize.problem import Objective
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
+from fastmimic.runs.folder import MOTIONS
 from fastmimic.runs.loading import load_motion
 
 if TYPE_CHECKING:
@@ -36,8 +38,6 @@ if TYPE_CHECKING:
 PAPER_MOTIONS: Final = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps")
 """The paper's four, as far as they are public."""
 BUILT_IN_MOTIONS: Final = ("trot", "pace", "turn", "side-step")
-RUNS: Final = "runs"
-MOTIONS: Final = "motions"
 
 
 @dataclass(frozen=True)

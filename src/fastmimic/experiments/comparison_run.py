@@ -20,6 +20,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import OutputError
 from fastmimic.base.files import replace_file
+from fastmimic.base.machine import versions
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.metrics import swing_clearance
@@ -28,14 +29,14 @@ from fastmimic.episode.reward import TERMS
 from fastmimic.episode.rollout import Rollout
 from fastmimic.episode.style import style_distance
 from fastmimic.experiments.ablations import ablation_named
-from fastmimic.imitation.imitate import Imitation, imitate, versions
+from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 from fastmimic.optimize.cma_es import Progress
 from fastmimic.optimize.problem import Objective
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
+from fastmimic.runs.folder import CHECKPOINT, MOTION
 
 if TYPE_CHECKING:
     from fastmimic.learning.policy import Policy
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 
 ROW: Final = "row.json"
-MOTION: Final = "motion.npz"
 TRACKING: Final = "tracking.npz"
 POLICY: Final = "policy.npz"
 RUN_FILES: Final = (ROW, MOTION, TRACKING, CHECKPOINT, POLICY)

@@ -19,7 +19,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import Start, episode_duration, nominal_start, start_room
 from fastmimic.experiments.comparison_run import Row, slug
-from fastmimic.experiments.parts import all_parts
+from fastmimic.experiments.results import all_parts
 from fastmimic.experiments.subject import Subject
 from fastmimic.imitation.methods import ALL_METHODS, method_named
 from fastmimic.motion.motion import Motion

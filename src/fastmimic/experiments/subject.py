@@ -19,7 +19,6 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, Progress
 from fastmimic.robot import Robot
 
-MOTIONS: Final = "motions"
 DURATION_S: Final = 5.0
 """Of the optimisation's episodes, as in `imitate`."""
 

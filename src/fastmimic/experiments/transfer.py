@@ -21,7 +21,7 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import Start, episode_duration, perturbed_start
 from fastmimic.episode.rollout import run_log
 from fastmimic.experiments.comparison_run import Row, slug
-from fastmimic.experiments.parts import all_parts
+from fastmimic.experiments.results import all_parts
 from fastmimic.experiments.subject import Subject
 from fastmimic.identification.identify import identify
 from fastmimic.imitation.methods import ALL_METHODS, method_named

@@ -1,11 +1,9 @@
 """The main job: from a motion to an optimised motion that the robot can execute, and what it is worth."""
 
 import math
-import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,6 +11,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
+from fastmimic.base.machine import versions
 from fastmimic.base.text import plain
 from fastmimic.clips.clip import Clip
 from fastmimic.control.config import ControllerConfig, controller_config
@@ -421,12 +420,6 @@ def evaluate(
         controller=controller,
     )
     return Evaluation(motion, rollout, chosen.name, config, robot.name, conditions or Conditions())
-
-
-def versions() -> dict[str, str]:
-    """Versions of this package and of what its results depend on."""
-    names = ("fastmimic", "mujoco", "daqp", "cma", "numba", "numpy")
-    return {"python": platform.python_version(), **{name: metadata.version(name) for name in names}}
 
 
 def _configured(method: Method, config: ControllerConfig | str) -> ControllerConfig:

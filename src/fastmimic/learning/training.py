@@ -11,9 +11,9 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic.base.files import replace_file
+from fastmimic.base.machine import versions
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import episode_duration, perturbed_start, start_room
-from fastmimic.imitation.imitate import versions
 from fastmimic.learning.controller import controlled_by
 from fastmimic.learning.learner import Iteration, Learner
 from fastmimic.learning.policy import POLICY_FILE, Policy

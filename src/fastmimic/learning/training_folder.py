@@ -9,23 +9,26 @@ from pathlib import Path
 from typing import Any, Final
 
 from fastmimic.base.errors import CheckpointError
-from fastmimic.base.files import check_folder, check_resumable, read_section, remove_file, replace_file
+from fastmimic.base.files import check_folder, replace_file
 from fastmimic.learning.policy import POLICY_FILE
+from fastmimic.runs.folder import CONFIG, WorkFolder
 
-CONFIG: Final = "config.json"
 CHECKPOINT: Final = "checkpoint.pt"
 ONNX: Final = "policy.onnx"
 EVALUATIONS: Final = "evaluations.csv"
 EVENTS: Final = "tensorboard"
 _VERSION: Final = 1
-_FILES: Final = (CONFIG, CHECKPOINT, ONNX, EVALUATIONS, POLICY_FILE)
+_FILES: Final = (CHECKPOINT, ONNX, EVALUATIONS, POLICY_FILE, f"{EVENTS}/events.out.tfevents.*")
 
 
 @dataclass(frozen=True)
-class TrainingFolder:
-    """Where a training keeps its files."""
+class TrainingFolder(WorkFolder):
+    """The files of a training."""
 
-    path: Path
+    @classmethod
+    def at(cls, path: Path) -> "TrainingFolder":
+        """The folder at a path."""
+        return cls(path, "a training", CONFIG, "training", _FILES)
 
     @property
     def begun(self) -> bool:
@@ -33,17 +36,8 @@ class TrainingFolder:
         return (self.path / CHECKPOINT).is_file()
 
     def begin(self, record: Mapping[str, Any]) -> None:
-        """Writes `config.json`."""
-        text = json.dumps(record, indent=1, sort_keys=True) + "\n"
-        replace_file(self.path / CONFIG, lambda file: file.write(text.encode()))
-
-    def clear(self) -> None:
-        """Removes an earlier training: its own files, and nothing else."""
-        events = self.path / EVENTS
-        for file in (*(self.path / name for name in _FILES), *events.glob("events.out.tfevents.*")):
-            remove_file(file)
-        if events.is_dir() and not any(events.iterdir()):
-            events.rmdir()
+        """Writes `config.json`; raises `OutputError`."""
+        self.write(CONFIG, json.dumps(record, indent=1, sort_keys=True) + "\n")
 
     def save(self, state: Mapping[str, Any]) -> None:
         """Writes the checkpoint in place of an earlier one."""
@@ -87,12 +81,8 @@ def open_training(path: Path, same: Mapping[str, Any], *, resume: bool, overwrit
         ConfigError: both `resume` and `overwrite`.
         OutputError: the folder holds another training, or something else, or cannot be written to.
     """
-    folder = TrainingFolder(path)
-    found = [name for name in _FILES if (path / name).exists()]
-    earlier = read_section(path / CONFIG, "training")
-    check_resumable(
-        path, "a training", found, earlier, same, resume=resume, overwrite=overwrite, begun=folder.begun
-    )  # without a checkpoint nothing is lost
+    folder = TrainingFolder.at(path)
+    folder.check(same, resume=resume, overwrite=overwrite, begun=folder.begun)
     check_folder(path)
     return folder
 

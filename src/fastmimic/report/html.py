@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.base.files import read_json, write_text
-from fastmimic.deploy.files import RESULT as DEPLOYMENT
+from fastmimic.deploy.deployment_folder import RESULT as DEPLOYMENT
 from fastmimic.experiments.comparison_run import POLICY
-from fastmimic.report.comparison_folder import ENVIRONMENT
-from fastmimic.report.result_folder import TABLE
-from fastmimic.report.run_folder import CONFIG, METRICS
+from fastmimic.runs.folder import CONFIG, ENVIRONMENT, METRICS, TABLE
 
 if TYPE_CHECKING:
     from fastmimic.report.html_run import RerunEpisodes

@@ -10,22 +10,14 @@ from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.base.files import read_json
 from fastmimic.base.text import NONE
 from fastmimic.experiments.ablations import ABLATED
-from fastmimic.experiments.compare import RUNS
+from fastmimic.experiments.comparison_folder import ABLATION_FIGURE, ABLATION_TABLE, COMPARISON, RUNS, TRACKING_FIGURE
 from fastmimic.experiments.comparison_run import Row, finished_row
 from fastmimic.experiments.tables import summaries
 from fastmimic.imitation.methods import method_named
 from fastmimic.report import html_methods
-from fastmimic.report.comparison_folder import (
-    ABLATION_FIGURE,
-    ABLATION_TABLE,
-    COMPARISON,
-    ENVIRONMENT,
-    RESULTS_CSV,
-    TABLE,
-    TRACKING_FIGURE,
-)
 from fastmimic.report.html_page import render
 from fastmimic.report.html_plots import Figure
+from fastmimic.runs.folder import ENVIRONMENT, RESULTS_CSV, TABLE
 
 _TEXT: Final = ("motion", "method", "variant", "robot", "config", "parameters", "digest")
 _EACH: Final = (  # column of results.csv, heading, digits, scale

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, DeploymentError
 from fastmimic.base.files import read_json
-from fastmimic.deploy.files import LOG, RESULT
+from fastmimic.deploy.deployment_folder import LOG, RESULT
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.deploy.summary import summary_rows

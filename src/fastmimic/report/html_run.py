@@ -17,8 +17,9 @@ from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
-from fastmimic.report.run_folder import CONFIG, METRICS, MOTION, VIDEO, RunFolder
 from fastmimic.robot import Robot, load_robot
+from fastmimic.runs.folder import CONFIG, METRICS, MOTION
+from fastmimic.runs.run_folder import VIDEO, RunFolder
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from fastmimic.experiments.stress import SUCCESS, StressSettings, all_sweeps, stress_table, sweep_file, to_csv
 from fastmimic.imitation.methods import ALL_METHODS, method_named
 from fastmimic.render.figure_style import MUTED, Line, new_figure, save, tidy
-from fastmimic.report.result_folder import RESULTS_CSV, TABLE, ResultFolder
+from fastmimic.runs.folder import RESULTS_CSV, TABLE, WorkFolder
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 
 SUCCESS_FIGURE: Final = "success.png"
@@ -30,7 +30,7 @@ _COLUMNS: Final = 4
 _CURVES: Final = {"success": "episodes without a fall", "reward_mean": "mean reward"}
 
 
-def write_stress(folder: ResultFolder, settings: StressSettings, planned: Sequence[tuple[str, str]]) -> None:
+def write_stress(folder: WorkFolder, settings: StressSettings, planned: Sequence[tuple[str, str]]) -> None:
     """Writes the tables and figures of all finished sweeps in a folder, and says how many of those planned are missing.
 
     Args:

@@ -20,14 +20,14 @@ from fastmimic.experiments.transfer import (
 )
 from fastmimic.imitation.methods import method_named
 from fastmimic.render.figure_style import INK, new_figure, save, tidy
-from fastmimic.report.result_folder import RESULTS_CSV, TABLE, ResultFolder
+from fastmimic.runs.folder import RESULTS_CSV, TABLE, WorkFolder
 
 FIGURE: Final = "transfer.png"
 WRITTEN: Final = (RESULTS_CSV, TABLE, FIGURE)
 _COLORS: Final = (("#0072b2", ""), ("#56b4e9", "//"), ("#e69f00", "\\\\"), ("#d55e00", "xx"), ("#009e73", ".."))
 
 
-def write_transfer(folder: ResultFolder, planned: Sequence[tuple[str, str]]) -> None:
+def write_transfer(folder: WorkFolder, planned: Sequence[tuple[str, str]]) -> None:
     """Writes the table and the figure of all finished trials in a folder.
 
     Args:

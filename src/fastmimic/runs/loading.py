@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.clips.catalogue import motion_names, open_clip
@@ -12,9 +12,7 @@ from fastmimic.clips.formats.npz import is_robot_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
-
-MOTION: Final = "motion.npz"
-CONFIG: Final = "config.json"
+from fastmimic.runs.folder import CONFIG, MOTION
 
 
 @dataclass(frozen=True, eq=False)

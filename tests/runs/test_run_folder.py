@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
+from fastmimic.base.files import write_json
 from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import METHODS
 from fastmimic.render.tracks import Track
-from fastmimic.report.run_folder import RunFolder, default_folder, open_run, write_json
+from fastmimic.report.run_figures import write_video
 from fastmimic.runs.loading import load_motion
+from fastmimic.runs.run_folder import RunFolder, default_folder, open_run
 
 CONFIG = {"arguments": {"motion": "trot", "seed": 0}}
 
@@ -114,10 +116,8 @@ def test_the_video_says_what_it_shows(
     history = object() if len(titles) > 1 else None
     result = replace(result, motion=stands_for, method=method, history=history)  # type: ignore[arg-type]
     shown: list[Track] = []
-    monkeypatch.setattr(
-        "fastmimic.report.render_video", lambda robot, tracks, *_, **__: shown.extend(tracks), raising=False
-    )
-    assert not RunFolder(tmp_path).write_video(result)
+    monkeypatch.setattr("fastmimic.render.video.render_video", lambda robot, tracks, *_, **__: shown.extend(tracks))
+    assert not write_video(result, RunFolder(tmp_path))
     assert [track.title for track in shown] == titles
     labels = [METHODS[name].label for name in ("mbc", "mbc-dmp")] if history else [METHODS[method].label]
     reward = f"{result.before.reward[0]:.2f}"

@@ -1,0 +1,25 @@
+"""The folder of a deployment: `log.npz`, `motion.npz`, and `deployment.json`, which is written last."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from fastmimic.base.errors import OutputError
+from fastmimic.runs.folder import created
+
+LOG: Final = "log.npz"
+RESULT: Final = "deployment.json"
+
+
+@contextmanager
+def open_deployment(folder: Path) -> Iterator[None]:
+    """Prepares a folder for a deployment, which may replace an earlier one; if the block fails, it is unchanged.
+
+    Raises:
+        OutputError: the folder holds something else, or cannot be written to.
+    """
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / RESULT).is_file():
+        raise OutputError(f"{folder} holds something else than a deployment; choose another --out")
+    with created(folder):
+        yield
