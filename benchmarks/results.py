@@ -22,11 +22,11 @@ from marked import put
 
 import fastmimic as fm
 from fastmimic.base.files import replace_file
-from fastmimic.base.rotations import yaw_from_quat
+from fastmimic.base.rotations import turned_about_z, yaw_from_quat
 from fastmimic.episode.loop import ClosedLoop
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.plan import nominal_start
-from fastmimic.reference.table import planar_turned, reference_table
+from fastmimic.reference.table import reference_table
 from fastmimic.retargeting.balance import BalanceConfig
 from fastmimic.retargeting.config import RetargetConfig
 
@@ -85,7 +85,7 @@ def against_unbalanced(motion: fm.Motion, robot: fm.Robot) -> float:
     own = reference_table(motion, robot)  # what the legs take from the ground stays that of the balanced motion
     turn = float(yaw_from_quat(motion.target.root_quat_wxyz[0]) - yaw_from_quat(animal.root_quat_wxyz[0]))
     for name in ("leg_lin_acc", "leg_ang_acc"):
-        table[name] = planar_turned(own[name], turn)
+        table[name] = turned_about_z(own[name], turn)
     loop = ClosedLoop(robot, animal, 1)
     return float(loop.run(table[None], nominal_start(1), round(DURATION_S * loop.controller.config.rate_hz)).reward[0])
 

@@ -72,17 +72,6 @@ def matrix_from_quat(q: Array) -> Array:
     return np.swapaxes(quat_rotate(np.asarray(q)[..., None, :], eye), -1, -2)
 
 
-def quat_from_matrix(matrix: Array) -> Array:
-    """Rotation matrix (..., 3, 3) → quaternion (..., 4) with w ≥ 0."""
-    from scipy.spatial.transform import Rotation  # heavy to import, used only while preparing motions
-
-    flat = np.asarray(matrix).reshape(-1, 3, 3)
-    xyzw = Rotation.from_matrix(flat).as_quat()
-    wxyz = np.concatenate([xyzw[:, 3:], xyzw[:, :3]], axis=1)
-    wxyz = np.where(wxyz[:, :1] < 0, -wxyz, wxyz)
-    return wxyz.reshape(*np.shape(matrix)[:-2], 4)
-
-
 def quat_continuous(q: Array) -> Array:
     """Flips signs so that consecutive quaternions (t, 4) lie in the same hemisphere."""
     q = np.array(q, dtype=np.float64)
@@ -95,3 +84,17 @@ def rotate_planar(angle: Array | float, xy: Array) -> Array:
     """Rotates (..., 2) by `angle` (...) rad."""
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([c * xy[..., 0] - s * xy[..., 1], s * xy[..., 0] + c * xy[..., 1]], axis=-1)
+
+
+def turned_about_z(v: Array, angle: Array | float) -> Array:
+    """Vectors (..., 3) turned by `angle` (...) rad about z."""
+    out = np.array(v)
+    out[..., :2] = rotate_planar(angle, out[..., :2])
+    return out
+
+
+def roll_pitch_from_quat(q: Array) -> tuple[Array, Array]:
+    """Roll and pitch (t,), rad, of (t, 4): the ZYX Euler angles that go with `yaw_from_quat`."""
+    w, x, y, z = q.T
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    return roll, np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))

@@ -22,7 +22,14 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINT_NAMES
 from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.base.files import replace_file
-from fastmimic.base.rotations import quat_continuous, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
+from fastmimic.base.rotations import (
+    quat_continuous,
+    quat_from_yaw,
+    quat_multiply,
+    rotate_planar,
+    turned_about_z,
+    yaw_from_quat,
+)
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
@@ -160,11 +167,7 @@ def _at(motion: Motion, index: NDArray[np.int64]) -> list[Array]:
     heading = float(yaw_from_quat(motion.root_quat_wxyz[0]))
     position = np.array(motion.root_pos_w[index])
     position[:, :2] = origin + rotate_planar(heading, shift[lap]) + rotate_planar(turn, position[:, :2] - origin)
-    velocities = []
-    for velocity in (motion.root_lin_vel_w[index], motion.root_ang_vel_w[index]):
-        turned = np.array(velocity)
-        turned[:, :2] = rotate_planar(turn, turned[:, :2])
-        velocities.append(turned)
+    velocities = [turned_about_z(v[index], turn) for v in (motion.root_lin_vel_w, motion.root_ang_vel_w)]
     quat = quat_multiply(quat_from_yaw(turn), motion.root_quat_wxyz[index])
     return [position, quat, np.array(motion.joint_pos[index]), np.array(motion.joint_vel[index]), *velocities]
 

@@ -23,6 +23,7 @@ from fastmimic.base.rotations import (
     quat_multiply,
     rotate_planar,
     rotvec_from_quat,
+    turned_about_z,
     yaw_from_quat,
 )
 from fastmimic.control.config import ControllerConfig
@@ -35,7 +36,7 @@ from fastmimic.optimize.problem import ImitationProblem, Objective, Problem, cle
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.foot_table import foot_table
 from fastmimic.primitive.rhythmic import N_BASIS
-from fastmimic.reference.table import planar_turned, reference_table
+from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout
 
@@ -131,14 +132,14 @@ class StitchedProblem(Problem):
         ]
         return Motion(
             rate_hz=demo.rate_hz,
-            root_pos_w=planar_turned(table["root_pos"], yaw) + np.array([*demo.root_pos_w[0, :2], 0.0]),
+            root_pos_w=turned_about_z(table["root_pos"], yaw) + np.array([*demo.root_pos_w[0, :2], 0.0]),
             root_quat_wxyz=quat_multiply(quat_from_yaw(yaw)[None], table["root_quat"]),
             joint_pos=table["joint_pos"],
             joint_vel=table["joint_vel"],
             foot_pos_b=table["foot_pos"],
             contact=demo.contact,
-            root_lin_vel_w=planar_turned(table["lin_vel"], yaw),
-            root_ang_vel_w=planar_turned(table["ang_vel"], yaw),
+            root_lin_vel_w=turned_about_z(table["lin_vel"], yaw),
+            root_ang_vel_w=turned_about_z(table["ang_vel"], yaw),
             cycle=None,
             meta={**demo.meta, "stitch": stitch},
             demonstration=demo,

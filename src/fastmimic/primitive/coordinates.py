@@ -13,7 +13,14 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import MotionError
-from fastmimic.base.rotations import quat_continuous, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
+from fastmimic.base.rotations import (
+    quat_continuous,
+    quat_from_yaw,
+    quat_multiply,
+    roll_pitch_from_quat,
+    rotate_planar,
+    yaw_from_quat,
+)
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive.twist import PlanarTwist
 
@@ -55,7 +62,7 @@ def to_coordinates(motion: Motion, twist: PlanarTwist) -> Array:
     """
     phase = phases(motion.n_samples)
     origin, heading = twist.pose(phase)
-    roll, pitch, yaw = _euler(motion.root_quat_wxyz)
+    (roll, pitch), yaw = roll_pitch_from_quat(motion.root_quat_wxyz), yaw_from_quat(motion.root_quat_wxyz)
     if np.max(np.abs(pitch)) > _MAX_PITCH:
         sample = int(np.argmax(np.abs(pitch)))
         raise MotionError(
@@ -95,14 +102,6 @@ def _frame_velocity(twist: PlanarTwist, offset: Array, period_s: float) -> Array
     """Velocity (t, 2) of the moving frame's points at `offset` (t, 2), in that frame."""
     spin = twist.rotation / period_s
     return twist.translation / period_s + spin * np.column_stack([-offset[:, 1], offset[:, 0]])
-
-
-def _euler(quat: Array) -> tuple[Array, Array, Array]:
-    """ZYX Euler angles roll, pitch, yaw (t,) of quaternions (t, 4)."""
-    w, x, y, z = quat.T
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-    return roll, pitch, yaw_from_quat(quat)
 
 
 def _quat_from_euler(roll: Array, pitch: Array, yaw: Array) -> Array:

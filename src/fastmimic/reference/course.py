@@ -13,10 +13,18 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import record_dtype
-from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, rotate_planar, yaw_from_quat
+from fastmimic.base.rotations import (
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate,
+    rotate_planar,
+    turned_about_z,
+    yaw_from_quat,
+)
 from fastmimic.motion.contacts import stances_of
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import reference_table
+from fastmimic.retargeting.cycle import steps
 from fastmimic.robot import Robot
 from fastmimic.stitching.switch import Cycle
 
@@ -62,21 +70,11 @@ def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
     periodic = motion.cycle is not None
     course = np.zeros(motion.n_samples, COURSE)
     yaw = np.unwrap(yaw_from_quat(table["root_quat"]))
-    xy = table["root_pos"][:, :2]
-    if motion.cycle is not None:
-        end = xy[0] + rotate_planar(float(yaw[0]), motion.cycle[:2])
-        whole = yaw[0] + motion.cycle[2]
-        whole += 2 * np.pi * np.round((yaw[-1] - whole) / (2 * np.pi))  # the last step is a small one
-    else:
-        end, whole = 2 * xy[-1] - xy[-2], 2 * yaw[-1] - yaw[-2]
-    course["step"] = rotate_planar(-yaw, np.diff(np.concatenate([xy, end[None]]), axis=0))
-    course["turn"] = np.diff(np.append(yaw, whole))
+    course["step"], course["turn"] = steps(table["root_pos"][:, :2], yaw, motion.cycle)
     course["root_z"] = table["root_pos"][:, 2]
     course["tilt"] = quat_multiply(quat_from_yaw(-yaw), table["root_quat"])
     for name in ("lin_vel", "ang_vel", "lin_acc", "ang_acc", "leg_lin_acc", "leg_ang_acc"):
-        vector = np.array(table[name])
-        vector[:, :2] = rotate_planar(-yaw, vector[:, :2])
-        course[name] = vector
+        course[name] = turned_about_z(table[name], -yaw)
     course["foot"] = quat_rotate(course["tilt"][:, None], table["foot_pos"])
     course["foot"][..., 2] += course["root_z"][:, None]
     course["lift"] = _lift(motion.target, course["foot"][..., 2], robot.foot_radius)

@@ -23,6 +23,7 @@ from fastmimic.base.rotations import (
     quat_rotate,
     quat_rotate_inverse,
     rotate_planar,
+    turned_about_z,
     yaw_from_quat,
 )
 from fastmimic.motion.ground import ground_demand
@@ -98,8 +99,8 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
             table[name] = demonstration[name]
     else:
         linear, angular = ground_acceleration(motion, robot)
-        table["leg_lin_acc"] = planar_turned(linear, -yaw0) - table["lin_acc"]
-        table["leg_ang_acc"] = planar_turned(angular, -yaw0) - table["ang_acc"]
+        table["leg_lin_acc"] = turned_about_z(linear, -yaw0) - table["lin_acc"]
+        table["leg_ang_acc"] = turned_about_z(angular, -yaw0) - table["ang_acc"]
     table["sync"][origin.cycle_starts] = 1
     return table
 
@@ -119,10 +120,10 @@ def put_root(
     """
     yaw0 = float(yaw_from_quat(demonstration.root_quat_wxyz[0]))
     turn = None if demonstration.cycle is None else float(demonstration.cycle[2])
-    table["root_pos"] = planar_turned(position - np.array([*demonstration.root_pos_w[0, :2], 0.0]), -yaw0)
+    table["root_pos"] = turned_about_z(position - np.array([*demonstration.root_pos_w[0, :2], 0.0]), -yaw0)
     table["root_quat"] = quat_continuous(quat_multiply(quat_from_yaw(-yaw0)[None], quat))
     for name, velocity in (("lin", lin_vel), ("ang", ang_vel)):
-        table[f"{name}_vel"] = planar_turned(velocity, -yaw0)
+        table[f"{name}_vel"] = turned_about_z(velocity, -yaw0)
         table[f"{name}_acc"] = _difference(table[f"{name}_vel"], demonstration.dt, turn)
 
 
@@ -143,14 +144,7 @@ def ground_acceleration(motion: Motion, robot: Robot) -> tuple[Array, Array]:
     level = quat_multiply(quat_from_yaw(-yaw), motion.root_quat_wxyz)  # body → heading frame
     moment_b = quat_rotate_inverse(level, demand.wrench[:, 3:])
     angular = quat_rotate(level, np.asarray(np.linalg.solve(robot.inertia_b, moment_b.T).T, dtype=np.float64))
-    return _planar_turned_each(linear, yaw), _planar_turned_each(angular, yaw)
-
-
-def _planar_turned_each(v: Array, angle: Array) -> Array:
-    """Vectors (t, 3), each turned by its own angle (t,) about z."""
-    out = np.array(v)
-    out[:, :2] = rotate_planar(angle, out[:, :2])
-    return out
+    return turned_about_z(linear, yaw), turned_about_z(angular, yaw)
 
 
 def remaining_stance(contact: NDArray[np.bool_], dt: float, periodic: bool) -> Array:
@@ -160,13 +154,6 @@ def remaining_stance(contact: NDArray[np.bool_], dt: float, periodic: bool) -> A
     swing = np.where(wide, np.inf, np.arange(len(wide))[:, None])
     next_swing = np.minimum.accumulate(swing[::-1], axis=0)[::-1]
     return np.asarray(dt * (next_swing[:n] - np.arange(n)[:, None]))
-
-
-def planar_turned(v: Array, angle: float) -> Array:
-    """Vectors (t, 3) turned by `angle` about z."""
-    out = np.array(v)
-    out[:, :2] = rotate_planar(angle, out[:, :2])
-    return out
 
 
 def _difference(v: Array, dt: float, turn: float | None) -> Array:

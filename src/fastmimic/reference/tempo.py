@@ -9,10 +9,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
 
-import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import course_of
 from fastmimic.retargeting.config import RetargetConfig
@@ -93,29 +91,10 @@ def at_speed(robot: Robot, motion: Motion, speed: float, config: RetargetConfig 
     """
     config = (config or RetargetConfig()).for_robot(robot)
     feet_w = motion.foot_pos_w
-    consistency = Consistency(robot, _track(motion), motion.contact, motion.rate_hz * speed, config)
+    consistency = Consistency(robot, TrunkTrack.of(motion), motion.contact, motion.rate_hz * speed, config)
     balanced = consistency.balanced_over(feet_w)
     pose = solve_pose(robot, balanced, feet_w, float(balanced.root_z.mean()), config)
     return consistency.motion(pose, balanced)
-
-
-def _track(motion: Motion) -> TrunkTrack:
-    quat = motion.root_quat_wxyz
-    w, x, y, z = quat.T
-    heading = np.unwrap(yaw_from_quat(quat))
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-    feet = motion.foot_pos_w
-    planar = rotate_planar(-heading[:, None], feet[..., :2] - motion.root_pos_w[:, None, :2])
-    return TrunkTrack(
-        root_xy=np.array(motion.root_pos_w[:, :2]),
-        root_z=np.array(motion.root_pos_w[:, 2]),
-        heading=heading,
-        tilt=np.column_stack([roll, pitch]),
-        toe_from_hip=planar,
-        toe_height=feet[..., 2],
-        cycle=np.array(motion.cycle),
-    )
 
 
 def _between(a: NDArray[Any], b: NDArray[Any], share: float) -> NDArray[Any]:

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.planar import planar_exp, planar_log
-from fastmimic.base.rotations import rotate_planar
+from fastmimic.base.rotations import roll_pitch_from_quat, rotate_planar, yaw_from_quat
+from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.scaled_clip import ScaledClip
 from fastmimic.retargeting.signal import closing_error, extrapolate_next, resample_open, resample_periodic
 
@@ -35,6 +36,20 @@ class TrunkTrack:
     toe_from_hip: Array
     toe_height: Array
     cycle: Array | None
+
+    @classmethod
+    def of(cls, motion: Motion) -> "TrunkTrack":
+        """The trunk and feet of a robot's motion: `toe_from_hip` is from the root, `toe_height` of the feet's centres."""
+        heading, feet = np.unwrap(yaw_from_quat(motion.root_quat_wxyz)), motion.foot_pos_w
+        return cls(
+            root_xy=np.array(motion.root_pos_w[:, :2]),
+            root_z=np.array(motion.root_pos_w[:, 2]),
+            heading=heading,
+            tilt=np.column_stack(roll_pitch_from_quat(motion.root_quat_wxyz)),
+            toe_from_hip=rotate_planar(-heading[:, None], feet[..., :2] - motion.root_pos_w[:, None, :2]),
+            toe_height=feet[..., 2],
+            cycle=None if motion.cycle is None else np.array(motion.cycle),
+        )
 
     def deviated(self, deviation: Array) -> "TrunkTrack":
         """The trunk moved by (t, 6): x, y, z in the heading frame, m; roll, pitch, yaw, rad. The animal's toes do not
@@ -73,6 +88,21 @@ class TrunkTrack:
             else:
                 points_w = origin + rotate_planar(-angle, points_w - origin - step)
         return points_w
+
+
+def steps(xy: Array, heading: Array, cycle: Array | None) -> tuple[Array, Array]:
+    """To the next sample: the root's step (t, 2) in the heading frame, m, and the heading's turn (t,), rad.
+
+    The last ones lead to the first sample of the next cycle; without a cycle they repeat the ones before.
+    """
+    if cycle is not None:
+        end = xy[0] + rotate_planar(float(heading[0]), cycle[:2])
+        whole = heading[0] + cycle[2]
+        whole += 2 * np.pi * np.round((heading[-1] - whole) / (2 * np.pi))  # the last step is a small one
+    else:
+        end, whole = 2 * xy[-1] - xy[-2], 2 * heading[-1] - heading[-2]
+    step = rotate_planar(-heading, np.diff(np.concatenate([xy, end[None]]), axis=0))
+    return step, np.diff(np.append(heading, whole))
 
 
 class WorldPath:

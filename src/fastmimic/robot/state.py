@@ -80,17 +80,10 @@ def pack_model(robot: "Robot") -> NDArray[Any]:
     """A robot as a structured array of one `MODEL` record."""
     record = np.zeros(1, MODEL)
     record["geometry"] = robot.geometry.rows
-    record["mass"] = robot.mass
     record["inertia"] = robot.inertia_b
     record["trunk_moment"] = robot.trunk_mass * robot.trunk_com_b
-    record["link_mass"] = robot.link_mass
-    record["link_com"] = robot.link_com
-    record["link_inertia"] = robot.link_inertia
-    record["armature"] = robot.armature
-    record["joint_damping"] = robot.joint_damping
-    record["joint_friction"] = robot.joint_friction
-    record["lower"] = robot.joint_lower
-    record["upper"] = robot.joint_upper
-    record["torque_limit"] = robot.torque_limit
-    record["foot_radius"] = robot.foot_radius
+    record["lower"], record["upper"] = robot.joint_lower, robot.joint_upper
+    for name in ("mass", "link_mass", "link_com", "link_inertia", "armature", "joint_damping", "joint_friction"):
+        record[name] = getattr(robot, name)
+    record["torque_limit"], record["foot_radius"] = robot.torque_limit, robot.foot_radius
     return record

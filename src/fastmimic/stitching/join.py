@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError
-from fastmimic.base.rotations import quat_continuous, quat_rotate, rotate_planar, yaw_from_quat
+from fastmimic.base.rotations import quat_continuous, rotate_planar, turned_about_z, yaw_from_quat
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.cycle import TrunkTrack
+from fastmimic.retargeting.cycle import TrunkTrack, steps
 from fastmimic.retargeting.pose import trunk_quaternion
 from fastmimic.retargeting.reach import Reach
 from fastmimic.robot import Robot
@@ -219,8 +219,7 @@ def _samples(parts: Sequence[Motion], layout: Layout, track: TrunkTrack) -> dict
             out[name][t] = getattr(motion, name)[local]
         turn = track.heading[t] - yaw_from_quat(motion.root_quat_wxyz)[local]
         for name in ("root_lin_vel_w", "root_ang_vel_w"):
-            velocity = getattr(motion, name)[local]
-            out[name][t] = np.column_stack([rotate_planar(turn, velocity[:, :2]), velocity[:, 2]])
+            out[name][t] = turned_about_z(getattr(motion, name)[local], turn)
     return out
 
 
@@ -237,15 +236,16 @@ def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[TrunkTrac
     local_feet, contact = np.zeros((n, 4, 3)), np.zeros((n, 4), dtype=bool)
     for i, segment in enumerate(layout.segments):
         motion = parts[segment.part]
-        body = _Body.of(motion)
+        body = TrunkTrack.of(motion)
+        own_step, own_turn = steps(body.root_xy, body.heading, body.cycle)
         at = (t - segment.shift) % motion.n_samples
         w = trunk[i]
         between = 0.5 * (w + np.append(w[1:], w[-1]))
-        step += between[:, None] * body.step[at]
-        turn += between * body.turn[at]
+        step += between[:, None] * own_step[at]
+        turn += between * own_turn[at]
         root_z += w * motion.root_pos_w[at, 2]
         tilt += w[:, None] * body.tilt[at]
-        local_feet += feet[i][..., None] * body.feet[at]
+        local_feet += feet[i][..., None] * _feet(body)[at]
         begins = [0] * 4 if segment.feet is None else [s.end for s in segment.feet]
         following = layout.segments[i + 1].feet if i + 1 < len(layout.segments) else None
         ends = [n] * 4 if following is None else [s.start for s in following]
@@ -283,43 +283,15 @@ def _pass_in_swing(
         samples = int(np.argmax(contact[(local + away if lifts else local - away) % n])) + (1 if lifts else 0)
         at = local + samples * ((t - span.start) / (span.end - span.start) - (0 if lifts else 1))
         low = np.floor(at).astype(int)
-        path, fraction = _Body.of(motion).feet[:, leg], (at - low)[:, None]
+        path, fraction = _feet(TrunkTrack.of(motion))[:, leg], (at - low)[:, None]
         paths.append((1 - fraction) * path[low % n] + fraction * path[(low + 1) % n])
     weight = span.smooth_step(t)[:, None]
     feet[t] = (1 - weight) * paths[0] + weight * paths[1]
 
 
-class _Body:
-    """A cyclic motion in its own heading frame.
-
-    Attributes:
-        step: (n, 2) of the root to the next sample, heading frame, m.
-        turn: (n,) of the heading to the next sample, rad.
-        tilt: (n, 2) roll and pitch, rad.
-        feet: (n, 4, 3) horizontal from the root, heading frame; z above the ground, m.
-    """
-
-    def __init__(self, step: Array, turn: Array, tilt: Array, feet: Array) -> None:
-        self.step, self.turn, self.tilt, self.feet = step, turn, tilt, feet
-
-    @classmethod
-    def of(cls, motion: Motion) -> "_Body":
-        assert motion.cycle is not None
-        quat, xy = motion.root_quat_wxyz, motion.root_pos_w[:, :2]
-        w, x, y, z = quat.T
-        heading = np.unwrap(yaw_from_quat(quat))
-        end = xy[0] + rotate_planar(heading[0], motion.cycle[:2])
-        step = rotate_planar(-heading, np.diff(np.concatenate([xy, end[None]]), axis=0))
-        whole = heading[0] + motion.cycle[2]
-        whole += 2 * np.pi * np.round((heading[-1] - whole) / (2 * np.pi))  # the last step is a small one
-        turn = np.diff(np.append(heading, whole))
-        roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-        pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-        feet_w = motion.root_pos_w[:, None] + quat_rotate(quat[:, None], motion.foot_pos_b)
-        feet = np.empty_like(feet_w)
-        feet[..., :2] = rotate_planar(-heading[:, None], feet_w[..., :2] - xy[:, None])
-        feet[..., 2] = feet_w[..., 2]
-        return cls(step, turn, np.column_stack([roll, pitch]), feet)
+def _feet(body: TrunkTrack) -> Array:
+    """Feet (n, 4, 3): horizontally from the root in the heading frame, z above the ground, m."""
+    return np.concatenate([body.toe_from_hip, body.toe_height[..., None]], axis=-1)
 
 
 def _cycle_starts(layout: Layout, parts: Sequence[Motion]) -> list[int]:
