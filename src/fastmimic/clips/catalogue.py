@@ -1,4 +1,4 @@
-"""The motions that have a name: built-in synthetic gaits, and cuts of the public data."""
+"""Motions by name: built-in synthetic gaits, and cuts of the public data."""
 
 import os
 from collections.abc import Mapping
@@ -22,8 +22,8 @@ class RecordedMotion:
     """A motion in the public data.
 
     Attributes:
-        about: what it is.
-        speed: roughly, in the source's size.
+        about: in a few words.
+        speed: about, at the source's size.
         dataset, file: where it is (see `fastmimic.clips.data`).
         frames: (first, end) of the cycle, 0-based, end exclusive; None for the whole file.
     """
@@ -72,7 +72,7 @@ RECORDED: Final = {
 
 @dataclass(frozen=True)
 class MotionRow:
-    """A line of the list of motions; `available` is whether its data is there."""
+    """A line of the list of motions; `available` says whether its data is there."""
 
     name: str
     about: str
@@ -153,7 +153,7 @@ def open_clip(
 
 
 def check_name(name: str, folder: str | Path | None = None) -> None:
-    """Makes sure that `open_clip` knows a motion of that name, and has its recording; reads nothing.
+    """Checks that `open_clip` knows a motion of that name and has its recording; reads nothing.
 
     Raises:
         ClipError: it does not (lists the closest), or the data is not fetched.

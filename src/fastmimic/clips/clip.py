@@ -1,4 +1,4 @@
-"""`Clip`: what the animal did, as points in space."""
+"""`Clip`: an animal's motion as points in space."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -28,15 +28,14 @@ class Clip:
         rate_hz: frames a second.
         root_quat_wxyz: (t, 4) trunk orientation where the source knows it (a robot's motion), else None:
             retargeting then derives it from the keypoints.
-        is_cycle: True if the source says that the clip is one period (a loop), False if it says that it is
-            not, None if it does not say.
+        is_cycle: whether the clip is one period (a loop); None if the source does not say.
         leg_length_m: upper plus lower leg of the source's body where it is known, for scaling, else None.
-        scale: factor from the source's size to the robot's where the source fixes it (1.0 for a motion that
-            is already the robot's own), else None.
-        meta: where it came from: `source`, `format`, `assumed` (list of sentences for the user), `licence`.
-        body_w: (t, k, 3) all points of the source's skeleton where it has more than those ten, else None; they are
-            drawn and nothing else.
-        skeleton: which of the points that are drawn are joined.
+        scale: factor from the source's size to the robot's where the source fixes it (1.0 for a robot's own motion),
+            else None.
+        meta: provenance: `source`, `format`, `assumed` (list of sentences for the user), `licence`.
+        body_w: (t, k, 3) all points of the source's skeleton if it has more than those ten, else None; only for
+            drawing.
+        skeleton: the bones between the drawn points.
     """
 
     points_w: NDArray[np.float64]

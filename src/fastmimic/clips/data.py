@@ -1,6 +1,6 @@
-"""Public motion capture of a dog: what there is, where it is kept, and fetching it by hash.
+"""Public motion capture of a dog: the datasets, their folder, and verified downloads.
 
-Nothing of it is part of this package: its licence (CC BY-NC 4.0) is not ours, and travels with every clip.
+The data is not part of this package. Its licence (CC BY-NC 4.0) is kept with every clip.
 """
 
 import os
@@ -34,10 +34,10 @@ class Dataset:
 
     Attributes:
         name: also the name of its folder in the data folder.
-        about: what it is.
+        about: in a few words.
         origin: its folder below the base URL.
         files: file name → SHA-256.
-        licence, credit: to be shown wherever the data goes.
+        licence, credit: shown with the data.
     """
 
     name: str
@@ -94,7 +94,7 @@ DATASETS: Final = (
 
 
 def data_folder(folder: str | Path | None = None) -> Path:
-    """Where the data is kept: `folder`, else $FASTMIMIC_DATA, else the user's cache folder."""
+    """The folder of the data: `folder`, else $FASTMIMIC_DATA, else the user's cache folder."""
     chosen = folder or os.environ.get(FOLDER_VARIABLE)
     if chosen:
         return Path(chosen).expanduser()
@@ -119,21 +119,21 @@ def fetch(
     base_url: str | None = None,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Brings datasets to the data folder. A file that is there with the right content is not fetched again.
+    """Downloads datasets to the data folder. A file with the right content is not fetched again.
 
     Args:
         names: of datasets; all if None.
         folder: see `data_folder`.
         base_url: a server with the original's folders, or with those of the data folder; if None,
             $FASTMIMIC_DATA_URL or the original.
-        progress: told how far each file is.
+        progress: called while each file is downloaded.
 
     Returns:
         The files' paths, all verified.
 
     Raises:
         DataError: unknown dataset, server not reached, download broken off, wrong content, or a folder that
-            cannot be written. Files that were there before are as they were, and no half-written one is left.
+            cannot be written. Existing files stay unchanged, and no partial file is left.
     """
     root = data_folder(folder)
     url = (base_url or os.environ.get(URL_VARIABLE) or DEFAULT_BASE_URL).rstrip("/")
@@ -147,7 +147,7 @@ def find_file(dataset: str, name: str, folder: str | Path | None = None) -> Path
 
 
 def dataset_of(path: str | Path) -> Dataset | None:
-    """The public dataset that a file is a copy of, by its content, wherever it lies; None if of none."""
+    """The public dataset that contains a copy of a file, by its content, or None."""
     try:
         digest = sha256(Path(path).read_bytes()).hexdigest()
     except OSError:
@@ -167,7 +167,7 @@ def _named(names: Iterable[str] | None) -> list[Dataset]:
 
 
 def _fetch_file(root: Path, dataset: Dataset, name: str, base_url: str, progress: Progress | None) -> Path:
-    """Tries the original's folder on the server, then ours: a mirror may keep either."""
+    """Tries the original folder on the server, then ours, since a mirror may have either."""
     local = f"{dataset.name}/{name}"
     urls = (f"{base_url}/{dataset.origin}/{name}", f"{base_url}/{local}")
     for url in urls:
@@ -188,7 +188,7 @@ def _download(root: Path, local: str, digest: str, url: str, progress: Progress 
         timeout=TIMEOUT_S,
         headers={"Accept-Encoding": "identity"},
     )
-    # A quiet pooch: how far it is goes to `progress`, what went wrong into the exception.
+    # `progress` and the exceptions say what pooch would log
     logger = pooch.get_logger()
     level = logger.level
     logger.setLevel("WARNING")
@@ -211,7 +211,7 @@ def _download(root: Path, local: str, digest: str, url: str, progress: Progress 
         raise DataError(f"{url}: the server cannot be reached; check the network or the base URL") from None
     except requests.exceptions.RequestException as error:
         raise DataError(f"{url}: cannot be fetched ({' '.join(str(error).split())[:200]})") from None
-    except ValueError:  # pooch's word for a hash that differs
+    except ValueError:  # from pooch: the hash differs
         raise DataError(f"{url}: the content is not the one expected (SHA-256 differs); nothing was kept") from None
     except OSError as error:
         raise DataError(f"{root / local}: cannot be written ({error.strerror or error})") from None
@@ -220,7 +220,7 @@ def _download(root: Path, local: str, digest: str, url: str, progress: Progress 
 
 
 class _ProgressBar:
-    """What pooch expects of a progress bar, turned into calls of `Progress`."""
+    """A progress bar for pooch that calls `Progress`."""
 
     def __init__(self, name: str, progress: Progress) -> None:
         self.total = 0

@@ -35,8 +35,8 @@ class Segment:
         footfall: one of `FOOTFALLS`, of a turn as well; None where nothing repeats.
         period_frames: of a cycle; None where nothing repeats.
         cycle: first frame and end of the cycle that repeats best; None where nothing repeats.
-        confidence: 1 where it repeats exactly, 0 where d' says that it might as well not; of standing and discrete
-            pieces, how clearly nothing repeats.
+        confidence: 1 where it repeats exactly, 0 where d' is no better than chance; of standing and discrete pieces,
+            how clearly nothing repeats.
         speed_m_s: of the trunk over the ground, mean, in the animal's size.
         yaw_rate_rad_s: of its heading, mean, positive to the left.
     """
@@ -63,14 +63,14 @@ class _Take:
 
 
 def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segment]:
-    """Cuts a take into what repeats, what stands and what does neither, in order, without overlap.
+    """Cuts a take into cycles, standing and other movement, in order, without overlap.
 
     Args:
-        clip: of any length that holds two of the shortest cycles; or one, if its source says that it is one.
+        clip: a take of at least two of the shortest cycles, or one cycle if its source says so.
         config: thresholds.
 
     Raises:
-        ClipError: the clip is too short, or its frames too few a second, to tell.
+        ClipError: the clip is too short, or its frame rate too low.
     """
     config = config if config is not None else SegmentConfig()
     if clip.is_cycle and clip.n_frames <= config.longest_s * clip.rate_hz:
@@ -92,7 +92,7 @@ def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segme
 
 
 def as_one_cycle(clip: Clip, config: SegmentConfig | None = None) -> Segment:
-    """A clip that is taken for one cycle, whether or not it is: its gait, speed and turning, and how well it closes."""
+    """A clip taken as one cycle: its gait, speed and turning, and how well it closes."""
     config = config if config is not None else SegmentConfig()
     take = _take(clip)
     n = len(take.heading)
@@ -113,7 +113,7 @@ def _take(clip: Clip) -> _Take:
 
 
 def _still(take: _Take, config: SegmentConfig) -> NDArray[np.bool_]:
-    """(t,) whether nothing moves for half a second around a frame."""
+    """Whether nothing moves (t,) for half a second around a frame."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
     window = 2 * round(0.25 * take.rate_hz) + 1
@@ -124,8 +124,8 @@ def _still(take: _Take, config: SegmentConfig) -> NDArray[np.bool_]:
 
 @dataclass(eq=False)
 class _Piece:
-    """One or more cycles: frames [start, end), and what they are like: period, frames; speed, m/s; yaw, rad a cycle;
-    (4,) fundamentals of the toes' paths, their phase that of each leg's."""
+    """One or more cycles: frames [start, end), period in frames, speed in m/s, yaw in rad a cycle, and the fundamentals
+    (4,) of the toes' paths, whose phases are the legs'."""
 
     start: int
     end: int
@@ -135,7 +135,7 @@ class _Piece:
     legs: NDArray[np.complex128]
 
     def unlike(self, other: "_Piece", config: SegmentConfig) -> float:
-        """How different they are; up to 1 they can be of one segment."""
+        """Difference of two pieces; up to 1 they can be one segment."""
         phases = np.angle(self.legs * np.conj(self.legs[0]) * np.conj(other.legs) * other.legs[0]) / (2 * math.pi)
         slower = min(self.speed, other.speed)
         return max(
@@ -159,7 +159,7 @@ def _periodic(
     runs = _runs(period > 0)
     found = []
     for i, (start, end) in enumerate(runs):
-        # where a gait begins, half of a cycle goes by until a frame's next cycle is more like its last one than not
+        # at the start of a gait, the next cycle resembles the last one only after half a cycle
         before = (runs[i - 1][1] + start) // 2 if i else 0
         after = (end + runs[i + 1][0]) // 2 if i + 1 < len(runs) else len(period)
         first = max(before, start - int(period[start]) // 2)
@@ -172,8 +172,7 @@ def _periodic(
 
 
 def _cycles(take: _Take, first: int, track: Array) -> list[_Piece]:
-    """The cycles one after another from frame `first` on, by the course (t,) of the period; what is left at the end
-    is the last one's."""
+    """The cycles from frame `first` on, by the period (t,) at each frame; the last one takes the rest."""
     count = max(1, int(np.sum(1.0 / track)))
     done = np.concatenate([[0.0], np.cumsum(1.0 / track)])
     edges = first + np.searchsorted(done, np.arange(count) * (1.0 - 1e-9))
@@ -189,13 +188,13 @@ def _piece(take: _Take, start: int, end: int, period: float) -> _Piece:
     toes = take.toes[start:end]
     wave = np.exp(-2j * math.pi * t / period)
     fore_aft, height = (wave @ (toes[..., axis] - toes[..., axis].mean(axis=0)) for axis in (0, 2))
-    # feet that step sideways or on the spot go nowhere: their height tells
+    # feet that step sideways or on the spot: use their height
     legs = fore_aft if np.linalg.norm(fore_aft) > np.linalg.norm(height) else height
     return _Piece(start, end, period, float(travel) / seconds, float(turn) * period / (end - start), legs)
 
 
 def _merged(pieces: list[_Piece], config: SegmentConfig) -> list[_Piece]:
-    """Joins neighbours, the most alike first, as long as any are alike."""
+    """Joins neighbours, the most alike first, until none are alike."""
     pieces = list(pieces)
     while len(pieces) > 1:
         unlike = [a.unlike(b, config) for a, b in pairwise(pieces)]
@@ -213,7 +212,7 @@ def _joined(a: _Piece, b: _Piece) -> _Piece:
     def mean(x: float, y: float) -> float:
         return w * x + (1 - w) * y
 
-    # phases are relative to the first leg, so that periods that are not quite right do not turn one against the other
+    # phases relative to the first leg do not drift with a slightly wrong period
     legs = a.legs * np.conj(a.legs[0]) / abs(a.legs[0]) + b.legs * np.conj(b.legs[0]) / abs(b.legs[0])
     return _Piece(
         a.start, b.end, mean(a.period, b.period), mean(a.speed, b.speed), mean(a.yaw, b.yaw), np.asarray(legs)
@@ -259,7 +258,7 @@ def _motion(take: _Take, start: int, end: int) -> tuple[float, float]:
 
 
 def _best_cycle(take: _Take, start: int, end: int, period: int) -> tuple[int, int]:
-    """First frame and end of the cycle that closes best: toes and their velocities agree at its ends."""
+    """First frame and end of the cycle that closes best in the toes and their velocities."""
     if end - start <= period + 1:
         return start, min(start + period, end)
     x = take.toes[start:end].reshape(end - start, -1)

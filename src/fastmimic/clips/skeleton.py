@@ -1,4 +1,4 @@
-"""`Skeleton`: which of an animal's points are joined, so that it can be drawn."""
+"""`Skeleton`: the bones between an animal's points, for drawing."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,7 +11,7 @@ class Skeleton:
     Attributes:
         points: how many points there are.
         bones: pairs of them.
-        radii: of each bone with what is around it, m, at the animal's own size; for drawing only.
+        radii: of each bone with its flesh, m, at the animal's own size.
     """
 
     points: int

@@ -1,9 +1,9 @@
 """Built-in animal-like gaits: keypoints of a dog-sized animal, made by formula.
 
-They stand in for recordings where none may be shipped, and go through the very same retargeting. The animal has a
-dog's proportions; its trunk bobs, sways, rolls and pitches in step with its legs; its paws roll over the toes before
-they leave, swing in an asymmetric arc, front higher than hind, and reach back a little before they land. Everything
-is twice continuously differentiable in time.
+They replace recordings that cannot be shipped, and are retargeted like them. The animal has a dog's proportions. Its
+trunk bobs, sways, rolls and pitches with its steps. Its paws roll over the toes before lift-off, swing in an asymmetric
+arc, front higher than hind, and reach back a little before touch-down. All paths are twice continuously differentiable
+in time.
 """
 
 from dataclasses import dataclass, replace
@@ -37,7 +37,7 @@ class GaitSpec:
     """A gait. Lengths and speeds at the A1's size; legs FR, FL, RR, RL; phases are shares of the period.
 
     Attributes:
-        about: what it is, in a few words.
+        about: in a few words.
         speed: forwards, m/s.
         lateral_speed: to the left, m/s.
         yaw_rate: to the left, rad/s.
@@ -234,14 +234,14 @@ def _trunk(spec: GaitSpec, share: Array, twist: Array, animal: float) -> tuple[A
 
 
 def _middle_of_stance(spec: GaitSpec, left: bool) -> float:
-    """Phase of mid-stance of the left hind leg (whose side carries the trunk), or of the right front leg."""
+    """Phase of mid-stance of the left hind leg (on the side that carries the trunk), or of the right front leg."""
     return spec.phase[3 if left else 0] + spec.duty / 2
 
 
 def _toe(spec: GaitSpec, leg: int, share: Array, twist: Array, animal: float) -> Array:
     """World path (t, 3) of one toe marker."""
     since = np.mod(share - spec.phase[leg], 1.0)  # since touch-down
-    step = np.round(share - since - spec.phase[leg])  # which cycle's stance the toe is in or comes from
+    step = np.round(share - since - spec.phase[leg])  # index of the present or last stance
     middle = step + spec.phase[leg] + spec.duty / 2
     here, there = (
         _foothold(spec, leg, middle, twist, animal),
@@ -262,8 +262,8 @@ def _foothold(spec: GaitSpec, leg: int, middle: Array, twist: Array, animal: flo
 
 
 def _forward(u: Array) -> Array:
-    """Progress of a swing from rest to rest with continuous acceleration: quick to start, steady, and at the end a
-    little too far, so that the paw reaches back before it lands."""
+    """Progress of a swing from rest to rest with continuous acceleration: a quick start, a steady middle, and a slight
+    overshoot, so that the paw reaches back before touch-down."""
     ramp = 0.15
     start, end = np.minimum(u / ramp, 1.0), np.minimum((1.0 - u) / ramp, 1.0)
 

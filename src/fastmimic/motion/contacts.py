@@ -1,4 +1,4 @@
-"""When each foot of an animal stands on the ground."""
+"""Contacts: stances and swings of each foot, and their detection in an animal's motion."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -52,11 +52,11 @@ class ContactConfig:
 
 
 def foot_activity(toe_height: Array, toe_speed: Array, rate_hz: float, periodic: bool, config: ContactConfig) -> Array:
-    """How much each foot is in motion, (t, 4): 0 at rest on the ground, about 1 in mid-swing.
+    """The activity of each foot, (t, 4): 0 at rest on the ground, about 1 in mid-swing.
 
-    The larger of height above the ground and horizontal speed in the world, each relative to its own largest value
-    nearby in time. Relative measures do not depend on the animal's size or gait, and a slow step in a take that also
-    holds fast ones is still a step.
+    It is the larger of height above the ground and horizontal speed in the world, each relative to its own largest
+    value nearby in time. Relative measures do not depend on the animal's size or gait, and find slow steps beside fast
+    ones.
 
     Args:
         toe_height: (t, 4) above each leg's own ground, m.
@@ -159,7 +159,7 @@ def swing_tops(contact: NDArray[np.bool_], height: Array, periodic: bool) -> lis
 def _hysteresis(series: Array, config: ContactConfig, periodic: bool) -> NDArray[np.bool_]:
     on = np.empty(len(series), dtype=bool)
     state = bool(series[0] < config.enter)
-    for _ in range(2 if periodic else 1):  # the second time round, the state at the seam is the one before it
+    for _ in range(2 if periodic else 1):  # the second time, the state at the seam is the last one
         for i, value in enumerate(series):
             state = bool(value < (config.leave if state else config.enter))
             on[i] = state

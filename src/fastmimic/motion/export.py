@@ -1,10 +1,10 @@
-"""Robot motions as tracking references for other people's trainers.
+"""Robot motions as tracking references for other projects.
 
 - `mjlab`: `.npz` as mjlab's and BeyondMimic's trainers read: `joint_pos`, `joint_vel`, `body_pos_w`, `body_quat_w`
-  (w, x, y, z), `body_lin_vel_w`, `body_ang_vel_w` (of each body's frame, world axes) and `fps`; and, because orders get
-  mixed up, `joint_names` and `body_names` beside them.
-- `deepmimic`: JSON text with 19 numbers a frame (root x, y, z, quaternion x, y, z, w, joints), the `Robot` whose joints
-  they are named in it. A cycle loops (`Wrap`): its last frame is its first, moved on.
+  (w, x, y, z), `body_lin_vel_w`, `body_ang_vel_w` (of each body's frame, world axes) and `fps`; also `joint_names` and
+  `body_names`, because orders differ between projects.
+- `deepmimic`: JSON text with 19 numbers a frame (root x, y, z, quaternion x, y, z, w, joints) and the name of the
+  `Robot`. A cycle loops (`Wrap`): its last frame is its first, moved by the cycle.
 - `csv`: the same 19 numbers a line below a header, after a column `time`.
 """
 
@@ -34,10 +34,10 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
 EXPORTS: Final = {"mjlab": ".npz", "deepmimic": ".txt", "csv": ".csv"}
-"""Formats and the ending of their files' names."""
+"""Formats and their file suffixes."""
 DEFAULT_FPS: Final = 50.0
 REPEATED_S: Final = 10.0
-"""Of a cycle in a format that does not loop, if nothing is said."""
+"""Default duration of a cycle in a format that does not loop."""
 DECIMALS: Final = 6
 """Of numbers in text."""
 
@@ -81,16 +81,16 @@ def export_motion(
     """Writes a motion for another trainer, in place of an existing file.
 
     Args:
-        motion: what to write: the motion itself, not its demonstration.
-        robot: whose it is.
+        motion: the motion; its demonstration is not written.
+        robot: its robot.
         path: the file.
         form: one of `EXPORTS`.
-        fps: frames a second; of a cycle as near to it as divides the cycle evenly.
-        duration_s: length, s; if None one cycle of a format that loops, `REPEATED_S` of one that does not, and the
-            whole of a motion that does not repeat.
+        fps: frames a second; for a cycle the nearest rate that divides it evenly.
+        duration_s: length, s; if None one cycle in a format that loops, `REPEATED_S` in another, and the whole of a
+            motion that does not repeat.
 
     Returns:
-        What was written.
+        The written frames.
 
     Raises:
         ConfigError: an unknown format, or a number out of its range.
@@ -118,8 +118,8 @@ def sample(motion: Motion, fps: float, duration_s: float | None = None, *, loopi
     Args:
         motion: the motion.
         fps: frames a second, as `export_motion` takes it.
-        duration_s: likewise.
-        looping: one cycle, and its first frame again, moved on.
+        duration_s: as `export_motion` takes it.
+        looping: one cycle, and its first frame again, moved by the cycle.
 
     Raises:
         ConfigError: a rate or duration that cannot be.
@@ -139,7 +139,7 @@ def sample(motion: Motion, fps: float, duration_s: float | None = None, *, loopi
             raise ConfigError(f"the motion does not repeat and lasts {whole:g} s; found a duration of {length:g} s")
     count = math.floor(length * fps + 1e-6) + 1
     if count < 2:
-        raise ConfigError(f"{length:g} s at {fps:g} frames a second are no motion")
+        raise ConfigError(f"{length:g} s at {fps:g} frames a second are less than two frames")
     at = np.arange(count) / fps * motion.rate_hz
     before = np.floor(at + 1e-9).astype(np.int64)
     share = np.clip(at - before, 0.0, 1.0)
@@ -152,7 +152,7 @@ def sample(motion: Motion, fps: float, duration_s: float | None = None, *, loopi
 
 
 def _at(motion: Motion, index: NDArray[np.int64]) -> list[Array]:
-    """The motion at samples that may lie in later cycles: what `Frames` holds, in its order."""
+    """The motion at samples that may lie in later cycles, in the order of `Frames`."""
     n = motion.n_samples
     if motion.cycle is None:
         lap, index = np.zeros_like(index), np.minimum(index, n - 1)

@@ -1,4 +1,4 @@
-"""`Motion`: the reference that a robot follows, and its file."""
+"""`Motion`: a robot's reference motion, and its file."""
 
 import json
 import zipfile
@@ -33,7 +33,7 @@ _UNREADABLE: Final = (
     RuntimeError,  # zipfile: encrypted, or compressed in a way that it does not know
     TypeError,  # a lone .npy
 )
-"""What NumPy and zipfile raise for a damaged archive."""
+"""Errors of NumPy and zipfile for a damaged archive."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +54,8 @@ class Motion:
         root_ang_vel_w: (t, 3) base angular velocity, world, rad/s.
         cycle: (dx, dy, dyaw) of one period in sample 0's heading frame, m and rad; None if not periodic.
         meta: provenance, JSON-serialisable: `name`, `robot`, `source`, `licence`, `retarget`, `dmp`, `made_with`, ….
-        demonstration: the motion that an optimised one is scored against; None for a demonstration itself.
-        parts: of a stitched demonstration, the cyclic motions that it is made of (see `fastmimic.stitching.join`).
+        demonstration: the motion that an optimised one is scored against, or None.
+        parts: the cyclic motions of a stitched demonstration (see `fastmimic.stitching.join`).
     """
 
     rate_hz: float
@@ -124,7 +124,7 @@ class Motion:
 
     @property
     def cycle_starts(self) -> NDArray[np.int64]:
-        """Samples at which a cycle starts: the first, and of a stitched motion those in its `meta`."""
+        """Samples at which a cycle starts: the first, and those in the `meta` of a stitched motion."""
         later = self.meta.get("stitch", {}).get("cycle_starts", ())
         return np.array([0, *(int(i) for i in later if 0 < int(i) < self.n_samples)], dtype=np.int64)
 
@@ -139,7 +139,7 @@ class Motion:
         return self.demonstration if self.demonstration is not None else self
 
     def check_robot(self, name: str) -> None:
-        """Raises `MotionError` if it is the motion of another robot than the one of that name."""
+        """Raises `MotionError` if the motion is for another robot."""
         of = self.meta.get("robot")
         if of is not None and of != name:
             raise MotionError(
@@ -148,7 +148,7 @@ class Motion:
             )
 
     def save(self, path: str | Path) -> None:
-        """Writes an `.npz` without pickles; an existing file is replaced only once the new one is whole.
+        """Writes an `.npz` without pickles; an existing file is replaced by the complete new one.
 
         Raises:
             OutputError: the file cannot be written.

@@ -1,9 +1,8 @@
 """The 24 coordinates of a motion that are fitted: root pose, root velocity and feet, each periodic if the motion is.
 
-Planar root motion is taken relative to the constant-twist motion of the cycle, in its moving frame; that of a motion
-that does not repeat relative to where it begins. Roll and
-pitch are the ZYX Euler angles that go with that heading, R = Rz(yaw) Ry(pitch) Rx(roll): smooth as long as
-the trunk does not point straight up or down. Feet are in the body frame and need no preparation.
+Planar root motion is relative to the constant-twist motion of the cycle, in its moving frame. Without a cycle it is
+relative to the start. Roll and pitch are ZYX Euler angles, R = Rz(yaw) Ry(pitch) Rx(roll): smooth unless the trunk
+points straight up or down. Feet are in the body frame.
 """
 
 from typing import Final
@@ -29,7 +28,7 @@ NAMES: Final = (
     *(f"root_{c}" for c in ("vx", "vy", "vz", "wx", "wy", "wz")),
     *(f"{leg}_foot_{c}" for leg in LEGS for c in "xyz"),
 )
-"""What the 24 dimensions are."""
+"""The 24 dimensions."""
 GROUPS: Final = {
     "root_position_m": slice(0, 3),
     "root_orientation_rad": slice(3, 6),
@@ -49,7 +48,7 @@ def phases(n_samples: int) -> Array:
 
 
 def twist_of(motion: Motion) -> PlanarTwist:
-    """The constant-twist motion of a cyclic motion, from its first sample; one that rests there for others."""
+    """The constant-twist motion of a cyclic motion from its first sample; without a cycle it rests there."""
     origin = np.array([*motion.root_pos_w[0, :2], yaw_from_quat(motion.root_quat_wxyz[0])])
     return PlanarTwist.from_cycle(origin, np.zeros(3) if motion.cycle is None else motion.cycle)
 

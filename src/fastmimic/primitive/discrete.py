@@ -5,13 +5,13 @@ With the canonical phase x, which decays from 1 over the duration T of the fitte
     τ ż = α (β (g − y) − z) + a f(x),   τ ẏ = z,   T ẋ = −αₓ x,
     f(x) = x Σ ψᵢ wᵢ / Σ ψᵢ,            ψᵢ = exp(−hᵢ (x − cᵢ)²),   β = α/4,   αₓ = α/3.
 
-The forcing dies out with x, so that whatever g and a are, y comes to rest at g, and stays there. It starts where the
-fitted motion starts, with its velocity, whatever g and a are. Two things are not as in the original. It multiplies f
-by g − y₀; a foot's height ends where it began, and what is scaled by nothing, or by noise of either sign, has no size:
-the amplitude a stands by itself, as in the rhythmic primitive. And τ = T there, here T or 1 s, whichever is less: an
-animal's ten seconds are many movements, and g and a would have come to bear only after the first of them.
+The forcing vanishes with x, so that y comes to rest at g for all g and a. It starts with the position and the velocity
+of the fitted motion. Two things differ from the original. There f is multiplied by g − y₀, which is zero or noise for a
+foot that ends at its first height; here the amplitude a stands by itself, as in the rhythmic primitive. There τ = T;
+here τ is T or 1 s, whichever is less, because ten seconds of an animal are many movements, and g and a would act only
+after the first of them.
 
-The system is linear in g and a: y = rest + pull g + a s, each computed once; nothing has to be integrated again.
+The system is linear in g and a: y = rest + pull g + a s. Each is computed once and nothing is integrated again.
 """
 
 from dataclasses import dataclass
@@ -28,18 +28,18 @@ from fastmimic.primitive.rhythmic import ALPHA, N_BASIS
 from fastmimic.primitive.samples import checked_samples
 
 MAX_S: Final = 30.0
-"""Of a motion; the fit takes memory and time with the square of it."""
+"""Longest motion; memory and time of the fit grow with its square."""
 MAX_TAU_S: Final = 1.0
 """The largest τ, s."""
 RIDGE: Final = 1e-8
-"""Weight of the regularisation, as that of the rhythmic primitive."""
+"""Weight of the regularisation, as in the rhythmic primitive."""
 _FUNCTIONS_PER_S: Final = 40.0
-"""At least: the knots of retargeted swings lie 25 ms apart."""
+"""Least number; the knots of retargeted swings lie 25 ms apart."""
 _ROWS_PER_FUNCTION: Final = 5
-"""Samples for each function that the fit looks at; more of them say nothing new."""
+"""Samples of the fit for each function; more do not improve it."""
 _CHUNK: Final = 256
 _STEPS_PER_FUNCTION: Final = 2
-"""Of integration, at least."""
+"""Least number of integration steps."""
 _NODES: Final = 0.5 + np.array([-np.sqrt(0.15), 0.0, np.sqrt(0.15)])
 _NODE_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18.0
 """Gauss–Legendre on [0, 1]."""
@@ -49,9 +49,9 @@ class DiscreteTerms(NamedTuple):
     """A discrete primitive at t samples: y = rest + pull g + a shape.
 
     Attributes:
-        rest: (t, d) what start and starting velocity alone bring about, about 0.
-        pull: (t, 1) how far the spring has come, 0 at the start, about 1 at the end.
-        shape: (t, d) what the forcing adds at a = 1.
+        rest: (t, d) response to the start and its velocity, relative to 0.
+        pull: (t, 1) response of the spring to the goal, 0 at the start, about 1 at the end.
+        shape: (t, d) response to the forcing at a = 1.
     """
 
     rest: Array
@@ -66,7 +66,7 @@ class DiscreteDmp:
     Attributes:
         weights: (d, n_basis) weights w of the forcing term: the style, fixed once fitted.
         start: (d,) y₀.
-        start_rate: (d,) ẏ₀ T: what y would change by in the whole duration at its starting velocity.
+        start_rate: (d,) ẏ₀ T, the change of y in the whole duration at its starting velocity.
         goal: (d,) where the fitted motion ends.
         duration_s: T, from the first sample to the last, s.
         alpha: stiffness α of the spring.
@@ -90,9 +90,8 @@ class DiscreteDmp:
     ) -> "DiscreteDmp":
         """Fits a movement by regularised least squares on the movement itself.
 
-        As in the rhythmic primitive the error that matters is minimised, since y is linear in w; the usual regression
-        on f needs second derivatives, which corners at touch-down spoil. Start, starting velocity and goal are the
-        samples' own.
+        The error of y itself is minimised, since y is linear in w. The usual regression on f needs second derivatives,
+        which corners at touch-down spoil. Start, starting velocity and goal are the samples' own.
 
         Args:
             samples: (t, d) from start to end, evenly spaced.
@@ -136,7 +135,7 @@ class DiscreteDmp:
 
     @property
     def decay(self) -> float:
-        """αₓ: at the end 1/4000 of x is left."""
+        """αₓ: x decays to 1/4000."""
         return self.alpha / 3
 
     @property
@@ -190,22 +189,22 @@ def _widths(centres: Array) -> Array:
 
 
 def _basis(x: Array, centres: Array) -> Array:
-    """ψᵢ/Σψ at phases (...) → (..., n). Where the phase has run past the last function, that one remains."""
+    """ψᵢ/Σψ at phases (...) → (..., n). Beyond the last function that one remains."""
     exponent = -_widths(centres) * (x[..., None] - centres) ** 2
     psi = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
     return psi / psi.sum(axis=-1, keepdims=True)
 
 
 def _unforced(start: Array, rate: Array, n_samples: int, c: float) -> tuple[Array, Array]:
-    """`rest` (t, d) and `pull` (t, 1) of a course: the critically damped spring by itself, its pole at −`c`."""
+    """`rest` (t, d) and `pull` (t, 1): the critically damped spring without forcing, with its pole at −`c`."""
     s = np.linspace(0.0, 1.0, n_samples)[:, None]
     fading = np.exp(-c * s)
     return fading * ((1 + c * s) * start + s * rate), 1 - fading * (1 + c * s)
 
 
 def _response(weights: Array | None, centres: Array, n_samples: int, c: float, decay: float) -> Array:
-    """What the forcing of weights (n, d) brings about from rest, (t, d); without weights that of each function by
-    itself, with weight 1/c, (t, n).
+    """The response (t, d) from rest to the forcing of weights (n, d); without weights that of each function, with
+    weight 1/c, (t, n).
 
     The spring, its pole at −`c`, is advanced exactly and the forcing by quadrature.
     """

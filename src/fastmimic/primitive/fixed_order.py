@@ -1,7 +1,7 @@
-"""Linear algebra whose every sum is taken in one order.
+"""Linear algebra with sums in a fixed order.
 
-BLAS and LAPACK choose theirs by the number of threads. A fit whose last bits depend on that would make the
-same seed give other results, and a run unable to recognise its own checkpoint.
+BLAS and LAPACK choose the order by the number of threads. Fits would then differ in their last bits, the same seed
+would give other results, and a run would not recognise its own checkpoint.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Feet that a modulation asks for, brought back to what the legs reach, with their joints."""
+"""Feet of a modulated motion, brought into the legs' reach, with their joints."""
 
 from typing import NamedTuple
 
@@ -18,8 +18,8 @@ class FootTable(NamedTuple):
         foot_pos_b: (n, t, 4, 3) feet that the legs reach, body frame, m.
         joint_pos: (n, t, 12) within the joints' ranges, rad.
         joint_vel: (n, t, 12) central differences of `joint_pos`, rad/s; periodic if the motion is.
-        shift_m: (n, 4) how far the farthest-moved sample of each foot had to be moved to be reached, m.
-        n_shifted: (n, 4) samples of each foot that had to be moved (by more than 0.01 mm).
+        shift_m: (n, 4) largest distance by which a sample of each foot was moved, m.
+        n_shifted: (n, 4) samples of each foot that were moved by more than 0.01 mm.
     """
 
     foot_pos_b: Array
@@ -32,8 +32,8 @@ class FootTable(NamedTuple):
 def foot_table(robot: Robot, foot_pos_b: Array, rate_hz: float, periodic: bool = True) -> FootTable:
     """Joints of n courses of foot positions, all in one compiled call.
 
-    A foot out of reach (leg too short, or the knee at its limit) is replaced by the nearest one on the same
-    line from the hip; if abduction or hip hit their limits, by the one that the limited joints give.
+    A foot out of reach (leg too short, or the knee at its limit) moves to the nearest point in reach on the line from
+    the hip. If abduction or hip are at their limits, it moves to where the limited joints put it.
 
     Args:
         robot: the robot.

@@ -30,12 +30,12 @@ from fastmimic.robot.robot import Robot
 class MotionDmp:
     """DMPs fitted to a motion: root pose 6, root velocity 6, feet in the body frame 12.
 
-    Rhythmic ones where the motion is a cycle, discrete ones where it does not repeat. There g is where a dimension
-    comes to rest and a scales what it does on the way; how it begins is not modulated.
+    They are rhythmic if the motion is a cycle, else discrete. A discrete dimension comes to rest at g, and a scales its
+    path; its start is not modulated.
 
     Attributes:
         fitted: the motion they were fitted to.
-        robot: whose legs carry the feet.
+        robot: the robot.
         primitive: the DMPs, dimensions in the order of `names`.
         twist: the planar motion of a cycle, removed before fitting and put back afterwards; none without a cycle.
         fit_rms: root-mean-square fit error of each group of dimensions, in the unit that its name ends with.
@@ -68,7 +68,7 @@ class MotionDmp:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the 24 dimensions are: `root_x`, …, `RL_foot_z`."""
+        """The names of the 24 dimensions: `root_x`, …, `RL_foot_z`."""
         return NAMES
 
     @property
@@ -94,9 +94,8 @@ class MotionDmp:
     def motion(self, goal: Array | None = None, amplitude: Array | None = None) -> Motion:
         """The reference with modulated baselines and amplitudes, at the fitted motion's rate.
 
-        Joints come from inverse kinematics, contacts from the fitted motion. Feet out of reach are brought
-        back and counted in `meta["dmp"]`. The result carries the fitted motion's demonstration, since that is
-        what it is to be scored against.
+        Joints come from inverse kinematics, contacts from the fitted motion. Feet out of reach are brought back and
+        counted in `meta["dmp"]`. The result has the fitted motion's demonstration, for its score.
 
         Args:
             goal: (24,) baselines or goals g; None keeps the fitted ones.
@@ -126,14 +125,14 @@ class MotionDmp:
         )
 
     def foot_table(self, goal: Array, amplitude: Array) -> FootTable:
-        """Feet and joints of n candidates, for the optimiser: as `motion` makes them, all in one compiled call.
+        """Feet and joints of n candidates in one compiled call, as `motion` computes them.
 
         Args:
             goal: (n, 24) baselines g.
             amplitude: (n, 24) amplitudes a.
 
         Returns:
-            As `FootTable`: feet (n, t, 4, 3), joints (n, t, 12), and what was out of reach.
+            Feet (n, t, 4, 3), joints (n, t, 12), and the distances out of reach.
 
         Raises:
             MotionError: arrays of another shape, or with a value that is not finite.
@@ -177,7 +176,7 @@ class MotionDmp:
 
     @cached_property
     def _linear(self) -> Array | DiscreteTerms:
-        """What the fitted motion's samples are linear in: s (t, 24) of a cycle."""
+        """The responses that the samples are linear in: s (t, 24) of a cycle."""
         if isinstance(self.primitive, DiscreteDmp):
             return self.primitive.course(self.fitted.n_samples)
         return self.primitive.shape(phases(self.fitted.n_samples))

@@ -7,7 +7,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 
 _FLOOR: Final = 0.2
-"""Share of the basis functions that is spread evenly whatever the motion does."""
+"""Share of the basis functions that is always spread evenly."""
 _SAMPLES_PER_FUNCTION: Final = 4
 """Functions are never set closer than this many samples."""
 
@@ -15,10 +15,9 @@ _SAMPLES_PER_FUNCTION: Final = 4
 def place_basis(samples: Array, n_basis: int) -> Array:
     """Centres c (d, n_basis) of the basis functions for one cycle (t, d) of samples, rad, ascending.
 
-    A cycle of one stride gets evenly spaced functions, as in the paper. A loop of several strides and pauses
-    cannot be fitted to a millimetre by 100 evenly spaced ones (a swing of 0.2 s in a loop of 6 s would get
-    three), so there they follow the motion: their density grows with the square root of the curvature, which
-    equalises the error of a second-order approximation (de Boor 1973).
+    A cycle of one stride gets evenly spaced functions, as in the paper. In a loop of several strides and pauses they
+    follow the motion, since a swing of 0.2 s in a loop of 6 s would get only three of 100. Their density grows with the
+    square root of the curvature, which equalises the error of a second-order approximation (de Boor 1973).
     """
     t = len(samples)
     densest = max(1.0, t / (_SAMPLES_PER_FUNCTION * n_basis))

@@ -26,7 +26,7 @@ N_BASIS: Final = 100
 ALPHA: Final = 25.0
 """As in Ijspeert et al. 2013; critically damped with β = α/4."""
 RIDGE: Final = 1e-8
-"""Weight of the regularisation: enough to keep w/αβ of the motion's size, too little to cost accuracy."""
+"""Weight of the regularisation: it keeps w/αβ at the motion's size without loss of accuracy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +58,9 @@ class RhythmicDmp:
     ) -> "RhythmicDmp":
         """Fits one cycle by regularised least squares on the limit cycle itself.
 
-        The weights minimise mean (y − g − s)² + ridge · mean (w/αβ)². The usual regression on
-        f = y″ + αy′ + αβ(y − g) needs second derivatives of the samples, which corners at touch-down spoil;
-        since s is linear in w, the error that matters can be minimised directly. g is the mean of the samples
-        and the mean of f is made zero, so that the mean of s is zero and (g, a) are not redundant with w.
+        The weights minimise mean (y − g − s)² + ridge · mean (w/αβ)², since s is linear in w. The usual regression on
+        f = y″ + αy′ + αβ(y − g) needs second derivatives of the samples, which corners at touch-down spoil. g is the
+        mean of the samples, and the mean of f is made zero, so that (g, a) are not redundant with w.
 
         Args:
             samples: (t, d) one cycle, evenly spaced in [0, T).
@@ -150,12 +149,12 @@ def _distinct(centres: Array) -> list[tuple[Array, NDArray[np.intp]]]:
 def _fine_phases(centres: Array) -> Array:
     """Evenly spaced phases (m,): the spectrum of the narrowest basis function dies out before m/2."""
     closest = float(np.min(np.diff(centres, append=centres[0] + 2 * np.pi)))
-    n = 64 * int(np.ceil(8 * np.pi / closest / 64))  # a length that Fourier transforms like
+    n = 64 * int(np.ceil(8 * np.pi / closest / 64))  # a good length for the Fourier transform
     return 2 * np.pi * np.arange(n) / n
 
 
 def _filtered(forcing: Array, alpha: float) -> NDArray[np.complex128]:
-    """Harmonics (k, d) of the limit cycles that forcings (m, d), sampled over the cycle, bring about."""
+    """Harmonics (k, d) of the limit cycles of forcings (m, d), sampled over the cycle."""
     harmonics = np.fft.rfft(forcing, axis=0)[: len(forcing) // 2] / len(forcing)
     k = np.arange(len(harmonics))[:, None]
     return harmonics / (alpha**2 / 4 - k**2 + 1j * alpha * k)

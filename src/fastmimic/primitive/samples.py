@@ -1,4 +1,4 @@
-"""What both primitives ask of what they are fitted to."""
+"""Checks of the samples that a primitive is fitted to."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,8 @@ def checked_samples(samples: NDArray[np.float64], what: str, **settings: float) 
 
     Args:
         samples: (t, d).
-        what: what they are of, for the messages: "the cycle".
-        settings: the fit's; each must be positive.
+        what: their name in messages, such as "the cycle".
+        settings: of the fit; each must be positive.
 
     Raises:
         MotionError: fewer than 4 samples, or a value that is not finite.

@@ -13,11 +13,11 @@ from fastmimic.base.rotations import rotate_planar
 class PlanarTwist:
     """X(φ) = X₀ · exp(φ/2π · log(dx, dy, dyaw)): the planar motion of a cycle, spread evenly over its phase.
 
-    What a cyclic motion does relative to X(φ), expressed in X(φ), is periodic whatever the turn; relative to
-    a straight drift it would jump at the wrap.
+    A cyclic motion relative to X(φ), expressed in X(φ), is periodic for any turn. Relative to a straight drift it would
+    jump at the wrap.
 
-    A cycle near whole turns (|dyaw| > 3π/2) has a twist about a remote centre, or none. Then the whole turns
-    are left out of the frame's rotation and counted as `whole_turns`; they belong to yaw alone.
+    A cycle near whole turns (|dyaw| > 3π/2) has a twist about a remote centre, or no twist. The whole turns are then
+    left out of the frame's rotation and counted as `whole_turns`.
 
     Attributes:
         origin: (x, y, yaw) of X₀, world, m and rad.

@@ -1,1 +1,1 @@
-"""The running reference: what the controller follows, and how it passes from motion to motion."""
+"""The running reference: tables and clocks for the controller, and transitions between motions."""

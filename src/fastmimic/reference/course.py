@@ -1,8 +1,8 @@
-"""A motion in its own moving frame: the form in which it can be modulated while it runs.
+"""A motion in its own moving frame, so that it can be modulated while it runs.
 
-Every sample is written in the heading frame of the reference's own root, and the root's path as the step to the next
-sample. That is periodic for any cycle, whatever it travels or turns, and continuous from a motion into a transition, so
-phase, speed, turn and swing height may change at any moment without a jump.
+Every sample is in the heading frame of the reference's root, and the root's path is the step to the next sample. This
+form is periodic for any cycle and continuous from a motion into a transition. Phase, speed, turn and swing height can
+therefore change at any moment without a jump.
 """
 
 from itertools import pairwise
@@ -56,7 +56,7 @@ middle of the foot's stance, s, which in swing goes back smoothly to that before
 velocity of the root over a stride, m/s, m/s, rad/s; `sync` where a cycle starts."""
 
 _STRIDE_S: Final = 0.5
-"""Over which the velocity of a motion that does not repeat is averaged."""
+"""Averaging time of the velocity of a motion that does not repeat."""
 
 
 def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
@@ -64,7 +64,7 @@ def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
 
     Args:
         motion: a cycle, or a stitched motion; its samples at the controller's rate.
-        robot: whose motion it is.
+        robot: the robot.
     """
     table = reference_table(motion, robot)
     periodic = motion.cycle is not None
@@ -88,7 +88,7 @@ def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
 
 
 def _lift(motion: Motion, height: Array, foot_radius: float) -> Array:
-    """How far (t, 4) the demonstration's feet are above where they stand, m: what the swing height multiplies."""
+    """Height (t, 4) of the demonstration's feet above their footholds, m, which the swing height multiplies."""
     feet = motion.foot_pos_w
     return np.where(motion.contact, 0.0, np.maximum(feet[..., 2] - foot_radius, 0.0)) * np.ones_like(height)
 
@@ -107,8 +107,8 @@ def _travel(motion: Motion) -> Array:
 def since_middle(contact: NDArray[np.bool_], rate_hz: float, periodic: bool) -> Array:
     """Time (t,) since the middle of the stance, s; in swing back to the next stance's beginning, twice differentiable.
 
-    A foot that stands in a turning frame moves on an arc about its place at mid-stance; this is how far along it is. A
-    foot that never lifts off has none: 0.
+    A foot that stands in a turning frame moves on an arc about its place at mid-stance; this is its position on it. It
+    is 0 for a foot that never lifts off.
     """
     n = len(contact)
     out = np.zeros(n)

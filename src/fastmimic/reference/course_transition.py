@@ -1,4 +1,4 @@
-"""From one motion to another while the robot runs: the transition that stitching makes, as a course."""
+"""Transitions between motions while the robot runs: those of stitching, as courses."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -27,12 +27,12 @@ class CourseTransition:
     """A course between two cyclic motions.
 
     Attributes:
-        course: what the controller follows, (t,) of `COURSE`; with `_MARGIN` rows of the motions at either end.
-        demonstration: what it is scored against.
+        course: (t,) of `COURSE` for the controller, with `_MARGIN` rows of the motions at either end.
+        demonstration: (t,) of `COURSE` for the score.
         first, last: rows of it that are the transition; `last` exclusive.
         leave: row ≥ 1 of the first motion before which it begins.
         arrive: row of the second motion that follows.
-        measured: what the transition asks of the robot, as in a stitched motion's `meta`.
+        measured: figures of the transition, as in a stitched motion's `meta`.
     """
 
     course: NDArray[Any]
@@ -45,7 +45,7 @@ class CourseTransition:
 
     @property
     def sound(self) -> bool:
-        """Whether a robot can do it: feet within reach that do not slip, joints that are fast enough."""
+        """Whether a robot can run it: feet in reach without slip, joints within their speeds."""
         m, rows = self.measured, self.last - self.first
         return bool(
             m["joint_speed_share"] <= _JOINT_SPEED_SHARE
@@ -57,7 +57,7 @@ class CourseTransition:
 def make_course_transition(robot: Robot, before: Motion, after: Motion) -> CourseTransition | None:
     """The transition between two cyclic motions, optimised or not; None if stitching finds none.
 
-    It is that of their demonstrations; what an optimised motion differs from its own in passes over with the feet.
+    It joins their demonstrations. The difference of an optimised motion from its own is blended with the same weights.
     """
     try:
         stitched = stitch_motions(robot, [before.target, after.target], [_cycles(before), _cycles(after)])
@@ -92,5 +92,5 @@ def make_course_transition(robot: Robot, before: Motion, after: Motion) -> Cours
 
 
 def _cycles(motion: Motion) -> int:
-    """Enough of them for any transition, s."""
+    """Enough cycles for any transition."""
     return max(2, round(3.0 / motion.period_s))

@@ -1,6 +1,6 @@
-"""How far a motion may be modulated: one rule for all, from what the motion asks of the robot.
+"""Limits of a motion's modulation, by one rule for all motions.
 
-The constants are those at which the motions still stood in `benchmarks/play.py`, with a margin; see docs/viewer.md.
+With the constants the motions stayed upright in `benchmarks/play.py`, with a margin; see docs/viewer.md.
 """
 
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from fastmimic.robot import Robot
 SPEED: Final = (0.9, 1.25)
 """Factors on the phase's rate."""
 JOINT_SPEED_SHARE: Final = 1.1
-"""Of the joints' speed limit that the reference may ask for at one sample when it is sped up or lifted higher."""
+"""Largest share of the joints' speed limit in a sped-up or higher reference."""
 TURN: Final = 1.0
 """Added turn rate at most, rad/s."""
 TURN_ACCELERATION: Final = 0.6
 """Centripetal acceleration at most that is added, at the highest speed, m/s²."""
 TURN_ANGLE: Final = 0.3
-"""What the body may turn over a foot between the middle of its stance and its end, rad."""
+"""Largest turn of the body over a foot from the middle of its stance to the end, rad."""
 LIFT: Final = (0.5, 1.5)
 """Factors on the swing height."""
 
@@ -34,7 +34,7 @@ class Limits:
     lift: tuple[float, float] = (1.0, 1.0)
 
     def within(self, other: "Limits") -> "Limits":
-        """What both allow."""
+        """The intersection of both."""
         return Limits(_common(self.speed, other.speed), _common(self.turn, other.turn), _common(self.lift, other.lift))
 
     def hold(self, speed: float, turn: float, lift: float, slack: float = 0.0) -> bool:
@@ -52,9 +52,8 @@ def _common(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, floa
 def limits_of(course: NDArray[Any], joint_vel: NDArray[np.float64], robot: Robot) -> Limits:
     """Ranges of a cyclic motion.
 
-    A motion in which a foot never lifts off has nothing that could be modulated. Speed and swing height end where the
-    joints of the reference would be faster than they can be, the turn rate where a foot would turn too far under the
-    body, or the curve would be too tight for the speed.
+    A motion in which a foot never lifts off is not modulated. The joints' speeds limit speed and swing height. The turn
+    of a foot under the body and the centripetal acceleration limit the turn rate.
 
     Args:
         course: (t,) of `COURSE`.

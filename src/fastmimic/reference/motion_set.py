@@ -1,4 +1,4 @@
-"""The motions that can be played, and their transitions, made in the background."""
+"""Motions by name with their transitions and tempos, which are made in the background."""
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future
@@ -25,12 +25,12 @@ IN_PLACE: Final = "in-place"
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A motion of the library.
+    """A motion of the set.
 
     Attributes:
-        name: by which it is chosen.
-        motion: as it was loaded.
-        course, demonstration: what the controller follows and what it is scored against, (t,) of `COURSE`.
+        name: its name in the set.
+        motion: the motion.
+        course, demonstration: (t,) of `COURSE`, for the controller and for the score.
         limits: of its modulation.
     """
 
@@ -47,15 +47,15 @@ class Entry:
 
 
 class MotionSet:
-    """Motions by name. "stand" and "in-place" are always there: getting up ends in the one, and any motion that does
-    not pass into another directly does so by the other.
+    """Motions by name. "stand" and "in-place" are always there: getting up ends in the first, and motions without a
+    direct transition pass through the second.
 
     Args:
-        robot: whose motions they are.
+        robot: the robot.
         motions: cyclic motions by name.
         rate_hz: of the control.
-        executor: processes that make transitions in the background; at once, when they are asked for, if None.
-        source: from which such a process loads the robot: its name or file; the robot's name if None.
+        executor: processes that make transitions in the background; None makes them when they are needed.
+        source: name or file from which such a process loads the robot; the robot's name if None.
 
     Raises:
         MotionError: a motion that does not repeat, or is for another robot or rate.
@@ -88,22 +88,22 @@ class MotionSet:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All of them, in the order in which they are offered."""
+        """The names in the order of display."""
         return tuple(self.entries)
 
     def entry(self, name: str) -> Entry:
-        """A motion; raises `ConfigError` if there is none of that name."""
+        """A motion; raises `ConfigError` for an unknown name."""
         if name not in self.entries:
             raise ConfigError(
-                f"'{name}' is not played; there are {', '.join(self.names)}{did_you_mean(name, self.names)}"
+                f"'{name}' is not among the motions; there are {', '.join(self.names)}{did_you_mean(name, self.names)}"
             )
         return self.entries[name]
 
     def next_hop(self, now: str, goal: str) -> tuple[str, CourseTransition] | None:
-        """Where to go from a motion on the way to another, and how; None while that is being made.
+        """The next motion on the way from one to another, and the transition to it; None while that is being made.
 
         Raises:
-            MotionError: there is no way.
+            MotionError: no sequence of transitions leads there.
         """
         near = IN_PLACE in (now, goal)
         if near or not (self._stands(now) or self._stands(goal)):  # from standing one first steps in place
@@ -121,10 +121,10 @@ class MotionSet:
             through = around.result()
             if through is not None:
                 return IN_PLACE, through
-        raise MotionError(f"no way was found from '{now}' to '{goal}'")
+        raise MotionError(f"no transitions lead from '{now}' to '{goal}'")
 
     def tempo(self, name: str) -> Tempo | None:
-        """A motion's demonstration at the speeds that its limits span; None while that is being made."""
+        """A motion's demonstration at the speeds within its limits; None while it is being made."""
         if name not in self._tempos or _broke(self._tempos[name]):
             entry = self.entry(name)
             speeds = tuple(speed for speed in entry.limits.speed if speed != 1.0)
@@ -133,12 +133,11 @@ class MotionSet:
         return found.result() if found.done() else None
 
     def forget_tempos(self) -> None:
-        """Has the speeds made anew, after limits were changed."""
+        """Forgets the tempos, after limits were changed."""
         self._tempos.clear()
 
     def prepare(self, now: str) -> None:
-        """Has one more thing made in the background that a motion may need next, unless that is still busy: what is
-        asked for in the meantime does not wait for long."""
+        """Starts making one more transition or tempo that a motion may need next, unless one is still being made."""
         if self._executor is None or (self._busy is not None and not self._busy.done()):
             return
         hub = [] if now == IN_PLACE else [(now, IN_PLACE), *((IN_PLACE, other) for other in self.names)]
@@ -162,7 +161,7 @@ class MotionSet:
         return self._transitions[key]
 
     def _made(self, there: Callable[..., _Result], here: Callable[..., _Result], *given: Any) -> "Future[_Result]":
-        """What another process makes, or this one if there is none any more."""
+        """Computed in another process, or in this one if there is none any more."""
         if self._executor is not None:
             try:
                 return self._executor.submit(there, self._source, *given)
@@ -212,5 +211,5 @@ def _made_tempo(source: str, motion: Motion, speeds: tuple[float, ...]) -> Tempo
 
 
 def _broke(future: Future[Any]) -> bool:
-    """Whether the process ended before it was done."""
+    """Whether the process ended before the result."""
     return future.done() and isinstance(future.exception(), BrokenExecutor)

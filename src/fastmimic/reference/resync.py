@@ -1,8 +1,8 @@
-"""Recovery after a push: the controller's own clock, which yields to the robot (`RecoveryConfig`).
+"""Re-synchronises the controller's clock with a robot that was pushed (`RecoveryConfig`).
 
-A robot that was pushed is not where its reference is, and not as fast. Where it is matters least: while its velocity
-is off, the reference moves to it, so that swing feet are placed for balance and not for a place. The clock may
-also go slower or faster meanwhile, and is then brought back in step with the demonstration's.
+After a push, position and velocity differ from the reference. While the velocity differs, the reference's origin moves
+to the robot, so that swing feet are placed for balance. The clock may also run slower or faster, and then returns to
+the demonstration's time.
 """
 
 from typing import Any
@@ -15,13 +15,13 @@ from fastmimic.reference.table import advance_clock
 
 @kernel
 def advance_recovering(config: Any, clocks: Any, tables: Any, observations: Any) -> None:
-    """One control step of the controllers' clocks, as `advance_clocks` where the robots are not in recovery.
+    """One control step of the controllers' clocks; for robots that are not in recovery the same as `advance_clocks`.
 
     Args:
         config: (1,) packed controller configuration.
         clocks: (n,) of `CLOCK`.
         tables: (k, t) of `SAMPLE`; robot i follows table min(i, k − 1).
-        observations: (n,) of `OBSERVATION`, what the controllers see.
+        observations: (n,) of `OBSERVATION`, the input of the controllers.
     """
     for i in range(clocks.shape[0]):
         table = tables[min(i, tables.shape[0] - 1)]

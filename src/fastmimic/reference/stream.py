@@ -1,11 +1,10 @@
-"""The reference of the moment: a course, modulated, as the table that the controller reads.
+"""A modulated course as the table that the controller reads.
 
-Speed scales the phase's rate, φ̇ = s/τ: velocities with s, accelerations with s². Turning bends the path: the frame
-turns on by ω, and every foot keeps its place on the ground by going on an arc about the middle of its stance. The swing
-height is the amplitude a of the feet's z with the goal g that keeps their stance where it is, z = z₀ + a (z − z₀).
-In a curve that is tighter or faster than the motion's own the body leans inwards over its feet, so that weight and
-centripetal force meet between them.
-Without modulation the reference is the motion's own.
+Speed scales the rate of the phase, φ̇ = s/τ, velocities with s, and accelerations with s². Turning bends the path: the
+frame turns by ω, and each foot keeps its place on the ground by an arc about the middle of its stance. The swing height
+is the amplitude a of the feet's z over the ground, z = z₀ + a (z − z₀). In a tighter or faster curve than the motion's
+own the body leans inwards, so that weight and centripetal force meet between the feet. Without modulation the reference
+is the motion's own.
 """
 
 from typing import Any, Final
@@ -30,9 +29,9 @@ PLACE: Final = record_dtype(
         ("jump", "f8"),
     ]
 )
-"""Where in a course the reference is: row `position`, (x, y, yaw) of its root in the world; the row `exit` ≥ 1 before
-which it goes on in the next course at row `entry` (−1 for never); whether it has done so (`left`) or started a cycle
-(`synced`) in the last step; and the sum of what synchronisation has moved it by, m."""
+"""The reference's place in a course: row `position` and (x, y, yaw) of its root in the world. Before row `exit` ≥ 1 it
+continues in the next course at row `entry`; −1 for never. `left` and `synced` say whether the last step did so or
+started a cycle. `jump` is the sum of the distances moved by synchronisation, m."""
 
 MODULATION: Final = record_dtype([("speed", "f8"), ("turn", "f8"), ("lift", "f8"), ("speed_rate", "f8")])
 """Factor on the rate of the phase, added turn rate, rad/s, factor on the swing height, and the rate at which the first
@@ -70,10 +69,10 @@ class Stream:
 
         Args:
             course: (t,) of `COURSE`.
-            following: the course after it; None if there is none.
+            following: the next course, or None.
             place: (1,) of `PLACE`, changed.
             modulation: (1,) of `MODULATION`.
-            root_xy: (2,) where the robot is, to which x and y are synchronised where a cycle starts, m.
+            root_xy: (2,) position of the robot, m; x and y are synchronised to it at the start of a cycle.
         """
         other = course if following is None else following
         _advance(course, other, place[0], modulation[0], self._dt, True, root_xy[0], root_xy[1])
@@ -86,8 +85,9 @@ class Stream:
         modulation: NDArray[Any],
         table: NDArray[Any],
     ) -> None:
-        """Writes the reference from now on, as it would go on with this modulation, into a table (t,) of `SAMPLE`,
-        relative to the root's heading frame of this moment."""
+        """Writes the reference from now on, with a constant modulation, into a table (t,) of `SAMPLE`.
+
+        It is relative to the present heading frame of the root."""
         other = course if following is None else following
         self._scratch[0] = place[0]
         _fill(
@@ -227,8 +227,8 @@ def _sample(
     work: Any,
     out: Any,
 ) -> None:
-    """All but joints and place of one row of the table, heading frame of its own root; its feet in `work`, if the
-    `neighbours` are wanted with those of the control step before and after."""
+    """One row of the table without joints and place, in the heading frame of its root. Its feet are in `work`; with
+    `neighbours` also those one control step before and after."""
     i = int(np.floor(position))
     u = position - i
     b = _row(course, following, exit_row, entry, i)

@@ -1,9 +1,9 @@
-"""The reference in the form that the compiled loop reads: a table of samples and a clock for each robot.
+"""The reference for the compiled loop: a table of samples, and a clock for each robot.
 
-A table holds one period, relative to the heading frame of its sample 0. A robot's clock says which sample is now
-and where the period's origin lies in the world (x, y, yaw). At each wrap the origin moves on by the period's
-displacement; at each start of a cycle, which is the wrap of a cyclic motion and a marked sample of a stitched one, its
-x and y are re-synchronised to the robot, never its yaw.
+A table holds one period, relative to the heading frame of its sample 0. A robot's clock has the present sample and the
+period's origin in the world (x, y, yaw). At each wrap the origin moves by the period's displacement. At each start of a
+cycle its x and y are re-synchronised to the robot, never its yaw. Cycles start at the wrap of a cyclic motion, and at
+the samples with `sync` of a stitched one.
 """
 
 from collections.abc import Sequence
@@ -49,10 +49,9 @@ SAMPLE: Final = record_dtype(
         ("sync", "i8"),
     ]
 )
-"""One instant of a reference, relative to the heading frame of the period's first sample. `remaining` is the time for
-which a foot goes on standing, s, 0 in swing. `leg_lin_acc` and `leg_ang_acc` are what the motion takes from the ground
-beyond its body's acceleration (`leg_momentum`). `sync` is 1 where a cycle starts and the origin is
-re-synchronised."""
+"""One instant of a reference, relative to the heading frame of the period's first sample. `remaining` is the time until
+a standing foot lifts off, s, 0 in swing. `leg_lin_acc` and `leg_ang_acc` are the accelerations that the motion needs
+from the ground beyond those of its body (`ground_acceleration`). `sync` is 1 where a cycle starts."""
 
 CLOCK: Final = record_dtype(
     [
@@ -67,10 +66,10 @@ CLOCK: Final = record_dtype(
         ("fraction", "f8"),
     ]
 )
-"""Where a robot is in its reference: sample, period, whether the motion repeats, (x, y, yaw) of the period's origin,
-one period's displacement, and the sum of the distances by which synchronisation has moved the origin, m. After a push
+"""A robot's place in its reference: sample, period, whether the motion repeats, (x, y, yaw) of the period's origin, one
+period's displacement, and the sum of the distances by which synchronisation has moved the origin, m. After a push
 (`fastmimic.reference.resync`): whether the robot is in recovery, by how many samples the clock is ahead of the
-demonstration's since, and what it has of the next one."""
+demonstration's, and the fraction of the next sample."""
 
 
 def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
@@ -93,7 +92,7 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
     table["contact"] = motion.contact
     table["remaining"] = remaining_stance(motion.contact, dt, periodic)
     if motion.demonstration is not None:
-        # that of the motion, not of its modulation, which moves the feet by little: what is optimised is what is saved
+        # the demonstration's: a modulation moves the feet by little, and search and saved motion must agree
         demonstration = reference_table(motion.demonstration, robot)
         for name in ("leg_lin_acc", "leg_ang_acc"):
             table[name] = demonstration[name]
@@ -128,12 +127,11 @@ def put_root(
 
 
 def ground_acceleration(motion: Motion, robot: Robot) -> tuple[Array, Array]:
-    """What the ground has to give for a motion, by inverse dynamics of the whole robot, as acceleration of one body.
+    """The ground wrench of a motion, by inverse dynamics of the whole robot, as acceleration of a single rigid body.
 
-    A body that had the robot's mass and inertia and no legs would accelerate like this under the forces that the motion
-    takes: F/m − g and I⁻¹τ about the centre of mass. The difference from the trunk's acceleration is what legs and
-    turning take (momentum of the legs, position of the centre of mass, gyroscopic moment). A QP that leaves it out
-    gives a robot with heavy legs some newtons too much or too little at each swing, and the body sways at every step.
+    It is F/m − g and I⁻¹τ about the centre of mass. It differs from the trunk's acceleration by the momentum of the
+    legs, the position of the centre of mass and the gyroscopic moment. Without that the stance QP would give a robot
+    with heavy legs some newtons too much or too little at each swing, and the body would sway at every step.
 
     Returns:
         Linear (t, 3), m/s², and angular (t, 3), rad/s², world frame.

@@ -1,8 +1,7 @@
-"""A motion at another speed: the same poses in another time, the trunk balanced anew.
+"""A motion at another speed: the same poses in another time, with the trunk balanced for that.
 
-A trunk that is balanced over its feet at one speed is not at another: weight pulls as ever while every acceleration has
-grown with the square. So for some speeds the cycle is balanced as retargeting does it (`retarget_balance`), and between
-them it is interpolated.
+Accelerations grow with the square of the speed and the weight does not, so that a balanced trunk is not balanced at
+another speed. The cycle is balanced as in retargeting for some speeds, and interpolated between them.
 """
 
 from dataclasses import dataclass
@@ -38,15 +37,14 @@ class Tempo:
 
     Attributes:
         speeds: factors, ascending, 1 among them.
-        courses: for each of them, (t,) of `COURSE`, in the time of the motion itself: what the stream scales.
+        courses: for each of them, (t,) of `COURSE`, in the time of the motion itself, which the stream scales.
     """
 
     speeds: tuple[float, ...]
     courses: tuple[NDArray[Any], ...]
 
     def changed(self, speed: float, own: NDArray[Any]) -> NDArray[Any]:
-        """The course of a motion made of this one, `own` (t,) at its own speed, at another: what it differs from the
-        demonstration by stays."""
+        """An optimised motion at another speed: `own` (t,), with its difference from this demonstration unchanged."""
         demonstration = self.at(1.0)
         out = self.at(speed).copy()
         for name in _BLENDED:
@@ -68,7 +66,7 @@ def make_tempo(robot: Robot, motion: Motion, speeds: tuple[float, ...]) -> Tempo
     """A cyclic demonstration at its own speed and at others.
 
     Args:
-        robot: whose motion it is.
+        robot: the robot.
         motion: with a cycle, not optimised.
         speeds: factors other than 1.
     """
@@ -87,7 +85,7 @@ def make_tempo(robot: Robot, motion: Motion, speeds: tuple[float, ...]) -> Tempo
 def at_speed(robot: Robot, motion: Motion, speed: float, config: RetargetConfig | None = None) -> Motion:
     """The same cycle `speed` times as fast, in as many samples, its trunk balanced for that.
 
-    The feet stay where they stand and swing; the robot's rate is not the motion's any more.
+    The foot paths stay. The motion's rate is no longer the robot's.
     """
     config = (config or RetargetConfig()).for_robot(robot)
     feet_w = motion.foot_pos_w

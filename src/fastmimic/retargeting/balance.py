@@ -1,17 +1,16 @@
-"""Makes the trunk's motion one that the feet on the ground can bring about.
+"""Changes the trunk's motion by the least that lets the standing feet produce it.
 
-An animal's trunk moves as its own mass, its light legs and its narrow stance demand. On a robot with heavy legs and a
-wider stance the same trunk motion asks for forces that the standing feet cannot give: on two feet, no moment about
-the line between them; in flight, nothing at all. Left as it is, the robot must deviate, in its own way and growing.
-Here the trunk is changed by the least that removes the contradiction; "least" is measured as the imitation reward
-measures a deviation.
+An animal's trunk motion suits its mass, its light legs and its narrow stance. On a robot with heavier legs and a wider
+stance it needs forces that the standing feet cannot give: two feet give no moment about the line between them, and no
+foot gives nothing. The robot would then deviate from its reference, more and more. The size of a change is measured
+like the imitation reward measures a deviation.
 
 The problem is least squares in the deviation d and in pushes x ≥ 0 along the edges of the feet's friction pyramids:
 
     min Σ ρ(r) + dᵀC d + ε‖x‖²,    r = r₀ + B d − G x
 
-with the demand r₀ of the present motion by inverse dynamics of the whole robot (as acceleration), linearised again at
-each step (Levenberg–Marquardt); the convex problem in between is solved by ADMM, the pushes eliminated sample by
+r₀ is the demand of the present motion, as acceleration, by inverse dynamics of the whole robot. It is linearised again
+at each step (Levenberg–Marquardt). ADMM solves the convex problem in between; the pushes are eliminated sample by
 sample.
 """
 
@@ -56,8 +55,8 @@ class BalanceConfig:
 
 _POSITION_COST: Final = np.array([20.0, 20.0, 500.0, 10.0, 10.0, 10.0])
 _VELOCITY_COST: Final = np.array([2.0, 2.0, 50.0, 1.0, 1.0, 1.0])
-"""Exponents of the imitation reward for root position and angle, linear and angular velocity. Height counts much more:
-by hopping in the right moment a trunk could avoid most contradictions, and would no longer move like the animal."""
+"""Exponents of the imitation reward for root position and angle, linear and angular velocity. Height counts much more,
+because a trunk could avoid most infeasible forces by hopping, unlike the animal."""
 _ADMM_STEP: Final = 3.0
 _ADMM_RELAXATION: Final = 1.6
 _ADMM_ROUNDS: Final = 200
@@ -68,12 +67,12 @@ _ENOUGH: Final = 0.01
 def balance(
     robot: Robot, spline: TrunkSpline, demand_of: Callable[[Array], GroundDemand], config: BalanceConfig
 ) -> Array:
-    """The trunk's deviation that makes a motion feasible at the least change.
+    """The least deviation of the trunk that makes a motion feasible.
 
     Args:
         robot: mass and inertia.
         spline: of the deviation.
-        demand_of: what the motion asks of the ground if its trunk deviates by coefficients (size, 6), at the same
+        demand_of: the ground wrench of the motion with the trunk deviated by coefficients (size, 6), at the same
             samples each time.
         config: weights.
 
@@ -131,7 +130,7 @@ class _Problem:
         self._slope = self._slope_of(basis, ground_force, scale)
 
     def solve(self, damping: float) -> Array:
-        """Coefficients (size, 6) at the minimum, held back towards the present ones by `damping`."""
+        """Coefficients (size, 6) at the minimum, drawn towards the present ones by `damping`."""
         from scipy.sparse import diags
         from scipy.sparse.linalg import splu
 
@@ -158,7 +157,7 @@ class _Problem:
         return (vector + step).reshape(-1, 6)
 
     def _best_pushes(self) -> Array:
-        """The pushes (k, 16) that come nearest to the demand, in quarters of the weight."""
+        """The pushes (k, 16) nearest to the demand, in quarters of the weight."""
         from scipy.optimize import nnls
 
         small, zero = np.sqrt(self._epsilon) * np.eye(16), np.zeros(16)

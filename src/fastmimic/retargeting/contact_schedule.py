@@ -1,4 +1,4 @@
-"""Contacts that a robot can follow: what thresholds and soft paws blur is made a clean gait again."""
+"""A contact schedule that a robot can follow, from contacts that thresholds and soft paws have blurred."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -74,12 +74,11 @@ def make_consistent(
 ) -> tuple[Stances, ScheduleChanges]:
     """Cleans detected contacts by one rule for every gait.
 
-    1. Legs that land and lift off together (a trot's diagonals, a pace's sides) get their common mean times:
-    thresholds
-       see a hind foot, which rolls over its toes, land later and leave earlier than the front foot of its pair.
-    2. In a straight cycle with one stance a leg, left and right (all four legs of a paired gait) get one duty
-       factor, each stance about its own middle.
-    3. Very short swings are widened; short moments without any support are closed half way from both sides.
+    1. Legs that land and lift off together (a trot's diagonals, a pace's sides) get their mean times. A hind foot rolls
+       over its toes, so that thresholds make it land later and leave earlier than the front foot of its pair.
+    2. In a straight cycle with one stance a leg, left and right get one duty factor about the middle of each stance. In
+       a paired gait all four legs do.
+    3. Very short swings are widened. Short flights are closed half way from both sides.
 
     Args:
         stances: as detected.
@@ -87,7 +86,7 @@ def make_consistent(
         rate_hz: of the samples.
         periodic: whether sample n repeats sample 0.
         straight: whether the motion is a gait straight ahead.
-        longest_s: no stance is extended beyond this, s: a leg's reach over the speed of travel.
+        longest_s: longest stance after an extension, s: a leg's reach over the speed of travel.
         config: thresholds.
     """
     pairing = _find_pairing(stances, n, config.same_stance)
@@ -104,18 +103,18 @@ def make_consistent(
 def with_steps(
     stances: Stances, travel: Array, activity: Array, rate_hz: float, config: ContactScheduleConfig
 ) -> tuple[Stances, int]:
-    """Gives a step to every leg that stands throughout a cycle whose end is elsewhere: it would have to slide.
+    """Gives a step to every leg that stands for a whole cycle that travels, since it would have to slide.
 
     Args:
         stances: of each leg of a cycle.
-        travel: (4,) from where each foot stands to where it would stand a cycle later, m.
+        travel: (4,) distance from each foothold to that of the next cycle, m.
         activity: (n, 4) of the animal's feet.
         rate_hz: of the samples.
         config: thresholds.
 
     Returns:
-        The stances, and how many legs were given a step: where most of the other feet stand, and of such moments where
-        the animal's foot moved most.
+        The stances, and the number of legs with a new step. It is where most of the other feet stand, and among such
+        moments where the animal's foot moved most.
     """
     n, result, added = len(activity), [list(leg) for leg in stances], 0
     length = min(round(config.step_s * rate_hz), n // 2)
@@ -132,7 +131,7 @@ def with_steps(
 
 
 def _overlap(a: Stance, b: Stance, n: int) -> tuple[float, int]:
-    """Part of their union that two stances share, best over shifting `b` by whole cycles, and that shift."""
+    """Largest common share of the union of two stances, with `b` shifted by whole cycles, and that shift."""
     best = (0.0, 0)
     for shift in (-n, 0, n):
         start, end = b.touch_down + shift, b.lift_off + shift
@@ -143,7 +142,7 @@ def _overlap(a: Stance, b: Stance, n: int) -> tuple[float, int]:
 
 
 def _partners(a: list[Stance], b: list[Stance], n: int, least: float) -> list[tuple[int, int, int, float]]:
-    """Stances that are the same but for noise: index in `a`, index in `b`, shift of b, part shared; one to one."""
+    """Stances that agree up to noise, one to one: index in `a`, index in `b`, shift of b, share in common."""
     pairs = []
     for i, stance in enumerate(a):
         (share, shift), j = max((_overlap(stance, other, n), j) for j, other in enumerate(b))
@@ -154,7 +153,7 @@ def _partners(a: list[Stance], b: list[Stance], n: int, least: float) -> list[tu
 
 
 def _find_pairing(stances: Stances, n: int, least: float) -> str | None:
-    """The pairing that most stances agree with, if that is at least four in five; standing still is none."""
+    """The pairing of at least four in five stances, or None; None for a leg that stands throughout."""
     if any(not leg or leg[0].duration >= n for leg in stances):
         return None
     total = sum(len(leg) for leg in stances) / 2
@@ -190,7 +189,7 @@ def _swings_last(spans: list[Stance], n: int, shortest: int, periodic: bool) -> 
 
 
 def _from_zero(stance: Stance, n: int) -> Stance:
-    """The same stance of a cycle with its touch-down in [0, n); in a recording nothing lies outside."""
+    """The same stance of a cycle with its touch-down in [0, n)."""
     shift = stance.touch_down // n * n
     return Stance(stance.touch_down - shift, stance.lift_off - shift)
 
@@ -206,8 +205,8 @@ def _common_duty(stances: Stances, n: int, paired: bool) -> Stances:
 
 
 def _widen_swings(stances: Stances, n: int, shortest: int, periodic: bool) -> tuple[Stances, int]:
-    """Takes what a short swing lacks from the stances on both sides of it; a mere rest of a swing that the
-    recording's end cuts off becomes stance."""
+    """Lengthens short swings at the cost of the stances on both sides. A short rest of a swing that the recording's end
+    cuts off becomes stance."""
     widened = 0
     result = [list(leg) for leg in stances]
     for leg, spans in enumerate(stances):

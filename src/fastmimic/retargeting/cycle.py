@@ -1,4 +1,4 @@
-"""A recording as a continuous motion: closed as a cycle about its constant-twist motion, or as it is."""
+"""A recording as a continuous motion, closed about its constant-twist motion if it is a cycle."""
 
 from dataclasses import dataclass, replace
 
@@ -39,7 +39,7 @@ class TrunkTrack:
 
     @classmethod
     def of(cls, motion: Motion) -> "TrunkTrack":
-        """The trunk and feet of a robot's motion: `toe_from_hip` is from the root, `toe_height` of the feet's centres."""
+        """Trunk and feet of a robot's motion; `toe_from_hip` from the root, `toe_height` of the feet's centres."""
         heading, feet = np.unwrap(yaw_from_quat(motion.root_quat_wxyz)), motion.foot_pos_w
         return cls(
             root_xy=np.array(motion.root_pos_w[:, :2]),
@@ -52,8 +52,7 @@ class TrunkTrack:
         )
 
     def deviated(self, deviation: Array) -> "TrunkTrack":
-        """The trunk moved by (t, 6): x, y, z in the heading frame, m; roll, pitch, yaw, rad. The animal's toes do not
-        move."""
+        """The trunk moved by (t, 6): x, y, z in the heading frame, m; roll, pitch, yaw, rad. The toes stay."""
         root_xy = self.root_xy + rotate_planar(self.heading, deviation[:, :2])
         heading = self.heading + deviation[:, 5]
         cycle = None
@@ -77,7 +76,7 @@ class TrunkTrack:
         return np.asarray(self.heading[sample % n] + (sample // n) * self.cycle[2])
 
     def moved(self, points_w: Array, cycles: int) -> Array:
-        """Points (..., 2) of the world, that many cycles later (earlier if negative)."""
+        """Points (..., 2) of the world moved by so many cycles, backwards if negative."""
         if self.cycle is None:
             raise ValueError("a motion without a cycle does not repeat")
         origin, angle = self.root_xy[0], self.cycle[2]
@@ -137,7 +136,7 @@ class WorldPath:
 
 
 def cycle_displacement(source: ScaledClip) -> Array:
-    """(dx, dy, dyaw) of one period of a clip whose frame t would repeat frame 0, in frame 0's heading frame."""
+    """(dx, dy, dyaw) of one period of a clip, in frame 0's heading frame; frame t would repeat frame 0."""
     steps = rotate_planar(-source.heading[:-1], np.diff(source.root_xy, axis=0))
     last = rotate_planar(source.heading[-1], 0.5 * (steps[0] + steps[-1]))
     displacement = source.root_xy[-1] + last - source.root_xy[0]
@@ -146,10 +145,10 @@ def cycle_displacement(source: ScaledClip) -> Array:
 
 
 def pose_mismatch(source: ScaledClip) -> float:
-    """How far the frame after the last is from frame 0, relative to how far poses differ within the clip.
+    """Distance of the frame after the last from frame 0, relative to the spread of poses within the clip.
 
-    Feet against the hips and height of feet and root enter, all in metres. 0 for a perfect cycle; about 1.4 for two
-    unrelated frames.
+    A pose is the feet against the hips and the heights of feet and root, m. A perfect cycle has 0, two unrelated frames
+    have about 1.4.
     """
     n = len(source.root_z)
     pose = np.concatenate([source.toe_from_hip.reshape(n, -1), source.toe_height, source.root_z[:, None]], axis=1)
@@ -160,9 +159,9 @@ def pose_mismatch(source: ScaledClip) -> float:
 def track_cycle(source: ScaledClip, n_out: int, trunk_hz: float, foot_hz: float, travels: bool = True) -> TrunkTrack:
     """A cycle on `n_out` samples, closed and low-passed; without `travels` it ends where it began.
 
-    Planar motion is taken relative to the constant-twist motion exp(share · log(dx, dy, dyaw)), in its moving frame,
-    where a cycle is periodic whether it turns or not. What keeps the frames from repeating is spread evenly over the
-    cycle; the Fourier series then closes position, velocity and acceleration.
+    Planar motion is taken in the moving frame of the constant-twist motion exp(share · log(dx, dy, dyaw)). There a
+    cycle is periodic whether it turns or not. The closing error is spread evenly over the cycle, and the Fourier series
+    closes position, velocity and acceleration.
     """
     n = len(source.root_xy)
     cycle = cycle_displacement(source) if travels else np.zeros(3)

@@ -1,4 +1,4 @@
-"""Feet that stand still while they stand, and swing as the animal's did in between."""
+"""Foot paths that stand still in stance and follow the animal's swings in between."""
 
 from dataclasses import dataclass, replace
 
@@ -13,9 +13,9 @@ _DEGREE = 3
 _AT_REST = 3
 """Coefficients of a cubic B-spline that fix position, velocity and acceleration at an end."""
 _VERTICAL_SHARE = 100.0
-"""Where evenness is asked for, the vertical motion's stiffness grows by this times as much."""
+"""Stiffness added to the vertical motion for each unit of evenness."""
 _FLAT = 0.1
-"""Below this share of its clearance a swing has no shape of its own left, and gets a plain one."""
+"""A swing with less than this share of its clearance gets a plain sin² shape."""
 _CLEARANCE_ROUNDS = 4
 
 
@@ -56,18 +56,18 @@ def plant_feet(
 
     Args:
         raw_w: (n, 4, 3) the animal's foot paths, world, m; z is the height above the ground.
-        track: says how the path of a cycle repeats.
+        track: the trunk; its `cycle` repeats the paths.
         stances: of each leg.
         holds: from `footholds`.
-        highest: no foot is lifted further than this, m.
+        highest: largest height of a foot, m.
         ground_z: height of a standing foot's centre, m.
         rate_hz: of the samples.
         config: of the swings.
         evenness: of each leg's swings, in place of the configured one.
 
     Returns:
-        (n, 4, 3) centres of the feet, world, m. Position, velocity and acceleration are continuous; the foot is at
-        rest on the ground at every touch-down and lift-off and nowhere below it.
+        (n, 4, 3) centres of the feet, world, m. Position, velocity and acceleration are continuous. Each foot rests on
+        the ground at every touch-down and lift-off and is never below it.
     """
     feet = np.empty_like(raw_w)
     for leg in range(4):
@@ -108,8 +108,7 @@ def _plant(
 def _swing(
     raw: Array, before: Array | None, after: Array | None, clearance: float, rate_hz: float, config: SwingPathConfig
 ) -> Array:
-    """A smooth path (m, 3) near `raw`, from rest at `before` to rest at `after`; None where the recording ends in
-    mid-air."""
+    """A smooth path (m, 3) near `raw`, from rest at `before` to rest at `after`; None at an end in the air."""
     m = len(raw)
     share = np.arange(m) / max(m - 1, 1)
     blend = (share**3 * (10 - 15 * share + 6 * share**2))[:, None]
@@ -125,9 +124,7 @@ def _swing(
     shape = np.maximum(target[:, 2], 0.0)
     if shape.max() < _FLAT * clearance:
         shape = np.sin(np.pi * share) ** 2
-    for _ in range(
-        _CLEARANCE_ROUNDS
-    ):  # the spline rounds the top off: aim higher until the animal's clearance comes out
+    for _ in range(_CLEARANCE_ROUNDS):  # the spline flattens the top, so aim higher
         z = vertical.fit(shape, lower=0.0)
         shape = shape * (clearance / max(z.max(), 1e-6))
     return np.stack(
@@ -161,7 +158,7 @@ class _SwingSpline:
         self._last = np.arange(k) >= k - (_AT_REST if to_rest else 0)
 
     def fit(self, target: Array, lower: float | None = None) -> Array:
-        """The spline (m,) nearest to `target` (m,) that rests at target's ends, and stays above `lower`."""
+        """The spline (m,) nearest to `target` (m,) that rests at the target's ends and stays above `lower`."""
         from scipy.optimize import lsq_linear
 
         coefficients = np.where(self._first, target[0], np.where(self._last, target[-1], 0.0))

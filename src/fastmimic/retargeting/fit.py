@@ -1,4 +1,4 @@
-"""From a track of the animal to a motion of the robot: balance the trunk, plant the feet, keep the limits."""
+"""From a track of the animal to a motion of the robot: balance the trunk, plant the feet, keep the joint limits."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,14 +21,14 @@ from fastmimic.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A fitted motion and what led to it.
+    """A fitted motion with its intermediate results.
 
     Attributes:
         motion: the robot's, without provenance.
         track: the trunk after balancing.
         raw_w: (t, 4, 3) the animal's foot paths under that trunk, world; z is the height above the ground.
         pose: clamps and base height.
-        smoothed: times that each leg's swings were made more even to keep joint speed.
+        smoothed: how often each leg's swings were made more even to keep joint speeds.
     """
 
     motion: Motion
@@ -83,7 +83,7 @@ class Fitter:
         return self._fit(offset, self.config.max_raising_m)
 
     def _unfolded(self, offset: Array) -> "Fitter":
-        """With the trunk raised where, and only where, folded legs need it."""
+        """The fitter with the trunk raised only where folded legs need it."""
         raw_w = self._animal_feet(offset)
         feet_w = self._planted(raw_w, self._footholds(raw_w, self.track), None)
         rise = folding_rise(self.robot, self.track, feet_w, self.height, self.config, self.rate_hz)
@@ -107,7 +107,7 @@ class Fitter:
         return Fitted(self.consistency.motion(pose, track), track, raw_w, pose, tuple(smoothed.tolist()))
 
     def _as_scaled(self, raw_w: Array) -> Fitted:
-        """The robot on the animal's foot paths as they are."""
+        """The robot on the animal's unchanged foot paths."""
         feet_w = raw_w + np.array([0.0, 0.0, self.robot.foot_radius])
         pose = self._pose(self.track, feet_w, 0.0)
         return Fitted(self.consistency.motion(pose, self.track), self.track, raw_w, pose, (0, 0, 0, 0))

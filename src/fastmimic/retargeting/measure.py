@@ -1,4 +1,4 @@
-"""Measures a retargeted motion against the animal."""
+"""Figures of a retargeted motion and of the animal."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ from fastmimic.retargeting.signal import closing_error
 
 @dataclass(frozen=True)
 class Closure:
-    """How far the end of a cycle is from its beginning: worst of root and feet, m, and the trunk's rotation, deg."""
+    """Distance of a cycle's end from its beginning: the worst of root and feet, m, and the trunk's rotation, deg."""
 
     distance_m: float
     angle_deg: float
@@ -51,7 +51,7 @@ def mean_clearance(height: Array, stances: Stances, periodic: bool) -> Array:
 
 
 def closure_of_source(source: ScaledClip) -> Closure:
-    """How badly a cut cycle closes: feet against the hips, heights, roll and pitch."""
+    """The closing error of a cut cycle: feet against the hips, heights, roll and pitch."""
     feet = np.concatenate([source.toe_from_hip, source.toe_height[..., None]], axis=-1)
     distance = np.linalg.norm(closing_error(feet), axis=-1).max()
     return Closure(
@@ -87,8 +87,7 @@ def _continued(last_three: Array) -> Array:
 def mean_speed(velocity_xy: Array, heading: Array) -> float:
     """Length of the mean velocity (t, 2) as seen from the trunk with `heading` (t,), m/s.
 
-    Unlike the path's length it does not grow with sway, and unlike the distance from start to end it means the same
-    for a gait that turns.
+    The path's length would grow with sway, and the distance from start to end would shrink in a turn.
     """
     return float(np.linalg.norm(rotate_planar(-heading, velocity_xy).mean(axis=0)))
 

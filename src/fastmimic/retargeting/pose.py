@@ -25,7 +25,7 @@ from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 
 _STEP_M: Final = 0.005
 _RISE_S: Final = 0.1
-"""In which the base rises for folded legs, and for which it is there before and after."""
+"""Time in which the base rises for folded legs, and for which it stays up before and after."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Pose:
         foot_pos_b: (t, 4, 3) m, of those joints.
         unreachable: (t, 4) samples in which a leg was too short or too long.
         limited: (t, 12) samples in which a joint was held at its limit.
-        lowered_m: how much the base was lowered for reach.
+        lowered_m: how far the base was lowered for reach.
     """
 
     root_pos_w: Array
@@ -153,7 +153,7 @@ def _folding(robot: Robot, quat: Array, q: Array, base_z: Array, config: Retarge
 
 
 def unlimited_pose(robot: Robot, track: TrunkTrack, feet_w: Array, height: float) -> Pose:
-    """Like `solve_pose` at one height and without joint limits: a smooth function of its arguments."""
+    """Like `solve_pose` at one height and without joint limits, so that it is smooth in its arguments."""
     quat = trunk_quaternion(track.heading, track.tilt)
     joints, reachable = _joints(robot, track, quat, feet_w, height)
     return Pose(
@@ -180,7 +180,7 @@ def _joints(
 
 
 def _knee_height(robot: Robot, quat: Array, joints: Array) -> Array:
-    """Of the knees (t, 4) above the base, m."""
+    """Height of the knees (t, 4) above the base, m."""
     abduction, hip = joints[:, 0::3], joints[:, 1::3]
     x, z = robot.thigh_vector[:, 0], robot.thigh_vector[:, 2]
     forward = robot.hip_shift[:, 0] + np.cos(hip) * x + np.sin(hip) * z

@@ -1,4 +1,4 @@
-"""What a robot's legs can reach, and where its feet should stand."""
+"""The reach of a robot's legs, and footholds within it."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,12 @@ from fastmimic.retargeting.cycle import TrunkTrack, WorldPath
 from fastmimic.robot import Robot
 
 _STEP = 5
-"""Samples between the instants at which reach is checked."""
+"""Samples between two checks of reach."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """What the legs reach with the base at its nominal height.
+    """Reach of the legs with the base at its nominal height.
 
     Attributes:
         hip_height: of the abduction axes above the centres of standing feet, m.
@@ -78,9 +78,9 @@ class Reach:
 def foot_offsets(robot: Robot, track: TrunkTrack, stances: Stances, stance_width: float) -> Array:
     """Constant shifts (4, 2) of the feet against the robot's hips, m.
 
-    Where shoulder, hip and toe markers sit is the animal's build, not its motion. The mean footholds are put where the
-    robot stands well: fore-aft with their mean under the centre of mass, laterally `stance_width` of the lateral link
-    outside the abduction axis. Left and right move alike.
+    The places of shoulder, hip and toe markers belong to the animal's build, not to its motion. The mean footholds are
+    shifted fore-aft under the centre of mass, and laterally to `stance_width` of the lateral link outside the abduction
+    axis. Left and right move alike.
     """
     side = np.where(LEFT, 1.0, -1.0)
     stands = contact_mask(stances, len(track.root_z))
@@ -95,17 +95,17 @@ def foot_offsets(robot: Robot, track: TrunkTrack, stances: Stances, stance_width
 
 
 def footholds(raw_w: Array, track: TrunkTrack, stances: Stances, reach: Reach, linger: int) -> list[list[Array]]:
-    """Where each foot stands in each of its stances, (2,) in the world, m.
+    """The foothold (2,) of each stance of each foot, world, m.
 
-    The mean of the animal's path in stance, weighted towards mid-stance, moved by what it lacks to be within reach from
-    touch-down to lift-off.
+    It is the mean of the animal's path in stance, weighted towards mid-stance, moved into reach from touch-down to
+    lift-off.
 
     Args:
         raw_w: (n, 4, 3) the animal's foot paths, world, m.
         track: the trunk.
         stances: of each leg.
         reach: of the robot's legs.
-        linger: samples before touch-down and after lift-off in which the foot is still near, and must be in reach.
+        linger: samples before touch-down and after lift-off in which the foot must be in reach, too.
     """
     sway = np.concatenate([track.root_xy, track.root_z[:, None] - track.root_z.mean()], axis=1)
     trunk = WorldPath(sway, track)
@@ -130,8 +130,7 @@ def _mean_foothold(raw: Array) -> Array:
 
 
 def _into_reach(hold: Array, leg: int, trunk: Array, track: TrunkTrack, when: NDArray[np.int_], reach: Reach) -> Array:
-    """The displacement (2,), world, that brings a foothold into reach of a trunk at (k, 3) (x, y, height against its
-    mean)."""
+    """The displacement (2,), world, that brings a foothold into reach of a trunk (k, 3): x, y, z above its mean."""
     heading = track.heading_at(when)
     local = rotate_planar(-heading, hold - trunk[:, :2]) - reach.hips[leg]
     roll, pitch = track.tilt[when % len(track.tilt)].T

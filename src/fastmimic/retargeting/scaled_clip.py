@@ -11,7 +11,7 @@ from fastmimic.clips.clip import Clip
 
 @dataclass(frozen=True, eq=False)
 class ScaledClip:
-    """What retargeting takes from a clip, already at the robot's scale, frame by frame.
+    """Trunk pose and toes of a clip at the robot's scale, frame by frame.
 
     Attributes:
         rate_hz: frames a second.
@@ -36,7 +36,7 @@ class ScaledClip:
     toe_speed: Array
 
     def held(self, frames: int) -> "ScaledClip":
-        """The same recording with its last frame so many times more, at rest."""
+        """The same recording with its last frame repeated so many times, at rest."""
 
         def more(values: Array) -> Array:
             return np.concatenate([values, np.repeat(values[-1:], frames, axis=0)])
@@ -53,16 +53,16 @@ class ScaledClip:
         )
 
     def turned(self, angle: float) -> "ScaledClip":
-        """The same motion with the trunk's heading turned by `angle` rad; nothing moves in the world."""
+        """The same motion with the trunk's heading turned by `angle` rad; its path and toes stay."""
         return replace(self, heading=self.heading + angle, toe_from_hip=rotate_planar(-angle, self.toe_from_hip))
 
 
 def extract(clip: Clip, scale: float, roll_share: float) -> ScaledClip:
     """Trunk pose and toe targets of a clip, scaled.
 
-    Heading and pitch are those of the line from pelvis to neck, roll that of the mean of the lines between left and
-    right shoulders and hips. The mean roll and pitch are removed: where the markers sit on the body is not its
-    neutral attitude. If the clip knows its trunk's orientation, that is used as it is.
+    Heading and pitch are those of the line from pelvis to neck. Roll is that of the mean of the lines between left and
+    right shoulders and hips. The mean roll and pitch are removed, because they depend on the places of the markers. If
+    the clip has its trunk's orientation, that is used instead.
 
     Args:
         clip: the animal.

@@ -1,8 +1,8 @@
-"""Frames of a recording as smooth functions of time: band-limited, resampled to the control rate, differentiated.
+"""Low-pass filter and resampling of recordings to the control rate.
 
-Everything goes through the Fourier series of one period, so that a cycle closes in position, velocity and
-acceleration by construction. A recording that is not a cycle is taken, after its end-to-end line is removed, as
-half of an odd periodic signal (a sine series): value and slope are kept at both ends.
+Both use the Fourier series of one period, so that a cycle closes in position, velocity and acceleration. A recording
+that is not a cycle, less its end-to-end line, counts as half of an odd periodic signal (a sine series). That keeps
+value and slope at both ends.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Deviations of a trunk as functions of time: uniform cubic B-splines over a motion, periodic or not."""
+"""Deviations of a trunk over time: uniform cubic B-splines over a motion, periodic or not."""
 
 from typing import Final
 
@@ -24,7 +24,7 @@ class TrunkSpline:
             n: samples of the motion.
             rate_hz: of the samples.
             periodic: whether sample n repeats sample 0.
-            hz: fastest motion that the spline can follow: two knots a period.
+            hz: highest frequency that the spline can follow, with two knots a period.
         """
         duration = n / rate_hz
         self._pieces = max(4, round(2 * hz * duration))
@@ -34,8 +34,7 @@ class TrunkSpline:
         self.size = self._pieces if periodic else self._pieces + 3
 
     def basis(self, sample: NDArray[np.int_]) -> tuple[NDArray[np.int_], Array]:
-        """Which coefficients act at samples (k,), (k, 4), and their weights (3, k, 4) in value, first and second
-        derivative."""
+        """Indices (k, 4) of the coefficients at samples (k,); weights (3, k, 4) in value and two derivatives."""
         at = sample / self._n * self._pieces
         piece = np.minimum(at.astype(int), self._pieces - 1)
         u = at - piece

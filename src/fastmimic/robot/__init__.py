@@ -1,4 +1,4 @@
-"""Which robot: its geometry, inertia and limits, and the kinematics and dynamics of its legs."""
+"""A robot's geometry, inertia and limits, and its kinematics and dynamics."""
 
 from fastmimic.robot.builtin import ROBOT_CHOICES, ROBOT_NAMES, load_robot
 from fastmimic.robot.robot import Robot

@@ -17,7 +17,7 @@ def load_robot(robot: str | Path | Robot) -> Robot:
     """Returns a built-in robot by name, or reads the user's own MJCF.
 
     Args:
-        robot: one of `ROBOT_NAMES`, or the path of an MJCF file; a `Robot` is returned as it is.
+        robot: one of `ROBOT_NAMES`, or the path of an MJCF file; a `Robot` is returned unchanged.
 
     Raises:
         RobotError: no such robot or file, not an MJCF, or not a quadruped with abduction, hip and knee joints.

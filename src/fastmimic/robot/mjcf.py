@@ -26,7 +26,7 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
     """Reads a `Robot` from a MuJoCo specification; `where` names it in messages.
 
     Raises:
-        RobotError: the model does not compile, or is not a twelve-joint quadruped; says what was found.
+        RobotError: the model does not compile, or is not a twelve-joint quadruped; the message says what was found.
     """
     import mujoco
 
@@ -42,7 +42,7 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
     reversed_joints = [joint for root in roots for joint in _reversed(model, at_zero, root, where)]
     if reversed_joints:
         _turn_round(spec, model, reversed_joints)
-        model, xml = spec.compile(), spec.to_xml()  # with all joints at zero, it is where it was
+        model, xml = spec.compile(), spec.to_xml()  # the zero pose stays
     legs = [_leg(model, at_zero, trunk, root, where) for root in roots]
     order = _order(model, legs, where)
     legs = [legs[i] for i in order]
@@ -109,7 +109,7 @@ class _Leg:
 
 
 def _files_digest(spec: "mujoco.MjSpec") -> str:
-    """Of the content of the meshes' files; empty if there are none."""
+    """Digest of the content of the mesh files; empty without."""
     names = [mesh.file for mesh in spec.meshes if mesh.file]
     if not names:
         return ""
@@ -151,7 +151,7 @@ def _trunk(model: "mujoco.MjModel", where: str) -> int:
 
 
 def _leg_roots(model: "mujoco.MjModel", trunk: int, where: str) -> list[int]:
-    """Bodies with a hinge whose nearest jointed ancestor is the trunk."""
+    """Bodies with a hinge directly below the trunk, fixed bodies left out."""
     roots = [
         int(b) for b in range(trunk + 1, model.nbody) if model.body_jntnum[b] and _moving_parent(model, b) == trunk
     ]
@@ -218,7 +218,7 @@ def _reversed(model: "mujoco.MjModel", at_zero: "mujoco.MjData", root: int, wher
 
 
 def _turn_round(spec: "mujoco.MjSpec", model: "mujoco.MjModel", joints: list[int]) -> None:
-    """Has joints, by their ids, turn about the opposite axes: the same robot with other signs."""
+    """Reverses the axes of joints, by their ids: the same robot with other signs."""
     for joint in spec.joints:
         if joint.id in joints:
             joint.axis = -np.array(joint.axis)
@@ -234,7 +234,7 @@ def _turn_round(spec: "mujoco.MjSpec", model: "mujoco.MjModel", joints: list[int
 
 
 def _leg(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int, root: int, where: str) -> _Leg:
-    """A leg, from where its parts are with all joints at zero."""
+    """A leg, from the places of its parts with all joints at zero."""
     chain, label = _chain(model, root, where), _label(model, root)
     joints = tuple(int(model.body_jntadr[b]) for b in chain)
     for joint in joints:
@@ -381,7 +381,7 @@ def _in_leg_plane(com: Array, legs: list[_Leg]) -> Array:
 
 
 def _ranges(model: "mujoco.MjModel", joints: list[int]) -> tuple[Array, Array, tuple[str, ...]]:
-    """Lower and upper (12,) rad, and what was assumed of joints that turn without end."""
+    """Lower and upper limits (12,), rad, and the assumption for joints without a range."""
     lower, upper = model.jnt_range[joints].T.copy()
     free = np.flatnonzero(~model.jnt_limited[joints].astype(bool))
     lower[free], upper[free] = -np.pi, np.pi

@@ -1,4 +1,4 @@
-"""`Robot`: what the controller knows about a quadruped. Nothing about a particular robot is written in code."""
+"""`Robot`: the geometry, inertia and limits of a quadruped, read from its MJCF."""
 
 import re
 from dataclasses import dataclass, field
@@ -39,9 +39,9 @@ class Robot:
         torque_limit: (12,) N·m.
         joint_speed_limit: (12,) rad/s.
         armature: (12,) reflected rotor inertia, kg·m².
-        joint_damping, joint_friction: (12,) what the joints lose: viscous, N·m·s/rad, and dry, N·m.
-        joint_inertia: (12,) that each joint moves by itself, with all joints at zero and the trunk held: the diagonal
-            of the joint-space inertia, rotors included, kg·m².
+        joint_damping, joint_friction: (12,) viscous, N·m·s/rad, and dry friction of the joints, N·m.
+        joint_inertia: (12,) diagonal of the joint-space inertia with all joints at zero and the trunk held, rotors
+            included, kg·m².
         home_joint_pos: (12,) rad.
         home_height: base height in the home pose, m.
         trunk_mass, trunk_com_b: of the body that carries the legs.
@@ -50,9 +50,9 @@ class Robot:
         joint_names, foot_geoms: names of the model's elements in the common order.
         joint_sign: (12,) −1 where a joint of that name turns about the opposite axis in the file that was read. `xml`
             and `base_spec` have the common axes.
-        assumed: what the model does not say and was assumed, as sentences.
+        assumed: assumptions where the model does not say, as sentences.
         base_spec: the specification that all this was read from; see `spec()`.
-        files_digest: of the content of the model's meshes that are files; empty if there are none.
+        files_digest: of the content of the mesh files; empty without.
     """
 
     name: str
@@ -100,8 +100,8 @@ class Robot:
     def model(self) -> "mujoco.MjModel":
         """A compiled model of the robot alone, without ground or gains.
 
-        Of `xml`, by which results are told apart everywhere; but of the specification if `xml` refers to files, such
-        as meshes, since it does not say where they are.
+        It is compiled from `xml`, which identifies results everywhere. If `xml` refers to files, such as meshes, it is
+        compiled from the specification, which knows their folder.
         """
         import mujoco
 
@@ -111,9 +111,9 @@ class Robot:
 
     @property
     def content(self) -> bytes:
-        """All that the robot is, for digests: `xml`, and the digest of the meshes whose files it only names.
+        """The robot's content for digests: `xml`, and the digest of its mesh files.
 
-        Where those are meshes, MuJoCo writes of their places what rounding has left of a zero; that does not count.
+        With meshes MuJoCo writes rounded zeros of their places, which are left out.
         """
         if not self.files_digest:
             return self.xml.encode()

@@ -1,4 +1,4 @@
-"""What the controller is told, remembers and returns, as arrays that kernels and drivers share."""
+"""Observation, memory and command of the controller, as arrays that kernels and drivers share."""
 
 from typing import TYPE_CHECKING, Any, Final
 
@@ -52,8 +52,8 @@ MEMORY: Final = record_dtype(
         ("early_touchdowns", "i8"),
     ]
 )
-"""What the controller remembers of one robot: leg states (stance 1, swing 0), timers, last forces (heading frame), and
-the s that planning ahead took in the last step, 0 if it did not plan."""
+"""The controller's memory of one robot: leg states (stance 1, swing 0), timers, last forces (heading frame), and the
+time of the last horizon plan, s, 0 without one."""
 
 MODEL: Final = record_dtype(
     [
@@ -73,7 +73,7 @@ MODEL: Final = record_dtype(
         ("foot_radius", "f8"),
     ]
 )
-"""The robot as the controller's model knows it."""
+"""The controller's model of the robot."""
 
 
 def pack_model(robot: "Robot") -> NDArray[Any]:

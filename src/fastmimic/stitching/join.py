@@ -1,10 +1,9 @@
 """Stitching: cyclic robot motions one after another as one motion that does not repeat (paper, "Motion stitching").
 
-ξ₁ ⊕ ξ₂: each motion's retargeted cycle is repeated its number of times and laid end to end in the world. In between,
-the legs pass from one schedule to the next at the phases that agree best (`stitch_switch`), the trunk's velocity, turn,
-height and tilt pass smoothly within a bounded acceleration, and the feet, the trunk's balance and the joints are made
-consistent again by the means of retargeting (`stitch_transition`). Outside the transitions every sample is that of the
-retargeted cycle, moved in the plane.
+ξ₁ ⊕ ξ₂: each motion's retargeted cycle is repeated and laid end to end in the world. The legs pass from one schedule to
+the next at the phases that agree best (`switch`). The trunk's velocity, turn, height and tilt are blended within a
+bounded acceleration. Feet, trunk and joints of a transition are then made consistent as in retargeting (`transition`).
+Outside the transitions every sample is that of the retargeted cycle, moved in the plane.
 """
 
 from collections.abc import Sequence
@@ -29,14 +28,14 @@ from fastmimic.stitching.switch import Cycle, Switch, best_switch
 from fastmimic.stitching.transition import make_transition
 
 SEGMENT_S: Final = 3.0
-"""Length of a segment if nothing is said, to whole cycles."""
+"""Default length of a segment, to whole cycles."""
 
 MAX_S: Final = 600.0
-"""The longest motion that is stitched."""
+"""Longest stitched motion."""
 
 
 def default_cycles(motion: Motion) -> int:
-    """How often a motion is repeated if nothing is said: for about `SEGMENT_S`."""
+    """Default number of cycles of a motion, for about `SEGMENT_S`."""
     return max(1, round(SEGMENT_S / motion.period_s))
 
 
@@ -50,15 +49,15 @@ def stitch_motions(
     """The demonstration of several cyclic motions, one after another.
 
     Args:
-        robot: whose motions they are.
+        robot: the robot.
         motions: two or more demonstrations with a cycle, at one rate.
         cycles: how often each is repeated; about `SEGMENT_S` each if None. A segment ends within 0.6 s and half a cycle
-            of its whole cycles, where it fits the next one best; the last one ends with its cycle.
-        config: settings of the feet, the reach and the balance in the transitions.
+            of its whole cycles, where it fits the next one best. The last one ends with its cycle.
+        config: settings of feet, reach and balance in the transitions, at the A1's size.
 
     Returns:
-        A motion without `cycle`; `meta["stitch"]` holds the layout (`Layout`), the starts of the cycles and what was
-        measured of the transitions, `parts` the motions.
+        A motion without `cycle`. `meta["stitch"]` holds the layout (`Layout`), the starts of the cycles and figures of
+        the transitions; `parts` holds the motions.
 
     Raises:
         ConfigError: fewer than two motions, cycles that are not one positive number for each, or more than `MAX_S`.
@@ -185,7 +184,7 @@ def _layout(
 
 
 def _check_room(layout: Layout) -> None:
-    """Raises `MotionError` if a transition does not leave the one before it, or an end, alone."""
+    """Raises `MotionError` if a transition overlaps the one before it or an end."""
     over = 0
     for before, segment in pairwise(layout.segments):
         spans = [s for s in (segment.trunk, segment.rebuilt) if s is not None]
@@ -201,7 +200,7 @@ def _raise_too_short(name: str, cycles: int) -> None:
 
 
 def _samples(parts: Sequence[Motion], layout: Layout, track: TrunkTrack) -> dict[str, Any]:
-    """The arrays of the whole, each sample from the part of the segment that it lies in; the root from the track."""
+    """The arrays of the whole: each sample from the part of its segment, the root from the track."""
     n = layout.n
     out: dict[str, Any] = {
         "root_pos_w": np.column_stack([track.root_xy, track.root_z]),
@@ -226,8 +225,8 @@ def _samples(parts: Sequence[Motion], layout: Layout, track: TrunkTrack) -> dict
 def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[TrunkTrack, Array, NDArray[np.bool_]]:
     """The blended trunk, the feet's paths (n, 4, 3) under it (world; z above the ground) and the contacts (n, 4).
 
-    The trunk's planar path is the integral of the blended velocity in the heading frame, so it is continuous in
-    position, velocity and acceleration whatever is joined.
+    The trunk's planar path is the integral of the blended velocity in the heading frame, so that position, velocity and
+    acceleration are continuous.
     """
     n, t = layout.n, np.arange(layout.n)
     trunk, feet = layout.trunk_weights(), layout.foot_weights()
@@ -271,8 +270,8 @@ def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[TrunkTrac
 def _pass_in_swing(
     feet: Array, span: Span, parts: Sequence[Motion], before: StitchedSegment, after: StitchedSegment, leg: int
 ) -> None:
-    """One foot (n, 3), heading frame, in a swing that begins as one motion's and ends as the other's: their two swings,
-    stretched to its duration, blended."""
+    """Blends one foot (n, 3), heading frame, in a swing from one motion to another. Both swings are stretched to its
+    duration."""
     t = np.arange(span.start, span.end)
     paths = []
     for segment, lifts in ((before, True), (after, False)):
@@ -295,7 +294,7 @@ def _feet(body: TrunkTrack) -> Array:
 
 
 def _cycle_starts(layout: Layout, parts: Sequence[Motion]) -> list[int]:
-    """Samples at which the cycle of the segment that they lie in starts."""
+    """Samples at which a cycle of their segment starts."""
     return [
         t
         for segment in layout.segments

@@ -1,4 +1,4 @@
-"""When which of a stitched motion's parts rules: what is kept in its `meta`, and the weights that follow from it."""
+"""The segments of a stitched motion, as kept in its `meta`, and the blend weights of its parts."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -13,14 +13,14 @@ from fastmimic.motion.motion import Motion
 
 @dataclass(frozen=True)
 class Span:
-    """Samples [start, end); of a foot, in which it stands, or swings if `stands` is False."""
+    """Samples [start, end) of a blend; of a foot, a stance, or a swing if `stands` is False."""
 
     start: int
     end: int
     stands: bool = True
 
     def smooth_step(self, sample: NDArray[np.int_]) -> Array:
-        """0 before, 1 after, a polynomial with continuous second derivative in between; (k,) for samples (k,)."""
+        """The blend (k,) at samples (k,): 0 before, 1 after, a polynomial with continuous second derivative between."""
         u = np.clip((sample - self.start) / max(self.end - self.start, 1), 0.0, 1.0)
         return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
 
@@ -35,9 +35,9 @@ class StitchedSegment:
         cycles: asked for.
         first, last: samples, last exclusive; neighbours meet in the middle of their transition.
         shift: sample t of the whole is sample (t − shift) mod n of the part.
-        trunk: over which the trunk passes to this segment; None for the first.
-        feet: (4) stances, or swings, in which each leg passes to it; None for the first.
-        rebuilt: samples that are neither the part's nor the one before's as they were retargeted.
+        trunk: blend of the trunk into this segment; None for the first.
+        feet: (4) stances or swings in which each leg passes to it; None for the first.
+        rebuilt: samples of the transition, which are no part's own.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Layout:
 
     @classmethod
     def of(cls, motion: Motion) -> "Layout":
-        """That of a stitched motion; raises `MotionError` for any other, and where it does not fit the motion."""
+        """The layout of a stitched motion; raises `MotionError` for another motion, or if it does not fit."""
         found = motion.meta.get("stitch")
         if found is None:
             raise MotionError(f"motion '{motion.name}' is not a stitched one")
@@ -78,7 +78,7 @@ class Layout:
         return layout
 
     def as_meta(self) -> list[dict[str, Any]]:
-        """Plain JSON types, what `of` reads."""
+        """Plain JSON types for `of`."""
         return [asdict(s) for s in self.segments]
 
     def trunk_weights(self) -> Array:
@@ -95,7 +95,7 @@ class Layout:
 
 
 def _shares(steps: Array) -> Array:
-    """Each one's own step less that to the next."""
+    """Each segment's own step less that to the next."""
     return steps - np.concatenate([steps[1:], np.zeros_like(steps[:1])])
 
 

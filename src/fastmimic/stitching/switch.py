@@ -1,9 +1,9 @@
-"""When to pass from one cyclic motion to another: at the phases where their feet agree best.
+"""Finds the phases at which one cyclic motion passes to another: where their feet agree best.
 
-Each leg passes from one motion's schedule to the other's within a stance, the last of the first motion and the first
-of the second becoming one, or within a swing likewise; whatever lasts most nearly as long as it usually does. So no
-foot is asked to stand and to swing at once. Between gaits of the same pairs these stances are as long as any other;
-from a pace to a trot some are longer and some shorter, by as little as the best phases allow.
+Each leg passes within a stance, or within a swing: the last of the first motion and the first of the second become
+one. The merged one that lasts most nearly its usual time is chosen, so that no foot has to stand and swing at once.
+Between gaits of the same pairs these stances are as long as usual. From a pace to a trot some are longer and some
+shorter, by as little as the best phases allow.
 """
 
 import math
@@ -22,33 +22,33 @@ from fastmimic.retargeting.reach import Reach
 from fastmimic.stitching.layout import Span
 
 SEARCH_S: Final = 0.6
-"""How far from whole cycles a switch may be, either way; half a cycle at most."""
+"""Largest distance of a switch from whole cycles; half a cycle at most."""
 MAX_ACCELERATION: Final = 1.4  # m/s², of the trunk's mean velocity within a transition
 MAX_TURN_ACCELERATION: Final = 6.0  # rad/s²
 _STEEPEST: Final = 1.875
-"""Slope of the smooth step in its middle."""
+"""Slope of the smooth step at its middle."""
 _LEAST_STRIDES: Final = 0.5
-"""A transition of the trunk lasts at least so many strides."""
+"""Shortest transition of the trunk, strides."""
 _STEP_S: Final = 0.02
 _FINER: Final = 5
 _LOOK_S: Final = 0.01
 _SHORTEST: Final = 0.5
-"""Least share of their usual duration that merged stances last; of swings, `_SHORTEST_SWING`."""
+"""Shortest merged stance, share of its usual duration; for swings `_SHORTEST_SWING`."""
 _SHORTEST_SWING: Final = 0.85
 _FORBIDDEN: Final = 100.0
 _OFF_CENTRE: Final = 0.3
 _OUT_OF_REACH: Final = 20.0
 _SPEED_CHANGE: Final = 0.1  # s²/m²
 _STRANGE_SUPPORT: Final = np.array([16.0, 8.0, 2.0, 0.0, 0.0])
-"""Cost of standing for a stride on 0, …, 4 feet in a way that neither motion does."""
+"""Cost of a stride on 0, …, 4 feet in a combination that neither motion has."""
 _CANDIDATES: Final = 150
 _FOREVER: Final = 100
-"""Strides that a foot that never lifts off stands, so to speak."""
+"""Stance, in strides, of a foot that never lifts off."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
-    """A cyclic motion as the search for a switch sees it.
+    """A cyclic motion for the search of a switch.
 
     Attributes:
         n: samples.
@@ -83,8 +83,7 @@ class Cycle:
         return cls(n, stances, motion.contact, smooth, stride)
 
     def around(self, leg: int, phase: int, reach: int) -> list[Stance]:
-        """Stances of a leg within `reach` samples of a phase, relative to it; a leg that never lifts stands far longer
-        than that."""
+        """Stances of a leg within `reach` samples of a phase, relative to it; a very long one if it never lifts off."""
         if not self.stances[leg]:
             return [Stance(-_FOREVER * reach, _FOREVER * reach)]
         found = []
@@ -105,8 +104,8 @@ class Switch:
         out: sample of the first motion, not wrapped, at which they meet.
         into: sample of the second at that moment.
         feet: the merged stances or swings relative to that moment.
-        half: half the samples in which the trunk passes from one to the other.
-        cost: the smaller, the better they agree.
+        half: half the samples of the trunk's blend.
+        cost: small where the motions agree well.
     """
 
     out: int
@@ -117,13 +116,13 @@ class Switch:
 
 
 def best_switch(a: Cycle, b: Cycle, out: int, rate_hz: float, reach: Reach, linger_s: float) -> Switch:
-    """Where to pass from `a` to `b`, near sample `out` of `a` and the beginning of `b`.
+    """The best switch from `a` to `b`, near sample `out` of `a` and the beginning of `b`.
 
     Args:
         a, b: the motions.
         out: sample of `a`, not wrapped.
         rate_hz: of the samples.
-        reach: of the legs, which limits how long a foot can stand at the speed of the moment.
+        reach: of the legs; it limits the stances at the present speed.
         linger_s: see `SwingPathConfig`.
     """
     step = max(1, round(_STEP_S * rate_hz))
@@ -177,7 +176,7 @@ def _best_of(
 
 
 def _half_transition(change: Array, stride: float, rate_hz: float) -> int:
-    """Half the time that the trunk takes for a change (3,) of its velocity, m/s and rad/s, samples."""
+    """Half the samples of the trunk's blend for a change (3,) of its velocity, m/s and rad/s."""
     speed = _STEEPEST * math.hypot(change[0], change[1]) / MAX_ACCELERATION
     turn = _STEEPEST * abs(float(change[2])) / MAX_TURN_ACCELERATION
     return math.ceil(0.5 * max(_LEAST_STRIDES * stride, speed * rate_hz, turn * rate_hz))
@@ -185,10 +184,10 @@ def _half_transition(change: Array, stride: float, rate_hz: float) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Passing:
-    """How far the trunk travels while it passes from one velocity (2,), m a sample, to another within ± `half` samples.
+    """Travel of the trunk from one velocity (2,), m a sample, to another within ± `half` samples.
 
-    `sweep` is the way, m, that a trunk can travel over a foot within the leg's reach; `linger` samples before and after
-    the stance the foot is still near.
+    `sweep` is the distance, m, that a trunk can travel over a foot within the leg's reach. The foot is near its
+    foothold for `linger` samples before and after the stance.
     """
 
     before: Array
@@ -206,7 +205,7 @@ class _Passing:
         )
 
     def excess(self, start: int, end: int, own: float) -> float:
-        """By what share a stance exceeds the reach of its leg, or `own`, what it travels in its own motion, m."""
+        """Share by which a stance exceeds the leg's reach, or `own`, the travel in its own motion, m."""
         way = self.travel(start - self.linger, end + self.linger)
         return max(0.0, way / max(self.sweep, own) - 1.0)
 
@@ -217,7 +216,7 @@ class _Passing:
 
 
 def _merge(before: list[Stance], after: list[Stance], stride: float, passing: _Passing) -> tuple[float, Span]:
-    """The stances, or swings, of one leg that become one at the least cost, and that cost."""
+    """The least cost of merging two stances or swings of one leg, and the merged one."""
     best = _merge_swings(before, after, stride)
     for x in before:
         for y in after:
@@ -258,7 +257,7 @@ def _merge_swings(before: list[Stance], after: list[Stance], stride: float) -> t
 
 
 def _supports(contact: NDArray[np.bool_]) -> set[int]:
-    """The sets of standing feet that a motion uses for more than a moment, as bits."""
+    """The combinations of standing feet in more than 2 % of a motion, as bits."""
     code, count = np.unique(contact @ (1 << np.arange(4)), return_counts=True)
     return {int(c) for c, k in zip(code, count, strict=True) if k >= 0.02 * len(contact)}
 

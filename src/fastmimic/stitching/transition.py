@@ -24,19 +24,19 @@ from fastmimic.stitching.layout import Layout, Span
 from fastmimic.stitching.switch import Cycle
 
 _PAD: Final = 4
-"""Samples beyond the rebuilt ones that derivatives are taken over."""
+"""Samples beyond the rebuilt ones, for derivatives."""
 _LOWERING_SHARE: Final = 0.3
-"""Of a transition, in which the trunk goes down and comes up again."""
+"""Share of a transition in which the trunk goes down, and in which it comes up again."""
 
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """What is rebuilt between two segments.
+    """The rebuilt samples between two segments.
 
     Attributes:
         span: of the whole motion's samples.
         arrays: of these samples, by the names of `Motion`.
-        measured: what came out, JSON-serialisable.
+        measured: figures, JSON-serialisable.
     """
 
     span: Span
@@ -44,7 +44,7 @@ class Transition:
     measured: dict[str, Any]
 
     def write(self, arrays: dict[str, Array]) -> None:
-        """Puts the samples into the whole motion's arrays."""
+        """Writes the samples into the arrays of the whole motion."""
         for name, values in self.arrays.items():
             arrays[name][self.span.start : self.span.end] = values
         arrays["root_quat_wxyz"] = quat_continuous(arrays["root_quat_wxyz"])
@@ -62,7 +62,7 @@ def make_transition(
     reach: Reach,
     config: RetargetConfig,
 ) -> Transition:
-    """Rebuilds what lies between segment `index` − 1 and segment `index`.
+    """Rebuilds the samples between segment `index` − 1 and segment `index`.
 
     Args:
         robot: geometry, limits, inertia.
@@ -115,7 +115,7 @@ def make_transition(
         feet = plant_feet(
             raw, local, plan.stances, holds, reach.clearance, robot.foot_radius, rate_hz, config.swing, evenness
         )
-        for leg, span in enumerate(plan.rebuilt):  # the rest is as it was
+        for leg, span in enumerate(plan.rebuilt):  # the rest stays
             inside = np.arange(window.start, window.end)
             keep = (inside < span.start) | (inside >= span.end)
             feet[keep, leg] = raw_w[part][keep, leg]
@@ -173,13 +173,13 @@ def _within_limits(
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What of the feet is kept and what is made anew; samples of the whole, stances of the window.
+    """The kept and the new footholds; samples of the whole, stances of the window.
 
     Attributes:
-        window: all that is looked at.
-        rebuilt: of each leg.
+        window: samples of the transition and around it.
+        rebuilt: new samples of each leg.
         stances: of each leg, relative to the window.
-        fixed: for each of them a sample at which the foot is where it stands, or None for a new foothold.
+        fixed: for each of them a sample at which the foot is at its foothold, or None for a new one.
     """
 
     window: Span
@@ -248,7 +248,7 @@ def _plan(layout: Layout, index: int, contact: NDArray[np.bool_], own: tuple[Cyc
 def _measure(
     robot: Robot, motion: Motion, pose: Pose, before: TrunkTrack, after: TrunkTrack, plan: _Plan, rate_hz: float
 ) -> dict[str, Any]:
-    """What a transition asks of the robot."""
+    """Figures of a transition."""
     inner = slice(_PAD, motion.n_samples - _PAD)
     speed = np.abs(motion.joint_vel[inner]) / robot.joint_speed_limit
     acceleration = np.gradient(motion.root_lin_vel_w, motion.dt, axis=0)[inner]

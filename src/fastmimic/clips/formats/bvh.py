@@ -1,8 +1,8 @@
 """Biovision hierarchies (BVH): a skeleton of joints with their offsets, and the angles of each frame.
 
-A joint's transform is its offset, or its position channels where it has some, followed by its rotations in the order in
-which its channels name them, each about the axis that the ones before have turned. Points are named after joints;
-`NAME.end` is the end site of the joint NAME.
+A joint's transform is its offset, or its position channels if it has some, followed by its rotations in the order of
+its channels, each about the axis turned by those before. Points are named after joints; `NAME.end` is the end site of
+the joint NAME.
 """
 
 from collections.abc import Iterator
@@ -119,7 +119,7 @@ def _hierarchy(lines: Iterator[tuple[int, list[str]]]) -> list[_Joint]:
             elif word == "MOTION" and joints and not above and opening is None:
                 return joints
             else:
-                raise ClipError(f"line {number}: '{' '.join(words)[:40]}' is not what a BVH's hierarchy has there")
+                raise ClipError(f"line {number}: '{' '.join(words)[:40]}' is not expected in a BVH's hierarchy there")
     raise ClipError("the file ends within the hierarchy: there is no line MOTION")
 
 

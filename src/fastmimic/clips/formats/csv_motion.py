@@ -38,7 +38,7 @@ JOINT_SPELLINGS: Final = (
     ("abad", "hip", "knee"),
     ("hip_x", "hip_y", "knee"),
 )
-"""One row serves all twelve joints: FR_hip is the abduction beside FR_thigh, the hip beside FR_abduction."""
+"""A file uses one row: FR_hip is the abduction beside FR_thigh, and the hip beside FR_abduction."""
 
 _LEG_SPELLINGS: Final = {
     "FR": ("fr", "rf"),
@@ -56,7 +56,7 @@ def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
 
     Args:
         text: the file's content.
-        robot: whose joints they are.
+        robot: the robot of the joints.
         fps: frames a second, in place of the file's time column or the default.
 
     Raises:
@@ -119,7 +119,7 @@ def _columns(table: Table, header: list[str] | None) -> tuple[list[int], list[st
 
 
 def _plain(name: str) -> str:
-    """A column's name without case, quotes, SI units, and words that say nothing."""
+    """A column's name in lower case without quotes, SI units and filler words."""
     name = name.strip().strip("\"'").lower()
     name = re.sub(r"\s*[\[(]\s*(m|s|rad|-|1)?\s*[\])]$", "", name)  # other units stay: such a column is not meant
     name = re.sub(r"[\s.\-/:]+", "_", name)

@@ -29,9 +29,9 @@ FRAME_NAMES: Final = (
 )
 LOOP_MODES: Final = ("Wrap", "Clamp")
 _LOOP_KEYS: Final = ("LoopMode", "EnableCycleOffsetPosition", "EnableCycleOffsetRotation")
-"""Kept as provenance: what a cycle adds is measured on the motion itself."""
+"""Kept as provenance; the displacement of a cycle is measured on the motion."""
 _ROBOT_KEY: Final = "Robot"
-"""Of files that `fastmimic.motion.export` wrote: whose joints they hold, in place of the Laikago's."""
+"""In files of `fastmimic.motion.export`: the robot of the joints, in place of the Laikago."""
 
 # The Laikago's model, m. Rows are FR, FL, RR, RL.
 _SIDE: Final = np.where(LEFT, 1.0, -1.0)
@@ -123,7 +123,7 @@ def _rotate_y(angle: Array, v: Array) -> Array:
 
 
 def _named(name: Any, robot: Robot | None) -> Robot:
-    """The robot whose joints a file says it holds."""
+    """The robot that a file names."""
     from fastmimic.robot import ROBOT_NAMES, load_robot
 
     if robot is not None and robot.name == name:

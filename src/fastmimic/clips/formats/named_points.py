@@ -1,7 +1,7 @@
 """Keypoints as a table with a header: three columns a point, NAME_x, NAME_y, NAME_z, in any order of points.
 
-What tracking programs export, C3D converted to text included. `NAME.x`, `NAME:X` and `NAME x` are read likewise; a
-column `time` gives the frame rate, and `frame` is passed over.
+Tracking programs export such tables, also from C3D. `NAME.x`, `NAME:X` and `NAME x` are the same. A column `time` gives
+the frame rate; `frame` is ignored.
 """
 
 import re
@@ -25,7 +25,6 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None, point_m
     """Reads the text of such a table.
 
     Args:
-        text: the file's content.
         fps: frames a second; by the column `time` if None.
         up: 'y' or 'z'; if None, the one along which the hips lie above the toes.
         point_map: which points the ten are; if None, those of the same names, or of AI4Animation's dog.

@@ -1,7 +1,6 @@
-"""An animal's points, whatever file they are from: which of them are which, which way is up, and in what unit.
+"""An animal's points from any file: their names, the vertical axis and the unit.
 
-A point map says which of a file's points the ten of `POINT_NAMES` are: a JSON object of ten names. Nothing else of a
-skeleton matters for retargeting.
+A point map is a JSON object that names a file's point for each of the ten of `POINT_NAMES`.
 """
 
 import json
@@ -33,14 +32,13 @@ AI4ANIMATION_DOG: Final[PointMap] = {
 """Of the dog of Zhang et al. (2018); `.end` is a joint's end site."""
 OWN_NAMES: Final[PointMap] = {name: name for name in POINT_NAMES}
 BUILT_IN: Final = {"AI4Animation's dog": AI4ANIMATION_DOG, "the common names": OWN_NAMES}
-"""Maps that are tried if none is given."""
+"""Default maps, tried in this order."""
 
 _TO_Z_UP: Final = {"y": (2, 0, 1), "z": (0, 1, 2)}
 _MIN_UPRIGHT: Final = 0.5
 """Least share of the mean toe → hip vector that is vertical: 0.95 in takes in which the dog also sits."""
 _UNITS: Final = ((300.0, 1e-3, "millimetres"), (3.0, 1e-2, "centimetres"))
-"""From which distance of the hips above the toes, in the file's numbers, its unit is taken for another than metres: no
-animal's legs are 3 m long."""
+"""Least distance from toes to hips, in the file's numbers, for a unit other than metres: no animal's legs are 3 m."""
 
 
 def read_point_map(path: str | Path) -> dict[str, str]:
@@ -66,10 +64,10 @@ def read_point_map(path: str | Path) -> dict[str, str]:
 
 
 def choose(names: Sequence[str], given: PointMap | None) -> tuple[list[int], str | None]:
-    """Which of a file's points `names` the ten are, (10,), and the name of the built-in map that fitted.
+    """Indices (10,) of the ten points among a file's `names`, and the name of the built-in map that fits.
 
     Raises:
-        ClipError: no map fits; says which names there are.
+        ClipError: no map fits; the message lists the names.
     """
     maps = BUILT_IN if given is None else {"": given}
     for title, points in maps.items():
@@ -82,7 +80,7 @@ def choose(names: Sequence[str], given: PointMap | None) -> tuple[list[int], str
             f" it has {_listed(names)}"
         )
     raise ClipError(
-        f"which of its points are which is not known: it has {_listed(names)}; give a point map"
+        f"its points are not known by name: it has {_listed(names)}; give a point map"
         f" (--point-map FILE.json), a JSON object such as {_example()}"
     )
 
@@ -103,7 +101,7 @@ def clip_of(
         chosen: (10,) which of them are the ten.
         rate_hz: frames a second.
         up: 'y' or 'z'; if None, the one along which the hips lie above the toes.
-        assumed: what has been assumed so far.
+        assumed: assumptions so far.
         skeleton: between the k points; the ten alone are kept if None.
 
     Raises:
@@ -163,7 +161,7 @@ def _check_upright(points: Array, up: str) -> None:
 
 
 def _check_right_handed(points: Array) -> None:
-    """Left × right is lost in a mirrored file, which would swap the turns."""
+    """A mirrored file would swap the turns."""
     forward = points[:, 1] - points[:, 0]
     left = np.cross([0.0, 0.0, 1.0], forward)
     width = points[:, [3, 5]].sum(axis=1) - points[:, [2, 4]].sum(axis=1)

@@ -1,4 +1,4 @@
-"""The ten keypoints of a robot: what a clip holds when the source is a robot's motion."""
+"""The ten keypoints of a robot, for clips made from a robot's motion."""
 
 import numpy as np
 

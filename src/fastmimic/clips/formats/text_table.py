@@ -23,8 +23,8 @@ class Row(NamedTuple):
 class Table(NamedTuple):
     """The rows of a text, and the names of its columns if the text gives them.
 
-    Blank lines and lines that start with `#` are no rows. A header is a first line without any number, or the
-    last comment before the first row if it has as many fields as that row (as `numpy.savetxt` writes it).
+    Blank lines and lines that start with `#` are left out. A header is a first line without numbers, or the last
+    comment before the first row if it has as many fields (as `numpy.savetxt` writes it).
     """
 
     header: list[str] | None
@@ -81,7 +81,7 @@ def to_array(
     Args:
         rows: of the file.
         columns: how many each must have.
-        column_name: 0-based column → what it holds, for messages.
+        column_name: name of a 0-based column, for messages.
         what: the format, for messages.
         largest: magnitude allowed, in all columns or in each.
 
