@@ -14,7 +14,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.imitation.methods import RL, method_named
 from fastmimic.render.figure_style import INK, MUTED, Line, new_figure, tidy
 
-_COLORS: Final = {"rl": "#009e73", "mbc-dmp": "#0072b2", "mbc": "#d55e00"}  # of Okabe and Ito, as in a comparison
+_COLORS: Final = {name: method_named(name).color for name in ("rl", "mbc-dmp", "mbc")}
 _LABELS: Final = {
     "rl": f"{method_named(RL).label}, one policy a motion",
     "mbc-dmp": f"{method_named('mbc-dmp').label}, best candidate so far",

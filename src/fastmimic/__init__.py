@@ -13,6 +13,7 @@ foot sphere; angular velocities in the world frame; float64.
 
 from typing import TYPE_CHECKING, Any
 
+from fastmimic.base.after_import import after_import
 from fastmimic.clips.clip import Clip
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
@@ -23,7 +24,9 @@ if TYPE_CHECKING:
     from fastmimic.base.errors import FastMimicError
     from fastmimic.clips.catalogue import motion_names, open_clip
     from fastmimic.control.config import ControllerConfig
+    from fastmimic.episode.reward import REWARD_TERMS, RewardTerm
     from fastmimic.imitation.imitate import Evaluation, Imitation, evaluate, imitate
+    from fastmimic.imitation.methods import METHODS, Method
     from fastmimic.imitation.stitch import Stitching, stitch
     from fastmimic.optimize.randomization import Randomization
     from fastmimic.primitive import MotionDmp
@@ -36,6 +39,10 @@ _WHERE = {
     "Conditions": "fastmimic.simulation.conditions",
     "ControllerConfig": "fastmimic.control.config",
     "Evaluation": "fastmimic.imitation.imitate",
+    "METHODS": "fastmimic.imitation.methods",
+    "Method": "fastmimic.imitation.methods",
+    "REWARD_TERMS": "fastmimic.episode.reward",
+    "RewardTerm": "fastmimic.episode.reward",
     "FastMimicError": "fastmimic.base.errors",
     "Imitation": "fastmimic.imitation.imitate",
     "Motion": "fastmimic.motion.motion",
@@ -55,6 +62,8 @@ _WHERE = {
 }
 
 __all__ = [
+    "METHODS",
+    "REWARD_TERMS",
     "ROBOT_NAMES",
     "Clip",
     "Conditions",
@@ -62,9 +71,11 @@ __all__ = [
     "Evaluation",
     "FastMimicError",
     "Imitation",
+    "Method",
     "Motion",
     "MotionDmp",
     "Randomization",
+    "RewardTerm",
     "Robot",
     "Stitching",
     "evaluate",
@@ -76,6 +87,16 @@ __all__ = [
     "retarget",
     "stitch",
 ]
+
+
+def _register_environments() -> None:
+    """Makes `gymnasium.make("fastmimic/Imitation-v0")` work, without importing Gymnasium for it."""
+    from fastmimic.learning.registration import register
+
+    register()
+
+
+after_import("gymnasium", _register_environments)
 
 
 def __getattr__(name: str) -> Any:

@@ -21,14 +21,14 @@ from fastmimic.experiments.comparison_run import ComparisonSettings, Row, finish
 from fastmimic.experiments.parallel import RunProgress
 from fastmimic.experiments.tables import COLUMNS, ablation_table, comparison_table, summaries
 from fastmimic.imitation.imitate import evaluate
-from fastmimic.imitation.methods import METHODS
+from fastmimic.imitation.methods import METHODS, PAPER_METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.report.comparison_files import write_comparison
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import load_motion
 
 TINY = ComparisonSettings(duration_s=0.6, iterations=2, population=4, evaluation_s=0.8, perturbed_episodes=2)
-PLAN = ComparisonPlan(TINY, ("trot",), tuple(METHODS), seeds=2, ablations=True)
+PLAN = ComparisonPlan(TINY, ("trot",), tuple(PAPER_METHODS), seeds=2, ablations=True)
 PNG = b"\x89PNG"
 
 
@@ -335,7 +335,7 @@ class TestTables:
         assert found["mbc-dmp", ""].mean("reward") == pytest.approx(np.mean(own))
         assert found["mbc-dmp", ""].std("reward") == pytest.approx(abs(own[0] - own[1]) / np.sqrt(2))
         assert found["mbc", ""].std("reward") is None
-        assert [s.method for s in found.values() if not s.variant] == list(METHODS)
+        assert [s.method for s in found.values() if not s.variant] == list(PAPER_METHODS)
 
     def test_the_comparison_has_a_line_a_method_and_the_papers_numbers_in_none(self, rows: list[Row]) -> None:
         own = [r for r in rows if not r["variant"]]

@@ -1,12 +1,14 @@
 """The registry of methods: what each changes, and that every name is known where a method can be given."""
 
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from fastmimic.base.errors import ConfigError, MotionError
-from fastmimic.control.config import CONFIGS, controller_config
+from fastmimic.control.config import CONFIGS, ControllerConfig, controller_config
+from fastmimic.control.controller import Controller
 from fastmimic.episode.loop import run_episodes
 from fastmimic.imitation.imitate import evaluate, imitate
 from fastmimic.imitation.methods import (
@@ -14,6 +16,7 @@ from fastmimic.imitation.methods import (
     MADE_WITH,
     METHODS,
     NOTHING,
+    PAPER_METHODS,
     Method,
     controller_for,
     made_with,
@@ -23,7 +26,7 @@ from fastmimic.imitation.stitch import stitch
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es
 from fastmimic.primitive import MotionDmp
-from fastmimic.robot import load_robot
+from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
 
 
@@ -45,11 +48,13 @@ def test_each_method_changes_only_what_its_name_claims(config: str) -> None:
     raibert = {"swing.foothold"} | ({"stance.leg_momentum"} if base.stance.leg_momentum else set())
     claims = {"raibert": raibert, "lh": {"stance.forces"}, "lh-dmp": {"stance.forces"}}
     for name, method in METHODS.items():
+        if name == "rl":
+            continue
         assert differences(base, method.configure(base)) == claims.get(name, set())
 
 
 def test_what_is_optimised() -> None:
-    assert {name: m.parameters for name, m in METHODS.items()} == {
+    assert {name: METHODS[name].parameters for name in PAPER_METHODS} == {
         "raibert": NOTHING,
         "mbc": NOTHING,
         "lh": NOTHING,
@@ -59,14 +64,49 @@ def test_what_is_optimised() -> None:
     assert all(m.optimises == (m.parameters != NOTHING) for m in METHODS.values())
 
 
+def test_a_method_before_its_optimisation() -> None:
+    found = {name: method.unoptimised.name for name, method in METHODS.items() if method.optimises}
+    assert found == {"mbc-dmp": "mbc", "lh-dmp": "lh", "mbc-dmp-path": "mbc", "mbc-dmp-body": "mbc"}
+    assert all(method.unoptimised is method for method in METHODS.values() if not method.optimises)
+
+
+class TestUsersMethods:
+    @pytest.fixture(autouse=True)
+    def registered(self) -> Iterator[None]:
+        """A change of the model-based controller, and a controller of one's own that commands nothing else."""
+
+        def stiff(config: ControllerConfig) -> ControllerConfig:
+            swing = dataclasses.replace(config.swing, foothold="raibert")
+            return dataclasses.replace(config, swing=swing)
+
+        def copied(robot: Robot, demonstration: Motion, n: int, config: ControllerConfig) -> Controller:
+            return Controller(robot, [demonstration], n, config)
+
+        METHODS.register(Method("mine", "Mine", "another foothold", change=stiff))
+        METHODS.register(Method("copy", "Copy", "mbc under another name", controller=copied))
+        yield
+        METHODS.unregister("mine")
+        METHODS.unregister("copy")
+
+    def test_they_are_imitated_and_evaluated_with(self) -> None:
+        mine, copy, mbc = (evaluate("trot", method=name, duration_s=0.4) for name in ("mine", "copy", "mbc"))
+        assert mine.config.swing.foothold == "raibert"
+        assert copy.rollout.reward[0] == mbc.rollout.reward[0] != mine.rollout.reward[0]
+        assert imitate("trot", method="copy", duration_s=0.4).after.reward[0] == mbc.rollout.reward[0]
+
+    def test_a_controller_of_ones_own_follows_the_demonstration_alone(self) -> None:
+        with pytest.raises(ConfigError, match="cannot optimise"):
+            Method("x", "X", "", FOOT_HEIGHT, controller=METHODS["copy"].controller)
+
+
 def test_an_unknown_method_is_refused_with_the_closest() -> None:
-    with pytest.raises(ConfigError, match=r"unknown method 'lhdmp'; there are raibert, mbc, .*did you mean 'lh-dmp'"):
+    with pytest.raises(ConfigError, match=r"unknown method 'lhdmp'; there are rl, raibert, .*mean 'lh-dmp'"):
         method_named("lhdmp")
     with pytest.raises(ConfigError, match="unknown parameters 'everything'; there are none, foot-height"):
         Method("x", "X", "", "everything", lambda config: config)
 
 
-@pytest.mark.parametrize("name", sorted(METHODS))
+@pytest.mark.parametrize("name", sorted(PAPER_METHODS))
 def test_imitation_by_every_method(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cma_es, "VALIDATION_S", 0.4)
     robot = load_robot("a1")
@@ -91,7 +131,7 @@ def test_imitation_by_every_method(name: str, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_an_evaluation_takes_the_methods_controller() -> None:
-    rewards = {name: evaluate("trot", method=name, duration_s=0.6).rollout.reward[0] for name in METHODS}
+    rewards = {name: evaluate("trot", method=name, duration_s=0.6).rollout.reward[0] for name in PAPER_METHODS}
     assert rewards["mbc"] == rewards["mbc-dmp"]
     assert rewards["lh"] == rewards["lh-dmp"]
     assert len(set(rewards.values())) == 3

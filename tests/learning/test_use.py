@@ -17,7 +17,7 @@ from fastmimic.experiments.comparison_folder import ComparisonFolder
 from fastmimic.experiments.comparison_run import ComparisonSettings, Row
 from fastmimic.experiments.tables import comparison_table
 from fastmimic.imitation.imitate import evaluate, imitate
-from fastmimic.imitation.methods import ALL_METHODS, METHODS
+from fastmimic.imitation.methods import METHODS, PAPER_METHODS
 from fastmimic.learning.controller import controlled_by
 from fastmimic.motion.motion import Motion
 from fastmimic.report.comparison_files import write_comparison
@@ -145,7 +145,7 @@ class TestCompare:
         assert written["rl"]["parameters"].startswith("policy=")
         assert "| `side-step` | RL |" in (tmp_path / "table.md").read_text()
         assert (tmp_path / "comparison.png").stat().st_size > 10_000
-        assert list(ALL_METHODS)[: 1 + len(METHODS)] == ["rl", *METHODS]
+        assert list(METHODS)[: 1 + len(PAPER_METHODS)] == ["rl", *PAPER_METHODS]
 
         # the others' rows do not know of it
         alone = ComparisonPlan(TINY, ("side-step",), ("mbc",), seeds=1, ablations=False)

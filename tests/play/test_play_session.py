@@ -16,7 +16,7 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.motion.motion import Motion
 from fastmimic.play.motions import DEFAULTS, load_motions
 from fastmimic.play.pacing import MOST_BEHIND_S, Pacer
-from fastmimic.play.session import METHODS, RATES, LiveSession
+from fastmimic.play.session import RATES, LiveSession, playable_methods
 from fastmimic.primitive import FOOT_Z, MotionDmp
 from fastmimic.reference.course import course_of, since_middle
 from fastmimic.reference.modulation_limits import LIFT, SPEED, TURN_ACCELERATION
@@ -299,7 +299,7 @@ def test_from_its_back_it_gets_up_in_place_facing_the_same_way(a1: Robot, librar
 
 def test_the_controller_changes_while_it_runs(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start="trot")
-    for method in (*METHODS[1:], METHODS[0]):
+    for method in (*playable_methods(), "mbc"):
         session.set_method(method)
         session.run(1.0)
         assert session.method == method

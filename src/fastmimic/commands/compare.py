@@ -88,7 +88,7 @@ class Compare:
     def _plan(self) -> "ComparisonPlan":
         from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, ComparisonPlan, choose_policies
         from fastmimic.experiments.comparison_run import EVALUATION_S, ComparisonSettings
-        from fastmimic.imitation.methods import METHODS, RL
+        from fastmimic.imitation.methods import PAPER_METHODS, RL
         from fastmimic.robot import ROBOT_NAMES
 
         if self.builtin and self.motions is not None:
@@ -104,7 +104,7 @@ class Compare:
         )
         default = BUILT_IN_MOTIONS if self.builtin else PAPER_MOTIONS
         motions = self.motions if self.motions is not None else default
-        methods = self.methods if self.methods is not None else (*METHODS, *([RL] if self.policy else []))
+        methods = self.methods if self.methods is not None else (*PAPER_METHODS, *([RL] if self.policy else []))
         policies = choose_policies(self.policy, motions) if self.policy else ()
         return ComparisonPlan(settings, motions, methods, self.seeds, self.ablations, policies)
 
@@ -128,11 +128,11 @@ def _environment(plan: "ComparisonPlan", workers: int, kept: "Sequence[Row]") ->
     from fastmimic.control.config import controller_config
     from fastmimic.experiments.ablations import ABLATIONS, ablation_named
     from fastmimic.experiments.comparison_run import run_of
-    from fastmimic.imitation.methods import ALL_METHODS, method_named
+    from fastmimic.imitation.methods import METHODS, method_named
 
     config = controller_config(plan.settings.config)
     runs = [*(run_of(row) for row in kept), *plan.runs]
-    methods = [name for name in ALL_METHODS if any(run.method == name for run in runs)]
+    methods = [name for name in METHODS if any(run.method == name for run in runs)]
     variants = [name for name in ABLATIONS if any(run.variant == name for run in runs)]
     return {
         "settings": asdict(plan.settings),

@@ -70,7 +70,7 @@ class Imitate(SearchRun):
 
         method = self.method
         if self.no_optimize:
-            method = method_named(method).name.removesuffix("-dmp")
+            method = method_named(method).unoptimised.name
         check_controller(method_named(method), False)
         self.check_search(method)
         if self.warm_start is not None:

@@ -22,7 +22,7 @@ from fastmimic.experiments.comparison_run import (
     slug,
 )
 from fastmimic.experiments.parallel import ReportProgress, RunTask, run_all
-from fastmimic.imitation.methods import METHODS, RL, method_named
+from fastmimic.imitation.methods import PAPER_METHODS, RL, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings
 from fastmimic.optimize.problem import Objective
@@ -78,7 +78,7 @@ class ComparisonPlan:
         if not self.motions:
             raise ConfigError("a comparison needs at least one motion")
         if not self.methods:
-            raise ConfigError(f"a comparison needs at least one method; there are {', '.join(METHODS)}")
+            raise ConfigError(f"a comparison needs at least one method; there are {', '.join(PAPER_METHODS)}")
         if self.seeds < 1:
             raise ConfigError(f"seeds must be at least 1, found {self.seeds}")
         for name in self.methods:

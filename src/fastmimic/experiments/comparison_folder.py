@@ -10,7 +10,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import read_json, write_json
 from fastmimic.experiments.ablations import ABLATIONS
 from fastmimic.experiments.comparison_run import RUN_FILES, Row
-from fastmimic.imitation.methods import ALL_METHODS, method_named
+from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.runs.folder import ENVIRONMENT, MOTIONS, RESULTS_CSV, TABLE, WorkFolder, created
 
 RUNS: Final = "runs"
@@ -63,7 +63,7 @@ class ComparisonFolder(WorkFolder):
     def in_order(self, rows: Sequence[Row]) -> list[Row]:
         """Rows in the order of a plan that has all of them."""
         motions = list(dict.fromkeys([*self.motions(), *(row["motion"] for row in rows)]))
-        methods, variants = list(ALL_METHODS), ["", *ABLATIONS]
+        methods, variants = list(METHODS), ["", *ABLATIONS]
 
         def place(row: Row) -> tuple[int, ...]:
             kind = (bool(row["variant"]), method_named(row["method"]).optimises, row["seed"])

@@ -25,7 +25,7 @@ from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.plan import episode_duration, perturbed_start, start_room
-from fastmimic.episode.reward import TERMS
+from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.episode.rollout import Rollout
 from fastmimic.episode.style import style_distance
 from fastmimic.experiments.ablations import ablation_named
@@ -317,6 +317,7 @@ def measure(
     """
     robot, demonstration = result.robot, result.demonstration
     method = method_named(result.method)
+    controller = controller or method.controller
     seconds = episode_duration(demonstration, evaluation_s)
 
     def episode(motion: Motion) -> Rollout:
@@ -351,7 +352,7 @@ def measure(
         "foot_z_rmse_after_m": _rms(after.foot_rmse[0, :, 2]),
         "foot_x_rmse_before_m": _rms(before.foot_rmse[0, :, 0]),
         "foot_x_rmse_after_m": _rms(after.foot_rmse[0, :, 0]),
-        **{f"reward_{name}": value for name, value in zip(TERMS, after.terms[0], strict=True)},
+        **{f"reward_{name}": value for name, value in zip(REWARD_TERMS, after.terms[0], strict=True)},
     }
     simulated_s = seconds * (1 + method.optimises + perturbed_episodes)
     return Measured({name: plain(value) for name, value in found.items()}, before, after, seconds, simulated_s)

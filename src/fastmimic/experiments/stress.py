@@ -21,7 +21,7 @@ from fastmimic.episode.plan import Start, episode_duration, nominal_start, start
 from fastmimic.experiments.comparison_run import Row, slug
 from fastmimic.experiments.results import all_parts
 from fastmimic.experiments.subject import Subject
-from fastmimic.imitation.methods import ALL_METHODS, method_named
+from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
@@ -208,7 +208,7 @@ def all_sweeps(out: Path) -> list[Row]:
         OutputError: one cannot be read.
     """
     rows = [{**row, "value": float(row["value"])} for row in all_parts(out / SWEEPS)]  # "inf" is no JSON number
-    methods, names = list(ALL_METHODS), list(DISTURBANCES)
+    methods, names = list(METHODS), list(DISTURBANCES)
     return sorted(rows, key=lambda r: (methods.index(r["method"]), names.index(r["disturbance"]), r["value"]))
 
 

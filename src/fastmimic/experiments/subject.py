@@ -47,7 +47,7 @@ class Subject:
     """A method and what it runs.
 
     Attributes:
-        method: one of `fastmimic.imitation.methods.ALL_METHODS`.
+        method: one of `fastmimic.imitation.methods.METHODS`.
         motion: what its controller follows; it carries its demonstration.
         config: the controller's, as the method has it.
         controller: of a trained policy; None for the model-based one.
@@ -113,7 +113,9 @@ def make_subject(
     chosen, demonstration = method_named(method), given.target
     config = chosen.configure(controller_config(search.config))
     if not chosen.optimises:
-        return Subject(chosen, demonstration, config, *(policy if policy is not None and chosen.learned else ()))
+        if chosen.learned and policy is not None:
+            return Subject(chosen, demonstration, config, *policy)
+        return Subject(chosen, demonstration, config, chosen.controller)
     made = given.meta.get(MADE_WITH)
     if given is not demonstration and (not isinstance(made, dict) or made.get("method") == method):
         return Subject(chosen, given, config)

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
-from fastmimic.episode.reward import TERMS
+from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.experiments.ablations import ABLATED, ablation_named
 from fastmimic.experiments.comparison_run import Row
-from fastmimic.imitation.methods import ALL_METHODS, RL, method_named
+from fastmimic.imitation.methods import METHODS, RL, method_named
 
 NONE: Final = "–"
 
@@ -21,7 +21,7 @@ COLUMNS: Final = (
     *("fell", "fell_perturbed", "fell_before", "drift_m_per_s", "swing_clearance_m", "swing_clearance_least_share"),
     *("early_contacts_per_s", "stance_slip_m", "style_distance", "style_distance_realised"),
     *("foot_z_rmse_before_m", "foot_z_rmse_after_m", "foot_x_rmse_before_m", "foot_x_rmse_after_m"),
-    *(f"reward_{name}" for name in TERMS),
+    *(f"reward_{name}" for name in REWARD_TERMS),
     *("wall_s", "cpu_s", "evaluations", "iterations", "simulated_s", "robot", "config", "duration_s", "population"),
     *("evaluation_s", "perturbed_episodes", "parameters", "digest"),
     *(f"{name}_version" for name in ("fastmimic", "python", "mujoco", "daqp", "cma", "numba", "numpy")),
@@ -77,7 +77,7 @@ def summaries(rows: Iterable[Row]) -> list[Summary]:
         groups.setdefault((row["motion"], row["method"], row["variant"]), []).append(row)
     motions = list(dict.fromkeys(motion for motion, _, _ in groups))
     variants = list(dict.fromkeys(variant for _, _, variant in groups))
-    order = sorted(groups, key=lambda k: (motions.index(k[0]), variants.index(k[2]), list(ALL_METHODS).index(k[1])))
+    order = sorted(groups, key=lambda k: (motions.index(k[0]), variants.index(k[2]), list(METHODS).index(k[1])))
     return [Summary(*key, tuple(groups[key])) for key in order]
 
 

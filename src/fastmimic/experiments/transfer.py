@@ -24,7 +24,7 @@ from fastmimic.experiments.comparison_run import Row, slug
 from fastmimic.experiments.results import all_parts
 from fastmimic.experiments.subject import Subject
 from fastmimic.identification.identify import identify
-from fastmimic.imitation.methods import ALL_METHODS, method_named
+from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance, names_of
@@ -206,7 +206,7 @@ def all_trials(out: Path) -> list[Row]:
     Raises:
         OutputError: some cannot be read.
     """
-    order = list(ALL_METHODS)
+    order = list(METHODS)
     return sorted(all_parts(out / PARTS), key=lambda row: order.index(row["method"]))
 
 

@@ -14,7 +14,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import versions
 from fastmimic.base.text import plain
 from fastmimic.clips.clip import Clip
-from fastmimic.control.config import ControllerConfig, controller_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.metrics import Metrics, swing_clearance
 from fastmimic.episode.plan import default_duration, nominal_start, perturbed_start, start_room
@@ -228,7 +228,8 @@ def imitate(
     chosen = method_named(method)
     check_controller(chosen, controller is not None)
     robot = load_robot(robot)
-    config = _configured(chosen, config)
+    config = chosen.configure(config)
+    controller = controller or chosen.controller
     settings = CmaSettings(iterations, population, seed)
     over = randomization(randomize)
     if over is not None and not chosen.optimises:
@@ -405,6 +406,7 @@ def evaluate(
     motion = load_motion(source, robot, **overrides)
     chosen, config = controller_for(motion, RL if method is None and controller is not None else method, config)
     check_controller(chosen, controller is not None)
+    controller = controller or chosen.controller
     if chosen.learned:  # a policy imitates the demonstration, whatever was optimised for another controller
         motion = motion.target
     duration_s = duration_s if duration_s is not None else default_duration(motion, EVALUATION_S)
@@ -420,7 +422,3 @@ def evaluate(
         controller=controller,
     )
     return Evaluation(motion, rollout, chosen.name, config, robot.name, conditions or Conditions())
-
-
-def _configured(method: Method, config: ControllerConfig | str) -> ControllerConfig:
-    return method.configure(controller_config(config) if isinstance(config, str) else config)

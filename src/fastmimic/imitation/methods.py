@@ -10,14 +10,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
-from fastmimic.base.errors import ConfigError, MotionError, did_you_mean
+from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.base.registry import Registry
 from fastmimic.control.config import CONFIGS, ControllerConfig, controller_config
+from fastmimic.episode.loop import MakeController
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FEET_AND_TRUNK, FOOT_HEIGHT, FOOT_PATH, PARAMETER_GROUPS
 from fastmimic.optimize.randomization import Randomization
 
 NOTHING: Final = "none"
 """What a method without a search optimises."""
+ConfigChange = Callable[[ControllerConfig], ControllerConfig]
+
+
+def _same(config: ControllerConfig) -> ControllerConfig:
+    return config
 
 
 @dataclass(frozen=True)
@@ -30,17 +37,27 @@ class Method:
         summary: one line.
         parameters: what is optimised: `NOTHING`, or one of `fastmimic.optimize.parameters.PARAMETER_GROUPS`.
         change: what it changes in the controller's configuration.
+        controller: makes a controller that takes the place of the model-based one; None for that one.
         own_feet: whether the swing feet follow the method's own path instead of the motion's.
-        learned: whether a trained policy takes the place of the model-based controller.
+        learned: whether it needs a trained policy.
+        base: name of the method that runs the motion before it is optimised; empty for the method itself.
+        playable: whether it can be chosen in a live session.
+        color, hatch, symbol: of its bars and points; hatches as Matplotlib has them, symbols as Plotly has them.
     """
 
     name: str
     label: str
     summary: str
-    parameters: str
-    change: Callable[[ControllerConfig], ControllerConfig]
+    parameters: str = NOTHING
+    change: ConfigChange = _same
+    controller: MakeController | None = None
     own_feet: bool = False
     learned: bool = False
+    base: str = ""
+    playable: bool = False
+    color: str = "#999999"
+    hatch: str = "--"
+    symbol: str = "circle"
 
     def __post_init__(self) -> None:
         known = (NOTHING, *PARAMETER_GROUPS)
@@ -48,19 +65,22 @@ class Method:
             raise ConfigError(
                 f"method '{self.name}': unknown parameters '{self.parameters}'; there are {', '.join(known)}"
             )
+        if self.controller is not None and (self.optimises or self.learned):
+            raise ConfigError(f"method '{self.name}' has a controller of its own, so it cannot optimise or be learned")
 
     @property
     def optimises(self) -> bool:
         """Whether anything is optimised; without it the method is deterministic."""
         return self.parameters != NOTHING
 
-    def configure(self, config: ControllerConfig) -> ControllerConfig:
-        """The method's controller, made of the given one."""
-        return self.change(config)
+    @property
+    def unoptimised(self) -> "Method":
+        """The method that runs the motion before it is optimised."""
+        return METHODS[self.base or self.name]
 
-
-def _same(config: ControllerConfig) -> ControllerConfig:
-    return config
+    def configure(self, config: ControllerConfig | str) -> ControllerConfig:
+        """The method's controller parameters, made of the given ones or of the set of that name."""
+        return self.change(controller_config(config) if isinstance(config, str) else config)
 
 
 def _raibert(config: ControllerConfig) -> ControllerConfig:
@@ -73,46 +93,99 @@ def _horizon(config: ControllerConfig) -> ControllerConfig:
     return dataclasses.replace(config, stance=dataclasses.replace(config.stance, forces="horizon"))
 
 
-_METHODS = (
-    Method(
-        "raibert",
-        "Raibert",
-        "the animal's trunk; feet swing straight to the Raibert foothold (Kang et al. 2021)",
-        NOTHING,
-        _raibert,
-        own_feet=True,
-    ),
-    Method("mbc", "MBC", "the model-based controller follows the retargeted motion", NOTHING, _same),
-    Method("lh", "LH", "the same with long-horizon forces (Di Carlo et al. 2018)", NOTHING, _horizon),
-    Method("mbc-dmp", "MBC-DMP", "mbc after its motion's DMPs were optimised (the paper's method)", FOOT_HEIGHT, _same),
-    Method("lh-dmp", "LH-DMP", "lh after its motion's DMPs were optimised", FOOT_HEIGHT, _horizon),
-)
-
-METHODS: Final = {method.name: method for method in _METHODS}
-"""The methods that need nothing but the motion, by name, in the order of the paper's figure."""
-
 RL: Final = "rl"
-_RL = Method(
-    RL, "RL", "a policy trained for the motion (Peng et al. 2018, 2020)", NOTHING, _same, own_feet=True, learned=True
+
+METHODS: Final = Registry(
+    "method",
+    (  # colours of Okabe and Ito, each with a hatch so that bars read in grey
+        Method(
+            RL,
+            "RL",
+            "a policy trained for the motion (Peng et al. 2018, 2020)",
+            own_feet=True,
+            learned=True,
+            color="#009e73",
+            hatch="..",
+            symbol="cross",
+        ),
+        Method(
+            "raibert",
+            "Raibert",
+            "the animal's trunk; feet swing straight to the Raibert foothold (Kang et al. 2021)",
+            change=_raibert,
+            own_feet=True,
+            playable=True,
+            color="#e69f00",
+            hatch="//",
+            symbol="square",
+        ),
+        Method(
+            "mbc",
+            "MBC",
+            "the model-based controller follows the retargeted motion",
+            playable=True,
+            color="#d55e00",
+            hatch="",
+            symbol="triangle-up",
+        ),
+        Method(
+            "lh",
+            "LH",
+            "the same with long-horizon forces (Di Carlo et al. 2018)",
+            change=_horizon,
+            playable=True,
+            color="#cc79a7",
+            hatch="\\\\",
+            symbol="triangle-down",
+        ),
+        Method(
+            "mbc-dmp",
+            "MBC-DMP",
+            "mbc after its motion's DMPs were optimised (the paper's method)",
+            FOOT_HEIGHT,
+            base="mbc",
+            color="#0072b2",
+            hatch="",
+            symbol="diamond",
+        ),
+        Method(
+            "lh-dmp",
+            "LH-DMP",
+            "lh after its motion's DMPs were optimised",
+            FOOT_HEIGHT,
+            _horizon,
+            base="lh",
+            color="#56b4e9",
+            hatch="xx",
+            symbol="star",
+        ),
+        Method(
+            "mbc-dmp-path",
+            "MBC-DMP, 24",
+            "mbc-dmp that moves the feet's whole paths: 24 parameters",
+            FOOT_PATH,
+            base="mbc",
+            color="#f0e442",
+        ),
+        Method(
+            "mbc-dmp-body",
+            "MBC-DMP, 26",
+            "and the trunk's height and pitch: 26 parameters",
+            FEET_AND_TRUNK,
+            base="mbc",
+            color="#000000",
+            hatch="..",
+        ),
+    ),
 )
-_BEYOND = (
-    Method("mbc-dmp-path", "MBC-DMP, 24", "mbc-dmp that moves the feet's whole paths: 24 parameters", FOOT_PATH, _same),
-    Method("mbc-dmp-body", "MBC-DMP, 26", "and the trunk's height and pitch: 26 parameters", FEET_AND_TRUNK, _same),
-)
-ALL_METHODS: Final = {RL: _RL, **METHODS, **{method.name: method for method in _BEYOND}}
-"""With the one that needs a trained policy, likewise, and those that optimise more than the paper does."""
+"""All methods, and those that a user adds: `METHODS.register(Method(…))`."""
+PAPER_METHODS: Final = ("raibert", "mbc", "lh", "mbc-dmp", "lh-dmp")
+"""Those that need nothing but the motion, in the order of the paper's figure."""
 
 
 def method_named(name: str) -> Method:
-    """The method of that name.
-
-    Raises:
-        ConfigError: there is none; the message lists them.
-    """
-    if name not in ALL_METHODS:
-        known = f"{', '.join(name for name in ALL_METHODS if name != RL)}, and {RL} with a trained policy"
-        raise ConfigError(f"unknown method '{name}'; there are {known}{did_you_mean(name, ALL_METHODS)}")
-    return ALL_METHODS[name]
+    """The method of that name; raises `ConfigError`, which lists them, if there is none."""
+    return METHODS[name]
 
 
 def check_controller(method: Method, given: bool) -> None:
@@ -123,7 +196,7 @@ def check_controller(method: Method, given: bool) -> None:
             " with --policy FILE; 'fastmimic train' makes it"
         )
     if given and not method.learned:
-        raise ConfigError(f"a policy takes the controller's place: method '{method.name}' has none; leave one out")
+        raise ConfigError(f"method '{method.name}' does not use a policy; drop --policy")
 
 
 MADE_WITH: Final = "made_with"
@@ -139,7 +212,7 @@ def made_with(
     """The motion with what it was made with in its `meta`.
 
     Args:
-        motion: an optimised motion; a demonstration is nobody's, and carries nothing.
+        motion: an optimised motion; a demonstration records no method.
         method: one of `METHODS`.
         config: as the method has it. Only the name of a set is kept, and None if it is not as the set of that name.
         randomization: over which robots it was optimised; None for the robot as it is.

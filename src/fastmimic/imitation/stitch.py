@@ -13,7 +13,7 @@ import numpy as np
 
 from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
 from fastmimic.clips.clip import Clip
-from fastmimic.control.config import ControllerConfig, controller_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout
 from fastmimic.imitation.imitate import Imitation, imitate
@@ -110,7 +110,7 @@ def stitch(
     chosen = method_named(method)
     check_controller(chosen, False)
     robot = load_robot(robot)
-    config = chosen.configure(controller_config(config) if isinstance(config, str) else config)
+    config = chosen.configure(config)
     for generations in (iterations, part_iterations):  # refuses what cannot be, before anything takes long
         if generations is not None:
             CmaSettings(generations, population if population is not None else PART_POPULATION, seed)

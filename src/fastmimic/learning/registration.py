@@ -6,11 +6,9 @@ ENVIRONMENT_ID: Final = "fastmimic/Imitation-v0"
 
 
 def register() -> None:
-    """Registers `ENVIRONMENT_ID`, unless it is or Gymnasium is not installed."""
-    try:
-        import gymnasium
-    except ModuleNotFoundError:
-        return
+    """Registers `ENVIRONMENT_ID` with Gymnasium, once; `import fastmimic` sees to it."""
+    import gymnasium
+
     if ENVIRONMENT_ID not in gymnasium.registry:
         gymnasium.register(
             ENVIRONMENT_ID,

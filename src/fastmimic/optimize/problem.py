@@ -27,6 +27,7 @@ from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.episode.loop import ClosedLoop
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.plan import Start, episode_steps, nominal_start, perturbed_start
+from fastmimic.episode.reward import N_TERMS, REWARD_TERMS
 from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FOOT_HEIGHT, Parameter, begun_at, parameters_of_group
@@ -168,6 +169,8 @@ class Problem(ABC):
             "parameters": [asdict(p) for p in self.parameters],
             "start": self.start.tolist(),
         }
+        if len(REWARD_TERMS) > N_TERMS:
+            settings["reward"] = {term.name: term.weight for term in REWARD_TERMS.values()}
         digest.update(json.dumps(settings, sort_keys=True).encode())
         return digest.hexdigest()
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fastmimic.base.errors import FastMimicError
-from fastmimic.play.session import METHODS
+from fastmimic.play.session import playable_methods
 from fastmimic.play.steering import IDLE, read_steering, steering_script
 from fastmimic.play.world import FRICTION
 from fastmimic.viewer.charts import gait_strip, leg_table, plot_key, plot_series
@@ -225,7 +225,7 @@ class PlayPanel:
     def _add_world(self) -> None:
         gui, session = self._gui, self._session
         with gui.add_folder("Robot and ground"):
-            method: Any = gui.add_button_group("controller", METHODS)
+            method: Any = gui.add_button_group("controller", playable_methods())
             friction: Any = gui.add_slider("friction", *FRICTION, 0.05, round(session.world.friction, 2))
             payload: Any = gui.add_slider("payload, kg", 0.0, _MAX_PAYLOAD_KG, 0.1, 0.0)
 

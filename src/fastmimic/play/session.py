@@ -19,7 +19,7 @@ from fastmimic.control.controller import Controller
 from fastmimic.episode.placement import on_reference
 from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.episode.scorer import Scorer
-from fastmimic.imitation.methods import method_named
+from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.play.getting_up import GettingUp, GettingUpPhase
 from fastmimic.play.world import LiveWorld
@@ -32,8 +32,6 @@ from fastmimic.reference.table import CLOCK, SAMPLE
 from fastmimic.robot import Robot
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
-METHODS: Final = ("mbc", "lh", "raibert")
-"""The controllers that can be chosen while it runs."""
 RATES: Final = {"speed": 0.5, "turn": 1.2, "lift": 0.8}
 """How fast a modulation follows what was asked for: 1/s, rad/s², 1/s."""
 _TIMINGS: Final = 2000
@@ -44,10 +42,16 @@ _PREPARING: Final = 50
 """Control steps between two looks at whether something can be made beforehand."""
 
 
+def playable_methods() -> list[str]:
+    """Names of the methods whose controllers can be chosen while it runs."""
+    return [method.name for method in METHODS.values() if method.playable]
+
+
 def check_method(name: str) -> None:
-    """Raises `ConfigError` for what is not one of `METHODS`."""
-    if name not in METHODS:
-        raise ConfigError(f"'{name}' cannot be played; there are {', '.join(METHODS)}{did_you_mean(name, METHODS)}")
+    """Raises `ConfigError` for a method that cannot be chosen in a live session."""
+    names = playable_methods()
+    if name not in names:
+        raise ConfigError(f"'{name}' cannot be played; there are {', '.join(names)}{did_you_mean(name, names)}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +91,7 @@ class LiveSession:
         robot: the robot.
         motions: cyclic motions by name, or a `MotionSet` of them.
         start: the motion to begin with; "stand" if None.
-        method: the controller, one of `METHODS`.
+        method: the controller, one of `playable_methods()`.
         config: its parameters, or the name of a set.
 
     Raises:
@@ -167,11 +171,11 @@ class LiveSession:
         self.world.push(impulse, direction, float(yaw_from_quat(self.simulation.observation["root_quat"][0])))
 
     def set_method(self, name: str) -> None:
-        """Chooses the controller, one of `METHODS`; raises `ConfigError` for others."""
+        """Chooses the controller, one of `playable_methods()`; raises `ConfigError` for others."""
         check_method(name)
         if name == self.method:
             return
-        config = method_named(name).configure(self._given)
+        config = METHODS[name].configure(self._given)
         before = self.controller.memory.copy() if self.method else None
         self.controller: Controller = Controller(self.robot, [self.library.entry(STAND).motion], 1, config)
         ahead = 1

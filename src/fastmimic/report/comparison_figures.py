@@ -13,20 +13,9 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.tables import Summary
-from fastmimic.imitation.methods import ALL_METHODS, method_named
+from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, new_figure, tidy
 
-_STYLES: Final = {  # colours of Okabe and Ito, each with a hatch so that the bars read in grey
-    "rl": ("#009e73", ".."),
-    "raibert": ("#e69f00", "//"),
-    "mbc": ("#d55e00", ""),
-    "lh": ("#cc79a7", "\\\\"),
-    "mbc-dmp": ("#0072b2", ""),
-    "lh-dmp": ("#56b4e9", "xx"),
-    "mbc-dmp-path": ("#f0e442", "--"),
-    "mbc-dmp-body": ("#000000", ".."),
-}
-_OTHER: Final = ("#999999", "--")
 _BAR: Final = 0.84
 """Share of a group's width that its bars take."""
 _LABEL: Final = 0.04
@@ -50,7 +39,7 @@ def comparison_figure(summaries: Sequence[Summary], title: str) -> Figure:
     axes = figure.subplots()
     width = _BAR / len(methods)
     for j, name in enumerate(methods):
-        color, hatch = _STYLES.get(name, _OTHER)
+        color, hatch = METHODS[name].color, METHODS[name].hatch
         for i, motion in enumerate(motions):
             if (motion, name) in found:
                 _bar(axes, i - _BAR / 2 + (j + 0.5) * width, width, found[motion, name], color, hatch)
@@ -62,9 +51,8 @@ def comparison_figure(summaries: Sequence[Summary], title: str) -> Figure:
     axes.grid(False, axis="x")
     axes.tick_params(axis="x", labelsize=9.5, length=0)
     handles: list[Patch | Line2D] = [
-        Patch(facecolor=c, hatch=h, edgecolor="white", label=method_named(name).label)
-        for name in methods
-        for c, h in [_STYLES.get(name, _OTHER)]
+        Patch(facecolor=m.color, hatch=m.hatch, edgecolor="white", label=m.label)
+        for m in (METHODS[name] for name in methods)
     ]
     handles += [
         Line2D(
@@ -230,5 +218,5 @@ def _row(axes: Axes, y: float, s: Summary) -> None:
 
 def _names(summaries: Sequence[Summary]) -> tuple[list[str], list[str]]:
     motions = list(dict.fromkeys(s.motion for s in summaries))
-    methods = [name for name in ALL_METHODS if any(s.method == name for s in summaries)]
+    methods = [name for name in METHODS if any(s.method == name for s in summaries)]
     return motions, methods

@@ -6,7 +6,7 @@ import numpy as np
 
 from fastmimic.base.conventions import GRAVITY, LEGS
 from fastmimic.episode.metrics import swing_clearance
-from fastmimic.episode.reward import TERMS, WEIGHTS
+from fastmimic.episode.reward import REWARD_TERMS, reward_weights
 from fastmimic.render.tracks import realised_feet
 from fastmimic.report.html_plots import (
     DEMONSTRATION,
@@ -177,7 +177,8 @@ def gait(e: RerunEpisodes) -> Figure:
 def reward(e: RerunEpisodes) -> Figure:
     """The reward and its five terms over time."""
     plots = []
-    for i, name in enumerate(("reward", *TERMS)):
+    weights = reward_weights()
+    for i, name in enumerate(("reward", *REWARD_TERMS)):
         data: list[dict[str, Any]] = []
         means = []
         for rollout, key in series(e):
@@ -185,7 +186,7 @@ def reward(e: RerunEpisodes) -> Figure:
             values = log.reward[0] if i == 0 else log.terms[0, :, i - 1]
             data.insert(0, curve(times(log), values, key))
             means.append(float(rollout.reward[0] if i == 0 else rollout.terms[0, i - 1]))
-        label = "Reward" if i == 0 else f"{name.replace('_', ' ').capitalize()}, weight {WEIGHTS[i - 1]:g}"
+        label = "Reward" if i == 0 else f"{name.replace('_', ' ').capitalize()}, weight {weights[i - 1]:g}"
         lowest = min(v for d in data for v in d["y"] if v is not None)
         layout = layout_of(
             "time (s)",
@@ -201,12 +202,12 @@ def reward(e: RerunEpisodes) -> Figure:
         for rollout, key in series(e)
         if rollout.fell[0]
     ]
-    lowest_term = int(np.argmin(series(e)[-1][0].terms[0] * np.array(WEIGHTS) - np.array(WEIGHTS)))
-    seen = ", ".join(falls) or f"most is left to gain in the {TERMS[lowest_term].replace('_', ' ')} term"
+    lowest_term = int(np.argmin(series(e)[-1][0].terms[0] * weights - weights))
+    seen = ", ".join(falls) or f"most is left to gain in the {list(REWARD_TERMS.values())[lowest_term].label} term"
     return Figure(
         "reward",
         f"Reward over time: {seen}",
-        "The reward is the weighted sum of five terms, each 1 where the robot does exactly what the demonstration does;"
+        "The reward is the weighted sum of its terms, each 1 where the robot does exactly what the demonstration does;"
         " after a fall it is 0. The vertical scales differ.",
         plots,
         3,

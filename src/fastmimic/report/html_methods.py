@@ -8,18 +8,11 @@ import numpy as np
 
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.tables import Summary
-from fastmimic.imitation.methods import ALL_METHODS, method_named
+from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.report.html_plots import Figure, Key, Plot, bar_marker, layout_of, numbers, points, rows_axis, rule
 
-_STYLES: Final = {  # colour, pattern of a bar, symbol of a point: no two methods share all of them
-    "rl": ("var(--rl)", ".", "cross"),
-    "raibert": ("var(--raibert)", "/", "square"),
-    "mbc": ("var(--mbc)", "", "triangle-up"),
-    "lh": ("var(--lh)", "\\", "triangle-down"),
-    "mbc-dmp": ("var(--mbcdmp)", "", "diamond"),
-    "lh-dmp": ("var(--lhdmp)", "x", "star"),
-}
-_OTHER: Final = ("var(--muted)", "-", "circle")
+_THEMED: Final = {"rl", "raibert", "mbc", "lh", "mbc-dmp", "lh-dmp"}
+"""Methods with a colour in the style sheet for each theme."""
 _BAR: Final = 0.84
 """Share of a group's width that its bars take."""
 _ALIKE: Final = 0.005
@@ -240,12 +233,13 @@ def _legend(found: Sequence[Summary]) -> list[Key]:
 
 
 def _key(method: str) -> Key:
-    color, pattern, symbol = _STYLES.get(method, _OTHER)
-    return Key(method_named(method).label, color, symbol=symbol, pattern=pattern)
+    known = METHODS[method]
+    color = f"var(--{method.replace('-', '')})" if method in _THEMED else known.color
+    return Key(known.label, color, symbol=known.symbol, pattern=known.hatch[:1])
 
 
 def _methods(found: Sequence[Summary]) -> list[str]:
-    return [name for name in ALL_METHODS if any(s.method == name for s in found)]
+    return [name for name in METHODS if any(s.method == name for s in found)]
 
 
 def _over_motions(found: Sequence[Summary], method: str, column: str) -> float:

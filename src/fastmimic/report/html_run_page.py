@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.text import NONE
-from fastmimic.imitation.methods import ALL_METHODS
+from fastmimic.imitation.methods import METHODS
 from fastmimic.report import html_episodes, html_limits, html_search
 from fastmimic.report.html_page import render
 from fastmimic.report.html_plots import Figure
@@ -131,7 +131,7 @@ def _sections(run: RunData) -> dict[str, list[Figure]]:
 
 
 def _lead(m: Mapping[str, Any]) -> str:
-    method = ALL_METHODS.get(m.get("method", ""))
+    method = METHODS.get(m.get("method", ""))
     name = f"{method.label}, {method.summary}" if method is not None else str(m.get("method", "unknown method"))
     parts = [name, f"{m.get('config', '')} controller", f"episodes of {m['duration_s']:g} s"]
     if m.get("iterations"):

@@ -76,7 +76,7 @@ def _tracks(result: Imitation) -> list[Track]:
 
     if result.history is not None:  # before it, there was only the method's controller
         return [
-            track(result.before, "before: as retargeted", result.method.removesuffix("-dmp")),
+            track(result.before, "before: as retargeted", method_named(result.method).unoptimised.name),
             track(result.after, "after: optimised", result.method),
         ]
     as_it_is = "as retargeted" if result.motion.demonstration is None else "as its motions were optimised"

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from fastmimic.experiments.stress import SUCCESS, StressSettings, all_sweeps, stress_table, sweep_file, to_csv
-from fastmimic.imitation.methods import ALL_METHODS, method_named
+from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.render.figure_style import MUTED, Line, new_figure, save, tidy
 from fastmimic.runs.folder import RESULTS_CSV, TABLE, WorkFolder
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
@@ -61,7 +61,7 @@ def stress_figure(rows: Sequence[dict[str, Any]], curve: str, title: str) -> Fig
         title: heading.
     """
     names = list(dict.fromkeys(row["disturbance"] for row in rows))
-    methods = [name for name in ALL_METHODS if any(row["method"] == name for row in rows)]
+    methods = [name for name in METHODS if any(row["method"] == name for row in rows)]
     columns = min(_COLUMNS, len(names))
     count = -(-len(names) // columns)
     figure = new_figure(max(8.5, 3.3 * columns), 0.9 + 2.35 * count, title)

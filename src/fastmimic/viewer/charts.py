@@ -8,24 +8,15 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
-from fastmimic.episode.reward import WEIGHTS
+from fastmimic.episode.reward import REWARD_TERMS, RewardTerm, reward_weights
 from fastmimic.render.figure_style import INK, LEG_LINES, MUTED
 from fastmimic.viewer.marks import contact_flags, friction_use
-from fastmimic.viewer.take import term_names
 
 if TYPE_CHECKING:
     from fastmimic.viewer.take import Take
 
 
 PLOT_POINTS: Final = 300
-_TERM_LINES: Final[tuple[tuple[str, list[int]], ...]] = (  # colour and dashes; Okabe and Ito's, as in the figures
-    ("#0072b2", []),
-    ("#e69f00", [2, 3]),
-    ("#009e73", [8, 3]),
-    ("#cc79a7", [8, 3, 2, 3]),
-    ("#d55e00", [4, 3]),
-)
-
 STRIP_S: Final = 1.6
 _STRIP_WIDTH: Final = 300
 _LEFT: Final = 62
@@ -36,18 +27,20 @@ _KINDS: Final = (("wanted", "wanted"), ("measured", "loaded"), ("stance", "stanc
 
 def plot_series() -> tuple[dict[str, Any], ...]:
     """uPlot's series: time, the five terms with their weights, the reward, and the cursor."""
-    terms = [
-        {"label": f"{name} × {weight:g}", "stroke": colour, "dash": dash, "width": 1.5, "points": {"show": False}}
-        for name, weight, (colour, dash) in zip(term_names(), WEIGHTS, _TERM_LINES, strict=True)
-    ]
+    terms = [_term_series(term, weight) for term, weight in zip(REWARD_TERMS.values(), reward_weights(), strict=True)]
     reward = {"label": "reward", "stroke": INK, "width": 2.5, "points": {"show": False}}
     cursor = {"label": "now", "stroke": "#ff0033", "width": 2, "points": {"show": False}}
     return ({"label": "t, s"}, *terms, reward, cursor)
 
 
+def _term_series(term: RewardTerm, weight: float) -> dict[str, Any]:
+    line = {"stroke": term.color, "dash": list(term.dash), "width": 1.5, "points": {"show": False}}
+    return {"label": f"{term.label} × {weight:g}", **line}
+
+
 def plot_key() -> str:
     """HTML: the colours of the reward's terms."""
-    terms = [f'<b style="color:{c}">{name}</b>' for name, (c, _) in zip(term_names(), _TERM_LINES, strict=True)]
+    terms = [f'<b style="color:{term.color}">{term.label}</b>' for term in REWARD_TERMS.values()]
     return ", ".join([*terms, f'<b style="color:{INK}">reward</b>'])
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
-from fastmimic.episode.reward import TERMS
+from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.motion.motion import Motion
 from fastmimic.render.tracks import motion_track, rollout_track
 from fastmimic.robot import Robot
@@ -42,7 +42,7 @@ class Take:
         stance: (t, 4) the gait planner's leg states; None without physics.
         force: (t, 4, 3) the ground's force on each foot, world, N; None without physics.
         asked: (t, 4, 3) what the controller asked for, world, N; None without physics.
-        terms: (t, 5) the reward's terms, in the order of `TERMS`; None without physics.
+        terms: (t, 5) the reward's terms, in the order of `REWARD_TERMS`; None without physics.
         reward: (t,) of each step; None without physics.
         samples: (t,) of the demonstration that are in force.
         cycle_starts: (k,) rows at which a cycle starts, ascending, the first one 0.
@@ -214,7 +214,7 @@ def world_feet(robot: Robot, pose: Array) -> Array:
 
 def term_names() -> tuple[str, ...]:
     """The reward's terms, in words."""
-    return tuple(name.replace("_", " ") for name in TERMS)
+    return tuple(term.label for term in REWARD_TERMS.values())
 
 
 def _stacked(track: "Track") -> Array:

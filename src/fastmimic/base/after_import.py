@@ -1,0 +1,39 @@
+"""Calls a function once another package is imported, without importing it."""
+
+import sys
+from collections.abc import Callable, Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
+from types import ModuleType
+
+
+def after_import(name: str, call: Callable[[], None]) -> None:
+    """Calls `call` now if the top-level package `name` is imported already, else right after it is."""
+    if name in sys.modules:
+        call()
+    else:
+        sys.meta_path.insert(0, _Watch(name, call))
+
+
+class _Watch(MetaPathFinder):
+    def __init__(self, name: str, call: Callable[[], None]) -> None:
+        self._name, self._call = name, call
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if fullname != self._name:
+            return None
+        sys.meta_path.remove(self)
+        spec = find_spec(fullname)
+        if spec is None or spec.loader is None:
+            return spec
+        load = spec.loader.exec_module
+
+        def load_and_call(module: ModuleType) -> None:
+            load(module)
+            self._call()
+
+        spec.loader.exec_module = load_and_call  # type: ignore[method-assign]
+        return spec

@@ -1,0 +1,48 @@
+"""Every method with the verbs that show what it made."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from fastmimic import cli
+from fastmimic.control.config import controller_config
+from fastmimic.imitation.methods import METHODS, made_with
+from fastmimic.robot import load_robot
+from fastmimic.runs.loading import load_motion
+
+WITHOUT_POLICY = [name for name, method in METHODS.items() if not method.learned]
+
+
+def motion_of(method: str, folder: Path) -> Path:
+    """A motion that records the method, as if it had been optimised with it."""
+    motion = load_motion("trot", load_robot("a1"))
+    path = folder / f"{method}.npz"
+    made_with(motion, method, METHODS[method].configure(controller_config("default"))).save(path)
+    return path
+
+
+@pytest.mark.parametrize("method", WITHOUT_POLICY)
+def test_it_can_be_rendered(method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def drawn(robot: object, tracks: object, out: Path, **options: object) -> SimpleNamespace:
+        out.write_bytes(b"")
+        return SimpleNamespace(frames=1, seconds=0.1)
+
+    monkeypatch.setattr("fastmimic.render.video.render_video", drawn)
+    path = motion_of(method, tmp_path)
+    assert cli.main(["render", str(path), "--duration", "0.1", "--out", str(tmp_path / "x.mp4")]) == 0
+
+
+def test_a_motion_of_a_policy_says_what_it_needs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = motion_of("rl", tmp_path)
+    assert cli.main(["render", str(path), "--duration", "0.1", "--out", str(tmp_path / "x.mp4")]) == 2
+    assert "method 'rl' needs a trained policy" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("method", WITHOUT_POLICY)
+def test_without_an_optimisation_nothing_is_searched(method: str, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    arguments = ["imitate", "trot", "--method", method, "--no-optimize", "--no-video", "--duration", "0.3"]
+    assert cli.main([*arguments, "--out", str(out)]) == 0
+    assert '"evaluations": 0' in (out / "metrics.json").read_text(encoding="utf-8")
+    assert f'"method": "{METHODS[method].unoptimised.name}"' in (out / "metrics.json").read_text(encoding="utf-8")
