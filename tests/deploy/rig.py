@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.deploy.deployment import Deployment, deploy
+from fastmimic.deploy.deployment import Deployment, DeployOptions, deploy
 from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage
 from fastmimic.deploy.emergency_stop import StopSwitch
 from fastmimic.deploy.loop_clock import VirtualClock
@@ -92,16 +92,17 @@ class Rig:
         repeats = self.sequence.motion.cycle is not None
         if repeats and not {"cycles", "endless", "duration_s"} & arguments.keys():
             arguments["duration_s"] = 0.2
+        called = {name: arguments.pop(name) for name in ("note", "on_ready") if name in arguments}
         return deploy(
             self.sequence.motion,
             self.robot,
             self.driver,
+            DeployOptions(limits=limits, **arguments),
             sequence=self.sequence,
-            limits=limits,
             clock=self.clock,
             switch=self.switch,
             watch=watch,
-            **arguments,
+            **called,
         )
 
 

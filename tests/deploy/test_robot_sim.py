@@ -359,7 +359,7 @@ def test_a_second_robot_in_the_domain_ends_with_one_line_and_the_first_goes_on(
         (("--interface", "nowhere0"), "no network interface 'nowhere0'"),
         (("--start", "flying"), "start must be one of lying, standing, found flying"),
         (("--sensors", "none"), "--sensors takes real or ideal"),
-        (("--robot", "a1"), "does not speak the protocol of the a1"),
+        (("--robot", "a1"), "does not speak the protocol of a a1"),
         (("--loss", "1.2"), "loss must be in [0, 1], found 1.2"),
         (("--domain", "231"), "a number from 0 to 230"),
         (("--log", "truth.csv"), "must end in .npz"),

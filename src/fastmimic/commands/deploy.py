@@ -164,46 +164,41 @@ class Deploy:
         return folder, folder / LOG if self.log is None else opt.check_writable(self.log, ".npz")
 
     def _deploy(self, robot: Robot, motion: Motion, limits: "SafetyLimits", policy: Any) -> "Deployment":
-        from fastmimic.deploy.deployment import deploy
+        from fastmimic.deploy.deployment import DeployOptions, deploy
         from fastmimic.deploy.drivers import SIM, make_driver
         from fastmimic.deploy.emergency_stop import StopSwitch
-        from fastmimic.deploy.loop_clock import SHORT_SPIN_S, SPIN_S, LoopClock, RealClock, VirtualClock
+        from fastmimic.deploy.loop_clock import LoopClock, VirtualClock, real_clock
 
-        clock: LoopClock = (
-            VirtualClock() if self.simulated.lock_step else RealClock(SHORT_SPIN_S if self.real_time else SPIN_S)
-        )
+        clock: LoopClock = VirtualClock() if self.simulated.lock_step else real_clock(self.real_time)
         switch, ask, dry = StopSwitch(), None, self.dry_run
         if self.driver == SIM:
             driver = self._simulated(robot, clock)
         else:
-            options = {"interface": self.interface, "domain": self.domain}
-            given = {name: value for name, value in options.items() if value is not None}
-            driver = make_driver(self.driver, robot, touch=not dry, say=note, **given)
+            named = {"interface": self.interface, "domain": self.domain}
+            given = {name: value for name, value in named.items() if value is not None}
+            driver = make_driver(self.driver, robot, release=not dry, say=note, **given)
             if dry and not _answers(driver):
                 clock = VirtualClock()
                 driver, dry = self._simulated(robot, clock), False
             elif not dry and not self.yes:
                 ask = switch
+        options = DeployOptions(
+            method=self.method,
+            config=self.config,
+            policy=policy,
+            solve_rate_hz=self.solve_rate,
+            cycles=self.cycles,
+            duration_s=self.duration,
+            endless=self.endless,
+            limits=limits,
+            dry_run=dry,
+            real_time=self.real_time,
+        )
         with slow_start() as started:
+            ready = None if ask is None else lambda: _agreed(ask)
+            watch = _Watch(started)
             return deploy(
-                motion,
-                robot,
-                driver,
-                method=self.method,
-                config=self.config,
-                policy=policy,
-                solve_rate_hz=self.solve_rate,
-                cycles=self.cycles,
-                duration_s=self.duration,
-                endless=self.endless,
-                limits=limits,
-                clock=clock,
-                switch=switch,
-                dry_run=dry,
-                real_time=self.real_time,
-                on_ready=None if ask is None else lambda: _agreed(ask),
-                watch=_Watch(started),
-                note=note,
+                motion, robot, driver, options, clock=clock, switch=switch, on_ready=ready, watch=watch, note=note
             )
 
     def _simulated(self, robot: Robot, clock: Any) -> "RobotDriver":
@@ -228,7 +223,7 @@ class Deploy:
         )
 
     def _report(self, found: "Deployment", log: Path) -> None:
-        from fastmimic.deploy.summary import command_table, summary_lines
+        from fastmimic.deploy.summary import command_table, summary_rows
 
         if self.dry_run:
             for line in command_table(found.log):
@@ -238,7 +233,7 @@ class Deploy:
         if self.json:
             put_json({**found.result, "log": str(log)})
             return
-        put(*summary_lines(found.result, table), f"log in {log}")
+        put(*table(summary_rows(found.result)), f"log in {log}")
 
     def _status(self, found: "Deployment") -> int:
         from fastmimic.deploy.safety import StopReason

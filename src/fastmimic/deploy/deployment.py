@@ -1,4 +1,4 @@
-"""A deployment from its parts to its result: what `fastmimic deploy` does, for Python."""
+"""Deploying a motion: what `fastmimic deploy` does, for Python."""
 
 import dataclasses
 import math
@@ -15,7 +15,7 @@ from fastmimic.deploy.driver import RobotDriver
 from fastmimic.deploy.emergency_stop import StopSwitch
 from fastmimic.deploy.log import LOST_ROWS, DeploymentLog, Recorder
 from fastmimic.deploy.loop import EndCondition, Loop, LoopOutcome
-from fastmimic.deploy.loop_clock import SHORT_SPIN_S, SPIN_S, LoopClock, RealClock, undisturbed
+from fastmimic.deploy.loop_clock import LoopClock, real_clock, undisturbed
 from fastmimic.deploy.safety import DryRunGuard, Guard, StopReason
 from fastmimic.deploy.safety_limits import SafetyLimits
 from fastmimic.deploy.scoring import figures, score_log, true_states
@@ -28,21 +28,90 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
 DEFAULT_S: Final = 10.0
-LOGGED_S: Final = 300.0
-"""Of a run without an end, and at most."""
 _MARGIN_S: Final = 30.0
-"""Standing up, sitting down and being damped take less."""
+"""More than standing up, sitting down and damping take together."""
 FELL: Final = (StopReason.TILT, StopReason.HEIGHT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeployOptions:
+    """How a motion is deployed.
+
+    Attributes:
+        method, config, policy: as in `fastmimic.imitation.imitate.evaluate`.
+        solve_rate_hz: rate of the horizon planner, Hz; the control rate if None.
+        estimator: its parameters; the default ones if None.
+        cycles, duration_s, endless: number of cycles, duration of the motion, or until the operator ends it; at most
+            one of them. 10 s by default.
+        limits: safety limits; `SafetyLimits.of` the robot if None.
+        dry_run: whether commands are computed and not sent.
+        real_time: whether to request real-time scheduling and locked memory.
+        logged_s: longest time that the log holds, s; of a longer run the last part.
+    """
+
+    method: str | None = None
+    config: ControllerConfig | str | None = None
+    policy: MakeController | None = None
+    solve_rate_hz: float | None = None
+    estimator: EstimatorConfig | None = None
+    cycles: int | None = None
+    duration_s: float | None = None
+    endless: bool = False
+    limits: SafetyLimits | None = None
+    dry_run: bool = False
+    real_time: bool = False
+    logged_s: float = 330.0
+
+    def controller(self, motion: Motion) -> tuple[str, ControllerConfig]:
+        """The method's name and the controller's parameters for a motion.
+
+        Raises:
+            ConfigError: an unknown name, a policy without a use, or a rate that does not fit.
+        """
+        learned = self.policy is not None
+        method, config = controller_for(motion, "rl" if learned and self.method is None else self.method, self.config)
+        check_controller(method, learned)
+        if config.recovery.enabled and config.recovery.phase_rate != 1.0:
+            raise ConfigError(
+                f"recovery.phase_rate is {config.recovery.phase_rate:g}; a deployment needs 1: its reference keeps pace"
+            )
+        if config.stance.forces == "horizon":
+            rate = config.rate_hz if self.solve_rate_hz is None else self.solve_rate_hz
+            config = dataclasses.replace(config, horizon=dataclasses.replace(config.horizon, solve_rate_hz=rate))
+        elif self.solve_rate_hz is not None:
+            raise ConfigError(f"method '{method.name}' does not plan ahead; a solve rate is for lh and lh-dmp")
+        return method.name, config
+
+    def end_condition(self, motion: Motion) -> tuple[EndCondition, float]:
+        """When the motion ends, and after how long at most, s; raises `ConfigError`."""
+        options = {"cycles": self.cycles, "duration": self.duration_s, "endless": self.endless}
+        given = [name for name, value in options.items() if value]
+        if len(given) > 1:
+            raise ConfigError(f"{' and '.join(given)} both say when the motion ends; give one of them")
+        if self.cycles is not None and self.cycles < 1:
+            raise ConfigError(f"the cycles must be at least 1, found {self.cycles}")
+        if self.duration_s is not None and not (math.isfinite(self.duration_s) and self.duration_s > 0):
+            raise ConfigError(f"the duration must be positive, found {self.duration_s}")
+        if motion.cycle is None:
+            if given:
+                raise ConfigError(f"motion '{motion.name}' does not repeat; leave out {given[0]}")
+            return EndCondition(), motion.period_s
+        if self.cycles is not None:
+            return EndCondition(cycles=self.cycles), self.cycles * motion.period_s
+        if self.endless:
+            return EndCondition(), math.inf
+        duration_s = DEFAULT_S if self.duration_s is None else self.duration_s
+        return EndCondition(steps=max(1, round(duration_s * motion.rate_hz))), duration_s
 
 
 @dataclass(frozen=True, eq=False)
 class Deployment:
-    """What came of it.
+    """A deployment that has ended.
 
     Attributes:
         outcome: how it ended.
-        log: everything.
-        noted: in a dry run, what was beyond the limits, a line for each kind.
+        log: of all periods.
+        noted: in a dry run, the violations, a line for each kind.
     """
 
     outcome: LoopOutcome
@@ -56,117 +125,54 @@ class Deployment:
         return found
 
 
-def deployed_config(
-    motion: Motion,
-    method: str | None,
-    config: ControllerConfig | str | None,
-    solve_rate_hz: float | None,
-    learned: bool,
-) -> tuple[str, ControllerConfig]:
-    """The method's name and the controller's parameters of a deployment.
-
-    Args:
-        motion: what is deployed.
-        method, config: as in `fastmimic.imitation.imitate.evaluate`.
-        solve_rate_hz: how often a controller that looks ahead plans anew; its own rate, which is that of the loop, if
-            None.
-        learned: whether there is a policy.
-
-    Raises:
-        ConfigError: an unknown name, a policy without use for one, or a rate that does not fit.
-    """
-    chosen, found = controller_for(motion, "rl" if learned and method is None else method, config)
-    check_controller(chosen, learned)
-    if found.recovery.enabled and found.recovery.phase_rate != 1.0:
-        raise ConfigError(
-            f"recovery.phase_rate is {found.recovery.phase_rate:g}; a deployment keeps the reference at its pace: it"
-            " must be 1"
-        )
-    if found.stance.forces == "horizon":
-        rate = found.rate_hz if solve_rate_hz is None else solve_rate_hz
-        found = dataclasses.replace(found, horizon=dataclasses.replace(found.horizon, solve_rate_hz=rate))
-    elif solve_rate_hz is not None:
-        raise ConfigError(f"method '{chosen.name}' does not plan ahead; a solve rate is for lh and lh-dmp")
-    return chosen.name, found
-
-
 def deploy(
     motion: Motion,
     robot: Robot,
     driver: RobotDriver,
+    options: DeployOptions | None = None,
     *,
-    method: str | None = None,
-    config: ControllerConfig | str | None = None,
-    policy: MakeController | None = None,
-    solve_rate_hz: float | None = None,
-    estimator: EstimatorConfig | None = None,
     sequence: MotionSequence | None = None,
-    cycles: int | None = None,
-    duration_s: float | None = None,
-    endless: bool = False,
-    limits: SafetyLimits | None = None,
     clock: LoopClock | None = None,
     switch: StopSwitch | None = None,
-    dry_run: bool = False,
-    real_time: bool = False,
     on_ready: Callable[[], bool] | None = None,
     watch: Callable[[StateMachine, NDArray[Any]], None] | None = None,
-    note: Callable[[str], None] | None = None,
+    note: Callable[[str], None] = lambda line: None,
 ) -> Deployment:
-    """Has a robot stand up, do a motion, and sit down.
+    """Makes a robot stand up, run a motion, and sit down.
 
     Args:
-        motion: a motion that repeats, or a stitched one, which is done once.
+        motion: a motion that repeats, or a stitched one, which runs once.
         robot: its model.
-        driver: not yet open; it is closed in the end.
-        method, config, policy: as in `fastmimic.imitation.imitate.evaluate`.
-        solve_rate_hz: of planning ahead; at the loop's rate if None.
-        estimator: its parameters.
+        driver: not yet open; it is closed at the end.
+        options: see `DeployOptions`.
         sequence: of this motion and controller, if it was made before.
-        cycles, duration_s, endless: how many cycles, or how long, or until a person ends it; 10 s if none is given.
-        limits: of safety; `SafetyLimits.of` the robot if None.
-        clock: the computer's if None. A simulated robot has to have the same.
-        switch: a person's hand; keys and signals if None.
-        dry_run: compute everything and send nothing.
-        real_time: ask the system for real-time scheduling and locked memory.
-        on_ready: called when all is prepared and there are states, before the first command; False calls it off.
-        watch: called after each period with the machine and its command.
-        note: takes lines for a person.
+        clock: the computer's if None. A simulated robot must have the same.
+        switch: the operator's stop; keys and signals if None.
+        on_ready: called when all is prepared and states arrive, before the first command; False cancels.
+        watch: called after each period with the state machine and its command.
+        note: takes lines for the operator.
 
     Raises:
         ConfigError: arguments that contradict each other.
         MotionError: a motion that the robot cannot begin or end.
-        DriverError: a robot that is not there or not fit to begin. Nothing was sent then.
+        DriverError: no robot, or one that is not fit to begin. Nothing was sent then.
     """
-    method, config = deployed_config(motion, method, config, solve_rate_hz, policy is not None)
-    if policy is not None:
-        motion = motion.target
-    ending, seconds = _ending(motion, cycles, duration_s, endless)
-    limits = limits if limits is not None else SafetyLimits.of(robot)
+    options = options if options is not None else DeployOptions()
+    method, config = options.controller(motion)
+    motion = motion if options.policy is None else motion.target
+    ending, seconds = options.end_condition(motion)
+    limits = options.limits if options.limits is not None else SafetyLimits.of(robot)
     rate_hz = config.rate_hz
-    guard = (DryRunGuard if dry_run else Guard)(robot, limits, rate_hz)
+    guard = (DryRunGuard if options.dry_run else Guard)(robot, limits, rate_hz)
     sequence = sequence if sequence is not None else make_sequence(robot, motion, config)
-    machine = StateMachine(robot, sequence, guard, config, estimator=estimator, policy=policy)
-    around = sequence.blend_in.last + sequence.blend_out.last + round(_MARGIN_S * rate_hz)
-    steps = around + round(seconds * rate_hz) + motion.n_samples if math.isfinite(seconds) else None
-    recorder = Recorder(min(steps or round(LOGGED_S * rate_hz), around + round(LOGGED_S * rate_hz)))
-    clock = clock if clock is not None else RealClock(SHORT_SPIN_S if real_time else SPIN_S)
-    with driver, undisturbed(real_time=real_time) as refused:
+    machine = StateMachine(robot, sequence, guard, config, estimator=options.estimator, policy=options.policy)
+    recorder = Recorder(_periods_logged(sequence, seconds, options.logged_s, rate_hz))
+    clock = clock if clock is not None else real_clock(options.real_time)
+    with driver, undisturbed(real_time=options.real_time) as refused:
         for line in refused:
-            _say(note, line)
+            note(line)
         with switch if switch is not None else StopSwitch() as hand:
-            loop = Loop(
-                driver,
-                machine,
-                guard,
-                recorder,
-                clock,
-                rate_hz,
-                ending=ending,
-                switch=hand,
-                dry=dry_run,
-                watch=watch,
-            )
+            loop = Loop(driver, machine, recorder, clock, ending=ending, switch=hand, dry=options.dry_run, watch=watch)
             outcome = loop.run(on_ready)
     meta = {
         "rate_hz": rate_hz,
@@ -179,43 +185,24 @@ def deploy(
         "limits": dataclasses.asdict(limits),
         "torque_limit": robot.torque_limit.tolist(),
         "joint_speed_limit": robot.joint_speed_limit.tolist(),
-        "dry_run": dry_run,
+        "dry_run": options.dry_run,
     }
     log = DeploymentLog(recorder.rows(), motion, meta)
     truth = getattr(driver, "truth", None)  # a simulated robot's
     if truth is not None:
         log = dataclasses.replace(log, truth=true_states(log, truth, np.arange(len(truth))))
     if recorder.periods > len(log.rows):
-        _say(note, LOST_ROWS.format((recorder.periods - len(log.rows)) / rate_hz, len(log.rows) / rate_hz))
+        note(LOST_ROWS.format((recorder.periods - len(log.rows)) / rate_hz, len(log.rows) / rate_hz))
     meta["result"] = _result(robot, log, config, outcome, recorder.periods)
     noted = tuple(found.text for found in guard.noted.values()) if isinstance(guard, DryRunGuard) else ()
     return Deployment(outcome, log, noted)
 
 
-def _say(note: Callable[[str], None] | None, line: str) -> None:
-    if note is not None:
-        note(line)
-
-
-def _ending(motion: Motion, cycles: int | None, duration_s: float | None, endless: bool) -> tuple[EndCondition, float]:
-    """When the motion is left, and after how long at most, s."""
-    given = [name for name, value in (("cycles", cycles), ("duration", duration_s), ("endless", endless)) if value]
-    if len(given) > 1:
-        raise ConfigError(f"{' and '.join(given)} both say when the motion ends; give one of them")
-    if cycles is not None and cycles < 1:
-        raise ConfigError(f"the cycles must be at least 1, found {cycles}")
-    if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0):
-        raise ConfigError(f"the duration must be positive, found {duration_s}")
-    if motion.cycle is None:
-        if given:
-            raise ConfigError(f"motion '{motion.name}' does not repeat: it is done once; leave out {given[0]}")
-        return EndCondition(), motion.period_s
-    if cycles is not None:
-        return EndCondition(cycles=cycles), cycles * motion.period_s
-    if endless:
-        return EndCondition(), math.inf
-    duration_s = DEFAULT_S if duration_s is None else duration_s
-    return EndCondition(steps=max(1, round(duration_s * motion.rate_hz))), duration_s
+def _periods_logged(sequence: MotionSequence, seconds: float, most_s: float, rate_hz: float) -> int:
+    """Rows of the log: for the whole run if it is not longer than `most_s`."""
+    around = sequence.blend_in.last + sequence.blend_out.last + sequence.motion.n_samples
+    whole = around / rate_hz + _MARGIN_S + seconds
+    return round(min(whole, most_s) * rate_hz)
 
 
 def _result(

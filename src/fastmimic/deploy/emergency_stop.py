@@ -1,30 +1,30 @@
-"""How a person stops the robot: a key in the terminal, or a signal to the process."""
+"""The operator's stop: keys in the terminal, and signals to the process."""
 
 import os
 import select
 import signal
 import sys
 import threading
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Final, Self
 
 EMERGENCY_KEYS: Final = " \r\nqQ"
-"""Damp at once: the robot sinks to the ground."""
+"""Damp at once; the robot sinks to the ground."""
 LEAVE_KEYS: Final = "sS"
-"""Go back to standing and sit down."""
+"""Blend out and sit down."""
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
 class StopSwitch:
     """Watches the terminal and the process's signals; a context manager.
 
-    While it is entered, SIGINT and SIGTERM end no program: they are counted. Keys are read where standard input is a
-    terminal, without waiting for Enter.
+    While it is entered, SIGINT and SIGTERM are counted and do not end the program. Keys are read without Enter, if
+    standard input is a terminal.
 
     Attributes:
-        signals: how many came.
+        signals: number of signals so far.
         key: whether an emergency key was pressed.
-        leave: whether the robot was asked to sit down.
+        leave: whether the key to sit down was pressed.
     """
 
     def __init__(self, stream: Any = None) -> None:
@@ -38,13 +38,8 @@ class StopSwitch:
         self._handlers: dict[int, Any] = {}
         self.signals, self.key, self.leave = 0, False, False
 
-    @property
-    def watches_keys(self) -> bool:
-        """Whether there is a terminal."""
-        return self._file is not None
-
     def poll(self) -> None:
-        """Looks whether a key was pressed; takes some microseconds."""
+        """Reads the keys that were pressed; takes some microseconds."""
         if self._file is None:
             return
         while select.select([self._file], [], [], 0.0)[0]:
@@ -60,7 +55,7 @@ class StopSwitch:
                 self.leave = self.leave or character in LEAVE_KEYS
 
     def wait_for_consent(self) -> bool:
-        """Waits for a key or a signal; whether it was Enter."""
+        """Waits for a key or a signal; returns whether it was Enter."""
         while not self.signals and self._file is not None:
             if not select.select([self._file], [], [], 0.1)[0]:
                 continue
@@ -86,9 +81,7 @@ class StopSwitch:
             self._file = None
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
         if self._saved is not None:

@@ -1,4 +1,4 @@
-"""All that went through the loop, a row for each period, in memory that was there before it began; and its file."""
+"""The log of a deployment: a row for each period, in preallocated memory; and its file."""
 
 import io
 import json
@@ -49,35 +49,35 @@ ROW: Final = np.dtype(
         ("qp_failures", "i8"),
     ]
 )
-"""One period: when it began, from the start of the run, and by how much too late; how long reading, computing and
-writing took; from the state's arrival to the command's departure; the age of the state when it was used, its sequence
-number, and whether it was a new one; the `DeploymentPhase`, whether it was in the motion itself, the sample and the
-origin of the reference; the state, the estimate, the command, whether it was sent, and how many of its numbers were
-cut; leg states, the forces asked for (heading frame, N), the time to plan ahead, and the controller's counts."""
+"""One period: its start since the start of the run, and its delay; durations of reading, control and writing, and from
+the state's arrival to the command's departure; the state's age, sequence number, and whether it is new; the
+`DeploymentPhase`, whether it is in the motion itself, the reference's sample and origin; state, estimate and command,
+whether it was sent, and how many of its numbers were cut; stance legs, commanded ground reaction forces (heading frame,
+N), planning time, and the controller's counts."""
 
 LOST_ROWS: Final = "the first {:.0f} s are not in the log, which holds the last {:.0f} s"
 
 
 class Recorder:
-    """Rows in preallocated memory; when it is full the oldest are written over.
+    """Rows in preallocated memory; when it is full, the oldest are overwritten.
 
     Attributes:
-        periods: how many were recorded, those written over included.
+        periods: number of periods recorded, overwritten ones included.
     """
 
     def __init__(self, capacity: int) -> None:
         self._rows = np.zeros(capacity, ROW)
-        self._rows.view(np.uint8)[:] = 0  # so that the memory is there, not only promised
+        self._rows.view(np.uint8)[:] = 0  # touches the memory now
         self.periods = 0
 
     def next_row(self) -> Any:
-        """The record to fill in for this period."""
+        """The row of this period, to be filled in."""
         row = self._rows[self.periods % len(self._rows)]
         self.periods += 1
         return row
 
     def rows(self) -> NDArray[Any]:
-        """What is kept, in its order."""
+        """The rows kept, in order."""
         n = len(self._rows)
         if self.periods <= n:
             return self._rows[: self.periods]
@@ -90,9 +90,9 @@ class DeploymentLog:
 
     Attributes:
         rows: (t,) of `ROW`.
-        motion: what was deployed.
+        motion: the motion deployed.
         meta: `rate_hz`, `robot`, `motion`, `driver`, `method`, `result` and more, JSON-serialisable.
-        truth: (t,) of `OBSERVATION`, of a simulated robot at the moments of the states used; None of a real one.
+        truth: (t,) of `OBSERVATION`, a simulated robot's true states at the states used; None of a real one.
     """
 
     rows: NDArray[Any]
@@ -106,14 +106,14 @@ class DeploymentLog:
         return float(self.meta["rate_hz"])
 
     def run_log(self) -> RunLog:
-        """What the robot's computer knew of the motion itself, for `fastmimic.identification.identify.identify`.
+        """The part in the motion itself, for `fastmimic.identification.identify.identify`.
 
         Raises:
-            DeploymentError: the robot did not come so far.
+            DeploymentError: the robot did not reach the motion.
         """
         at = np.flatnonzero(self.rows["in_motion"])
         if len(at) < 2:
-            raise DeploymentError("the robot never came to the motion, so there is nothing to tell of it")
+            raise DeploymentError("the robot did not reach the motion, so there is nothing to identify")
         step, after = self.rows[at[:-1]], self.rows[at[1:]]
         return RunLog(
             robot=str(self.meta["robot"]),
@@ -173,7 +173,7 @@ def is_deployment_log(path: str | Path) -> bool:
     try:
         with np.load(path, allow_pickle=False) as file:
             return _MARK in file.files
-    except Exception:  # noqa: BLE001 - a damaged archive is somebody else's to report
+    except Exception:  # noqa: BLE001 - the reader reports a damaged archive
         return False
 
 

@@ -1,4 +1,4 @@
-"""The real-time loop: at a fixed rate from the robot's state to its command, watched, measured and logged."""
+"""The real-time loop: reads the robot's state and sends its command at a fixed rate, checked, timed and logged."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -7,36 +7,35 @@ from typing import Any, Final
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage, damping_command
+from fastmimic.deploy.driver import FIRST_STATE_S, Packets, RobotDriver, StateMessage, damping_command
 from fastmimic.deploy.emergency_stop import StopSwitch
 from fastmimic.deploy.log import Recorder
 from fastmimic.deploy.loop_clock import LoopClock
-from fastmimic.deploy.safety import Guard, StopReason, Violation
+from fastmimic.deploy.safety import StopReason, Violation
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 
-FIRST_STATE_S: Final = 3.0
 _AT_ONCE: Final = 2
-"""So many signals end the damping as well."""
+"""Number of signals that end the damping early."""
 
 
 class CalledOffError(DriverError):
-    """A person did not want it after all; nothing was sent."""
+    """The operator cancelled the start; nothing was sent."""
 
 
 @dataclass(frozen=True)
 class EndCondition:
-    """When the motion is left.
+    """When the motion ends.
 
     Attributes:
         cycles: after so many complete cycles; None for no such end.
-        steps: after so many control steps in the motion; None likewise.
+        steps: after so many control steps in the motion; None for no such end.
     """
 
     cycles: int | None = None
     steps: int | None = None
 
     def reached(self, machine: StateMachine) -> StopReason | None:
-        """Why the motion is to be left by now."""
+        """Why the motion ends now, if it does."""
         if self.cycles is not None and machine.cycles >= self.cycles:
             return StopReason.CYCLES
         if self.steps is not None and machine.follower.steps >= self.steps:
@@ -49,12 +48,12 @@ class LoopOutcome:
     """How a run of the loop ended.
 
     Attributes:
-        stopped_by: why.
-        text: a line that says more, of what was not planned.
-        phase: in which that was.
-        deadline_misses: periods whose command went out after their end.
-        skipped: periods that did not take place at all, because one before took so long.
-        packets: since the first period; what arrived while everything was prepared does not count.
+        stopped_by: the reason.
+        text: a line on what was not planned; else empty.
+        phase: the phase in which it stopped.
+        deadline_misses: periods that sent their command after their end.
+        skipped: periods left out because an earlier one took too long.
+        packets: messages since the first period.
     """
 
     stopped_by: StopReason
@@ -66,16 +65,14 @@ class LoopOutcome:
 
 
 class Loop:
-    """One run. Nothing is sent to the robot before `run`, and after it the robot is damped or limp."""
+    """One run. Nothing is sent to the robot before `run`; after it the robot is damped or limp."""
 
     def __init__(
         self,
         driver: RobotDriver,
         machine: StateMachine,
-        guard: Guard,
         recorder: Recorder,
         clock: LoopClock,
-        rate_hz: float,
         *,
         ending: EndCondition,
         switch: StopSwitch,
@@ -84,41 +81,38 @@ class Loop:
     ) -> None:
         """
         Args:
-            driver: open, and of nobody else.
-            machine: what is sent.
-            guard: what may be.
+            driver: open.
+            machine: computes the commands; its guard checks them.
             recorder: takes a row for each period.
-            clock: of the deadlines; the driver's states were received on the same.
-            rate_hz: periods a second.
-            ending: when the motion is left.
-            switch: a person's hand.
+            clock: of the deadlines and of the driver's states.
+            ending: when the motion ends.
+            switch: the operator's stop.
             dry: whether nothing is sent.
             watch: called at the end of each period with the machine and the command (1,) of `COMMAND`.
         """
-        self._driver, self._machine, self._guard = driver, machine, guard
-        self._recorder, self._clock, self._dt = recorder, clock, 1.0 / rate_hz
+        self._driver, self._machine, self._guard = driver, machine, machine.guard
+        self._recorder, self._clock, self._dt = recorder, clock, machine.dt
         self._ending, self._switch, self._dry, self._watch = ending, switch, dry, watch
-        self._damping = damping_command(guard.limits.damping)
+        self._damping = damping_command(self._guard.limits.damping)
         self._state: StateMessage | None = None
         self._before = Packets()
         self._late = 0.0
         self._misses = self._skipped = 0
 
     def run(self, on_ready: Callable[[], bool] | None = None) -> LoopOutcome:
-        """Until the robot lies again.
+        """Runs until the robot lies again.
 
         Args:
-            on_ready: called when all is prepared; False calls it off.
+            on_ready: called when all is prepared; False cancels.
 
         Raises:
-            CalledOffError: it did, or the switch was thrown before anything was sent.
-            DriverError: there is no state within `FIRST_STATE_S`, or the robot is not fit to begin with; nothing was
-                sent.
+            CalledOffError: cancelled, or stopped before anything was sent.
+            DriverError: no state within `FIRST_STATE_S`, or a robot that is not fit to begin; nothing was sent.
         """
         self._prepare()
         agreed = on_ready is None or on_ready()
         if not agreed or self._emergency() is not None:
-            raise CalledOffError("called off; nothing was sent")
+            raise CalledOffError("cancelled; nothing was sent")
         self._begin()
         self._start = self._deadline = self._clock.now() + 2 * self._dt
         try:
@@ -142,10 +136,10 @@ class Loop:
         self._recorder.periods = 0
 
     def _begin(self) -> None:
-        """With the newest state: a person may have taken a while."""
+        """Begins with the newest state."""
         self._state = self._driver.read(FIRST_STATE_S)
         if self._state is None:
-            raise DriverError(f"the robot has fallen silent: no state for {FIRST_STATE_S:g} s")
+            raise DriverError(f"the robot's states stopped: none for {FIRST_STATE_S:g} s")
         self._before = replace(self._driver.packets)
         found = self._machine.begin(self._state.reading)
         if found is not None:
@@ -173,7 +167,7 @@ class Loop:
         return LoopOutcome(reason, text, phase, self._misses, self._skipped, packets)
 
     def _wait(self) -> None:
-        """Until the next period; those that were missed altogether are left out."""
+        """Waits for the next period; skips those that are already over."""
         self._clock.sleep_until(self._deadline)
         self._began = self._clock.now()
         self._late = self._began - self._deadline
@@ -191,14 +185,14 @@ class Loop:
         return None
 
     def _period(self) -> Violation | None:
-        """One period: read, compute, write, record."""
+        """One period: read, compute, check, write, record."""
         clock, machine = self._clock, self._machine
         fresh = self._read()
         read = clock.now()
         assert self._state is not None
         violation = self._guard.check_age(read - self._state.received)
         if violation is not None and self._late > self._dt:
-            # it was this computer that paused: what the robot sent meanwhile may be about to be delivered
+            # this computer paused: a newer state may be about to be delivered
             fresh = self._read(self._dt)
             read = clock.now()
             violation = self._guard.check_age(read - self._state.received)
@@ -223,7 +217,7 @@ class Loop:
         return violation
 
     def _read(self, timeout_s: float = 0.0) -> bool:
-        """Takes the newest state; whether there is a new one."""
+        """Takes the newest state; returns whether there is a new one."""
         state = self._driver.read(timeout_s)
         if state is None:
             return False
@@ -254,7 +248,7 @@ class Loop:
         row["early_touchdowns"], row["qp_failures"] = memory["early_touchdowns"], memory["qp_failures"]
 
     def _end(self, violation: Violation) -> LoopOutcome:
-        """Damps the robot for a while, and says why."""
+        """Damps the robot for a while."""
         phase = self._machine.phase
         try:
             for _ in range(max(1, round(self._guard.limits.damping_s / self._dt))):
@@ -262,7 +256,7 @@ class Loop:
                 if self._switch.signals >= _AT_ONCE:
                     break
         except DriverError:
-            pass  # it is gone, and with it the wish to send it anything; the robot's own watchdog damps it
+            pass  # connection lost; the robot's watchdog damps it
         return self._outcome(violation.reason, violation.text, phase)
 
     def _damped_period(self) -> None:

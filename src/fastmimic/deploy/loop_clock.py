@@ -1,4 +1,4 @@
-"""Time as the loop knows it: the computer's, or one that passes only when it is told to."""
+"""The loop's clock: real or virtual time; and real-time scheduling."""
 
 import contextlib
 import ctypes
@@ -10,11 +10,11 @@ from contextlib import contextmanager
 from typing import Final, Protocol
 
 SPIN_S: Final = 0.0005
-"""Before a deadline the loop looks at the clock without sleeping, since a sleep ends late by as much."""
+"""How long before a deadline the loop polls the clock: a sleep ends late by as much."""
 SHORT_SPIN_S: Final = 0.0001
-"""With real-time scheduling: sleeps end in time, and Linux takes the core away for a while from what never sleeps."""
+"""The same with real-time scheduling, where sleeps end in time and Linux throttles what never sleeps."""
 PRIORITY: Final = 60
-"""Of `SCHED_FIFO`: above all that is not real time, below the kernel's own threads."""
+"""In `SCHED_FIFO`: above all processes that are not real-time, below the kernel's threads."""
 _MCL_CURRENT_AND_FUTURE: Final = 3
 
 
@@ -24,11 +24,11 @@ class LoopClock(Protocol):
     def now(self) -> float: ...
 
     def sleep_until(self, moment: float) -> None:
-        """Returns at that moment, at once if it has passed."""
+        """Returns at that moment, or at once if it has passed."""
 
 
 class RealClock:
-    """That of `time.perf_counter`. Sleeps until shortly before a moment and then spins."""
+    """`time.perf_counter`. Sleeps until shortly before a moment and then spins."""
 
     def __init__(self, spin_s: float = SPIN_S) -> None:
         self._spin_s = spin_s
@@ -44,8 +44,13 @@ class RealClock:
             pass
 
 
+def real_clock(real_time: bool) -> RealClock:
+    """A real clock, with or without real-time scheduling."""
+    return RealClock(SHORT_SPIN_S if real_time else SPIN_S)
+
+
 class VirtualClock:
-    """A clock on which only sleeping takes time: the loop and what it talks to go in lock step, as fast as they can."""
+    """A clock on which only sleeping takes time: loop and simulated robot run in lock step, as fast as possible."""
 
     def __init__(self) -> None:
         self.time_s = 0.0
@@ -59,13 +64,13 @@ class VirtualClock:
 
 @contextmanager
 def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
-    """Keeps Python's garbage collector, and if wanted other processes and the swap, out of the way for a while.
+    """Disables Python's garbage collector for a while, and requests real-time scheduling and locked memory.
 
     Args:
-        real_time: whether to ask for a real-time scheduler and for memory that stays where it is.
+        real_time: whether to request real-time scheduling and locked memory.
 
     Yields:
-        A sentence for each thing that was asked for and not permitted.
+        A sentence for each request that was refused.
     """
     refused: list[str] = []
     gc.collect()
@@ -83,10 +88,10 @@ def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
 
 
 def _ask_for_real_time(refused: list[str]) -> dict[int, tuple[int, int]]:
-    """Asks the kernel for all threads of the process, since a driver's receive what the loop waits for.
+    """Requests real-time scheduling of all threads, since the driver's receive the states, and locked memory.
 
     Returns:
-        Scheduler and priority of each thread as they were.
+        The former scheduler and priority of each thread.
     """
     if not hasattr(os, "sched_setscheduler"):
         refused.append("this system has no real-time scheduler")
@@ -112,7 +117,7 @@ def _ask_for_real_time(refused: list[str]) -> dict[int, tuple[int, int]]:
 
 
 def _restore(before: dict[int, tuple[int, int]]) -> None:
-    """Puts the threads that are still there back."""
+    """Restores the scheduling of the threads that still exist."""
     for thread, (policy, priority) in before.items():
         with contextlib.suppress(OSError):
             os.sched_setscheduler(thread, policy, os.sched_param(priority))
@@ -121,7 +126,7 @@ def _restore(before: dict[int, tuple[int, int]]) -> None:
 
 
 def _threads() -> list[int]:
-    """Those of this process; 0 is the calling one where they cannot be told."""
+    """The threads of this process; 0 is the calling one where they cannot be listed."""
     try:
         return [int(name) for name in os.listdir("/proc/self/task")]
     except OSError:

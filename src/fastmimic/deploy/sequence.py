@@ -1,8 +1,8 @@
-"""What the robot follows from standing to standing: a way in, the motion itself, and a way out, as tables.
+"""The motion sequence from standing to standing: blend in, the motion, blend out, as reference tables.
 
-The way in stands, steps in place and passes into the motion by the transitions of `fastmimic.play`; the way out goes
-back likewise. Everything is made before the first command. In between the motion's own table is followed as in every
-other closed loop, so that what the controller computes there is what it computes everywhere.
+Blending in stands, steps in place and passes into the motion by the transitions of `fastmimic.reference`; blending out
+goes back the same way. All tables are made before the first command. The motion itself has the same table as in every
+other closed loop.
 """
 
 import math
@@ -44,11 +44,11 @@ _VECTORS: Final = ("lin_vel", "ang_vel", "lin_acc", "ang_acc", "leg_lin_acc", "l
 
 @dataclass(frozen=True, eq=False)
 class SequencePart:
-    """A piece of the way.
+    """A part of the sequence.
 
     Attributes:
         table: (1, t) of `SAMPLE`.
-        first, last: samples at which it is entered and left; of a motion that repeats, the last may be below the first.
+        first, last: its first and last sample; in a motion that repeats, `last` may be below `first`.
         clock: (1,) of `CLOCK`, at the table's start.
     """
 
@@ -59,26 +59,24 @@ class SequencePart:
 
     @property
     def repeats(self) -> bool:
-        """Whether it goes on until it is asked to end."""
+        """Whether it repeats until `Follower.leaving` is set."""
         return bool(self.clock["repeats"][0])
 
 
 @dataclass(frozen=True, eq=False)
 class MotionSequence:
-    """The way from standing to standing.
+    """The sequence from standing to standing.
 
     Attributes:
-        motion: what is done in the middle.
-        blend_in, main, blend_out: one after the other.
-        height: of the base when it stands, m.
-        stand: (12,) joints then, rad.
+        motion: the motion in the middle.
+        blend_in, main, blend_out: its parts in order.
+        stand: (12,) joints while standing, rad.
     """
 
     motion: Motion
     blend_in: SequencePart
     main: SequencePart
     blend_out: SequencePart
-    height: float
     stand: Array
 
 
@@ -92,22 +90,22 @@ class _CourseSlice:
 
 
 class Follower:
-    """Where in an sequence the robot is. One control step after the other; nothing is allocated that matters.
+    """The position in a sequence, advanced by control steps.
 
     Attributes:
-        part: the present one.
+        part: the current part.
         table: (t,) of `SAMPLE`, its samples.
-        clock: (1,) of `CLOCK`, of the present part.
+        clock: (1,) of `CLOCK`, its position.
         steps: control steps in the motion itself so far.
-        leaving: whether the motion is to be left where it can be.
-        done: whether the way out has come to its end.
+        leaving: whether the motion ends at its next last sample.
+        done: whether blending out has ended.
     """
 
     def __init__(self, sequence: MotionSequence, recovery: NDArray[Any] | None = None) -> None:
         """
         Args:
-            sequence: the way.
-            recovery: packed configuration of a controller whose reference yields to a robot that was pushed.
+            sequence: the sequence.
+            recovery: packed configuration of a controller with push recovery; None without.
         """
         self.sequence, self._recovery = sequence, recovery
         self.begin(np.zeros(3))
@@ -119,14 +117,14 @@ class Follower:
 
     @property
     def in_motion(self) -> bool:
-        """Whether the present sample is one of the motion itself."""
+        """Whether the current part is the motion itself."""
         return self.part is self.sequence.main
 
     def advance(self, observation: NDArray[Any]) -> bool:
-        """One control step on; returns whether another part has begun.
+        """Advances by one control step; returns whether another part has begun.
 
         Args:
-            observation: (1,) of `OBSERVATION`; x and y are synchronised to where the robot is where a cycle starts.
+            observation: (1,) of `OBSERVATION`; where a cycle starts, x and y are synchronised to it.
         """
         if self.done:
             return False
@@ -155,16 +153,16 @@ class Follower:
 
 
 def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionSequence:
-    """The way into a motion and out of it.
+    """The sequence of a motion.
 
     Args:
         robot: the robot.
-        motion: a motion that repeats, or a stitched one, which is done once.
-        config: of the controller, which may look ahead.
+        motion: a motion that repeats, or a stitched one, which runs once.
+        config: of the controller, which may plan ahead.
 
     Raises:
-        MotionError: another robot's motion, one at another rate, one that neither repeats nor is stitched, or one that
-            no way leads into or out of.
+        MotionError: a motion for another robot or rate, one that neither repeats nor is stitched, or one without a
+            transition from or to standing.
     """
     first, last = _ends(robot, motion, config.rate_hz)
     if motion.contact.all():
@@ -185,7 +183,7 @@ def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> Mot
 
     hops = _way(library, end, STAND)
     n = last.motion.n_samples
-    # so early that the controller, which looks ahead, sees where it goes
+    # early enough for a controller that plans ahead to see the transition
     begins = (hops[0][1].leave - ahead) % n if motion.cycle is not None else (motion.n_samples - 1 - last.shift) % n
     ends = begins if motion.cycle is not None else motion.n_samples - 1
     blend_out = _slices(library, end, hops, begins, 0)
@@ -194,31 +192,28 @@ def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> Mot
     out = _part(table, 0, at[-1] + hold)
 
     main = SequencePart(reference_table(motion, robot)[None], arrive, ends, make_clocks(motion, 1))
-    height = float(stand.motion.root_pos_w[0, 2])
-    return MotionSequence(motion, into, main, out, height, np.array(stand.motion.joint_pos[0]))
+    return MotionSequence(motion, into, main, out, np.array(stand.motion.joint_pos[0]))
 
 
 def _standing(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionSequence:
-    """A motion that only stands: nothing has to be passed through.
+    """The sequence of a motion that only stands.
 
     Raises:
-        MotionError: it does not begin and end as a robot stands.
+        MotionError: it does not begin and end in the standing posture.
     """
     hold = max(1, round(STAND_S * config.rate_hz))
     stand = standing(robot)
     off = float(np.abs(motion.joint_pos[[0, -1]] - stand.joint_pos[0]).max())
     if off > _SAME_POSTURE:
         raise MotionError(
-            f"motion '{motion.name}' never lifts a foot and begins or ends {off:.2f} rad off the posture in which the"
-            " robot stands: no way leads there without a step"
+            f"motion '{motion.name}' never lifts a foot and begins or ends {off:.2f} rad off the standing posture:"
+            " the robot cannot reach it without a step"
         )
     course = course_of(stand, robot)
     table, _ = _table(robot, [_CourseSlice(course, 0, hold + _looked_ahead(config))], config.rate_hz)
     way = _part(table, 0, hold)
     main = SequencePart(reference_table(motion, robot)[None], 0, 0, make_clocks(motion, 1))
-    return MotionSequence(
-        motion, way, main, _part(table, 0, hold), float(stand.root_pos_w[0, 2]), stand.joint_pos[0].copy()
-    )
+    return MotionSequence(motion, way, main, _part(table, 0, hold), stand.joint_pos[0].copy())
 
 
 class _End(NamedTuple):
@@ -241,22 +236,22 @@ def _ends(robot: Robot, motion: Motion, rate_hz: float) -> tuple[_End, _End]:
     parts = motion.target.parts
     if not parts:
         raise MotionError(
-            f"motion '{motion.name}' does not repeat, and no way leads from standing to where it begins; a robot is"
-            " given motions that repeat, or stitched ones"
+            f"motion '{motion.name}' does not repeat and cannot be reached from standing; deploy a motion that repeats,"
+            " or a stitched one"
         )
     segments = Layout.of(motion.target).segments
     return tuple(_End(parts[s.part], s.shift) for s in (segments[0], segments[-1]))  # type: ignore[return-value]
 
 
 def _looked_ahead(config: ControllerConfig) -> int:
-    """Control steps that the controller looks ahead."""
+    """Control steps that the controller plans ahead."""
     if config.stance.forces != "horizon":
         return 1
     return math.ceil((config.horizon.steps + 1) * config.horizon.step_s * config.rate_hz) + 2
 
 
 def _way(library: MotionSet, start: str, goal: str) -> list[tuple[str, CourseTransition]]:
-    """What one passes through from one motion of the library to another."""
+    """The motions and transitions from one motion of the set to another."""
     hops: list[tuple[str, CourseTransition]] = []
     now = start
     while now != goal:
@@ -271,7 +266,7 @@ def _way(library: MotionSet, start: str, goal: str) -> list[tuple[str, CourseTra
 def _slices(
     library: MotionSet, start: str, hops: list[tuple[str, CourseTransition]], first: int, hold: int
 ) -> list[_CourseSlice]:
-    """Rows of the motions and transitions on a way, from row `first` of its first motion, there for `hold` at least."""
+    """The slices of `hops`, from row `first` of the first motion, which lasts at least `hold` rows."""
     found, name, row, least = [], start, first, hold
     for following, transition in hops:
         course = library.entry(name).course
@@ -286,7 +281,7 @@ def _slices(
 
 
 def _table(robot: Robot, slices: list[_CourseSlice], rate_hz: float) -> tuple[NDArray[Any], list[int]]:
-    """Stretches one after the other as a table (t,) of `SAMPLE`, relative to the heading frame of its first row.
+    """Slices one after the other as a table (t,) of `SAMPLE`, relative to the heading frame of its first row.
 
     Returns:
         The table, and the sample at which each piece begins.

@@ -1,4 +1,4 @@
-"""What the robot is told, from lying to lying: up, on its way, down. It knows states, and nothing of time or wires."""
+"""The state machine of a deployment: hold, fold, rise, settle, follow the motion sequence, sit down, release."""
 
 from enum import IntEnum
 from typing import Any, Final
@@ -20,21 +20,14 @@ from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND, OBSERVATION
 
-HOLD_S: Final = 0.4
-"""In which the joints become stiff where they are."""
-FOLD_S: Final = 1.2
-RISE_S: Final = 1.5
-SETTLE_S: Final = 0.6
-SIT_S: Final = 1.8
-RELEASE_S: Final = 0.5
 _STANDING: Final = 0.75
-"""Share of the standing posture's height of the hips over the feet from which the robot is taken to stand already."""
+"""From this share of the standing posture's height on, hips over feet, a robot counts as standing."""
 _WARM_UP: Final = 20
 _LEGS: Final = np.ones((1, 4), np.int64)
 
 
 class DeploymentPhase(IntEnum):
-    """Of a deployment."""
+    """The phases; DAMP follows a violation or an emergency stop."""
 
     HOLD = 0
     FOLD = 1
@@ -45,44 +38,45 @@ class DeploymentPhase(IntEnum):
     RELEASE = 6
     DONE = 7
     DAMP = 8
-    """After a violation or an emergency stop."""
 
     @property
     def text(self) -> str:
         """In words."""
-        return _WORDS[self]
+        return _TEXTS[self]
 
 
-_WORDS: Final = {
-    DeploymentPhase.HOLD: "taking hold",
-    DeploymentPhase.FOLD: "folding its legs",
-    DeploymentPhase.RISE: "standing up",
-    DeploymentPhase.SETTLE: "standing",
-    DeploymentPhase.FOLLOW: "on its way",
-    DeploymentPhase.SIT: "sitting down",
-    DeploymentPhase.RELEASE: "letting go",
-    DeploymentPhase.DONE: "done",
-    DeploymentPhase.DAMP: "damped",
-}
+_TEXTS: Final = (
+    "stiffening the joints",
+    "folding its legs",
+    "standing up",
+    "standing",
+    "following the motion",
+    "sitting down",
+    "releasing the joints",
+    "done",
+    "damped",
+)
 _LASTS_S: Final = {
-    DeploymentPhase.HOLD: HOLD_S,
-    DeploymentPhase.FOLD: FOLD_S,
-    DeploymentPhase.RISE: RISE_S,
-    DeploymentPhase.SETTLE: SETTLE_S,
-    DeploymentPhase.SIT: SIT_S,
-    DeploymentPhase.RELEASE: RELEASE_S,
+    DeploymentPhase.HOLD: 0.4,
+    DeploymentPhase.FOLD: 1.2,
+    DeploymentPhase.RISE: 1.5,
+    DeploymentPhase.SETTLE: 0.6,
+    DeploymentPhase.SIT: 1.8,
+    DeploymentPhase.RELEASE: 0.5,
 }
 
 
 class StateMachine:
-    """Commands for one robot, a control step after the other.
+    """Commands for one robot, one control step after the other.
 
     Attributes:
-        phase: the present one.
-        follower: where in the sequence it is, in the phase `FOLLOW`.
-        observation: (1,) of `OBSERVATION`, what the controller is told; all 0 before the robot stands.
-        violation: what it found wrong in the last step.
-        cycles: of the motion that are complete.
+        phase: the current phase.
+        follower: the position in the motion sequence, in phase `FOLLOW`.
+        guard: checks states and commands.
+        dt: the control period, s.
+        observation: (1,) of `OBSERVATION`, the controller's input; all 0 before the robot stands.
+        violation: found in the last step, or None.
+        cycles: complete cycles of the motion.
     """
 
     def __init__(
@@ -98,15 +92,15 @@ class StateMachine:
         """
         Args:
             robot: the robot.
-            sequence: where it goes.
-            guard: what it may do.
+            sequence: the motion sequence.
+            guard: checks states and commands.
             config: of the controller.
             estimator: of the estimator.
-            policy: makes the controller of the motion itself; the model-based one goes there and back.
+            policy: makes the controller of the motion itself; the model-based one blends in and out.
         """
         motion = sequence.motion
         self.robot, self.sequence, self.guard = robot, sequence, guard
-        self._dt = 1.0 / config.rate_hz
+        self.dt = 1.0 / config.rate_hz
         self._model_based = Controller(robot, [motion], 1, config)
         self._own: LoopController = self._model_based if policy is None else policy(robot, motion.target, 1, config)
         self.controller: LoopController = self._model_based
@@ -116,9 +110,12 @@ class StateMachine:
         self.follower = Follower(sequence, pack_config(config, robot) if recovers else None)
         self._path, _ = rising_path(robot, sequence.stand)
         self._stiffness, self._damping = standing_gains(robot)
-        self._reach = _height(robot, sequence.stand)
         self._command = np.zeros(1, COMMAND)
-        self._words = f"passing into {motion.name}", motion.name, f"passing out of {motion.name}"
+        self._part_texts = (
+            (sequence.blend_in, f"blending into {motion.name}"),
+            (sequence.main, motion.name),
+            (sequence.blend_out, f"blending out of {motion.name}"),
+        )
         self._nothing = np.zeros(1, OBSERVATION)
         self._from = sequence.stand
         self._estimating, self._folded, self._leave_early = False, True, False
@@ -126,7 +123,7 @@ class StateMachine:
         self.violation: Violation | None = None
 
     def begin(self, reading: NDArray[Any]) -> Violation | None:
-        """Takes the robot as it is, by its first state (1,) of `READING`; returns what keeps it from standing up."""
+        """Begins with the robot's first state (1,) of `READING`; returns a violation that prevents standing up."""
         self.guard.reset()
         found = self.guard.check_state(reading)
         if found is None:
@@ -135,9 +132,9 @@ class StateMachine:
         return found
 
     def warm_up(self, reading: NDArray[Any]) -> None:
-        """Has everything compiled and in the caches; nothing of it is remembered."""
+        """Runs all phases once so that everything is compiled and cached, and begins again."""
         way, guard = self.sequence, self.guard
-        self.guard = DryRunGuard(self.robot, guard.limits, 1.0 / self._dt)
+        self.guard = DryRunGuard(self.robot, guard.limits, 1.0 / self.dt)
         for phase in DeploymentPhase:
             if phase in _LASTS_S:
                 self._estimating = False
@@ -160,15 +157,14 @@ class StateMachine:
 
     @property
     def doing(self) -> str:
-        """What it does, in words."""
+        """The current phase, or the part of the sequence, in words."""
         if self.phase is not DeploymentPhase.FOLLOW:
-            return _WORDS[self.phase]
-        way, part = self.sequence, self.follower.part
-        return self._words[0 if part is way.blend_in else 1 if part is way.main else 2]
+            return self.phase.text
+        return next(text for part, text in self._part_texts if part is self.follower.part)
 
     @property
     def in_motion(self) -> bool:
-        """Whether the robot does the motion itself at present, neither on its way there nor back."""
+        """Whether the robot executes the motion itself, and does not blend in or out."""
         return self.phase is DeploymentPhase.FOLLOW and self.follower.in_motion
 
     @property
@@ -176,7 +172,7 @@ class StateMachine:
         return self.follower.steps // self.sequence.motion.n_samples
 
     def leave(self) -> None:
-        """Has the robot go back to standing and sit down as soon as the motion can be left."""
+        """Makes the robot blend out and sit down as soon as the motion can be left."""
         self.follower.leaving = True
         self._leave_early = True
 
@@ -189,29 +185,21 @@ class StateMachine:
         Returns:
             (1,) of `COMMAND`, overwritten by the next call. Where `violation` is set it is not to be sent.
         """
-        following = self.phase is DeploymentPhase.FOLLOW
-        follower = self.follower
-        if following:
-            self.violation = self.guard.check_state(reading, follower.table, follower.clock)
-        else:
-            self.violation = self.guard.check_state(reading)
+        following, follower = self.phase is DeploymentPhase.FOLLOW, self.follower
+        reference = (follower.table, follower.clock) if following else (None, None)
+        self.violation = self.guard.check_state(reading, *reference)
         if self.violation is not None:
             return self._command
-        self._look(reading)
+        if self._estimating:
+            self.estimator.step(reading, self.controller.memory["stance"] if following else _LEGS)
         if following:
             command = self._follow()
             if self.phase is DeploymentPhase.FOLLOW or self.violation is not None:
                 return command
         return self._posture(reading)
 
-    def _look(self, reading: NDArray[Any]) -> None:
-        """Takes in the state, where there is an estimate."""
-        if self._estimating:
-            following = self.phase is DeploymentPhase.FOLLOW
-            self.estimator.step(reading, self.controller.memory["stance"] if following else _LEGS)
-
     def _follow(self) -> NDArray[Any]:
-        """The controller's command, or the first one of sitting down."""
+        """The controller's command; after the last one, the phase is `SIT`."""
         observation, follower = self.estimator.observation, self.follower
         if follower.advance(observation):
             self._switch_controller()
@@ -221,15 +209,12 @@ class StateMachine:
         if follower.done:
             last, joints = self.controller.command[0], observation["joint_pos"][0]
             torque = last["torque"] + last["stiffness"] * (last["joint_pos"] - joints)
-            self._from = joints + torque / self._stiffness  # so that the joints go on pushing as they do
+            self._from = joints + torque / self._stiffness  # keeps the joints' torques
             self.phase, self._steps = DeploymentPhase.SIT, 0
             return self._command
-        command = self._drive()
+        command = self.controller.step(observation, follower.clock)
         self.violation = self.guard.check_solver(int(self._failed[0]))
         return self._cut(command)
-
-    def _drive(self) -> NDArray[Any]:
-        return self.controller.step(self.estimator.observation, self.follower.clock)
 
     def _cut(self, command: NDArray[Any]) -> NDArray[Any]:
         found = self.guard.cut_command(command)
@@ -237,39 +222,35 @@ class StateMachine:
         return command
 
     def _posture(self, reading: NDArray[Any]) -> NDArray[Any]:
-        """A command of one of the phases without the controller, and what comes after it."""
-        share = (self._steps + 1) * self._dt / _LASTS_S[self.phase] if self.phase in _LASTS_S else 1.0
+        """The command of a phase without the controller; at its end the next phase begins."""
+        phase, path, stiffness = self.phase, self._path, 1.0
+        share = (self._steps + 1) * self.dt / _LASTS_S[phase] if phase in _LASTS_S else 1.0
         self._steps += 1
-        stiffness, damping = 1.0, 1.0
-        path = self._path
-        if self.phase is DeploymentPhase.HOLD:
+        if phase is DeploymentPhase.HOLD:
             joints, stiffness = self._from, smooth(share)
-        elif self.phase is DeploymentPhase.FOLD:
+        elif phase is DeploymentPhase.FOLD:
             joints = self._from + smooth(share) * (path[0] - self._from)
-        elif self.phase is DeploymentPhase.RISE:
+        elif phase is DeploymentPhase.RISE:
             joints = along(path, share) if self._folded else self._from + smooth(share) * (path[-1] - self._from)
-        elif self.phase is DeploymentPhase.SETTLE:
+        elif phase is DeploymentPhase.SETTLE:
             joints = path[-1]
-        elif self.phase is DeploymentPhase.SIT:
-            # from wherever the controller left the joints
+        elif phase is DeploymentPhase.SIT:  # from the joints at the controller's last step
             joints = along(path, 1.0 - share) + (1.0 - smooth(min(1.0, 3.0 * share))) * (self._from - path[-1])
         else:
             joints, stiffness = path[0], 1.0 - smooth(share)
-        command = self._cut(self._command_of_posture(joints, stiffness, damping))
+        command = self._command
+        command["joint_pos"], command["joint_vel"], command["torque"] = joints, 0.0, 0.0
+        command["stiffness"], command["damping"] = stiffness * self._stiffness, self._damping
+        self._cut(command)
         if share >= 1.0 - 1e-9 and self.violation is None:
             self._next(reading)
         return command
 
-    def _command_of_posture(self, joints: Array, stiffness: float = 1.0, damping: float = 1.0) -> NDArray[Any]:
-        command = self._command
-        command["joint_pos"], command["joint_vel"], command["torque"] = joints, 0.0, 0.0
-        command["stiffness"], command["damping"] = stiffness * self._stiffness, damping * self._damping
-        return command
-
     def _next(self, reading: NDArray[Any]) -> None:
-        """The next phase, with this state."""
+        """Begins the next phase with this state."""
         if self.phase is DeploymentPhase.HOLD:
-            self._folded = _height(self.robot, reading["joint_pos"][0]) < _STANDING * self._reach
+            height, stand = _height(self.robot, reading["joint_pos"][0]), _height(self.robot, self.sequence.stand)
+            self._folded = height < _STANDING * stand
             self._go(DeploymentPhase.FOLD if self._folded else DeploymentPhase.RISE, reading)
         elif self.phase is DeploymentPhase.RISE:
             self._start_estimating(reading)
@@ -289,7 +270,7 @@ class StateMachine:
         self._from = np.array(reading["joint_pos"][0])
 
     def _start_estimating(self, reading: NDArray[Any]) -> None:
-        """The robot stands: its place is the world's origin, its heading the x axis."""
+        """Starts the estimator: the robot stands at the world's origin and faces x."""
         self.estimator.reset(reading, np.zeros(1, START), _LEGS)
         self._estimating = True
 
@@ -300,7 +281,7 @@ class StateMachine:
         self._switch_controller()
 
     def _switch_controller(self) -> None:
-        """Whose turn it is, with the table of the present stretch."""
+        """Chooses the controller of the current part, and gives it the part's table."""
         follower = self.follower
         chosen = self._own if follower.in_motion else self._model_based
         begins = follower.part is self.sequence.blend_in

@@ -1,20 +1,13 @@
-"""The figures of a deployment in words."""
+"""The summary of a deployment in words."""
 
-from collections.abc import Callable
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from fastmimic.base.conventions import JOINT_NAMES, LEGS
+from fastmimic.base.text import NONE, number
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.state_machine import DeploymentPhase
-
-_NONE: Final = "–"
-
-
-def summary_lines(result: dict[str, Any], table: Callable[..., list[str]]) -> list[str]:
-    """Lines for the terminal; `table` aligns rows."""
-    return table(summary_rows(result))
 
 
 def summary_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
@@ -24,21 +17,18 @@ def summary_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
         ("stopped by", r["stopped_by"] + (f": {r['stopped_because']}" if r["stopped_because"] else "")),
         ("fell", "yes" if r["fell"] else "no"),
         ("cycles", f"{r['cycles']:.1f}, {r['motion_s']:.1f} s"),
-        ("reward, by the estimate", _number(r["reward_mean"], 3)),
+        ("reward, estimated", number(r["reward_mean"], 3)),
     ]
     if r["reward_truth_mean"] is not None:
-        rows.append(("reward, by the simulator", _number(r["reward_truth_mean"], 3)))
+        rows.append(("reward, ground truth", number(r["reward_truth_mean"], 3)))
     if r["swing_clearance_m"] is not None:
-        heights = ", ".join(
-            f"{leg} {_number(None if c is None else 1e3 * c, 0)}"
-            for leg, c in zip(LEGS, r["swing_clearance_m"], strict=True)
-        )
-        rows.append(("swing clearance, mm", heights))
+        heights = zip(LEGS, r["swing_clearance_m"], strict=True)
+        rows.append(("swing clearance, mm", ", ".join(f"{leg} {number(c, 0, 1e3)}" for leg, c in heights)))
     packets = r["packets"]
     rows += [
         (
             "periods",
-            f"{r['periods']} at {r['rate_hz']:g} Hz, {r['deadline_misses']} late, {r['periods_skipped']} left out",
+            f"{r['periods']} at {r['rate_hz']:g} Hz, {r['deadline_misses']} late, {r['periods_skipped']} skipped",
         ),
         *(_times(r) if r["control_us"]["max"] else []),
         ("commands cut to the limits", str(r["commands_cut"])),
@@ -52,7 +42,7 @@ def summary_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def command_table(log: DeploymentLog) -> list[str]:
-    """What was commanded in each phase, a table for a person to check before a robot gets it."""
+    """The commands of each phase as a table, to check before a robot gets them."""
     rows = log.rows
     lines = []
     for phase in DeploymentPhase:
@@ -75,22 +65,18 @@ def command_table(log: DeploymentLog) -> list[str]:
 
 
 def _times(r: dict[str, Any]) -> list[tuple[str, str]]:
-    """How long things took; nothing takes any time on a virtual clock."""
+    """The times measured; on a virtual clock there are none."""
     return [
         ("period error, µs", _spread(r["period_error_us"])),
-        ("state in to command out, µs", _spread(r["control_us"])),
+        ("control, µs", _spread(r["control_us"])),
         *([("  planning ahead, µs", _spread(r["solve_us"]))] if r["solve_us"]["median"] is not None else []),
         ("reading, µs", _spread(r["read_us"])),
         ("writing, µs", _spread(r["write_us"])),
-        ("state received to command gone, µs", _spread(r["round_trip_us"])),
+        ("state received to command sent, µs", _spread(r["round_trip_us"])),
     ]
-
-
-def _number(value: float | None, digits: int) -> str:
-    return _NONE if value is None else f"{value:.{digits}f}"
 
 
 def _spread(found: dict[str, float | None]) -> str:
     if found["median"] is None:
-        return _NONE
+        return NONE
     return f"median {found['median']:.0f}, 99 % below {found['p99']:.0f}, at most {found['max']:.0f}"

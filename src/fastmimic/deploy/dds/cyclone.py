@@ -1,4 +1,4 @@
-"""The library: its functions, and what they fill in."""
+"""CycloneDDS's C library: its functions, and the structures that they fill in."""
 
 import ctypes
 import functools
@@ -35,50 +35,38 @@ class Matched(ctypes.Structure):
     ]
 
 
+_I, _U, _LONG, _SIZE = ctypes.c_int32, ctypes.c_uint32, ctypes.c_int64, ctypes.c_size_t
+_TEXT, _POINTER = ctypes.c_char_p, ctypes.c_void_p
 _PROTOTYPES: Final[dict[str, tuple[Any, ...]]] = {
     # name: result, arguments
-    "dds_create_domain": (ctypes.c_int32, ctypes.c_uint32, ctypes.c_char_p),
-    "dds_create_participant": (ctypes.c_int32, ctypes.c_uint32, ctypes.c_void_p, ctypes.c_void_p),
-    "dds_create_topic": (
-        ctypes.c_int32,
-        ctypes.c_int32,
-        ctypes.c_void_p,
-        ctypes.c_char_p,
-        ctypes.c_void_p,
-        ctypes.c_void_p,
-    ),
-    "dds_create_reader": (ctypes.c_int32, ctypes.c_int32, ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p),
-    "dds_create_writer": (ctypes.c_int32, ctypes.c_int32, ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p),
-    "dds_create_readcondition": (ctypes.c_int32, ctypes.c_int32, ctypes.c_uint32),
-    "dds_create_waitset": (ctypes.c_int32, ctypes.c_int32),
-    "dds_waitset_attach": (ctypes.c_int32, ctypes.c_int32, ctypes.c_int32, ctypes.c_ssize_t),
-    "dds_waitset_wait": (ctypes.c_int32, ctypes.c_int32, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int64),
-    "dds_take": (
-        ctypes.c_int32,
-        ctypes.c_int32,
-        ctypes.c_void_p,
-        ctypes.c_void_p,
-        ctypes.c_size_t,
-        ctypes.c_uint32,
-    ),
-    "dds_return_loan": (ctypes.c_int32, ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32),
-    "dds_write": (ctypes.c_int32, ctypes.c_int32, ctypes.c_void_p),
-    "dds_get_publication_matched_status": (ctypes.c_int32, ctypes.c_int32, ctypes.c_void_p),
-    "dds_get_subscription_matched_status": (ctypes.c_int32, ctypes.c_int32, ctypes.c_void_p),
-    "dds_delete": (ctypes.c_int32, ctypes.c_int32),
-    "dds_create_qos": (ctypes.c_void_p,),
-    "dds_delete_qos": (None, ctypes.c_void_p),
-    "dds_qset_reliability": (None, ctypes.c_void_p, ctypes.c_int, ctypes.c_int64),
-    "dds_qset_history": (None, ctypes.c_void_p, ctypes.c_int, ctypes.c_int32),
-    "dds_qset_data_representation": (None, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_void_p),
-    "dds_strretcode": (ctypes.c_char_p, ctypes.c_int32),
-    "dds_set_log_mask": (None, ctypes.c_uint32),
+    "dds_create_domain": (_I, _U, _TEXT),
+    "dds_create_participant": (_I, _U, _POINTER, _POINTER),
+    "dds_create_topic": (_I, _I, _POINTER, _TEXT, _POINTER, _POINTER),
+    "dds_create_reader": (_I, _I, _I, _POINTER, _POINTER),
+    "dds_create_writer": (_I, _I, _I, _POINTER, _POINTER),
+    "dds_create_readcondition": (_I, _I, _U),
+    "dds_create_waitset": (_I, _I),
+    "dds_waitset_attach": (_I, _I, _I, ctypes.c_ssize_t),
+    "dds_waitset_wait": (_I, _I, _POINTER, _SIZE, _LONG),
+    "dds_take": (_I, _I, _POINTER, _POINTER, _SIZE, _U),
+    "dds_return_loan": (_I, _I, _POINTER, _I),
+    "dds_write": (_I, _I, _POINTER),
+    "dds_get_publication_matched_status": (_I, _I, _POINTER),
+    "dds_get_subscription_matched_status": (_I, _I, _POINTER),
+    "dds_delete": (_I, _I),
+    "dds_create_qos": (_POINTER,),
+    "dds_delete_qos": (None, _POINTER),
+    "dds_qset_reliability": (None, _POINTER, _I, _LONG),
+    "dds_qset_history": (None, _POINTER, _I, _I),
+    "dds_qset_data_representation": (None, _POINTER, _U, _POINTER),
+    "dds_strretcode": (_TEXT, _I),
+    "dds_set_log_mask": (None, _U),
 }
 
 
 @functools.cache
 def cyclone() -> ctypes.CDLL:
-    """The one that the package `cyclonedds` brings or was built against."""
+    """The library of the package `cyclonedds`."""
     try:
         from cyclonedds.internal import CycloneDDSLoaderException, load_cyclonedds
     except ImportError:
@@ -88,18 +76,18 @@ def cyclone() -> ctypes.CDLL:
     try:
         dds: ctypes.CDLL = load_cyclonedds()
     except CycloneDDSLoaderException as error:
-        raise DriverError(f"the package cyclonedds does not find its library: {error}") from None
+        raise DriverError(f"the package cyclonedds cannot find its library: {error}") from None
     for name, (result, *arguments) in _PROTOTYPES.items():
         function = getattr(dds, name)
         function.restype, function.argtypes = result, arguments
-    dds.dds_set_log_mask(0)  # what goes wrong is said in one line, by whoever asked for it
+    dds.dds_set_log_mask(0)  # errors are reported by `checked`
     return dds
 
 
 def checked(code: int, what: str) -> int:
-    """A handle or count as it is; raises `DriverError` for an error's code."""
+    """The handle or count; raises `DriverError` for an error's code."""
     if code < 0:
-        raise DriverError(f"{what}: CycloneDDS says '{cyclone().dds_strretcode(code).decode()}'")
+        raise DriverError(f"{what}: CycloneDDS reports '{cyclone().dds_strretcode(code).decode()}'")
     return code
 
 

@@ -1,9 +1,8 @@
-"""Domains: who is in which, on which interface."""
+"""DDS domains and their participants."""
 
 import ctypes
 import socket
 import threading
-from types import TracebackType
 from typing import Any, Final, Self
 
 from fastmimic.base.errors import DriverError
@@ -12,9 +11,9 @@ from fastmimic.deploy.dds.types import Message, described
 
 LOOPBACK: Final = "lo"
 MAX_DOMAIN: Final = 230
-"""Above, the UDP ports that a domain's number stands for run out."""
+"""Above, the domain's UDP ports would exceed the range."""
 MAX_PARTICIPANTS: Final = 10
-"""Programs of one computer in a domain; those of 0.10.2 look for no more."""
+"""Programs of one computer in a domain; 0.10.2 looks for no more."""
 
 _NOT_NOW: Final = -4  # DDS_RETCODE_PRECONDITION_NOT_MET
 _PUBLICATIONS: Final = 0x7FFF0000 + 3  # the built-in topic of everybody's writers
@@ -34,15 +33,11 @@ class _Endpoint(ctypes.Structure):
 
 
 def configuration(interface: str) -> str:
-    """CycloneDDS's configuration for one network interface: on loopback, which has no multicast, peers on this computer
-    are looked for at their ports; elsewhere by multicast, as Unitree's SDK does."""
-    if interface != LOOPBACK:
-        general = f'<Interfaces><NetworkInterface name="{interface}"/></Interfaces>'
-        discovery = ""
-    else:
-        general = (
-            f'<Interfaces><NetworkInterface name="{LOOPBACK}"/></Interfaces><AllowMulticast>false</AllowMulticast>'
-        )
+    """CycloneDDS's configuration for one network interface. Loopback has no multicast: peers on this computer are found
+    by their ports; elsewhere by multicast, as with Unitree's SDK."""
+    general, discovery = f'<Interfaces><NetworkInterface name="{interface}"/></Interfaces>', ""
+    if interface == LOOPBACK:
+        general += "<AllowMulticast>false</AllowMulticast>"
         discovery = (
             "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
             f"<MaxAutoParticipantIndex>{MAX_PARTICIPANTS - 1}</MaxAutoParticipantIndex>"
@@ -59,7 +54,7 @@ def check_interface(interface: str) -> None:
 
 
 class _OpenDomain:
-    """A domain of this process: CycloneDDS allows one configuration for each."""
+    """A domain of this process; CycloneDDS allows one configuration each."""
 
     def __init__(self, handle: int, interface: str) -> None:
         self.handle, self.interface, self.users = handle, interface, 0
@@ -91,15 +86,15 @@ def _why_not(code: int, domain: int, interface: str) -> str:
         return f"DDS domain {domain} has been opened by something else in this process"
     if interface == LOOPBACK and not any(_free(port) for port in _ports(domain)):
         return (
-            f"no place left in DDS domain {domain} on '{interface}': {MAX_PARTICIPANTS} programs of this computer are"
-            " in it; end some, or take another domain"
+            f"no place left in DDS domain {domain} on '{interface}': {MAX_PARTICIPANTS} programs of this computer use"
+            " it; end some, or use another domain"
         )
     reason = cyclone().dds_strretcode(code).decode()
     return f"DDS cannot use '{interface}' ({reason}): is it up, and has it an IPv4 address?"
 
 
 def _ports(domain: int) -> range:
-    """The UDP ports for what is sent to one program alone, of all that can be in a domain; RTPS 2.5, section 9.6.2."""
+    """The unicast UDP ports of a domain's participants; RTPS 2.5, section 9.6.2."""
     first = 7400 + 250 * domain + 10
     return range(first, first + 2 * MAX_PARTICIPANTS, 2)
 
@@ -123,7 +118,7 @@ def leave_domain(domain: int) -> None:
 
 
 class Participant:
-    """One partaker in a DDS domain, and what it reads and writes. A context manager; not for several threads at once.
+    """A participant in a DDS domain. A context manager; not thread-safe.
 
     Args:
         domain: 0 … `MAX_DOMAIN`; robots are in 0.
@@ -148,7 +143,7 @@ class Participant:
             raise DriverError(_why_not(self._handle, domain, interface))
 
     def topic(self, name: str, message: type[Message]) -> int:
-        """The handle of a topic, created when first asked for."""
+        """The handle of a topic, created at the first call."""
         known = self._topics.get(name)
         if known is None:
             descriptor, memory = described(message)
@@ -159,7 +154,7 @@ class Participant:
         return known[1]
 
     def publishers(self, topic: str) -> list[str]:
-        """The types of all writers that are known of a topic, ours included."""
+        """The types of all known writers of a topic, ours included."""
         dds = cyclone()
         reader = checked(dds.dds_create_reader(self._handle, _PUBLICATIONS, None, None), "the built-in topic")
         found = loaned(reader, 256, _Endpoint, lambda e: (e.topic_name.decode(), e.type_name.decode()))
@@ -168,7 +163,7 @@ class Participant:
 
     @property
     def handle(self) -> int:
-        """CycloneDDS's, for readers and writers."""
+        """CycloneDDS's handle, for readers and writers."""
         return self._handle
 
     def close(self) -> None:
@@ -181,7 +176,5 @@ class Participant:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

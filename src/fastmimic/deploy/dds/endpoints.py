@@ -1,7 +1,8 @@
 """Readers and writers of topics."""
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -17,29 +18,23 @@ _KEEP_LAST, _BEST_EFFORT, _RELIABLE, _XCDR1 = 0, 0, 1, 0
 _ANY_STATE: Final = 0x7F
 
 
-class _Qos:
-    """Quality of service while an entity is created. CDR of version 1, as 0.10 writes."""
-
-    def __init__(self, reliable: bool, depth: int) -> None:
-        dds = cyclone()
-        self._qos = dds.dds_create_qos()
-        dds.dds_qset_reliability(self._qos, _RELIABLE if reliable else _BEST_EFFORT, 0)
-        dds.dds_qset_history(self._qos, _KEEP_LAST, depth)
-        accepted = (ctypes.c_int16 * 1)(_XCDR1)
-        dds.dds_qset_data_representation(self._qos, 1, accepted)
-
-    def __enter__(self) -> Any:
-        return self._qos
-
-    def __exit__(self, *_: object) -> None:
-        cyclone().dds_delete_qos(self._qos)
+@contextmanager
+def _qos(reliable: bool, depth: int) -> Iterator[Any]:
+    """Quality of service for creating an entity, with CDR of version 1, as 0.10 writes."""
+    dds = cyclone()
+    qos = dds.dds_create_qos()
+    dds.dds_qset_reliability(qos, _RELIABLE if reliable else _BEST_EFFORT, 0)
+    dds.dds_qset_history(qos, _KEEP_LAST, depth)
+    dds.dds_qset_data_representation(qos, 1, (ctypes.c_int16 * 1)(_XCDR1))
+    yield qos
+    dds.dds_delete_qos(qos)
 
 
 class Writer:
-    """Sends messages of one topic. Reliable towards readers that ask for it, as the vendor's, but never waits.
+    """Sends messages of one topic; reliable for readers that request it, as the vendor's, but never waits.
 
     Attributes:
-        message: what `write` sends next.
+        message: the message that `write` sends.
         record: (1,) the same memory as a NumPy structure.
     """
 
@@ -47,7 +42,7 @@ class Writer:
         self._participant = participant
         self.message = message()
         self.record = np.frombuffer(memoryview(self.message), np.dtype(message)) if fixed_size(message) else None
-        with _Qos(True, depth) as qos:
+        with _qos(True, depth) as qos:
             handle = cyclone().dds_create_writer(participant.handle, participant.topic(topic, message), qos, None)
         self._handle = checked(handle, f"a writer of {topic}")
         self._address = ctypes.addressof(self.message)
@@ -58,26 +53,26 @@ class Writer:
         return bool(self._write(self._handle, self._address) == 0)
 
     def matched(self) -> int:
-        """How many readers there are now."""
+        """The number of readers now."""
         status = Matched()
         cyclone().dds_get_publication_matched_status(self._handle, ctypes.byref(status))
         return int(status.current)
 
 
 class Reader:
-    """Messages of one topic and a fixed size, into memory of our own.
+    """Receives messages of one topic and a fixed size, into its own memory.
 
     Args:
-        participant: whose.
+        participant: of the domain.
         topic: its name.
         message: its type.
-        depth: how many messages wait at most until they are taken; older ones are lost.
+        depth: number of messages queued until they are taken; older ones are lost.
 
     Attributes:
         samples: (depth,) NumPy structures; those of the last `take` come first.
         words: (depth, size / 4) the same memory as 32-bit words. Padding is zero.
-        valid: (depth,) whether it is a message, rather than word that its writer has gone.
-        publication: (depth,) which writer it is from.
+        valid: (depth,) whether it is a message, and not the notice that its writer has gone.
+        publication: (depth,) its writer.
     """
 
     def __init__(self, participant: Participant, topic: str, message: type[Message], depth: int = 64) -> None:
@@ -93,7 +88,7 @@ class Reader:
         infos = np.frombuffer(memoryview(self._infos), np.dtype(SampleInfo))
         self.valid: NDArray[np.bool_] = infos["valid"]
         self.publication: NDArray[np.uint64] = infos["publication"]
-        with _Qos(False, depth) as qos:
+        with _qos(False, depth) as qos:
             handle = dds.dds_create_reader(participant.handle, participant.topic(topic, message), qos, None)
         self._handle = checked(handle, f"a reader of {topic}")
         condition = checked(dds.dds_create_readcondition(self._handle, _ANY_STATE), "a read condition")
@@ -111,7 +106,7 @@ class Reader:
         return bool(checked(self._wait(self._waitset, None, 0, round(max(timeout_s, 0.0) * 1e9)), "waiting") > 0)
 
     def matched(self) -> int:
-        """How many writers there are now."""
+        """The number of writers now."""
         status = Matched()
         cyclone().dds_get_subscription_matched_status(self._handle, ctypes.byref(status))
         return int(status.current)
@@ -123,14 +118,14 @@ class Reader:
 
 
 class TextReader:
-    """Messages of one topic with texts or sequences in them, which the library owns."""
+    """Receives messages of one topic with strings or sequences, in the library's memory."""
 
     def __init__(self, participant: Participant, topic: str, message: type[Message], depth: int = 16) -> None:
         self._participant, self._message, self._depth = participant, message, depth
-        with _Qos(True, depth) as qos:
+        with _qos(True, depth) as qos:
             handle = cyclone().dds_create_reader(participant.handle, participant.topic(topic, message), qos, None)
         self._handle = checked(handle, f"a reader of {topic}")
 
     def take(self, convert: Callable[[Any], T]) -> list[T]:
-        """What `convert` makes of each message that has arrived; the message is gone when it returns."""
+        """The result of `convert` for each message that has arrived; the message is freed when it returns."""
         return loaned(self._handle, self._depth, self._message, convert)

@@ -1,6 +1,6 @@
-"""The services of a Go2's own software that matter before its motors can be commanded: requests and answers over DDS.
+"""A Go2's own services: requests and answers over DDS, and releasing its motion service.
 
-A service called S listens on rt/api/S/request and answers on rt/api/S/response; parameters and results are JSON.
+A service S listens on rt/api/S/request and answers on rt/api/S/response; parameters and results are JSON.
 """
 
 import json
@@ -21,7 +21,7 @@ STAND_UP: Final = 1004
 STAND_DOWN: Final = 1005
 
 NOT_IMPLEMENTED: Final = 3203
-"""The code of an answer to a request that a service does not know."""
+"""The code of an answer to an unknown request."""
 
 FIND_S: Final = 1.0  # for a service on this computer to be found
 FIND_FAR_S: Final = 5.0  # for one on another
@@ -32,14 +32,14 @@ RELEASE_S: Final = 10.0
 
 
 class Answer(NamedTuple):
-    """Of a service: 0 or an error's code, and what it says."""
+    """A service's answer: 0 or an error code, and the result."""
 
     code: int
     data: dict[str, Any]
 
 
 class ServiceClient:
-    """Asks one service of a robot."""
+    """A client of one service of a robot."""
 
     def __init__(self, participant: Participant, service: str) -> None:
         self._service = service
@@ -47,26 +47,22 @@ class ServiceClient:
         self._responses = TextReader(participant, f"rt/api/{service}/response", Response)
 
     def find(self, timeout_s: float = FIND_S) -> bool:
-        """Waits until somebody listens to requests; whether there is one."""
+        """Waits for the service; returns whether there is one."""
         end = time.monotonic() + timeout_s
         while self._requests.matched() == 0:
             if time.monotonic() > end:
                 return False
             time.sleep(0.02)
-        time.sleep(0.2)  # until it has found the reader of its answers
+        time.sleep(0.2)  # for it to find the reader of its answers
         return True
 
     def ask(self, api_id: int, parameter: dict[str, Any] | None = None) -> Answer:
-        """Sends a request and waits for its answer.
-
-        Raises:
-            DriverError: none came.
-        """
+        """Sends a request and waits for its answer; raises `DriverError` if none comes."""
         request = self._requests.message
         number = time.monotonic_ns()
         request.header.identity.id, request.header.identity.api_id = number, api_id
         request.parameter = json.dumps(parameter or {}).encode()
-        self._responses.take(_heard)  # answers to nobody's question
+        self._responses.take(_heard)  # discards old answers
         self._requests.write()
         end = time.monotonic() + ANSWER_S
         while time.monotonic() < end:
@@ -92,7 +88,7 @@ class ServiceServer:
         self._responses = Writer(participant, f"rt/api/{service}/response", Response)
 
     def poll(self) -> None:
-        """Answers what has arrived."""
+        """Answers the requests that have arrived."""
         for number, api_id in self._requests.take(_asked):
             handler = self._handlers.get(api_id)
             response = self._responses.message
@@ -105,20 +101,20 @@ class ServiceServer:
 def release_motion_service(
     participant: Participant, lies: Callable[[], bool], say: Callable[[str], None] = lambda text: None
 ) -> str | None:
-    """Makes a robot's own motion service let go of the motors, once the robot lies: standing, it would fall.
+    """Makes a robot's motion service release the motors, once the robot lies: standing, it would fall.
 
     Args:
         participant: in the robot's domain.
         lies: whether the robot lies now.
-        say: is told what happens.
+        say: takes lines on what happens.
 
     Returns:
-        The name of the mode that was released; None if none was active, or if there is no such service on this
-        computer: a simulator need not have one.
+        The mode that was released; None if none was active, or on this computer without such a service: a simulator
+        may lack it.
 
     Raises:
-        DriverError: there is no such service on another computer, which a robot is; or it does not answer, does not lie
-            the robot down, or does not let go.
+        DriverError: a robot on another computer without such a service; or a service that does not answer, does not
+            lie the robot down, or does not release the motors.
     """
     switcher = ServiceClient(participant, MOTION_SWITCHER)
     here = participant.interface == LOOPBACK
@@ -126,8 +122,8 @@ def release_motion_service(
         if here:
             return None
         raise DriverError(
-            f"no service '{MOTION_SWITCHER}' on '{participant.interface}' to ask whether the robot's own software has"
-            " its motors: nothing is sent to them"
+            f"no service '{MOTION_SWITCHER}' on '{participant.interface}', so the robot's own software may command the"
+            " motors: nothing is sent to them"
         )
     released = mode = _active_mode(switcher)
     if mode is None:
@@ -138,7 +134,7 @@ def release_motion_service(
     end = time.monotonic() + RELEASE_S
     while mode is not None:
         if time.monotonic() > end:
-            raise DriverError(f"the robot's motion service '{mode}' does not let go of the motors")
+            raise DriverError(f"the robot's motion service '{mode}' does not release the motors")
         switcher.ask(RELEASE_MODE)
         mode = _active_mode(switcher)
     say(f"the robot's motion service '{released}' was released")
@@ -151,13 +147,10 @@ def _lie_down(participant: Participant, lies: Callable[[], bool]) -> None:
     end = time.monotonic() + LIE_DOWN_S
     while not lies():
         if code is None or time.monotonic() > end:
-            why = (
-                "it has no service to ask"
-                if code is None
-                else f"its service answered with code {code} and it still stands"
-            )
+            why = "it has no sport service" if code is None else f"its service answered with code {code}"
             raise DriverError(
-                f"the robot has to lie before its motors can be let go of, but {why}: lie it down by its remote control"
+                f"the motors can be released only after the robot lies, but {why} and it still stands: lie it down by"
+                " its remote control"
             )
         time.sleep(0.05)
     time.sleep(SETTLE_S)
@@ -166,7 +159,7 @@ def _lie_down(participant: Participant, lies: Callable[[], bool]) -> None:
 def _active_mode(switcher: ServiceClient) -> str | None:
     answer = switcher.ask(CHECK_MODE)
     if answer.code != 0:
-        raise DriverError(f"the robot does not say whether its motion service is active (code {answer.code})")
+        raise DriverError(f"the robot does not report whether its motion service is active (code {answer.code})")
     return str(answer.data.get("name") or "") or None
 
 
