@@ -20,7 +20,7 @@ def test_it_prints_the_figures_and_writes_the_folder(run: Run, in_folder: Path) 
     assert done.status == 0
     assert "stopped by" in done.out
     assert "duration" in done.out
-    assert done.err.splitlines()[-3:] == ["passing out of stand", "sitting down", "letting go"]
+    assert done.err.splitlines()[-3:] == ["blending out of stand", "sitting down", "releasing the joints"]
     folder = in_folder / "runs" / "deploy-stand-a1-sim"
     assert {path.name for path in folder.iterdir()} == {"log.npz", "motion.npz", "deployment.json"}
     written = json.loads((folder / "deployment.json").read_text())
@@ -65,7 +65,7 @@ def test_a_violation_has_a_status_and_a_line_of_its_own(run: Run) -> None:
     assert "stopped by" in done.out
     last = done.err.splitlines()[-1]
     assert last.startswith("fastmimic: the base is 0.2")
-    assert last.endswith("the robot was damped while on its way")
+    assert last.endswith("the robot was damped while following the motion")
     assert json.loads(Path("there/deployment.json").read_text())["result"]["stopped_by"] == "height"
 
 
@@ -113,7 +113,7 @@ BAD = {
     ),
     "a motion that does not repeat": (
         ["{once}", "--driver", "sim"],
-        "does not repeat, and no way leads from standing to where it begins",
+        "does not repeat and cannot be reached from standing",
     ),
     "both ends": (["trot", *QUICK, "--cycles", "2"], "cycles and duration both say"),
     "no cycles": (["stand", "--driver", "sim", "--cycles", "0"], "at least 1"),

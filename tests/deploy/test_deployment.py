@@ -223,14 +223,14 @@ def test_no_state_within_three_seconds(stands: Rig, a1: Robot) -> None:
 
 
 def test_called_off_nothing_is_sent(stands: Rig) -> None:
-    with pytest.raises(DriverError, match="called off"):
+    with pytest.raises(DriverError, match="cancelled"):
         stands.run(on_ready=lambda: False)
     assert stands.driver.written == []
 
 
 def test_stopped_while_it_prepares_nothing_is_sent(stands: Rig) -> None:
     stands.switch.signals = 1
-    with pytest.raises(DriverError, match="called off"):
+    with pytest.raises(DriverError, match="cancelled"):
         stands.run()
     assert stands.driver.written == []
 

@@ -81,7 +81,7 @@ def test_whose_program_is_killed_while_it_stands_damps_itself(sim: Sim, tmp_path
     process = deploying(sim, tmp_path, "--endless")
     assert process.stderr is not None
     for line in process.stderr:
-        if "passing into stand" in line:
+        if "blending into stand" in line:
             break
     time.sleep(1.0)
     assert process.poll() is None
