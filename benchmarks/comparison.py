@@ -24,7 +24,7 @@ from fastmimic.base.machine import available_cores
 from fastmimic.cli import main as fastmimic
 from fastmimic.experiments.compare import ComparisonPlan, compare
 from fastmimic.experiments.comparison_run import ComparisonSettings
-from fastmimic.runs.folder import ENVIRONMENT
+from fastmimic.runs.work_folder import ENVIRONMENT
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 FILES = {  # of each comparison: what goes between which markers, and which figure is which image

@@ -35,7 +35,7 @@ from fastmimic.experiments.comparison_run import Run, slug
 from fastmimic.experiments.transfer import STAGES, all_trials, transfer_table
 from fastmimic.learning.training_folder import EVALUATIONS
 from fastmimic.render.figure_style import save
-from fastmimic.runs.folder import ENVIRONMENT, MOTION
+from fastmimic.runs.work_folder import ENVIRONMENT, MOTION
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 FIGURE = "policies.png"

@@ -19,7 +19,7 @@ from fastmimic.cli import main as fastmimic
 from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.experiments.comparison_run import slug
 from fastmimic.report.stress_figures import SUCCESS_FIGURE
-from fastmimic.runs.folder import ENVIRONMENT, TABLE
+from fastmimic.runs.work_folder import ENVIRONMENT, TABLE
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

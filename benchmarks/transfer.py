@@ -18,7 +18,7 @@ from marked import put
 from fastmimic.cli import main as fastmimic
 from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.report.transfer_figures import FIGURE
-from fastmimic.runs.folder import ENVIRONMENT, TABLE
+from fastmimic.runs.work_folder import ENVIRONMENT, TABLE
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 

@@ -11,82 +11,21 @@ foot sphere; angular velocities in the world frame; float64.
     result.motion.save("trot.npz")
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fastmimic.base.after_import import after_import
-from fastmimic.clips.clip import Clip
-from fastmimic.motion.motion import Motion
-from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 
 __version__ = "0.1.0"
 
-if TYPE_CHECKING:
-    from fastmimic.base.errors import FastMimicError
-    from fastmimic.clips.catalogue import motion_names, open_clip
-    from fastmimic.control.config import ControllerConfig
-    from fastmimic.episode.reward import REWARD_TERMS, RewardTerm
-    from fastmimic.imitation.imitate import Evaluation, Imitation, evaluate, imitate
-    from fastmimic.imitation.methods import METHODS, Method
-    from fastmimic.imitation.stitch import Stitching, stitch
-    from fastmimic.optimize.randomization import Randomization
-    from fastmimic.primitive import MotionDmp
-    from fastmimic.retargeting.retarget import retarget
-    from fastmimic.runs.loading import load_motion
-    from fastmimic.simulation.conditions import Conditions
 
-_WHERE = {
-    "Clip": "fastmimic.clips.clip",
-    "Conditions": "fastmimic.simulation.conditions",
-    "ControllerConfig": "fastmimic.control.config",
-    "Evaluation": "fastmimic.imitation.imitate",
-    "METHODS": "fastmimic.imitation.methods",
-    "Method": "fastmimic.imitation.methods",
-    "REWARD_TERMS": "fastmimic.episode.reward",
-    "RewardTerm": "fastmimic.episode.reward",
-    "FastMimicError": "fastmimic.base.errors",
-    "Imitation": "fastmimic.imitation.imitate",
-    "Motion": "fastmimic.motion.motion",
-    "MotionDmp": "fastmimic.primitive",
-    "ROBOT_NAMES": "fastmimic.robot",
-    "Randomization": "fastmimic.optimize.randomization",
-    "Robot": "fastmimic.robot",
-    "evaluate": "fastmimic.imitation.imitate",
-    "imitate": "fastmimic.imitation.imitate",
-    "load_motion": "fastmimic.runs.loading",
-    "load_robot": "fastmimic.robot",
-    "motion_names": "fastmimic.clips.catalogue",
-    "open_clip": "fastmimic.clips.catalogue",
-    "retarget": "fastmimic.retargeting.retarget",
-    "Stitching": "fastmimic.imitation.stitch",
-    "stitch": "fastmimic.imitation.stitch",
-}
+def _public() -> dict[str, tuple[str, str]]:
+    """Each public name with its module and its name there: the imports of `__init__.pyi`, which type checkers read."""
+    import ast
+    from pathlib import Path
 
-__all__ = [
-    "METHODS",
-    "REWARD_TERMS",
-    "ROBOT_NAMES",
-    "Clip",
-    "Conditions",
-    "ControllerConfig",
-    "Evaluation",
-    "FastMimicError",
-    "Imitation",
-    "Method",
-    "Motion",
-    "MotionDmp",
-    "Randomization",
-    "RewardTerm",
-    "Robot",
-    "Stitching",
-    "evaluate",
-    "imitate",
-    "load_motion",
-    "load_robot",
-    "motion_names",
-    "open_clip",
-    "retarget",
-    "stitch",
-]
+    stub = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
+    return {name.asname or name.name: (str(node.module), name.name) for node in imports for name in node.names}
 
 
 def _register_environments() -> None:
@@ -100,15 +39,19 @@ after_import("gymnasium", _register_environments)
 
 
 def __getattr__(name: str) -> Any:
-    """Imports what is asked for when it is asked for: `import fastmimic` itself loads nothing heavy."""
-    if name not in _WHERE:
+    """Imports a public name when it is first used: `import fastmimic` itself loads nothing heavy."""
+    if name == "__all__":
+        value: Any = sorted(_public())
+    elif name.startswith("_") or name not in (public := _public()):
         raise AttributeError(f"module 'fastmimic' has no attribute '{name}'")
-    from importlib import import_module
+    else:
+        from importlib import import_module
 
-    value = getattr(import_module(_WHERE[name]), name)
+        module, own = public[name]
+        value = getattr(import_module(module), own)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *_public()})

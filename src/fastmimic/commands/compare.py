@@ -61,7 +61,7 @@ class Compare:
         from fastmimic.experiments.compare import prepare
         from fastmimic.experiments.comparison_folder import ABLATION_TABLE, open_comparison
         from fastmimic.report.comparison_files import write_comparison
-        from fastmimic.runs.folder import TABLE
+        from fastmimic.runs.work_folder import TABLE
 
         workers = self.workers if self.workers is not None else available_cores()
         if workers < 1:

@@ -98,7 +98,7 @@ class Deploy:
         from fastmimic.deploy.deployment_folder import open_deployment
         from fastmimic.deploy.drivers import SIM, check_driver
         from fastmimic.deploy.safety_limits import read_limits
-        from fastmimic.runs.folder import MOTION
+        from fastmimic.runs.work_folder import MOTION
 
         check_driver(self.driver)
         self._check(SIM)

@@ -50,7 +50,7 @@ class Stress(opt.ExperimentOptions):
         from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of
         from fastmimic.experiments.subject import check_methods, make_subject
         from fastmimic.report.stress_figures import WRITTEN, write_stress
-        from fastmimic.runs.folder import MOTIONS, TABLE
+        from fastmimic.runs.work_folder import MOTIONS, TABLE
         from fastmimic.simulation.simulators import check_simulator
 
         check_methods(self.methods, self.policy is not None)

@@ -50,7 +50,7 @@ class Transfer(opt.ExperimentOptions):
         from fastmimic.experiments.subject import check_methods
         from fastmimic.experiments.transfer import PARTS, TransferSettings
         from fastmimic.report.transfer_figures import WRITTEN, write_transfer
-        from fastmimic.runs.folder import TABLE
+        from fastmimic.runs.work_folder import TABLE
         from fastmimic.simulation.simulators import check_simulator
 
         if not self.motions:
@@ -104,7 +104,7 @@ class Transfer(opt.ExperimentOptions):
         from fastmimic.experiments.results import load_part, save_part
         from fastmimic.experiments.subject import make_subject
         from fastmimic.experiments.transfer import part_file, run_trials
-        from fastmimic.runs.folder import MOTIONS
+        from fastmimic.runs.work_folder import MOTIONS
 
         with optimisation_progress() as progress:
             subject = make_subject(

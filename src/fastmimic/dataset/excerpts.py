@@ -12,7 +12,7 @@ import numpy as np
 
 from fastmimic import __version__
 from fastmimic.base.errors import ClipError, FastMimicError, OutputError
-from fastmimic.base.files import replace_file
+from fastmimic.base.files import write_text
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import detect_format
@@ -280,7 +280,7 @@ def digest_of(piece: Clip | Motion) -> str:
 def save_survey(folder: Path, found: Survey) -> None:
     """Keeps what was found in a source; raises `OutputError` if it cannot."""
     text = json.dumps(asdict(found), indent=1, allow_nan=False)
-    replace_file(folder / SOURCES / f"{found.source.key}.json", lambda file: file.write(text.encode()))
+    write_text(folder / SOURCES / f"{found.source.key}.json", text)
 
 
 def remove_survey(folder: Path, found: Survey) -> None:

@@ -1,13 +1,12 @@
 """A library's motions for other trainers."""
 
-import csv
-import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
 from fastmimic.base.errors import LibraryError
-from fastmimic.base.files import replace_file
+from fastmimic.base.files import write_text
+from fastmimic.base.text import csv_text
 from fastmimic.dataset.folder import MotionDataset, Row
 from fastmimic.motion.export import DEFAULT_FPS, EXPORTS, export_motion
 from fastmimic.robot import load_robot
@@ -51,16 +50,14 @@ def export_library(
         raise LibraryError(
             f"{folder}: is in the library, whose own motions would be overwritten; choose another folder"
         )
-    text = io.StringIO()
-    writer = csv.DictWriter(text, _COLUMNS, extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
+    listed = []
     for i, row in enumerate(rows):
         motion = library.motion(row)
         name = Path(row["motion_file"]).with_suffix(EXPORTS.get(form, "")).name
         export_motion(motion, load_robot(row["robot_file"] or row["robot"]), Path(folder) / name, form, fps=fps)
-        writer.writerow({**row, "file": name})
+        listed.append({**row, "file": name})
         if progress is not None:
             progress(i + 1, len(rows))
     path = Path(folder) / LISTED
-    replace_file(path, lambda file: file.write(text.getvalue().encode()))
+    write_text(path, csv_text(_COLUMNS, listed))
     return path

@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import Final
 
-from fastmimic.base.files import replace_file
+from fastmimic.base.files import write_text
 from fastmimic.dataset.records import FAILED, load_record, record_file
 
 FILE: Final = "work/seen.json"
@@ -56,7 +56,7 @@ class FinishedJobs:
         """Keeps it for the next time; raises `OutputError` if it cannot."""
         if self._changed:
             text = json.dumps(self._states)
-            replace_file(self._folder / FILE, lambda file: file.write(text.encode()))
+            write_text(self._folder / FILE, text)
             self._changed = False
 
     def _state(self, identity: str, motion_file: str) -> list[int] | None:

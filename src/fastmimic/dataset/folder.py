@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.errors import LibraryError, did_you_mean
-from fastmimic.base.files import replace_file
+from fastmimic.base.files import replace_file, write_text
 from fastmimic.dataset.build_settings import BuildSettings
 from fastmimic.dataset.excerpts import SOURCES, Excerpt, Survey, load_surveys
 from fastmimic.dataset.index import GRADED, Gathered, gather, require_pyarrow
@@ -114,7 +114,7 @@ class MotionDataset:
         text = json.dumps(
             {"format_version": FORMAT_VERSION, "digest": recipe.digest, "recipe": asdict(recipe)}, indent=1
         )
-        replace_file(self.path / SETTINGS, lambda file: file.write(text.encode()))
+        write_text(self.path / SETTINGS, text)
 
     def save_robot(self, robot: str, digest: str) -> None:
         """Keeps the digest of a robot's description; raises `OutputError` if it cannot."""

@@ -18,6 +18,7 @@ import numpy as np
 
 from fastmimic.base.errors import CheckpointError, FastMimicError, OutputError
 from fastmimic.base.machine import versions
+from fastmimic.base.text import plain
 from fastmimic.dataset.build_settings import SECOND_SIMULATOR_EPISODES, BuildSettings
 from fastmimic.dataset.excerpts import Excerpt, reason_of
 from fastmimic.dataset.folder import SETTINGS
@@ -27,7 +28,7 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import nominal_start, perturbed_start
 from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import Report
-from fastmimic.experiments.comparison_run import measure, named_values, plain
+from fastmimic.experiments.measurement import measure, named_values
 from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT

@@ -12,7 +12,7 @@ from pathlib import Path
 from sys import intern
 from typing import Any, Final
 
-from fastmimic.base.files import replace_file
+from fastmimic.base.files import write_text
 from fastmimic.dataset.excerpts import Excerpt
 from fastmimic.dataset.records import Record
 
@@ -98,7 +98,7 @@ def save_robot(folder: Path, robot: str, digest: str) -> None:
     """Keeps the digest of a robot's description; raises `OutputError` if it cannot."""
     text = json.dumps({"robot": robot, "digest": digest}, indent=1)
     key = hashlib.sha256(robot.encode()).hexdigest()[:12]
-    replace_file(folder / ROBOTS / f"{key}.json", lambda file: file.write(text.encode()))
+    write_text(folder / ROBOTS / f"{key}.json", text)
 
 
 def load_robots(folder: Path) -> tuple[dict[str, str], list[str]]:

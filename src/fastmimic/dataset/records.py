@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from fastmimic.base.files import replace_file
+from fastmimic.base.files import write_text
 
 Record = dict[str, Any]
 
@@ -109,7 +109,7 @@ def record_file(folder: Path, identity: str) -> Path:
 def save_record(folder: Path, record: Mapping[str, Any]) -> None:
     """Writes it, after its motion; raises `OutputError` if it cannot."""
     text = json.dumps(record, indent=1, allow_nan=False)
-    replace_file(record_file(folder, record["id"]), lambda file: file.write(text.encode()))
+    write_text(record_file(folder, record["id"]), text)
 
 
 def load_record(folder: Path, identity: str) -> Record | None:

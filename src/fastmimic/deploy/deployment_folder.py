@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from fastmimic.base.errors import OutputError
-from fastmimic.runs.folder import created
+from fastmimic.runs.work_folder import created
 
 LOG: Final = "log.npz"
 RESULT: Final = "deployment.json"

@@ -29,8 +29,8 @@ from fastmimic.optimize.problem import Objective
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
-from fastmimic.runs.folder import MOTIONS
 from fastmimic.runs.loading import load_motion
+from fastmimic.runs.work_folder import MOTIONS
 
 if TYPE_CHECKING:
     from fastmimic.learning.policy import Policy

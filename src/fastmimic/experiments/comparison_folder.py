@@ -11,7 +11,7 @@ from fastmimic.base.files import read_json, write_json
 from fastmimic.experiments.ablations import ABLATIONS
 from fastmimic.experiments.comparison_run import RUN_FILES, Row
 from fastmimic.imitation.methods import METHODS, method_named
-from fastmimic.runs.folder import ENVIRONMENT, MOTIONS, RESULTS_CSV, TABLE, WorkFolder, created
+from fastmimic.runs.work_folder import ENVIRONMENT, MOTIONS, RESULTS_CSV, TABLE, WorkFolder, created
 
 RUNS: Final = "runs"
 COMPARISON: Final = "comparison.png"

@@ -13,44 +13,43 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from fastmimic.base.arrays import Array
 from fastmimic.base.errors import OutputError
-from fastmimic.base.files import replace_file
+from fastmimic.base.files import replace_file, write_text
 from fastmimic.base.machine import versions
+from fastmimic.base.text import plain
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.episode.loop import MakeController, run_episodes
-from fastmimic.episode.metrics import swing_clearance
-from fastmimic.episode.plan import episode_duration, perturbed_start, start_room
-from fastmimic.episode.reward import REWARD_TERMS
+from fastmimic.episode.plan import episode_duration
 from fastmimic.episode.rollout import Rollout
-from fastmimic.episode.style import style_distance
 from fastmimic.experiments.ablations import ablation_named
+from fastmimic.experiments.measurement import (
+    EVALUATION_S,
+    PERTURBED_EPISODES,
+    Row,
+    foot_courses,
+    measure,
+    named_values,
+)
 from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import Progress
 from fastmimic.optimize.problem import Objective
 from fastmimic.robot import Robot
-from fastmimic.robot.kinematics import foot_positions
-from fastmimic.runs.folder import CHECKPOINT, MOTION
+from fastmimic.runs.work_folder import CHECKPOINT, MOTION
 
 if TYPE_CHECKING:
     from fastmimic.learning.policy import Policy
-
-Row = dict[str, Any]
 
 ROW: Final = "row.json"
 TRACKING: Final = "tracking.npz"
 POLICY: Final = "policy.npz"
 RUN_FILES: Final = (ROW, MOTION, TRACKING, CHECKPOINT, POLICY)
 
-EVALUATION_S: Final = 10.0
-PERTURBED_EPISODES: Final = 8
-_EVALUATION_SEED: Final = 20230617  # of the perturbed starts: the same for every run, and no optimisation's
 _TRACKED_CYCLES: Final = 2
 _WARM_UP_S: Final = 0.01
 
@@ -205,8 +204,7 @@ def perform(
         policy.save(folder / POLICY)
     if method_named(run.method).optimises:
         result.motion.save(folder / MOTION)
-    text = json.dumps(row, indent=1, allow_nan=False)
-    replace_file(folder / ROW, lambda file: file.write(text.encode()))
+    write_text(folder / ROW, json.dumps(row, indent=1, allow_nan=False))
     return row
 
 
@@ -278,110 +276,7 @@ def _row(
         "parameters": named_values(result),
         **{f"{name}_version": v for name, v in versions().items()},
     }
-    return {name: plain(value) for name, value in found.items()}
-
-
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """What a motion is worth, evaluated like every other.
-
-    Attributes:
-        figures: those of a row, JSON-serialisable.
-        before, after: the nominal episodes of the demonstration and of the motion, logged.
-        seconds: their length, s.
-        simulated_s: simulated in all, s.
-    """
-
-    figures: Row
-    before: Rollout
-    after: Rollout
-    seconds: float
-    simulated_s: float
-
-
-def measure(
-    result: Imitation,
-    *,
-    evaluation_s: float = EVALUATION_S,
-    perturbed_episodes: int = PERTURBED_EPISODES,
-    controller: MakeController | None = None,
-) -> Measured:
-    """Evaluates what a method has made of a motion: one nominal episode, and others from perturbed starts that are the
-    same for every motion and that no optimisation has seen.
-
-    Args:
-        result: of `imitate`.
-        evaluation_s: length of the episodes, s; a motion that does not repeat ends them at the latest.
-        perturbed_episodes: how many begin perturbed.
-        controller: of a learned method.
-    """
-    robot, demonstration = result.robot, result.demonstration
-    method = method_named(result.method)
-    controller = controller or method.controller
-    seconds = episode_duration(demonstration, evaluation_s)
-
-    def episode(motion: Motion) -> Rollout:
-        return run_episodes(robot, motion, duration_s=seconds, config=result.config, log=True, controller=controller)
-
-    after = episode(result.motion)
-    before = episode(demonstration) if method.optimises else after
-    rng = np.random.default_rng(_EVALUATION_SEED)
-    room = start_room(demonstration, seconds)
-    start = perturbed_start(perturbed_episodes + 1, room, rng).part(slice(1, None))
-    rough = run_episodes(
-        robot, result.motion, start=start, duration_s=seconds, config=result.config, controller=controller
-    )
-    clearance = after.clearance[0]
-    share = clearance / swing_clearance(demonstration, robot.foot_radius)
-    found = {
-        "reward": after.reward[0],
-        "reward_before": before.reward[0],
-        "reward_perturbed": rough.reward.mean(),
-        "reward_std": rough.reward.std(),
-        "fell": bool(after.fell[0]),
-        "fell_before": bool(before.fell[0]),
-        "fell_perturbed": rough.fell.mean(),
-        "drift_m_per_s": after.drift[0],
-        "swing_clearance_m": _mean(clearance),
-        "swing_clearance_least_share": np.nanmin(share) if np.isfinite(share).any() else None,
-        "early_contacts_per_s": after.early_contacts[0],
-        "stance_slip_m": after.slip[0].mean(),
-        "style_distance": None if method.own_feet else _style(result),
-        "style_distance_realised": _realised_style(after, demonstration, robot),
-        "foot_z_rmse_before_m": _rms(before.foot_rmse[0, :, 2]),
-        "foot_z_rmse_after_m": _rms(after.foot_rmse[0, :, 2]),
-        "foot_x_rmse_before_m": _rms(before.foot_rmse[0, :, 0]),
-        "foot_x_rmse_after_m": _rms(after.foot_rmse[0, :, 0]),
-        **{f"reward_{name}": value for name, value in zip(REWARD_TERMS, after.terms[0], strict=True)},
-    }
-    simulated_s = seconds * (1 + method.optimises + perturbed_episodes)
-    return Measured({name: plain(value) for name, value in found.items()}, before, after, seconds, simulated_s)
-
-
-def named_values(result: Imitation) -> str:
-    """The parameters found, by name, with all their digits."""
-    return " ".join(f"{p.name}={v!r}" for p, v in zip(result.parameters, result.values.tolist(), strict=True))
-
-
-def _style(result: Imitation) -> float:
-    return style_distance(result.motion.foot_pos_b, result.demonstration.foot_pos_b)
-
-
-def _realised_style(rollout: Rollout, demonstration: Motion, robot: Robot) -> float | None:
-    """The style distance of what the feet did until the fall; None if that was less than a cycle, or than
-    the whole of a motion that does not repeat."""
-    if rollout.steps[0] < demonstration.n_samples - (demonstration.cycle is None):
-        return None
-    wanted, feet = _courses(rollout, robot)
-    return style_distance(feet, wanted, demonstration.foot_pos_b)
-
-
-def _courses(rollout: Rollout, robot: Robot) -> tuple[Array, Array]:
-    """Feet of the nominal episode in the body frame, (t, 4, 3) m: wanted, and realised with NaN from the fall on."""
-    assert rollout.log is not None, "the courses are in the log"
-    feet = foot_positions(robot, rollout.log.observation["joint_pos"][0])
-    feet[rollout.steps[0] :] = np.nan
-    return rollout.log.demonstration["foot_pos"][0], feet
+    return dict(plain(found))
 
 
 def _save_tracking(path: Path, demonstration: Motion, before: Rollout, after: Rollout, robot: Robot) -> None:
@@ -389,8 +284,8 @@ def _save_tracking(path: Path, demonstration: Motion, before: Rollout, after: Ro
     shown = _TRACKED_CYCLES * demonstration.n_samples
     end = max(int(before.steps[0]), int(after.steps[0]))
     window = slice(max(0, end - shown), end)
-    wanted, realised = _courses(after, robot)
-    unoptimised = _courses(before, robot)[1]
+    wanted, realised = foot_courses(after, robot)
+    unoptimised = foot_courses(before, robot)[1]
     replace_file(
         path,
         lambda file: np.savez_compressed(
@@ -402,18 +297,3 @@ def _save_tracking(path: Path, demonstration: Motion, before: Rollout, after: Ro
             after=realised[window],
         ),
     )
-
-
-def _mean(values: Array) -> float | None:
-    return float(np.nanmean(values)) if np.isfinite(values).any() else None
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-def plain(value: Any) -> Any:
-    """The value as a plain JSON value; None in place of NaN."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not np.isfinite(value) else value

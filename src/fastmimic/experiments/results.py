@@ -9,7 +9,7 @@ from fastmimic.base.errors import OutputError
 from fastmimic.base.files import check_folder, write_json, write_text
 from fastmimic.base.machine import versions
 from fastmimic.experiments.comparison_run import Row
-from fastmimic.runs.folder import ENVIRONMENT, MOTIONS, WorkFolder
+from fastmimic.runs.work_folder import ENVIRONMENT, MOTIONS, WorkFolder
 
 
 def open_results(

@@ -5,8 +5,6 @@ motion's start and the others from random phases of it, none of them perturbed o
 does not end in a fall.
 """
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.errors import ConfigError
+from fastmimic.base.text import csv_text
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import Start, episode_duration, nominal_start, start_room
 from fastmimic.experiments.comparison_run import Row, slug
@@ -243,11 +242,7 @@ def _tolerance(method: str, disturbance: str, rows: list[Row]) -> Tolerance:
 
 def to_csv(rows: Iterable[Row]) -> str:
     """One line a level."""
-    out = io.StringIO()
-    writer = csv.DictWriter(out, COLUMNS, extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return out.getvalue()
+    return csv_text(COLUMNS, rows)
 
 
 def stress_table(rows: Sequence[Row], settings: StressSettings, missing: int) -> str:

@@ -1,20 +1,17 @@
 """Rows of runs as CSV, their means and deviations, and these as Markdown."""
 
-import csv
-import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from fastmimic.base.text import NONE, csv_text, markdown_table, number
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.experiments.ablations import ABLATED, ablation_named
 from fastmimic.experiments.comparison_run import Row
 from fastmimic.imitation.methods import METHODS, RL, method_named
-
-NONE: Final = "–"
 
 COLUMNS: Final = (
     *("motion", "method", "variant", "seed", "reward", "reward_std", "reward_perturbed", "reward_before"),
@@ -83,11 +80,7 @@ def summaries(rows: Iterable[Row]) -> list[Summary]:
 
 def to_csv(rows: Sequence[Row]) -> str:
     """One line a run; what does not exist is empty."""
-    out = io.StringIO()
-    writer = csv.DictWriter(out, COLUMNS, extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({k: "" if v is None else v for k, v in row.items()} for row in rows)
-    return out.getvalue()
+    return csv_text(COLUMNS, rows)
 
 
 def comparison_table(rows: Sequence[Row], expected: int) -> str:
@@ -103,7 +96,7 @@ def comparison_table(rows: Sequence[Row], expected: int) -> str:
         *("wall time, s", "processor time, s", "episodes"),
     )
     body = [_line(summary) for summary in summaries(rows)]
-    return "\n".join([_title(rows, expected), "", *_markdown(header, body), "", _caption(rows), "", PAPER, ""])
+    return "\n".join([_title(rows, expected), "", *markdown_table(header, body), "", _caption(rows), "", PAPER, ""])
 
 
 def ablation_table(rows: Sequence[Row], expected: int) -> str:
@@ -127,22 +120,22 @@ def ablation_table(rows: Sequence[Row], expected: int) -> str:
             [
                 *(f"`{s.motion}`", s.variant or f"{ABLATED}, as it is", spread(s, "reward"), change),
                 *(_spread_of_episodes(s), _count(s, "fell"), _percent(s.mean("fell_perturbed"))),
-                *(_number(s.mean("reward_before")), _percent(_least(s)), _number(s.mean("style_distance"), 2)),
-                _number(s.mean("style_distance_realised"), 2),
+                *(number(s.mean("reward_before")), _percent(_least(s)), number(s.mean("style_distance"), 2)),
+                number(s.mean("style_distance_realised"), 2),
             ]
         )
     kinds = [ablation_named(v) for v in dict.fromkeys(s.variant for s in found) if v]
     legend = [f"- `{kind.name}`: {kind.summary}." for kind in kinds]
-    return "\n".join([_title(rows, expected), "", *_markdown(header, body), "", _caption(rows), "", *legend, ""])
+    return "\n".join([_title(rows, expected), "", *markdown_table(header, body), "", _caption(rows), "", *legend, ""])
 
 
 def _line(s: Summary) -> list[str]:
     return [
         *(f"`{s.motion}`", s.label, f"**{spread(s, 'reward')}**", _spread_of_episodes(s), _count(s, "fell")),
-        *(_percent(s.mean("fell_perturbed")), _percent(_least(s)), _number(s.mean("style_distance"), 2)),
-        *(_number(s.mean("style_distance_realised"), 2), _number(s.mean("drift_m_per_s"), 2)),
-        *(_number(s.mean("early_contacts_per_s"), 1), _number(_times(s.mean("stance_slip_m"), 1e3), 1)),
-        *(_number(s.mean("wall_s"), 1), _number(s.mean("cpu_s"), 1), _number(s.mean("evaluations"), 0)),
+        *(_percent(s.mean("fell_perturbed")), _percent(_least(s)), number(s.mean("style_distance"), 2)),
+        *(number(s.mean("style_distance_realised"), 2), number(s.mean("drift_m_per_s"), 2)),
+        *(number(s.mean("early_contacts_per_s"), 1), number(s.mean("stance_slip_m"), 1, 1e3)),
+        *(number(s.mean("wall_s"), 1), number(s.mean("cpu_s"), 1), number(s.mean("evaluations"), 0)),
     ]
 
 
@@ -184,10 +177,6 @@ def _caption(rows: Sequence[Row]) -> str:
     )
 
 
-def _markdown(header: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
-    return [f"| {' | '.join(line)} |" for line in (header, ["---"] * len(header), *body)]
-
-
 def spread(s: Summary, column: str) -> str:
     """A column's mean over the seeds, with its deviation if there are several."""
     mean, std = s.mean(column), s.std(column)
@@ -215,11 +204,3 @@ def _count(s: Summary, column: str) -> str:
 
 def _percent(value: float | None) -> str:
     return NONE if value is None else f"{100 * value:.0f} %"
-
-
-def _number(value: float | None, digits: int = 3) -> str:
-    return NONE if value is None else f"{value:.{digits}f}"
-
-
-def _times(value: float | None, factor: float) -> float | None:
-    return None if value is None else factor * value

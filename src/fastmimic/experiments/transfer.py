@@ -5,8 +5,6 @@ that a real one differs in: another engine's contacts, the manufacturer's masses
 friction and a torque–speed curve, a more slippery floor, and sensors in place of the truth.
 """
 
-import csv
-import io
 import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.errors import ConfigError, LogError
+from fastmimic.base.text import csv_text
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import Start, episode_duration, perturbed_start
@@ -261,11 +260,7 @@ def transferred(rows: Sequence[Row]) -> list[Transferred]:
 
 def to_csv(rows: Iterable[Row]) -> str:
     """One line a trial."""
-    out = io.StringIO()
-    writer = csv.DictWriter(out, COLUMNS, extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return out.getvalue()
+    return csv_text(COLUMNS, rows)
 
 
 def transfer_table(rows: Sequence[Row], missing: int) -> str:

@@ -25,9 +25,9 @@ from fastmimic.optimize.parameters import FOOT_HEIGHT, needed_group
 from fastmimic.optimize.randomization import Randomization, randomization
 from fastmimic.optimize.stitched import StitchedProblem, parameters_of
 from fastmimic.robot import Robot, load_robot
-from fastmimic.runs.folder import CHECKPOINT
 from fastmimic.runs.loading import MotionSource, load_motion
 from fastmimic.runs.run_folder import CHECKPOINTS, PART_CHECKPOINT
+from fastmimic.runs.work_folder import CHECKPOINT
 from fastmimic.stitching.join import stitch_motions
 
 PART_POPULATION: Final = 10

@@ -11,7 +11,7 @@ from typing import Any, Final
 from fastmimic.base.errors import CheckpointError
 from fastmimic.base.files import check_folder, replace_file
 from fastmimic.learning.policy import POLICY_FILE
-from fastmimic.runs.folder import CONFIG, WorkFolder
+from fastmimic.runs.work_folder import CONFIG, WorkFolder
 
 CHECKPOINT: Final = "checkpoint.pt"
 ONNX: Final = "policy.onnx"

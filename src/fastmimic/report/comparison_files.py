@@ -23,7 +23,7 @@ from fastmimic.experiments.tables import ablation_table, comparison_table, summa
 from fastmimic.imitation.methods import method_named
 from fastmimic.render.figure_style import save
 from fastmimic.report.comparison_figures import ablation_figure, comparison_figure, tracking_bars
-from fastmimic.runs.folder import RESULTS_CSV, TABLE
+from fastmimic.runs.work_folder import RESULTS_CSV, TABLE
 
 SHOWN: Final = "dog:pace"
 """The motion in the left half of the tracking figure, as in the paper; the first one if it was not compared."""

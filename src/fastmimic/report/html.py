@@ -11,7 +11,7 @@ from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.base.files import read_json, write_text
 from fastmimic.deploy.deployment_folder import RESULT as DEPLOYMENT
 from fastmimic.experiments.comparison_run import POLICY
-from fastmimic.runs.folder import CONFIG, ENVIRONMENT, METRICS, TABLE
+from fastmimic.runs.work_folder import CONFIG, ENVIRONMENT, METRICS, TABLE
 
 if TYPE_CHECKING:
     from fastmimic.report.html_run import RerunEpisodes

@@ -17,7 +17,7 @@ from fastmimic.imitation.methods import method_named
 from fastmimic.report import html_methods
 from fastmimic.report.html_page import render
 from fastmimic.report.html_plots import Figure
-from fastmimic.runs.folder import ENVIRONMENT, RESULTS_CSV, TABLE
+from fastmimic.runs.work_folder import ENVIRONMENT, RESULTS_CSV, TABLE
 
 _TEXT: Final = ("motion", "method", "variant", "robot", "config", "parameters", "digest")
 _EACH: Final = (  # column of results.csv, heading, digits, scale

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from fastmimic.experiments.stress import SUCCESS, StressSettings, all_sweeps, stress_table, sweep_file, to_csv
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.render.figure_style import MUTED, Line, new_figure, save, tidy
-from fastmimic.runs.folder import RESULTS_CSV, TABLE, WorkFolder
+from fastmimic.runs.work_folder import RESULTS_CSV, TABLE, WorkFolder
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 
 SUCCESS_FIGURE: Final = "success.png"

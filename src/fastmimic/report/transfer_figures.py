@@ -20,7 +20,7 @@ from fastmimic.experiments.transfer import (
 )
 from fastmimic.imitation.methods import method_named
 from fastmimic.render.figure_style import INK, new_figure, save, tidy
-from fastmimic.runs.folder import RESULTS_CSV, TABLE, WorkFolder
+from fastmimic.runs.work_folder import RESULTS_CSV, TABLE, WorkFolder
 
 FIGURE: Final = "transfer.png"
 WRITTEN: Final = (RESULTS_CSV, TABLE, FIGURE)

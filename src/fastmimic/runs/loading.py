@@ -12,7 +12,7 @@ from fastmimic.clips.formats.npz import is_robot_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
-from fastmimic.runs.folder import CONFIG, MOTION
+from fastmimic.runs.work_folder import CONFIG, MOTION
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from typing import Any, Final
 from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
 from fastmimic.base.files import read_section, remove_file, write_json
 from fastmimic.motion.motion import Motion
-from fastmimic.runs.folder import CHECKPOINT, CONFIG, METRICS, MOTION, created, differences
+from fastmimic.runs.work_folder import CHECKPOINT, CONFIG, METRICS, MOTION, created, differences
 
 PART_CHECKPOINT: Final = "checkpoint-{}.npz"
 """Name of the checkpoint of one motion of a stitched run, with its number."""

@@ -1,0 +1,51 @@
+"""The public names of `fastmimic`. The package reads this list and imports each name when it is first used."""
+
+from fastmimic.base.errors import FastMimicError as FastMimicError
+from fastmimic.clips.catalogue import motion_names as motion_names
+from fastmimic.clips.catalogue import open_clip as open_clip
+from fastmimic.clips.clip import Clip as Clip
+from fastmimic.clips.periodicity import SegmentConfig as SegmentConfig
+from fastmimic.clips.segment import Segment as Segment
+from fastmimic.clips.segment import find_segments as find_segments
+from fastmimic.control.config import ControllerConfig as ControllerConfig
+from fastmimic.control.config_parts import GaitConfig as GaitConfig
+from fastmimic.control.config_parts import HorizonConfig as HorizonConfig
+from fastmimic.control.config_parts import StanceConfig as StanceConfig
+from fastmimic.control.config_parts import SwingConfig as SwingConfig
+from fastmimic.control.controller import Controller as Controller
+from fastmimic.dataset import BuildRequest as BuildRequest
+from fastmimic.dataset import BuildSettings as BuildSettings
+from fastmimic.dataset import DatasetSource as DatasetSource
+from fastmimic.dataset import MotionDataset as MotionDataset
+from fastmimic.dataset import find_sources as find_sources
+from fastmimic.deploy.a1.driver import A1Driver as A1Driver
+from fastmimic.deploy.go2.driver import Go2Driver as Go2Driver
+from fastmimic.deploy.robot_sim.ground_truth import load_ground_truth as load_ground_truth
+from fastmimic.episode.reward import REWARD_TERMS as REWARD_TERMS
+from fastmimic.episode.reward import RewardTerm as RewardTerm
+from fastmimic.episode.rollout import Log as Log
+from fastmimic.episode.rollout import Rollout as Rollout
+from fastmimic.estimation.estimator import Estimator as Estimator
+from fastmimic.executors import make_executor as make_executor
+from fastmimic.imitation.imitate import Evaluation as Evaluation
+from fastmimic.imitation.imitate import Imitation as Imitation
+from fastmimic.imitation.imitate import evaluate as evaluate
+from fastmimic.imitation.imitate import imitate as imitate
+from fastmimic.imitation.methods import METHODS as METHODS
+from fastmimic.imitation.methods import Method as Method
+from fastmimic.imitation.stitch import Stitching as Stitching
+from fastmimic.imitation.stitch import stitch as stitch
+from fastmimic.motion.motion import Motion as Motion
+from fastmimic.optimize.randomization import Randomization as Randomization
+from fastmimic.primitive import DiscreteDmp as DiscreteDmp
+from fastmimic.primitive import MotionDmp as MotionDmp
+from fastmimic.primitive import RhythmicDmp as RhythmicDmp
+from fastmimic.retargeting.retarget import retarget as retarget
+from fastmimic.robot import ROBOT_NAMES as ROBOT_NAMES
+from fastmimic.robot import Robot as Robot
+from fastmimic.robot import load_robot as load_robot
+from fastmimic.runs.loading import load_motion as load_motion
+from fastmimic.simulation.conditions import Conditions as Conditions
+from fastmimic.simulation.sensors import SensorConfig as SensorConfig
+
+__version__: str

@@ -1,0 +1,132 @@
+"""Measuring the result of a method in the same way for every motion and method."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.text import plain
+from fastmimic.episode.loop import MakeController, run_episodes
+from fastmimic.episode.metrics import Metrics, swing_clearance
+from fastmimic.episode.plan import episode_duration, perturbed_start, start_room
+from fastmimic.episode.rollout import Rollout
+from fastmimic.episode.style import style_distance
+from fastmimic.imitation.imitate import Imitation
+from fastmimic.imitation.methods import method_named
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
+from fastmimic.robot.kinematics import foot_positions
+
+Row = dict[str, Any]
+
+EVALUATION_S: Final = 10.0
+PERTURBED_EPISODES: Final = 8
+_EVALUATION_SEED: Final = 20230617
+"""Seed of the perturbed starts: the same for every run, and of no optimisation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """The figures of a motion.
+
+    Attributes:
+        figures: by the names of a row's columns, JSON-serialisable.
+        before, after: the nominal episodes of the demonstration and of the motion, logged.
+        seconds: their length, s.
+        simulated_s: simulated time in all, s.
+    """
+
+    figures: Row
+    before: Rollout
+    after: Rollout
+    seconds: float
+    simulated_s: float
+
+
+def measure(
+    result: Imitation,
+    *,
+    evaluation_s: float = EVALUATION_S,
+    perturbed_episodes: int = PERTURBED_EPISODES,
+    controller: MakeController | None = None,
+) -> Measured:
+    """Evaluates the result of a method in one nominal episode and in episodes from perturbed starts.
+
+    The perturbed starts are the same for every motion; no optimisation has seen them.
+
+    Args:
+        result: of `imitate`.
+        evaluation_s: length of the episodes, s; at most the length of a motion that does not repeat.
+        perturbed_episodes: number of episodes with perturbed starts.
+        controller: of a learned method.
+    """
+    robot, demonstration = result.robot, result.demonstration
+    method = method_named(result.method)
+    controller = controller or method.controller
+    seconds = episode_duration(demonstration, evaluation_s)
+
+    def episode(motion: Motion) -> Rollout:
+        return run_episodes(robot, motion, duration_s=seconds, config=result.config, log=True, controller=controller)
+
+    after = episode(result.motion)
+    before = episode(demonstration) if method.optimises else after
+    rng = np.random.default_rng(_EVALUATION_SEED)
+    room = start_room(demonstration, seconds)
+    start = perturbed_start(perturbed_episodes + 1, room, rng).part(slice(1, None))
+    rough = run_episodes(
+        robot, result.motion, start=start, duration_s=seconds, config=result.config, controller=controller
+    )
+    nominal, unoptimised, perturbed = Metrics.of(after), Metrics.of(before), Metrics.of(rough)
+    share = after.clearance[0] / swing_clearance(demonstration, robot.foot_radius)
+    figures = {
+        "reward": nominal.reward_mean,
+        "reward_before": unoptimised.reward_mean,
+        "reward_perturbed": perturbed.reward_mean,
+        "reward_std": perturbed.reward_std,
+        "fell": nominal.fell_once,
+        "fell_before": unoptimised.fell_once,
+        "fell_perturbed": perturbed.fell,
+        "drift_m_per_s": nominal.drift_m_per_s,
+        "swing_clearance_m": nominal.mean_clearance_m,
+        "swing_clearance_least_share": np.nanmin(share) if np.isfinite(share).any() else None,
+        "early_contacts_per_s": nominal.early_contacts_per_s,
+        "stance_slip_m": nominal.stance_slip_m,
+        "style_distance": None if method.own_feet else _style(result),
+        "style_distance_realised": _realised_style(after, demonstration, robot),
+        "foot_z_rmse_before_m": unoptimised.foot_z_rmse_m,
+        "foot_z_rmse_after_m": nominal.foot_z_rmse_m,
+        "foot_x_rmse_before_m": unoptimised.foot_x_rmse_m,
+        "foot_x_rmse_after_m": nominal.foot_x_rmse_m,
+        **{f"reward_{name}": value for name, value in nominal.components.items()},
+    }
+    simulated_s = seconds * (1 + method.optimises + perturbed_episodes)
+    return Measured(plain(figures), before, after, seconds, simulated_s)
+
+
+def named_values(result: Imitation) -> str:
+    """The optimised parameters by name, with all digits."""
+    return " ".join(f"{p.name}={v!r}" for p, v in zip(result.parameters, result.values.tolist(), strict=True))
+
+
+def foot_courses(rollout: Rollout, robot: Robot) -> tuple[Array, Array]:
+    """Feet of the nominal episode in the body frame, (t, 4, 3) m: wanted, and realised with NaN after a fall."""
+    assert rollout.log is not None, "the courses are in the log"
+    feet = foot_positions(robot, rollout.log.observation["joint_pos"][0])
+    feet[rollout.steps[0] :] = np.nan
+    return rollout.log.demonstration["foot_pos"][0], feet
+
+
+def _style(result: Imitation) -> float:
+    return style_distance(result.motion.foot_pos_b, result.demonstration.foot_pos_b)
+
+
+def _realised_style(rollout: Rollout, demonstration: Motion, robot: Robot) -> float | None:
+    """The style distance of the realised feet until a fall.
+
+    None if that was less than a cycle, or less than the whole of a motion that does not repeat.
+    """
+    if rollout.steps[0] < demonstration.n_samples - (demonstration.cycle is None):
+        return None
+    wanted, feet = foot_courses(rollout, robot)
+    return style_distance(feet, wanted, demonstration.foot_pos_b)
