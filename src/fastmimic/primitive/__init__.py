@@ -3,8 +3,7 @@
 from fastmimic.primitive.coordinates import FOOT_Z, NAMES
 from fastmimic.primitive.discrete import DiscreteDmp
 from fastmimic.primitive.foot_table import FootTable
-from fastmimic.primitive.integrator import DmpIntegrator
 from fastmimic.primitive.motion_dmp import MotionDmp
 from fastmimic.primitive.rhythmic import RhythmicDmp
 
-__all__ = ["FOOT_Z", "NAMES", "DiscreteDmp", "DmpIntegrator", "FootTable", "MotionDmp", "RhythmicDmp"]
+__all__ = ["FOOT_Z", "NAMES", "DiscreteDmp", "FootTable", "MotionDmp", "RhythmicDmp"]

@@ -7,7 +7,7 @@ With τ = T/2π and the phase φ̇ = 1/τ,
 
 Written over the phase this is a linear filter with a periodic input, y″ + α y′ + αβ y = αβ g + a f(φ), so
 that its limit cycle is y = g + a s(φ) with a fixed shape s: harmonic k of s is harmonic k of f times
-1 / (αβ − k² + iαk). Nothing has to be integrated. `DmpIntegrator` holds the differential form.
+1 / (αβ − k² + iαk). Nothing has to be integrated.
 """
 
 from dataclasses import dataclass
@@ -115,11 +115,6 @@ class RhythmicDmp:
     def position(self, phase: Array | float, goal: Array | None = None, amplitude: Array | float = 1.0) -> Array:
         """Limit cycle y = g + a s(φ) at phases (...) → (..., d); `goal` and `amplitude` (d,) modulate it."""
         return (self.goal if goal is None else goal) + amplitude * self.shape(phase)
-
-    def velocity(self, phase: Array | float, amplitude: Array | float = 1.0, period_s: float | None = None) -> Array:
-        """ẏ = a s′(φ)/τ of the limit cycle at phases (...) → (..., d), per second."""
-        tau = (self.period_s if period_s is None else period_s) / (2 * np.pi)
-        return amplitude * self.shape_rate(phase) / tau
 
     @cached_property
     def _placements(self) -> list[tuple[Array, NDArray[np.intp]]]:

@@ -1,104 +1,71 @@
 """Compares a retargeted motion with the animal and writes the report."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
-from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
-from fastmimic.motion.contacts import Stances, duty_factors
+from fastmimic.motion.contacts import duty_factors
 from fastmimic.retargeting import measure
-from fastmimic.retargeting.contact_schedule import ScheduleChanges
-from fastmimic.retargeting.cycle import TrunkTrack, cycle_displacement
+from fastmimic.retargeting.cycle import cycle_displacement
 from fastmimic.retargeting.fit import Fitted
 from fastmimic.retargeting.report import MotionFigures, RetargetReport, with_bounds
 from fastmimic.retargeting.scaled_clip import ScaledClip
-from fastmimic.robot import Robot
+from fastmimic.retargeting.steps import Retargeting
 
 
-@dataclass(frozen=True, eq=False)
-class Before:
-    """What the report needs from the steps before the fit.
-
-    Attributes:
-        scale: animal's to robot's size.
-        duration_s: of the clip.
-        cycle_reason: how it was decided whether the clip is a cycle.
-        aligned: angle by which the heading was turned, rad.
-        source: the scaled animal, frame by frame.
-        track: its trunk and toes on the motion's grid.
-        stances: contacts as detected.
-        offset: (4, 2) constant shifts of the feet against the hips, m.
-        changes: of the contacts.
-        raised_m: how far the base's nominal height was raised for folded legs.
-    """
-
-    scale: float
-    duration_s: float
-    cycle_reason: str
-    aligned: float
-    source: ScaledClip
-    track: TrunkTrack
-    stances: Stances
-    offset: Array
-    changes: ScheduleChanges
-    raised_m: float
-
-
-def make_report(
-    fitted: Fitted, robot: Robot, stances: Stances, before: Before, turning_radius_m: float
-) -> RetargetReport:
+def make_report(work: Retargeting, fitted: Fitted) -> RetargetReport:
     """The figures of one retargeting with their bounds."""
     motion, track, pose = fitted.motion, fitted.track, fitted.pose
     n = motion.n_samples
     planted = np.linalg.norm((motion.foot_pos_w - fitted.raw_w)[..., :2], axis=-1)
-    change = measure.trunk_change(before.track, track)
+    change = measure.trunk_change(work.track, track)
     report = RetargetReport(
-        before=_animal_figures(fitted, stances, before),
-        after=_robot_figures(fitted, stances, robot.foot_radius),
-        scale=before.scale,
+        before=_animal_figures(work, fitted),
+        after=_robot_figures(work, fitted),
+        scale=work.scale,
         is_cycle=track.cycle is not None,
-        cycle_reason=before.cycle_reason,
-        changes=before.changes,
-        stances=_ints([len(leg) for leg in stances]),
+        cycle_reason=work.cycle_reason,
+        changes=work.changes,
+        stances=_ints([len(leg) for leg in work.stances]),
         support_share=measure.support_shares(motion.contact),
         foot_path_rms_m=_floats(np.sqrt((planted**2).mean(axis=0))),
-        foot_offset_m=_floats([*before.offset[[1, 3], 0], *before.offset[[1, 3], 1]]),
+        foot_offset_m=_floats([*work.offset[[1, 3], 0], *work.offset[[1, 3], 1]]),
         trunk_change_m=_floats(change[:3]),
         trunk_change_deg=_floats(np.degrees(change[3:])),
         base_height_m=float(motion.root_pos_w[:, 2].mean()),
-        lowered_m=pose.lowered_m - before.raised_m,
+        lowered_m=pose.lowered_m - work.raised,
         unreachable=_ints(pose.unreachable.sum(axis=0)),
         joint_limited=_ints(pose.limited.reshape(n, 4, 3).any(axis=1).sum(axis=0)),
         samples=n,
         joint_speed_peak=_floats(np.abs(motion.joint_vel).reshape(n, 4, 3).max(axis=(0, 1))),
-        joint_speed_limit=_floats(robot.joint_speed_limit.reshape(4, 3).min(axis=0)),
+        joint_speed_limit=_floats(work.robot.joint_speed_limit.reshape(4, 3).min(axis=0)),
         smoothed_legs=fitted.smoothed,
-        heading_aligned_deg=float(np.degrees(before.aligned)),
+        heading_aligned_deg=float(np.degrees(work.aligned)),
     )
-    return with_bounds(report, turning_radius_m)
+    return with_bounds(report, work.config.turning_radius_m)
 
 
-def _animal_figures(fitted: Fitted, stances: Stances, before: Before) -> MotionFigures:
-    track, source = fitted.track, before.source
+def _animal_figures(work: Retargeting, fitted: Fitted) -> MotionFigures:
+    track, source, stances = fitted.track, work.source, work.stances
     periodic = track.cycle is not None
     speed, turn = _travel_of_source(source, periodic)
     closure = measure.closure_of_source(source) if periodic else measure.Closure(0.0, 0.0)
     return MotionFigures(
-        period_s=before.duration_s,
+        period_s=work.duration,
         slip_m=_floats(measure.slip(fitted.raw_w, track, stances)),
         closure_m=closure.distance_m,
         closure_deg=closure.angle_deg,
-        duty=_floats(duty_factors(before.stances, fitted.motion.n_samples)),
+        duty=_floats(duty_factors(work.detected, fitted.motion.n_samples)),
         speed_m_per_s=speed,
         yaw_deg=float(np.degrees(turn)),
         clearance_m=_floats(measure.mean_clearance(track.toe_height, stances, periodic)),
     )
 
 
-def _robot_figures(fitted: Fitted, stances: Stances, foot_radius: float) -> MotionFigures:
-    motion, track, feet = fitted.motion, fitted.track, fitted.motion.foot_pos_w
+def _robot_figures(work: Retargeting, fitted: Fitted) -> MotionFigures:
+    motion, track, stances = fitted.motion, fitted.track, work.stances
+    feet = motion.foot_pos_w
     periodic = track.cycle is not None
     heading = np.unwrap(yaw_from_quat(motion.root_quat_wxyz))
     turn = track.cycle[2] if track.cycle is not None else heading[-1] - heading[0]
@@ -111,7 +78,7 @@ def _robot_figures(fitted: Fitted, stances: Stances, foot_radius: float) -> Moti
         duty=_floats(duty_factors(stances, motion.n_samples)),
         speed_m_per_s=measure.mean_speed(motion.root_lin_vel_w[:, :2], heading),
         yaw_deg=float(np.degrees(turn)),
-        clearance_m=_floats(measure.mean_clearance(feet[..., 2] - foot_radius, stances, periodic)),
+        clearance_m=_floats(measure.mean_clearance(feet[..., 2] - work.robot.foot_radius, stances, periodic)),
     )
 
 

@@ -9,6 +9,7 @@ After Peng et al. 2020 (section IV), then made consistent, by one rule for every
     reach, feet        footholds within reach, and smooth swings between them
     consistency        the trunk as the standing feet can carry it (`balance`), joints within their limits (`pose`)
     fit                calls these on one track
+    steps              calls all of the above on one clip
     measure, report    what changed
 """
 
@@ -17,35 +18,21 @@ from typing import Any, Final
 
 import numpy as np
 
-from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, ConfigError
-from fastmimic.base.rotations import quat_rotate_inverse, rotate_planar
 from fastmimic.clips.clip import Clip
-from fastmimic.motion.contacts import Stances, detect, foot_activity
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.contact_schedule import ScheduleChanges, make_consistent, with_steps
-from fastmimic.retargeting.cycle import TrunkTrack, cycle_displacement, pose_mismatch, track_cycle, track_open
-from fastmimic.retargeting.fidelity import Before, make_report
-from fastmimic.retargeting.fit import Fitter
-from fastmimic.retargeting.posture import levelled, within_folded_legs
-from fastmimic.retargeting.reach import Reach, foot_offsets
-from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE, RetargetReport
-from fastmimic.retargeting.scaled_clip import ScaledClip, extract
+from fastmimic.retargeting.fidelity import make_report
+from fastmimic.retargeting.report import RetargetReport
+from fastmimic.retargeting.scaled_clip import extract
+from fastmimic.retargeting.steps import DOG_SCALE, Retargeting, whether_cycle
 from fastmimic.robot import Robot
 
 __all__ = ["RetargetConfig", "RetargetReport", "choose_scale", "retarget"]
 
-
-DOG_SCALE: Final = 0.825
-"""The A1's size over the dog's (Peng et al. 2020)."""
 DOG_LEG_LENGTH_M: Final = 0.4 / DOG_SCALE
 """The leg length of an animal that does not say it, so that other robots scale by theirs."""
 MIN_FRAMES: Final = 8
-_END_S: Final = 0.1
-"""The end of a recording that shows whether it comes to rest."""
-_SAME_BODY_M: Final = 2e-3
-_EXACT_FEET: Final = 0.2
 
 
 def retarget(
@@ -78,7 +65,7 @@ def retarget(
     """
     _check(clip, rate_hz, scale)
     scale = choose_scale(clip, robot) if scale is None else float(scale)
-    work = _Retargeting(clip, robot, rate_hz, scale, (config or RetargetConfig()).for_robot(robot))
+    work = Retargeting(clip, robot, rate_hz, scale, (config or RetargetConfig()).for_robot(robot))
     work.decide_cycle(cycle)
     work.align_heading()
     work.fit_posture()
@@ -86,140 +73,18 @@ def retarget(
     work.make_track()
     work.choose_height()
     work.schedule_contacts()
-    return work.fit()
-
-
-class _Retargeting:
-    """One clip on its way to a motion. Each method is a step and relies on those before it.
-
-    Attributes:
-        source: the animal at the robot's size, as far as it is prepared.
-        periodic: whether the clip is a cycle, and `cycle_reason` why.
-        straight: whether the gait is straight ahead; `aligned`: by how much the heading was turned, rad.
-        own_body: whether the clip is this robot's own motion.
-        lowered, raised: of the base against the animal's height, m.
-        held: frames for which the last pose is held.
-        n: samples of the motion; duration: of the clip, s.
-        activity: (n, 4) of the feet; detected: their contacts.
-        track: trunk and toes on the motion's grid.
-        height: of the base, m.
-        stances, changes: the contact schedule and what was changed for it.
-    """
-
-    def __init__(self, clip: Clip, robot: Robot, rate_hz: float, scale: float, config: RetargetConfig) -> None:
-        self.clip, self.robot, self.rate_hz, self.scale = clip, robot, rate_hz, scale
-        self.source = extract(clip, scale, config.roll_share)
-        self.own_body = _is_own_body(clip, robot, scale)
-        self.config = _for_own_body(config) if self.own_body else config
-        self.lowered = 0.0 if self.own_body else config.crouch_m * scale / DOG_SCALE
-
-    def decide_cycle(self, cycle: bool | None) -> None:
-        self.periodic, self.cycle_reason = _decide_cycle(self.clip, self.source, cycle, self.config)
-
-    def align_heading(self) -> None:
-        """Turns the trunk into the direction of travel if the gait is straight."""
-        self.straight, self.aligned = False, 0.0
-        if not (self.periodic and self.config.consistent):
-            return
-        angle = _travel_angle(self.source, self.config)
-        if angle is not None:
-            self.source, self.straight, self.aligned = self.source.turned(angle), True, angle
-
-    def fit_posture(self) -> None:
-        """Keeps a recording that does not repeat as high as folded legs need."""
-        if not self.periodic and self.config.consistent and not self.own_body:
-            level = levelled(self.source, self.robot)
-            self.source = within_folded_legs(level, self.robot, self.lowered, self.config)
-
-    def hold_end(self) -> None:
-        """Lengthens a recording that ends standing by its last pose."""
-        self.held = 0 if self.periodic or not self.config.consistent else _held_frames(self.source, self.config)
-        if self.held:
-            self.source = self.source.held(self.held)
-            self.cycle_reason += f"; ends standing, and is held for {self.held / self.clip.rate_hz:.2g} s"
-
-    def make_track(self) -> None:
-        """The recording as a continuous motion, and its contacts."""
-        config = self.config
-        frames = self.clip.n_frames if self.periodic else self.clip.n_frames + self.held - 1
-        self.duration = frames / self.clip.rate_hz
-        self.n = max(2, round(self.duration * self.rate_hz))
-        self.activity = self._activity()
-        self.detected = detect(self.activity, self.rate_hz, self.periodic, config.contact)
-        if self.periodic:
-            travels = not (config.consistent and _stands(self.detected, self.n))
-            self.track = track_cycle(self.source, self.n, config.trunk_hz, config.foot_hz, travels=travels)
-        else:
-            self.track = track_open(self.source, self.n, config.trunk_hz, config.foot_hz)
-
-    def _activity(self) -> Array:
-        """The feet's activity (n, 4); between frames it is linear."""
-        source = self.source
-        frames = foot_activity(source.toe_height, source.toe_speed, source.rate_hz, self.periodic, self.config.contact)
-        if self.periodic:
-            frames = np.concatenate([frames, frames[:1]])
-        at = np.arange(self.n) * (len(frames) - 1) / self.n
-        return np.stack([np.interp(at, np.arange(len(frames)), leg) for leg in frames.T], axis=-1)
-
-    def choose_height(self) -> None:
-        """The base's nominal height. A cycle is raised as a whole for folded legs: an animal crouches lower."""
-        config = self.config
-        self.height = self.source.hip_height + self.robot.foot_radius - self.lowered
-        self.raised = 0.0
-        if self.periodic and config.consistent and config.max_raising_m > 0:
-            lift = max(config.swing.min_clearance_m, MIN_CLEARANCE_SHARE * float(self.track.toe_height.max()))
-            self.raised = max(0.0, lift - self._reach().clearance)
-        self.height += self.raised
-
-    def _reach(self) -> Reach:
-        return Reach.of_robot(self.robot, self.height, self.config.reach_margin_rad)
-
-    def schedule_contacts(self) -> None:
-        """A contact schedule that a robot can follow."""
-        self.stances, self.changes = self.detected, ScheduleChanges()
-        if not self.config.consistent:
-            return
-        n, config = self.n, self.config
-        longest = self._reach().longest_stance(_speed(self.track, self.duration), config.swing.linger_s)
-        self.stances, self.changes = make_consistent(
-            self.detected, n, self.rate_hz, self.periodic, self.straight, longest, config.schedule
-        )
-        if self.periodic:
-            travel = _travel(self.robot, self.track)
-            self.stances, steps = with_steps(self.stances, travel, self.activity, self.rate_hz, config.schedule)
-            self.changes = replace(self.changes, steps=steps)
-
-    def fit(self) -> tuple[Motion, RetargetReport]:
-        """The motion with its provenance, and the report."""
-        offset = np.zeros((4, 2))
-        if not self.own_body:
-            offset = foot_offsets(self.robot, self.track, self.stances, self.config.stance_width)
-        fitter = Fitter(self.robot, self.track, self.stances, self.height, self.rate_hz, self.config)
-        fitted = fitter.fit(offset)
-        before = Before(
-            scale=self.scale,
-            duration_s=self.duration,
-            cycle_reason=self.cycle_reason,
-            aligned=self.aligned,
-            source=self.source,
-            track=self.track,
-            stances=self.detected,
-            offset=offset,
-            changes=self.changes,
-            raised_m=self.raised,
-        )
-        report = make_report(fitted, self.robot, self.stances, before, self.config.turning_radius_m)
-        clip = self.clip
-        meta: dict[str, Any] = {
-            "name": clip.meta.get("name", "motion"),
-            "robot": self.robot.name,
-            "source": {k: v for k, v in clip.meta.items() if k not in ("name", "licence")},
-            "licence": clip.meta.get("licence"),
-            "retarget": report.as_dict(),
-        }
-        if self.held:
-            meta["held_s"] = self.held / clip.rate_hz
-        return replace(fitted.motion, meta=meta), report
+    fitted = work.fit()
+    report = make_report(work, fitted)
+    meta: dict[str, Any] = {
+        "name": clip.meta.get("name", "motion"),
+        "robot": robot.name,
+        "source": {k: v for k, v in clip.meta.items() if k not in ("name", "licence")},
+        "licence": clip.meta.get("licence"),
+        "retarget": report.as_dict(),
+    }
+    if work.held:
+        meta["held_s"] = work.held / clip.rate_hz
+    return replace(fitted.motion, meta=meta), report
 
 
 def choose_scale(clip: Clip, robot: Robot) -> float:
@@ -242,82 +107,4 @@ def _check(clip: Clip, rate_hz: float, scale: float | None) -> None:
 def is_one_cycle(clip: Clip, config: RetargetConfig | None = None) -> bool:
     """Whether `retarget` takes a clip for one cycle by default: if it says so, or if its ends meet."""
     config = config or RetargetConfig()
-    return _decide_cycle(clip, extract(clip, clip.scale or 1.0, config.roll_share), None, config)[0]
-
-
-def _decide_cycle(clip: Clip, source: ScaledClip, cycle: bool | None, config: RetargetConfig) -> tuple[bool, str]:
-    if cycle is not None:
-        return cycle, "taken as one cycle, as asked" if cycle else "not a cycle, as asked"
-    if clip.is_cycle is not None:
-        return clip.is_cycle, "one cycle, as the clip says" if clip.is_cycle else "not a cycle, as the clip says"
-    mismatch = pose_mismatch(source)
-    short = clip.n_frames / clip.rate_hz < config.short_s
-    limit = config.short_mismatch if short else config.cycle_mismatch
-    found = f"its ends differ by {mismatch:.2f} of the spread of its poses; limit {limit:.2f} for this length"
-    closes = mismatch <= limit
-    return closes, f"taken as one cycle ({found})" if closes else f"not a cycle ({found})"
-
-
-def _held_frames(source: ScaledClip, config: RetargetConfig) -> int:
-    """For how many frames the last pose is held: 0 unless the recording ends standing on all feet, at rest."""
-    end = slice(-1 - max(1, round(_END_S * source.rate_hz)), None)
-    seconds = (len(source.heading[end]) - 1) / source.rate_hz
-    moved = np.linalg.norm(source.root_xy[end][-1] - source.root_xy[end][0]) / seconds
-    sunk = abs(source.root_z[end][-1] - source.root_z[end][0]) / seconds
-    turned = abs(source.heading[end][-1] - source.heading[end][0]) / seconds
-    frames = round(config.hold_s * source.rate_hz)
-    if max(moved, sunk) > config.rest_m_per_s or turned > config.rest_rad_per_s or frames < 1:
-        return 0
-    held = source.held(frames)
-    activity = foot_activity(held.toe_height, held.toe_speed, held.rate_hz, False, config.contact)
-    stands = all(
-        leg and leg[-1].lift_off == len(held.heading) and leg[-1].touch_down <= len(source.heading) - 1
-        for leg in detect(activity, held.rate_hz, False, config.contact)
-    )
-    return frames if stands else 0
-
-
-def _travel_angle(source: ScaledClip, config: RetargetConfig) -> float | None:
-    """The angle, rad, from the mean heading of a straight gait to its direction of travel, or to the opposite one if
-    it goes backwards; None if the gait is not straight."""
-    dx, dy, dyaw = cycle_displacement(source)
-    speed = np.hypot(dx, dy) * source.rate_hz / len(source.heading)
-    if abs(dyaw) >= np.radians(config.straight_yaw_deg) or speed < config.min_travel_m_per_s:
-        return None
-    travel = np.arctan2(dy, dx) - (source.heading.mean() - source.heading[0])
-    backward = abs(travel) > np.pi / 2
-    angle = float(travel - np.sign(travel) * np.pi if backward else travel)
-    return angle if abs(angle) < np.radians(config.straight_travel_deg) else None
-
-
-def _stands(stances: Stances, n: int) -> bool:
-    """Whether no foot ever lifts off."""
-    return all(leg and leg[0].duration >= n for leg in stances)
-
-
-def _travel(robot: Robot, track: TrunkTrack) -> Array:
-    """How far each hip (4,) moves in a cycle, m."""
-    hips = track.root_xy[0] + rotate_planar(track.heading[0], robot.hip_pos_b[:, :2])
-    return np.asarray(np.linalg.norm(track.moved(hips, 1) - hips, axis=-1))
-
-
-def _is_own_body(clip: Clip, robot: Robot, scale: float) -> bool:
-    """Whether the clip is this robot's own motion: its hips are where the robot's are."""
-    if clip.root_quat_wxyz is None:
-        return False
-    centre = clip.hips_w.mean(axis=1, keepdims=True)
-    hips = scale * quat_rotate_inverse(clip.root_quat_wxyz[:, None], clip.hips_w - centre)
-    return bool(np.abs(hips - (robot.hip_pos_b - robot.hip_pos_b.mean(axis=0))).max() < _SAME_BODY_M)
-
-
-def _for_own_body(config: RetargetConfig) -> RetargetConfig:
-    """Settings for a robot's own motion: it keeps its height and balance, and its feet are known exactly."""
-    contact = replace(
-        config.contact, enter=_EXACT_FEET * config.contact.enter, leave=_EXACT_FEET * config.contact.leave
-    )
-    return replace(config, contact=contact, balance=replace(config.balance, rounds=0), max_raising_m=0.0)
-
-
-def _speed(track: TrunkTrack, duration_s: float) -> float:
-    """Mean horizontal speed along the trunk's path, m/s."""
-    return float(np.linalg.norm(np.diff(track.root_xy, axis=0), axis=1).sum() / duration_s)
+    return whether_cycle(clip, extract(clip, clip.scale or 1.0, config.roll_share), None, config)[0]

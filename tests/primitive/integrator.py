@@ -1,4 +1,4 @@
-"""The differential form of the rhythmic DMP, for modulating it while it runs."""
+"""The differential form of the rhythmic DMP, integrated step by step."""
 
 from typing import Final
 
@@ -61,3 +61,9 @@ class DmpIntegrator:
         self.position = self.goal + y + self.amplitude * (left @ response)
         self._z = z + self.amplitude * ((1 - c * left) @ response)
         self.phase = (self.phase + delta) % (2 * np.pi)
+
+
+def velocity(dmp: RhythmicDmp, phase: float, amplitude: float = 1.0, period_s: float | None = None) -> Array:
+    """ẏ = a s′(φ)/τ of the limit cycle (d,), per second."""
+    tau = (dmp.period_s if period_s is None else period_s) / (2 * np.pi)
+    return amplitude * dmp.shape_rate(phase) / tau
