@@ -12,7 +12,7 @@ from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import data_folder
 from fastmimic.clips.formats import read_clip
 from fastmimic.episode.feasibility import Demands, Fall, Reason, demands, describe_fall, reasons
-from fastmimic.imitation.imitate import evaluate
+from fastmimic.imitation.evaluate import evaluate
 from fastmimic.retargeting.cycle import pose_mismatch
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.retargeting.scaled_clip import extract

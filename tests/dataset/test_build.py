@@ -21,7 +21,7 @@ from fastmimic.dataset.jobs import Job, give_up, perform, robot_digest
 from fastmimic.dataset.records import COLUMNS, load_record
 from fastmimic.dataset.repair import mend, rerun
 from fastmimic.executors import make_executor
-from fastmimic.imitation.imitate import evaluate
+from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.export import export_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import load_robot

@@ -18,7 +18,7 @@ from fastmimic.deploy.sequence import Follower, MotionSequence, make_sequence
 from fastmimic.deploy.sim import SimDriver
 from fastmimic.deploy.simulated_link import LinkFaults
 from fastmimic.deploy.state_machine import DeploymentPhase
-from fastmimic.imitation.imitate import evaluate
+from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, OBSERVATION

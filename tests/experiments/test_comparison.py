@@ -20,7 +20,7 @@ from fastmimic.experiments.comparison_folder import ComparisonFolder
 from fastmimic.experiments.comparison_run import ComparisonSettings, Row, finished_row
 from fastmimic.experiments.parallel import RunProgress
 from fastmimic.experiments.tables import COLUMNS, ablation_table, comparison_table, summaries
-from fastmimic.imitation.imitate import evaluate
+from fastmimic.imitation.evaluate import evaluate
 from fastmimic.imitation.methods import METHODS, PAPER_METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.report.comparison_files import write_comparison

@@ -23,7 +23,7 @@ from fastmimic.experiments.stress import (
     tolerances,
 )
 from fastmimic.experiments.subject import Search, Subject, check_methods, make_subject
-from fastmimic.imitation.imitate import evaluate
+from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion
 from fastmimic.report.stress_figures import stress_figure
 from fastmimic.robot import Robot

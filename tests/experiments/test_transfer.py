@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'fastmimic[pybullet]'")
 
 from control.motions import gait
+from fastmimic.episode.loop import run_episodes
 from fastmimic.experiments.subject import Search, Subject, make_subject
 from fastmimic.experiments.transfer import (
     COLUMNS,
@@ -24,7 +25,6 @@ from fastmimic.experiments.transfer import (
     transferred,
     trial_starts,
 )
-from fastmimic.imitation.imitate import run_episodes
 from fastmimic.report.transfer_figures import transfer_figure
 from fastmimic.robot import Robot
 

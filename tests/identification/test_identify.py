@@ -12,7 +12,7 @@ from fastmimic.control.config import default_config, read_config
 from fastmimic.episode.run_log import RunLog
 from fastmimic.identification.forces import ground_forces
 from fastmimic.identification.identify import FRICTION_MARGIN, identify
-from fastmimic.imitation.imitate import evaluate
+from fastmimic.imitation.evaluate import evaluate
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.state import OBSERVATION
 from fastmimic.simulation.conditions import Conditions

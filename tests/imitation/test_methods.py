@@ -10,7 +10,8 @@ from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.control.config import CONFIGS, ControllerConfig, controller_config
 from fastmimic.control.controller import Controller
 from fastmimic.episode.loop import run_episodes
-from fastmimic.imitation.imitate import evaluate, imitate
+from fastmimic.imitation.evaluate import evaluate
+from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import (
     FOOT_HEIGHT,
     MADE_WITH,

@@ -13,7 +13,9 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.plan import nominal_start
 from fastmimic.episode.reward import TERMS
-from fastmimic.imitation.imitate import Imitation, evaluate, imitate
+from fastmimic.imitation.evaluate import evaluate
+from fastmimic.imitation.imitate import imitate
+from fastmimic.imitation.imitation_result import Imitation
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es
 from fastmimic.robot import Robot

@@ -16,7 +16,8 @@ from fastmimic.experiments.compare import ComparisonPlan, choose_policies, compa
 from fastmimic.experiments.comparison_folder import ComparisonFolder
 from fastmimic.experiments.comparison_run import ComparisonSettings, Row
 from fastmimic.experiments.tables import comparison_table
-from fastmimic.imitation.imitate import evaluate, imitate
+from fastmimic.imitation.evaluate import evaluate
+from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import METHODS, PAPER_METHODS
 from fastmimic.learning.controller import controlled_by
 from fastmimic.motion.motion import Motion

@@ -5,7 +5,7 @@ import pytest
 
 from fastmimic.base.rotations import quat_rotate, yaw_from_quat
 from fastmimic.clips.catalogue import open_clip
-from fastmimic.imitation.imitate import evaluate
+from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion
 from fastmimic.render.tracks import motion_track, realised_feet, rollout_track
 from fastmimic.retargeting.retarget import retarget

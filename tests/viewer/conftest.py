@@ -5,7 +5,7 @@ import pytest
 from browsing import browser
 from fastmimic.control.config import default_config
 from fastmimic.episode.rollout import Rollout
-from fastmimic.imitation.imitate import evaluate
+from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion

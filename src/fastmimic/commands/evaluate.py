@@ -55,7 +55,7 @@ class Evaluate:
             return self._deployed()
         if self.truth is not None:
             raise ConfigError(f"--truth is for the log of a deployment, which {self.motion} is not")
-        from fastmimic.imitation.imitate import evaluate
+        from fastmimic.imitation.evaluate import evaluate
         from fastmimic.simulation.conditions import Conditions
         from fastmimic.simulation.disturbances import names_of, parse_disturbance
 

@@ -17,7 +17,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:  # loads the compiler
-    from fastmimic.imitation.imitate import Imitation
+    from fastmimic.imitation.imitation_result import Imitation
     from fastmimic.runs.run_folder import RunFolder
 
 

@@ -128,7 +128,7 @@ class Render:
         return robot, shown
 
     def _simulated(self, motion: Motion, robot: Robot, seconds: float, method: str | None) -> "tuple[Track, float]":
-        from fastmimic.imitation.imitate import evaluate
+        from fastmimic.imitation.evaluate import evaluate
         from fastmimic.imitation.methods import METHODS
         from fastmimic.render.tracks import rollout_track
 

@@ -86,7 +86,7 @@ class View:
     def _prepare(self, source: "MotionSource") -> "tuple[Robot, list[list[Take]], str, Animal | None]":
         """The robot, its takes, the heading, and the animal."""
         from fastmimic.episode.plan import default_duration
-        from fastmimic.imitation.imitate import EVALUATION_S
+        from fastmimic.imitation.evaluate import EVALUATION_S
         from fastmimic.render.animal import Animal
         from fastmimic.runs.loading import find_motion
 
@@ -117,7 +117,7 @@ class View:
 
     def _takes(self, motion: Motion, of: Motion, robot: Robot, seconds: float, title: str) -> "list[Take]":
         """The episodes of one motion under the controller of the motion `of`."""
-        from fastmimic.imitation.imitate import evaluate
+        from fastmimic.imitation.evaluate import evaluate
         from fastmimic.imitation.methods import controller_for
         from fastmimic.viewer.take import motion_take, rollout_take
 

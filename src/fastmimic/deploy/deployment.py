@@ -38,7 +38,7 @@ class DeployOptions:
     """How a motion is deployed.
 
     Attributes:
-        method, config, policy: as in `fastmimic.imitation.imitate.evaluate`.
+        method, config, policy: as in `fastmimic.imitation.evaluate.evaluate`.
         solve_rate_hz: rate of the horizon planner, Hz; the control rate if None.
         estimator: its parameters; the default ones if None.
         cycles, duration_s, endless: number of cycles, duration of the motion, or until the operator ends it; at most

@@ -12,7 +12,7 @@ from fastmimic.deploy.log import DeploymentLog
 from fastmimic.episode.metrics import Metrics
 from fastmimic.episode.rollout import Rollout, summarised
 from fastmimic.episode.scorer import Scorer
-from fastmimic.imitation.imitate import Evaluation
+from fastmimic.imitation.evaluate import Evaluation
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import advance_clocks, make_clocks, reference_table
 from fastmimic.robot import Robot

@@ -4,7 +4,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -16,7 +16,8 @@ from fastmimic.clips.clip import Clip
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout
-from fastmimic.imitation.imitate import Imitation, imitate
+from fastmimic.imitation.imitate import imitate
+from fastmimic.imitation.imitation_result import Imitation
 from fastmimic.imitation.methods import check_controller, made_with, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import Checkpoint
@@ -33,7 +34,7 @@ from fastmimic.stitching.join import stitch_motions
 PART_POPULATION: Final = 10
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Stitching(Imitation):
     """A stitched, optimised motion and how it came about.
 
@@ -175,7 +176,7 @@ def stitch(
         randomize=over,
     )
     elsewhere += time.perf_counter() - imitated
-    own = {field.name: getattr(result, field.name) for field in fields(Imitation)}
+    own = dict(vars(result))
     individual = result.before
     if whole is not None:
         individual = run_episodes(robot, given, duration_s=result.duration_s, config=config, log=not chosen.optimises)

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic.episode.rollout import Rollout
-from fastmimic.imitation.imitate import Imitation
+from fastmimic.imitation.imitation_result import Imitation
 from fastmimic.imitation.methods import method_named
 from fastmimic.render.figure_style import save
 from fastmimic.render.tracks import Track, realised_feet, rollout_track
