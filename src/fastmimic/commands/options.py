@@ -4,7 +4,8 @@ import dataclasses
 import hashlib
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -12,14 +13,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
 from fastmimic.base.errors import ConfigError, OutputError, PolicyError
+from fastmimic.commands.console import KEPT, note, optimisation_progress, put
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.loop import MakeController
-    from fastmimic.experiments.subject import Search
+    from fastmimic.experiments.subject import Subject
     from fastmimic.optimize.randomization import Randomization
     from fastmimic.runs.loading import MotionSource
+    from fastmimic.runs.work_folder import WorkFolder
 
 DEFAULT_ROBOT: Final = "a1"
 MAX_DURATION_S: Final = 3600.0
@@ -254,15 +257,36 @@ class ExperimentOptions:
     config: ConfigName = "default"
     policy: Annotated[Path | None, option("FILE")] = None
     """Trained policy of the motion, for the method rl."""
+    out: Annotated[Path, option("FOLDER")]
+    """Folder of the results. One with results needs --resume or --overwrite."""
     clip: ClipReading
     search: Searching
     folder: Folder
 
-    def cma_search(self) -> "Search":
-        """The search of methods that optimise."""
-        from fastmimic.experiments.subject import Search
+    def subject(
+        self, method: str, motion: Motion, robot: Robot, policy: "tuple[MakeController, str] | None"
+    ) -> "Subject":
+        """The method with its motion, optimised first if the method does that."""
+        from fastmimic.experiments.subject import Search, make_subject
+        from fastmimic.runs.work_folder import MOTIONS
 
-        return Search(self.config, self.search.iterations, self.search.population, self.seed)
+        search = Search(self.config, self.search.iterations, self.search.population, self.seed)
+        with optimisation_progress() as progress:
+            return make_subject(method, motion, robot, search, self.out / MOTIONS, policy=policy, progress=progress)
+
+    @contextmanager
+    def writing(self, folder: "WorkFolder", write: Callable[[], None]) -> Iterator[None]:
+        """Writes the results after the block or a Ctrl-C in it, and prints the table."""
+        from fastmimic.runs.work_folder import TABLE
+
+        try:
+            yield
+        except KeyboardInterrupt:
+            write()
+            note(KEPT)
+            raise
+        write()
+        put(folder.read(TABLE), f"results in {self.out}")
 
 
 def recorded(command: Any) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from tyro.conf import Positional
 
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import FIRST_USE, KEPT, note, optimisation_progress, put, share_progress, slow_start
+from fastmimic.commands.console import FIRST_USE, note, share_progress, slow_start
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:  # loads the compiler
@@ -41,16 +41,15 @@ class Stress(opt.ExperimentOptions):
     simulator: opt.Simulator = "mujoco"
     observe: opt.Observation = "truth"
     out: Annotated[Path, opt.option("FOLDER")] = OUT
-    """Folder of the results. One with sweeps needs --resume or --overwrite."""
+    """Folder of the results. One with results needs --resume or --overwrite."""
 
     def run(self) -> int:
         """Runs the sweeps and writes the folder; returns the exit status."""
         opt.check_duration(self.duration)
         from fastmimic.experiments.results import open_results
         from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of
-        from fastmimic.experiments.subject import check_methods, make_subject
+        from fastmimic.experiments.subject import check_methods
         from fastmimic.report.stress_figures import WRITTEN, write_stress
-        from fastmimic.runs.work_folder import MOTIONS, TABLE
         from fastmimic.simulation.simulators import check_simulator
 
         check_methods(self.methods, self.policy is not None)
@@ -74,25 +73,10 @@ class Stress(opt.ExperimentOptions):
         resume, overwrite = self.folder.resume, self.folder.overwrite
         folder = open_results(self.out, "stress", SWEEPS, WRITTEN, about, resume=resume, overwrite=overwrite)
         planned = [(method, name) for method in self.methods for name in names]
-        try:
+        with self.writing(folder, lambda: write_stress(folder, settings, planned)):
             for k, method in enumerate(self.methods):
-                with optimisation_progress() as progress:
-                    subject = make_subject(
-                        method,
-                        motion,
-                        robot,
-                        self.cma_search(),
-                        self.out / MOTIONS,
-                        policy=policy,
-                        progress=progress,
-                    )
+                subject = self.subject(method, motion, robot, policy)
                 self._sweeps(subject, names, robot, settings, k * len(names), len(planned))
-        except KeyboardInterrupt:
-            write_stress(folder, settings, planned)
-            note(KEPT)
-            raise
-        write_stress(folder, settings, planned)
-        put(folder.read(TABLE), f"results in {self.out}")
         return 0
 
     def _sweeps(

@@ -8,13 +8,10 @@ from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import FIRST_USE, KEPT, note, optimisation_progress, put, slow_start
-from fastmimic.motion.motion import Motion
-from fastmimic.robot import Robot
+from fastmimic.commands.console import FIRST_USE, note, slow_start
 
 if TYPE_CHECKING:  # loads the compiler
-    from fastmimic.episode.loop import MakeController
-    from fastmimic.experiments.transfer import TransferSettings
+    pass
 
 OUT: Final = Path("runs/transfer")
 
@@ -41,16 +38,15 @@ class Transfer(opt.ExperimentOptions):
     identify: opt.Flag = False
     """Run (c) again with friction and payload identified from one run there, as on a real robot."""
     out: Annotated[Path, opt.option("FOLDER")] = OUT
-    """Folder of the results. One with trials needs --resume or --overwrite."""
+    """Folder of the results. One with results needs --resume or --overwrite."""
 
     def run(self) -> int:
         """Runs the trials and writes the folder; returns the exit status."""
         opt.check_duration(self.duration)
-        from fastmimic.experiments.results import open_results
+        from fastmimic.experiments.results import load_part, open_results, save_part
         from fastmimic.experiments.subject import check_methods
-        from fastmimic.experiments.transfer import PARTS, TransferSettings
+        from fastmimic.experiments.transfer import PARTS, TransferSettings, part_file, run_trials
         from fastmimic.report.transfer_figures import WRITTEN, write_transfer
-        from fastmimic.runs.work_folder import TABLE
         from fastmimic.simulation.simulators import check_simulator
 
         if not self.motions:
@@ -58,14 +54,9 @@ class Transfer(opt.ExperimentOptions):
         if self.policy is not None and len(self.motions) > 1:
             raise ConfigError("a policy is for one motion; run the motions one after another")
         check_methods(self.methods, self.policy is not None)
+        search = self.search
         settings = TransferSettings(
-            self.trials,
-            self.duration,
-            self.seed,
-            self.config,
-            self.search.iterations,
-            self.search.population,
-            self.identify,
+            self.trials, self.duration, self.seed, self.config, search.iterations, search.population, self.identify
         )
         loaded = [self.clip.load(source, self.robot) for source in self.motions]
         names = [motion.name for _, motion in loaded]
@@ -80,38 +71,13 @@ class Transfer(opt.ExperimentOptions):
         resume, overwrite = self.folder.resume, self.folder.overwrite
         folder = open_results(self.out, "transfer", PARTS, WRITTEN, about, resume=resume, overwrite=overwrite)
         planned = [(name, method) for name in names for method in self.methods]
-        try:
+        with self.writing(folder, lambda: write_transfer(folder, planned)):
             for robot, motion in loaded:
                 for method in self.methods:
-                    self._one(method, motion, robot, settings, policy)
-        except KeyboardInterrupt:
-            write_transfer(folder, planned)
-            note(KEPT)
-            raise
-        write_transfer(folder, planned)
-        put(folder.read(TABLE), f"results in {self.out}")
+                    subject = self.subject(method, motion, robot, policy)
+                    path = part_file(self.out, motion.name, method)
+                    if load_part(path, subject.digest) is None:
+                        with slow_start(f"{motion.name}, {method}: running; {FIRST_USE}"):
+                            save_part(path, run_trials(subject, robot, settings), subject.digest)
+                    note(f"{motion.name}, {method}: done")
         return 0
-
-    def _one(
-        self,
-        method: str,
-        motion: Motion,
-        robot: Robot,
-        settings: "TransferSettings",
-        policy: "tuple[MakeController, str] | None",
-    ) -> None:
-        """Runs the trials of a method on a motion, unless they are finished."""
-        from fastmimic.experiments.results import load_part, save_part
-        from fastmimic.experiments.subject import make_subject
-        from fastmimic.experiments.transfer import part_file, run_trials
-        from fastmimic.runs.work_folder import MOTIONS
-
-        with optimisation_progress() as progress:
-            subject = make_subject(
-                method, motion, robot, self.cma_search(), self.out / MOTIONS, policy=policy, progress=progress
-            )
-        path = part_file(self.out, motion.name, method)
-        if load_part(path, subject.digest) is None:
-            with slow_start(f"{motion.name}, {method}: running; {FIRST_USE}"):
-                save_part(path, run_trials(subject, robot, settings), subject.digest)
-        note(f"{motion.name}, {method}: done")
