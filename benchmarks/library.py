@@ -30,7 +30,7 @@ from marked import put
 
 from fastmimic.base.machine import versions
 from fastmimic.clips.data import data_folder
-from fastmimic.dataset import BuildRequest, BuildSettings, DatasetSource, MotionDataset, build, find_sources
+from fastmimic.dataset import BuildRequest, BuildSettings, DatasetSource, MotionDataset, build_dataset, find_sources
 from fastmimic.dataset.build import BuildStep
 from fastmimic.dataset.excerpts import Survey, look_of, survey
 from fastmimic.dataset.jobs import Job, perform, robot_digest
@@ -238,7 +238,7 @@ def takes(out: Path, iterations: int, say: Callable[[str], None]) -> str:
 
     sources = find_sources(data_folder())
     recipe = replace(BuildSettings(), iterations=iterations)
-    built = build(BuildRequest(sources, recipe, ("a1",)), out, make_executor("local"), progress=progress)
+    built = build_dataset(BuildRequest(sources, recipe, ("a1",)), out, make_executor("local"), progress=progress)
     rows = built.rows
     by_gait: dict[str, Counter[str]] = {}
     for row in rows:

@@ -17,6 +17,7 @@ from fastmimic.dataset import BuildRequest as BuildRequest
 from fastmimic.dataset import BuildSettings as BuildSettings
 from fastmimic.dataset import DatasetSource as DatasetSource
 from fastmimic.dataset import MotionDataset as MotionDataset
+from fastmimic.dataset import build_dataset as build_dataset
 from fastmimic.dataset import find_sources as find_sources
 from fastmimic.deploy.a1.driver import A1Driver as A1Driver
 from fastmimic.deploy.go2.driver import Go2Driver as Go2Driver

@@ -13,7 +13,7 @@ import pytest
 
 from dataset.conftest import RECIPE, contents, of
 from fastmimic.base.errors import LibraryError, OutputError, WorkerError
-from fastmimic.dataset import BuildRequest, DatasetSource, MotionDataset, build, find_sources
+from fastmimic.dataset import BuildRequest, DatasetSource, MotionDataset, build_dataset, find_sources
 from fastmimic.dataset.build import Built
 from fastmimic.dataset.excerpts import survey
 from fastmimic.dataset.folder import check
@@ -35,7 +35,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two motions; not to be changed."""
     pytest.importorskip("pyarrow")
     folder = tmp_path_factory.mktemp("library")
-    build(of("trot", "pace"), folder, HERE)
+    build_dataset(of("trot", "pace"), folder, HERE)
     return folder
 
 
@@ -71,14 +71,14 @@ def test_pandas_reads_the_index(built: Path) -> None:
 
 def test_a_second_build_does_nothing(mine: Path) -> None:
     before = contents(mine)
-    again = build(of("trot", "pace"), mine, HERE)
+    again = build_dataset(of("trot", "pace"), mine, HERE)
     assert (again.jobs, again.done) == (2, 0)
     assert contents(mine) == before
 
 
 def test_more_seeds_and_robots_are_added(mine: Path) -> None:
     more = BuildRequest([DatasetSource("trot")], RECIPE, ("a1", "go2"), seeds=2)
-    again = build(more, mine, HERE)
+    again = build_dataset(more, mine, HERE)
     assert (again.jobs, again.done) == (4, 3)
     rows = [row for row in again.rows if row["name"] == "trot"]
     assert [(row["robot"], row["seed"]) for row in rows] == [("a1", 0), ("a1", 1), ("go2", 0), ("go2", 1)]
@@ -102,7 +102,7 @@ def test_what_is_torn_is_noticed_and_done_again(harm: str, mine: Path) -> None:
         record.write_text("[]")
     health = check(MotionDataset.open(mine))
     assert len(health.damaged) == 1
-    again = build(of("trot", "pace"), mine, HERE)
+    again = build_dataset(of("trot", "pace"), mine, HERE)
     assert again.done == 1
     assert contents(mine) == before
     assert check(MotionDataset.open(mine)).sound
@@ -118,9 +118,9 @@ def test_a_build_reads_no_motion_that_is_as_it_was_when_it_was_read_last(
     monkeypatch.setattr(records, "sha256", lambda path: read.append(path.name) or whole(path))
     for path in (mine / "records").iterdir():
         path.touch()
-    assert build(of("trot", "pace"), mine, HERE).done == 0
+    assert build_dataset(of("trot", "pace"), mine, HERE).done == 0
     assert len(read) == 2
-    assert build(of("trot", "pace"), mine, HERE).done == 0
+    assert build_dataset(of("trot", "pace"), mine, HERE).done == 0
     assert len(read) == 2
     assert check(MotionDataset.open(mine)).sound
     assert len(read) == 4
@@ -128,10 +128,10 @@ def test_a_build_reads_no_motion_that_is_as_it_was_when_it_was_read_last(
     then = motion.stat()
     motion.write_bytes(motion.read_bytes()[:-1] + b"x")
     os.utime(motion, ns=(then.st_atime_ns, then.st_mtime_ns))  # lost without a trace
-    assert build(of("trot", "pace"), mine, HERE).done == 0
+    assert build_dataset(of("trot", "pace"), mine, HERE).done == 0
     assert len(check(MotionDataset.open(mine)).damaged) == 1
     (mine / "work" / "seen.json").write_text("{")
-    assert build(of("trot", "pace"), mine, HERE).done == 1
+    assert build_dataset(of("trot", "pace"), mine, HERE).done == 1
 
 
 def test_a_build_looks_through_no_source_that_is_as_it_was(
@@ -146,7 +146,9 @@ def test_a_build_looks_through_no_source_that_is_as_it_was(
     def again(confidence: float = 0.5, update: bool = False) -> list[str]:
         looked.clear()
         sources = find_sources(tmp_path / "clips")
-        build(BuildRequest(sources, RECIPE, ("a1",), confidence=confidence), tmp_path / "lib", HERE, update=update)
+        build_dataset(
+            BuildRequest(sources, RECIPE, ("a1",), confidence=confidence), tmp_path / "lib", HERE, update=update
+        )
         return looked
 
     assert again() == ["pace", "torn", "trot"]
@@ -163,7 +165,7 @@ def test_what_is_gone_from_a_folder_leaves_the_index(clips: Path, tmp_path: Path
     def built(place: Path) -> list[str]:
         sources = find_sources(place, exclude=["torn*"] if len(made) else [])
         folders = [place] if place.is_dir() else []
-        library = build(BuildRequest(sources, RECIPE, ("a1",), folders=folders), tmp_path / "lib", HERE).library
+        library = build_dataset(BuildRequest(sources, RECIPE, ("a1",), folders=folders), tmp_path / "lib", HERE).library
         problems = [survey.source.name for survey in library.surveys() if survey.problem]
         return [row["name"] for row in library.index()] + problems
 
@@ -191,7 +193,7 @@ def test_a_damaged_file_about_a_source_or_robot_takes_nothing_else_with_it(text:
     assert health.foreign == ()
     assert mend(library)[1] == 0
     assert [row["id"] for row in library.index()] == [row["id"] for row in rows]
-    assert build(of("trot", "pace"), mine, HERE).done == 0
+    assert build_dataset(of("trot", "pace"), mine, HERE).done == 0
     assert check(library).sound
     assert library.index() == rows
     assert contents(mine) == before
@@ -205,8 +207,8 @@ def test_a_damaged_recipe_is_written_anew_by_the_next_build_like_it(text: str, m
     assert library.index() == rows
     assert len(check(library).damaged) == 1
     with pytest.raises(LibraryError, match="cannot be read"):
-        build(replace(of("trot"), recipe=replace(RECIPE, iterations=5)), mine, HERE)
-    assert build(of("trot", "pace"), mine, HERE).done == 0
+        build_dataset(replace(of("trot"), recipe=replace(RECIPE, iterations=5)), mine, HERE)
+    assert build_dataset(of("trot", "pace"), mine, HERE).done == 0
     assert check(MotionDataset.open(mine)).sound
 
 
@@ -214,7 +216,7 @@ def test_a_record_of_another_kind_is_none(mine: Path) -> None:
     path = next((mine / "records").iterdir())
     path.write_text(json.dumps({**json.loads(path.read_text()), "reward": "high"}))
     assert check(MotionDataset.open(mine)).damaged == (f"records/{path.name}: not a whole record",)
-    assert build(of("trot", "pace"), mine, HERE).done == 1
+    assert build_dataset(of("trot", "pace"), mine, HERE).done == 1
 
 
 def test_what_a_killed_builder_has_left_is_removed(mine: Path) -> None:
@@ -233,20 +235,20 @@ def test_a_torn_checkpoint_is_begun_anew(mine: Path) -> None:
         path.unlink()
     for path in mine.glob("work/*/checkpoint.npz"):
         path.write_bytes(path.read_bytes()[:500])
-    assert build(of("trot", "pace"), mine, HERE).done == 2
+    assert build_dataset(of("trot", "pace"), mine, HERE).done == 2
     assert contents(mine) == before
 
 
 def test_a_longer_search_goes_on_from_the_shorter_one(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     longer = replace(of("trot"), recipe=replace(RECIPE, iterations=5))
     with pytest.raises(LibraryError, match="iterations was 3"):
-        build(longer, mine, HERE)
+        build_dataset(longer, mine, HERE)
     begun = []
     from fastmimic.dataset import jobs
 
     whole = jobs.imitate
     monkeypatch.setattr(jobs, "imitate", lambda *a, **k: begun.append(k["resume"]) or whole(*a, **k))
-    again = build(longer, mine, HERE, update=True)
+    again = build_dataset(longer, mine, HERE, update=True)
     assert begun == [True]
     assert [row["iterations"] for row in again.rows] == [5]  # the pace is of the old recipe
     health = check(MotionDataset.open(mine))
@@ -267,11 +269,11 @@ def test_a_full_disk_loses_nothing(mine: Path, monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr("fastmimic.base.files.os.fsync", fsync)
     with pytest.raises(OutputError, match="No space left"):
-        build(of("trot", "pace", "walk"), mine, HERE)
+        build_dataset(of("trot", "pace", "walk"), mine, HERE)
     assert contents(mine) == before
     assert len(MotionDataset.open(mine).index()) == 2
     full = False
-    assert build(of("trot", "pace", "walk"), mine, HERE).done == 1
+    assert build_dataset(of("trot", "pace", "walk"), mine, HERE).done == 1
 
 
 @pytest.fixture(scope="module")
@@ -293,7 +295,7 @@ def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_folder_with_one_clip_that_is_torn(clips: Path, tmp_path: Path) -> None:
     sources = find_sources(clips)
     assert [Path(source.place).name for source in sources] == ["pace.txt", "torn.txt", "trot.txt"]
-    done = build(BuildRequest(sources, RECIPE, ("a1",)), tmp_path, HERE)
+    done = build_dataset(BuildRequest(sources, RECIPE, ("a1",)), tmp_path, HERE)
     assert [(row["name"], row["status"]) for row in done.rows] == [("pace", "done"), ("trot", "done")]
     assert {row["licence"] for row in done.rows} == {"Made for a test"}
     failed = [survey for survey in done.surveys if survey.failed is not None]
@@ -306,9 +308,9 @@ def test_a_source_that_changes_is_done_again(clips: Path, tmp_path: Path) -> Non
     file.write_text((clips / "trot.txt").read_text())
     folder = tmp_path / "library"
     building = BuildRequest(find_sources(file), RECIPE, ("a1",))
-    first = build(building, folder, HERE)
+    first = build_dataset(building, folder, HERE)
     file.write_text((clips / "below/pace.txt").read_text())
-    second = build(building, folder, HERE)
+    second = build_dataset(building, folder, HERE)
     assert second.done == 1
     assert [row["id"] for row in second.rows] != [row["id"] for row in first.rows]
     assert len(second.rows) == 1
@@ -322,7 +324,7 @@ def test_equal_clips_are_one_motion_with_a_source_and_its_licence(clips: Path, t
 
     def made(licence: str | None = None) -> Built:
         sources = find_sources(tmp_path / "clips", licence=licence)
-        return build(BuildRequest(sources, RECIPE, ("a1",)), tmp_path / "library", HERE)
+        return build_dataset(BuildRequest(sources, RECIPE, ("a1",)), tmp_path / "library", HERE)
 
     first = made()
     assert (first.jobs, first.done) == (1, 1)
@@ -370,7 +372,7 @@ def test_a_controllers_file_is_told_by_its_content(tmp_path: Path, monkeypatch: 
     library.save_recipe(recipe)
     write(tmp_path / "mine.json", 0.5)
     with pytest.raises(LibraryError, match="made otherwise"):
-        build(replace(of("trot"), recipe=replace(RECIPE, config="mine.json")), library.path, HERE)
+        build_dataset(replace(of("trot"), recipe=replace(RECIPE, config="mine.json")), library.path, HERE)
     monkeypatch.chdir("/")
     assert library.recipe() == recipe
     (tmp_path / "mine.json").unlink()
@@ -384,7 +386,7 @@ def test_what_is_of_another_robot_leaves_the_index(mine: Path) -> None:
     assert library.write_index().table.num_rows == 0
     assert {old.why for old in library.gathered().superseded} == {"its robot has changed"}
     assert len(check(library).foreign) == 4
-    assert build(of("trot", "pace"), mine, HERE).done == 0
+    assert build_dataset(of("trot", "pace"), mine, HERE).done == 0
     assert len(library.index()) == 2
 
 
@@ -432,17 +434,17 @@ def test_a_motion_that_cannot_be_made_is_said_with_its_reason(tmp_path: Path, mo
         return whole(motion, *a, **k)
 
     monkeypatch.setattr(jobs, "imitate", sometimes)
-    rows = build(of("trot", "pace"), tmp_path, HERE).rows
+    rows = build_dataset(of("trot", "pace"), tmp_path, HERE).rows
     assert [(row["name"], row["grade"]) for row in rows] == [("pace", "failed"), ("trot", "A")]
     assert "unexpected ZeroDivisionError" in rows[0]["lacks"]
     monkeypatch.undo()
-    assert build(of("trot", "pace"), tmp_path, HERE).done == 1  # what failed is tried again
+    assert build_dataset(of("trot", "pace"), tmp_path, HERE).done == 1  # what failed is tried again
 
 
 def test_long_takes_are_cut(data_folder: Path, tmp_path: Path) -> None:
     take = data_folder / "dog_keypoints" / "dog_walk09_joint_pos.txt"
     building = BuildRequest(find_sources(take), replace(RECIPE, iterations=1), ("a1",), confidence=0.8)
-    done = build(building, tmp_path, HERE)
+    done = build_dataset(building, tmp_path, HERE)
     assert done.jobs >= 2
     assert all(row["first_frame"] < row["end_frame"] for row in done.rows)
     assert all("CC BY-NC" in row["licence"] for row in done.rows)
@@ -465,7 +467,7 @@ def test_movement_that_does_not_repeat_is_asked_for(data_folder: Path, tmp_path:
 
 def test_warm_starts_are_of_the_nearest(built: Path, tmp_path: Path) -> None:
     rows = {row["name"]: row for row in MotionDataset.open(built).index()}
-    done = build(of("pace", warm=MotionDataset.open(built)), tmp_path, HERE)
+    done = build_dataset(of("pace", warm=MotionDataset.open(built)), tmp_path, HERE)
     assert [row["warm_start"] for row in done.rows] == [rows["pace"]["id"]]
     assert done.rows[0]["id"] != rows["pace"]["id"]
     assert done.rows[0]["reward"] >= rows["pace"]["reward"] - 1e-3
@@ -473,7 +475,7 @@ def test_warm_starts_are_of_the_nearest(built: Path, tmp_path: Path) -> None:
 
 def test_of_several_starts_the_one_of_the_last_build_counts(built: Path, mine: Path) -> None:
     def starts(building: BuildRequest) -> list[str | None]:
-        return [row["warm_start"] for row in build(building, mine, HERE).rows if row["name"] == "pace"]
+        return [row["warm_start"] for row in build_dataset(building, mine, HERE).rows if row["name"] == "pace"]
 
     cold = {row["name"]: row["id"] for row in MotionDataset.open(mine).index()}
     warm = replace(of("pace"), warm=MotionDataset.open(built))
@@ -501,7 +503,7 @@ def test_a_rerun_notices_another_reward(mine: Path) -> None:
 
 
 def test_processes_make_the_same(built: Path, tmp_path: Path) -> None:
-    done = build(of("trot", "pace"), tmp_path, make_executor("local", workers=2))
+    done = build_dataset(of("trot", "pace"), tmp_path, make_executor("local", workers=2))
     assert {row["name"]: row["status"] for row in done.rows} == {"trot": "done", "pace": "done"}
     assert [row["evaluations"] for row in done.rows] != [0, 0]
 

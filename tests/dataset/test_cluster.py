@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from dataset.conftest import of, same
-from fastmimic.dataset import MotionDataset, build
+from fastmimic.dataset import MotionDataset, build_dataset
 from fastmimic.dataset.build import BuildStep
 from fastmimic.dataset.repair import mend
 from fastmimic.executors import make_executor
@@ -60,7 +60,7 @@ def test_a_worker_and_a_node_that_are_killed_cost_nothing_but_time(cluster: Any,
             killed.append("node")
 
     executor = make_executor("ray", address=cluster.address)
-    built = build(of(*MOTIONS), tmp_path / "cluster", executor, progress=progress)
+    built = build_dataset(of(*MOTIONS), tmp_path / "cluster", executor, progress=progress)
     assert killed == ["worker", "node"]
     assert (built.jobs, built.done) == (8, 8)
     assert len(recorded) == 8
@@ -69,7 +69,7 @@ def test_a_worker_and_a_node_that_are_killed_cost_nothing_but_time(cluster: Any,
     assert health.sound
     assert all(Path(name).name.startswith(".") for name in health.foreign), "more than what was cut off while written"
 
-    build(of(*MOTIONS), tmp_path / "here", make_executor("local", workers=2))
+    build_dataset(of(*MOTIONS), tmp_path / "here", make_executor("local", workers=2))
     same(tmp_path / "cluster", tmp_path / "here")
-    again = build(of(*MOTIONS), tmp_path / "cluster", make_executor("local", workers=1))
+    again = build_dataset(of(*MOTIONS), tmp_path / "cluster", make_executor("local", workers=1))
     assert again.done == 0

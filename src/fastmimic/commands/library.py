@@ -71,14 +71,14 @@ class Build:
 
     def run(self) -> int:
         """Builds the library; returns the exit status."""
-        from fastmimic.dataset import build
+        from fastmimic.dataset import build_dataset
         from fastmimic.executors import make_executor
 
         building = self._building()
         executor = make_executor(self.executor, workers=self.workers, address=self.address)
         said = f"{len(building.sources)} sources, {len(building.robots)} robots, {building.seeds} seeds, in {self.out}"
         with _progress(said) as progress:
-            built = build(building, self.out, executor, update=self.update, progress=progress)
+            built = build_dataset(building, self.out, executor, update=self.update, progress=progress)
         put(f"{built.jobs} motions, {built.done} of them built now")
         put_summary(built.library)
         for line in built.left_out:

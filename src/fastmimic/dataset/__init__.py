@@ -1,13 +1,13 @@
 """Libraries of motions that a robot can execute, with the evidence: from takes and clips to a dataset.
 
-`build` finds what can be imitated in every source, makes a motion of each piece for each robot and seed, tries it in
-other conditions, and keeps one record of each. `MotionDataset` is the folder of the result.
+`build_dataset` finds motions in every source, optimises each for each robot and seed, evaluates it in other conditions,
+and keeps one record of each. `MotionDataset` is the folder of the result.
 """
 
-from fastmimic.dataset.build import BuildRequest, build
+from fastmimic.dataset.build import BuildRequest, build_dataset
 from fastmimic.dataset.build_settings import BuildSettings
 from fastmimic.dataset.folder import MotionDataset
 from fastmimic.dataset.grades import GRADES
 from fastmimic.dataset.sources import DatasetSource, find_sources
 
-__all__ = ["GRADES", "BuildRequest", "BuildSettings", "DatasetSource", "MotionDataset", "build", "find_sources"]
+__all__ = ["GRADES", "BuildRequest", "BuildSettings", "DatasetSource", "MotionDataset", "build_dataset", "find_sources"]

@@ -125,7 +125,7 @@ class Built:
         return found + [describe_failure(row) for row in rows if row["id"] in self.ids and row["status"] == FAILED]
 
 
-def build(
+def build_dataset(
     building: BuildRequest,
     out: str | Path,
     executor: Executor,
