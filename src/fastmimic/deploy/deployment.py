@@ -14,8 +14,8 @@ from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.driver import RobotDriver
 from fastmimic.deploy.emergency_stop import StopSwitch
 from fastmimic.deploy.log import LOST_ROWS, DeploymentLog, Recorder
-from fastmimic.deploy.realtime_loop import EndCondition, Loop, LoopOutcome
 from fastmimic.deploy.loop_clock import LoopClock, real_clock, undisturbed
+from fastmimic.deploy.realtime_loop import EndCondition, Loop, LoopOutcome
 from fastmimic.deploy.safety import DryRunGuard, Guard, StopReason
 from fastmimic.deploy.safety_limits import SafetyLimits
 from fastmimic.deploy.scoring import figures, score_log, true_states
