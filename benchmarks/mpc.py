@@ -224,7 +224,7 @@ def measure(seconds: float, per_motion: int, rate_hz: float) -> dict[str, Any]:
         }
     from fastmimic.base.conventions import GRAVITY
     from fastmimic.control.daqp import make_workspace
-    from fastmimic.control.horizon import MAX_CONSTRAINTS, MAX_VARIABLES
+    from fastmimic.control.horizon_qp import MAX_CONSTRAINTS, MAX_VARIABLES
 
     workspace = make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS)[0]
     return {

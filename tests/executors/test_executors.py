@@ -8,7 +8,7 @@ import pytest
 
 from executors.work import do
 from fastmimic.base.errors import ClipError, ClusterError, ConfigError, WorkerError
-from fastmimic.executors import Executor, Outcome, make_executor
+from fastmimic.executors import Executor, JobOutcome, make_executor
 from fastmimic.executors.local import LocalExecutor
 from fastmimic.executors.ray_cluster import _result
 
@@ -24,7 +24,7 @@ def executor(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     return make_executor(request.param, workers=2)
 
 
-def by_job(outcomes: Iterator[Outcome]) -> dict[int, Outcome]:
+def by_job(outcomes: Iterator[JobOutcome]) -> dict[int, JobOutcome]:
     found = [*outcomes]
     assert len({outcome.index for outcome in found}) == len(found)
     return {outcome.index: outcome for outcome in found}

@@ -25,7 +25,7 @@ _Kind = TypeVar("_Kind")
 
 
 @dataclass(frozen=True)
-class Parameter:
+class ParameterInfo:
     """What is known of a field.
 
     Attributes:
@@ -90,13 +90,13 @@ class Parameter:
 
 
 def parameter(default: Any, *, above: float | None = None, low: float | None = 0.0, **known: Any) -> Any:
-    """A dataclass field with its `Parameter`: `known` are its attributes. By default no number may be negative."""
+    """A dataclass field with its `ParameterInfo`: `known` are its attributes. By default no number may be negative."""
     return dataclasses.field(
-        default=default, metadata={_KEY: Parameter(low=low if above is None else None, above=above, **known)}
+        default=default, metadata={_KEY: ParameterInfo(low=low if above is None else None, above=above, **known)}
     )
 
 
-def parameters(kind: Any) -> dict[str, tuple[Parameter, Any]]:
+def parameters(kind: Any) -> dict[str, tuple[ParameterInfo, Any]]:
     """The parameters of a settings class, or of its instance, by the field's name, each with its default."""
     return {f.name: (f.metadata[_KEY], f.default) for f in dataclasses.fields(kind) if _KEY in f.metadata}
 

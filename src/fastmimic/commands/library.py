@@ -136,7 +136,7 @@ class Libraries:
 
 def _second_simulator(robots: Sequence[str]) -> bool:
     """Whether PyBullet is installed; prints a note if it is missing and has one of the robots."""
-    from fastmimic.simulation.pybullet_sim import DESCRIPTIONS, require_pybullet
+    from fastmimic.simulation.pybullet_description import DESCRIPTIONS, require_pybullet
 
     try:
         require_pybullet()

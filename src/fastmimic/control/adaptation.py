@@ -27,10 +27,10 @@ def stance_leg(
     j, foot = 3 * leg, scratch.feet[leg]
     q = obs.joint_pos[j : j + 3]
     leg_jacobian(model.geometry[leg], q[0], q[1], q[2], scratch.jacobian)
-    force_b, v_ref_b, w_ref_b = scratch.work, scratch.ref_lin_vel_b, scratch.ref_ang_vel_b
+    force_b, v_ref_b, w_ref_b = scratch.force_b, scratch.ref_lin_vel_b, scratch.ref_ang_vel_b
     transposed_times(scratch.rotation, memory.force[leg], force_b)
     transposed_times(scratch.jacobian, force_b, scratch.torque)
-    # the ground is felt below the sphere's centre: moment of the force about the centre, (−r z) × f in the body frame
+    # the contact is below the sphere's centre: moment of the force about the centre, (−r z) × f in the body frame
     zx, zy, zz = scratch.rotation[2, 0], scratch.rotation[2, 1], scratch.rotation[2, 2]
     mx, my, mz = cross(zx, zy, zz, force_b[0], force_b[1], force_b[2])
     r = model.foot_radius

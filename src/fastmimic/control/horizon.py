@@ -22,11 +22,12 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.base.jit import inlined, kernel, record_dtype
-from fastmimic.base.vectors import heading_vector, quat_to_matrix, rotation_error, times, turn_rows
+from fastmimic.base.jit import kernel, record_dtype
+from fastmimic.base.vectors import heading_vector
 from fastmimic.control.config_parts import MAX_HORIZON_STEPS
 from fastmimic.control.daqp import OPTIMAL, solve_qp
-from fastmimic.control.stance import force_column, friction_rows
+from fastmimic.control.horizon_preview import foresee, heading_of
+from fastmimic.control.horizon_qp import advance, condense, variable
 
 _N: Final = MAX_HORIZON_STEPS
 
@@ -42,338 +43,6 @@ PLAN: Final = record_dtype(
     ]
 )
 """What one robot means to do, in the heading frame at the time of planning."""
-
-FORESIGHT: Final = record_dtype(
-    [
-        ("standing", "i8", (_N, 4)),
-        ("slot", "i8", (_N, 4)),  # number of the leg's force among the variables, −1 in the air
-        ("arms", "f8", (_N, 4, 3)),
-        ("inverse_inertia", "f8", (_N, 3, 3)),
-        ("drift", "f8", (_N, 6)),  # acceleration without forces: gravity, and what the legs' motion takes
-        ("columns", "f8", (_N, 4, 3, 6)),  # acceleration by each force, in weights
-        ("nominal", "f8", (_N + 1, 3)),  # path of the body that the above are for, from where it is
-        ("target", "f8", (_N + 1, 12)),
-        ("free", "f8", (_N + 1, 12)),  # states without forces
-        ("costate", "f8", (12,)),
-        ("impulse", "f8", (6,)),
-        ("rotation", "f8", (3, 3)),
-        ("here", "f8", (3,)),  # reference's root from the robot's, now
-        ("offset", "f8", (4, 3)),  # of the place where a foot in the air will land from the reference's
-        ("com", "f8", (3,)),  # centre of mass from the root
-        ("vector", "f8", (3,)),
-        ("change", "f8", (6,)),  # of ẍ_des
-        ("time", "i8", (2,)),
-    ]
-)
-"""Work memory: what lies ahead of one robot. One record for each thread."""
-
-MAX_VARIABLES: Final = 12 * _N
-MAX_CONSTRAINTS: Final = 36 * _N
-
-
-@inlined
-def _beyond(table: Any, clock: Any, steps: int) -> int:
-    """Control steps by which that many from now are past the last sample of a motion that ends."""
-    return max(0, clock.sample + steps - table.shape[0] + 1) if clock.repeats == 0 else 0
-
-
-@inlined
-def _coasted(config: Any, ref: Any, steps: int) -> tuple[float, float, float]:
-    """Planar displacement, in the table's frame, and turn of a body that goes on with a sample's twist."""
-    time = steps * config.dt
-    turn = ref.ang_vel[2] * time
-    # time · (sin θ / θ, (1 − cos θ) / θ)
-    along, across = time, 0.5 * turn * time
-    if abs(turn) > 1e-6:
-        along, across = np.sin(turn) / ref.ang_vel[2], (1 - np.cos(turn)) / ref.ang_vel[2]
-    vx, vy = ref.lin_vel[0], ref.lin_vel[1]
-    return along * vx - across * vy, across * vx + along * vy, turn
-
-
-@inlined
-def _ahead(config: Any, table: Any, clock: Any, steps: int) -> tuple[int, float, float, float]:
-    """Sample that many control steps from now, and the origin (x, y, yaw) that it is seen from.
-
-    A motion that ends goes on as its last sample, level, straight on or turning, as that one moves.
-    """
-    n = table.shape[0]
-    sample = clock.sample + steps
-    x, y, yaw = clock.origin[0], clock.origin[1], clock.origin[2]
-    beyond = _beyond(table, clock, steps)
-    if beyond > 0:
-        sample = n - 1
-        ref = table[sample]
-        dx, dy, turn = _coasted(config, ref, beyond)
-        c, s = np.cos(turn), np.sin(turn)
-        # turned about the root, which has moved
-        dx += ref.root_pos[0] - (c * ref.root_pos[0] - s * ref.root_pos[1])
-        dy += ref.root_pos[1] - (s * ref.root_pos[0] + c * ref.root_pos[1])
-        c, s = np.cos(yaw), np.sin(yaw)
-        x += c * dx - s * dy
-        y += s * dx + c * dy
-        yaw += turn
-    while sample >= n:
-        sample -= n
-        c, s = np.cos(yaw), np.sin(yaw)
-        x += c * clock.cycle_step[0] - s * clock.cycle_step[1]
-        y += s * clock.cycle_step[0] + c * clock.cycle_step[1]
-        yaw += clock.cycle_step[2]
-    return sample, x, y, yaw
-
-
-@inlined
-def _turned(c: float, s: float, m: Array, out: Array) -> None:
-    """Rz m Rzᵀ of a symmetric 3 × 3 matrix, (c, s) of the angle."""
-    a, b, d = m[0, 0], m[0, 1], m[1, 1]
-    out[0, 0] = c * c * a - 2 * c * s * b + s * s * d
-    out[1, 1] = s * s * a + 2 * c * s * b + c * c * d
-    out[0, 1] = c * s * (a - d) + (c * c - s * s) * b
-    out[0, 2] = c * m[0, 2] - s * m[1, 2]
-    out[1, 2] = s * m[0, 2] + c * m[1, 2]
-    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
-    out[2, 2] = m[2, 2]
-
-
-@inlined
-def _along(column: Array, axis: int, v: Array) -> float:
-    """Column of B times v; its linear part is along its own axis."""
-    return column[axis] * v[axis] + column[3] * v[3] + column[4] * v[4] + column[5] * v[5]
-
-
-@inlined
-def _variable(slot: int, axis: int, k: int) -> int:
-    """Index of a force's component: the z of all k forces first, for DAQP's simple bounds, then their x and y."""
-    return slot if axis == 2 else k + 2 * slot + axis
-
-
-@inlined
-def _advance(step: float, acceleration: Array, state: Array, out: Array) -> None:
-    """One step of the model."""
-    for r in range(6):
-        out[r] = state[r] + step * (state[6 + r] + 0.5 * step * acceleration[r])
-        out[6 + r] = state[6 + r] + step * acceleration[r]
-
-
-@inlined
-def _coupling(config: Any, i: int, j: int, out: Array) -> None:
-    """D_ij, i ≤ j: what accelerations in steps i and j together do to the states from the end of step j on.
-
-    A unit in step i moves X at the end of step k > i by h² (k − i − ½) and V by h; here these are summed over k > j.
-    """
-    h, m = config.horizon_step_s, float(config.horizon_steps - j)
-    moved = h * h * (m * (4 * m * m - 1) / 12 + 0.5 * (j - i) * m * m)
-    for r in range(6):
-        out[r] = h * h * (config.horizon_velocity_weight[r] * m + config.horizon_position_weight[r] * moved)
-
-
-@kernel
-def condense(config: Any, weight: float, ahead: Any, qp: Any) -> int:
-    """Assembles the QP of what is in `ahead`: standing, columns, drift, target, free[0].
-
-    Returns:
-        The number k of forces; there are 3 k variables, k simple bounds and 4 k rows, or 8 k.
-    """
-    steps, h = config.horizon_steps, config.horizon_step_s
-    k = 0
-    for j in range(steps):
-        for leg in range(4):
-            ahead.slot[j, leg] = -1
-            if ahead.standing[j, leg] == 1:
-                ahead.slot[j, leg] = k
-                k += 1
-    _hessian(config, ahead, k, qp)
-
-    # gradient, back in time: `costate` is the cost's change with the state at the end of the step, without forces
-    costate, impulse = ahead.costate, ahead.impulse
-    for j in range(steps):
-        _advance(h, ahead.drift[j], ahead.free[j], ahead.free[j + 1])
-    costate[:] = 0.0
-    for j in range(steps - 1, -1, -1):
-        for r in range(6):
-            x, v = ahead.free[j + 1, r] - ahead.target[j + 1, r], ahead.free[j + 1, 6 + r] - ahead.target[j + 1, 6 + r]
-            costate[6 + r] += h * costate[r] + config.horizon_velocity_weight[r] * v
-            costate[r] += config.horizon_position_weight[r] * x
-            impulse[r] = h * (0.5 * h * costate[r] + costate[6 + r])
-        for leg in range(4):
-            if ahead.slot[j, leg] < 0:
-                continue
-            for axis in range(3):
-                at = _variable(ahead.slot[j, leg], axis, k)
-                qp.gradient[at] = _along(ahead.columns[j, leg, axis], axis, impulse)
-
-    # friction and bounds
-    for i in range(k):
-        qp.lower[i], qp.upper[i] = config.min_force / weight, config.max_force / weight
-    friction_rows(config, k, qp)
-    return k
-
-
-@kernel
-def _hessian(config: Any, ahead: Any, k: int, qp: Any) -> None:
-    """Bᵢᵀ D_ij Bⱼ for all steps, and R on the diagonal."""
-    n, weighted = 3 * k, ahead.costate
-    for j in range(config.horizon_steps):
-        for i in range(j + 1):
-            _coupling(config, i, j, ahead.impulse)
-            for leg in range(4):
-                if ahead.slot[j, leg] < 0:
-                    continue
-                for axis in range(3):
-                    column = ahead.columns[j, leg, axis]
-                    at = _variable(ahead.slot[j, leg], axis, k)
-                    for r in range(6):
-                        weighted[r] = ahead.impulse[r] * column[r]
-                    for other in range(4):
-                        if ahead.slot[i, other] < 0:
-                            continue
-                        for side in range(3):
-                            value = _along(ahead.columns[i, other, side], side, weighted)
-                            row = _variable(ahead.slot[i, other], side, k)
-                            qp.hessian[row * n + at] = value
-                            qp.hessian[at * n + row] = value
-    for i in range(n):
-        qp.hessian[i * n + i] += config.horizon_force_weight
-
-
-@kernel
-def foresee(config: Any, model: Any, table: Any, clock: Any, obs: Any, memory: Any, scratch: Any, ahead: Any) -> None:
-    """Fills `ahead` with what the reference wants and the feet allow in the steps to come.
-
-    Of `scratch` it takes rotation, reference_rotation, feet, arms, inverse_inertia, position_error, velocity_error, the
-    velocities, and `shift`, by which the reference is moved to where the standing feet are.
-    """
-    rotation, arms = scratch.rotation, scratch.arms
-    for r in range(3):
-        ahead.free[0, r], ahead.free[0, 3 + r] = 0.0, 0.0
-        ahead.free[0, 6 + r], ahead.free[0, 9 + r] = scratch.lin_vel[r], scratch.ang_vel[r]
-        foot = scratch.feet[0]
-        ahead.com[r] = rotation[r, 0] * foot[0] + rotation[r, 1] * foot[1] + rotation[r, 2] * foot[2] - arms[0, r]
-    ahead.com[2] -= model.foot_radius
-    heading = _heading(obs.root_quat)
-    _targets(config, table, clock, obs, scratch, heading, ahead)
-    _landings(config, memory, scratch, ahead.offset)
-    for leg in range(4):
-        ahead.standing[0, leg] = memory.stance[leg]
-        ahead.arms[0, leg, :] = arms[leg]
-    ahead.inverse_inertia[0, :, :] = scratch.inverse_inertia
-    yaw_error = np.arctan2(scratch.reference_rotation[1, 0], scratch.reference_rotation[0, 0])
-    for j in range(1, config.horizon_steps):
-        _footing(config, model, table, clock, scratch, heading, yaw_error, j, ahead)
-    weight = model.mass * GRAVITY
-    for j in range(config.horizon_steps):
-        for leg in range(4):
-            if ahead.standing[j, leg] == 0:
-                continue
-            for axis in range(3):
-                column = ahead.columns[j, leg, axis]
-                force_column(ahead.inverse_inertia[j], ahead.arms[j, leg], axis, model.mass, column)
-                for r in range(6):
-                    column[r] *= weight
-
-
-@inlined
-def _heading(q: Array) -> float:
-    """Yaw of a quaternion (w, x, y, z)."""
-    return np.arctan2(2 * (q[1] * q[2] + q[0] * q[3]), 1 - 2 * (q[2] * q[2] + q[3] * q[3]))
-
-
-@kernel
-def _targets(config: Any, table: Any, clock: Any, obs: Any, scratch: Any, heading: float, ahead: Any) -> None:
-    """What the body should do: reference at the ends of the steps, and the nominal path beside it."""
-    c, s = np.cos(heading), np.sin(heading)
-    for j in range(config.horizon_steps + 1):
-        steps = round(j * config.horizon_step_s / config.dt)
-        sample, x, y, yaw = _ahead(config, table, clock, steps)
-        ref, target = table[sample], ahead.target[j]
-        co, so = np.cos(yaw), np.sin(yaw)
-        dx = x + co * ref.root_pos[0] - so * ref.root_pos[1] - obs.root_pos[0]
-        dy = y + so * ref.root_pos[0] + co * ref.root_pos[1] - obs.root_pos[1]
-        target[0], target[1], target[2] = c * dx + s * dy, -s * dx + c * dy, ref.root_pos[2] - obs.root_pos[2]
-        for r in range(3):
-            if j == 0:
-                ahead.here[r] = target[r]
-            ahead.nominal[j, r] = target[r] - ahead.here[r]
-        ct, st = np.cos(yaw - heading), np.sin(yaw - heading)
-        quat_to_matrix(ref.root_quat, ahead.rotation)
-        turn_rows(ct, st, ahead.rotation)
-        rotation_error(ahead.rotation, scratch.rotation, target[3:6])
-        heading_vector(ct, -st, ref.lin_vel, target[6:9])
-        heading_vector(ct, -st, ref.ang_vel, target[9:12])
-        if _beyond(table, clock, steps) > 0:  # height and tilt stay
-            target[8], target[9], target[10] = 0.0, 0.0, 0.0
-        target[0] += scratch.shift[0]
-        target[1] += scratch.shift[1]
-        if j == config.horizon_steps:
-            return
-        # gravity, and what the legs take in the middle of the step
-        steps = round((j + 0.5) * config.horizon_step_s / config.dt)
-        sample, x, y, yaw = _ahead(config, table, clock, steps)
-        ct, st = np.cos(yaw - heading), np.sin(yaw - heading)
-        drift = ahead.drift[j]
-        heading_vector(ct, -st, table[sample].leg_lin_acc, drift[0:3])
-        heading_vector(ct, -st, table[sample].leg_ang_acc, drift[3:6])
-        if _beyond(table, clock, steps) > 0:  # the legs stay as they are
-            drift[:] = 0.0
-        for r in range(6):
-            drift[r] = -config.leg_momentum * drift[r] - (GRAVITY if r == 2 else 0.0)
-
-
-@inlined
-def _landings(config: Any, memory: Any, scratch: Any, offset: Array) -> None:
-    """How far the swing's feedback will move the next footholds from the reference's, heading frame."""
-    rotation = scratch.rotation
-    for leg in range(4):
-        for r in range(3):
-            offset[leg, r] = 0.0
-            for q in range(2):
-                if memory.stance[leg] == 0:
-                    feedback = config.velocity_feedback[q] * scratch.velocity_error[q]
-                    feedback += config.position_feedback * scratch.position_error[q]
-                    offset[leg, r] -= rotation[r, q] * feedback
-        offset[leg, 2] = 0.0
-
-
-@kernel
-def _footing(
-    config: Any, model: Any, table: Any, clock: Any, scratch: Any, heading: float, yaw_error: float, j: int, ahead: Any
-) -> None:
-    """Which feet stand in the middle of step j ≥ 1, and where from the centre of mass on its nominal path."""
-    steps = round((j + 0.5) * config.horizon_step_s / config.dt)
-    sample, _, _, yaw = _ahead(config, table, clock, steps)
-    ref = table[sample]
-    turn = yaw - heading - yaw_error  # a yaw error goes along with the robot
-    quat_to_matrix(ref.root_quat, ahead.rotation)
-    turn_rows(np.cos(turn), np.sin(turn), ahead.rotation)
-    turned = np.arctan2(ahead.rotation[1, 0], ahead.rotation[0, 0])
-    c, s = np.cos(turned), np.sin(turned)
-    com_x, com_y, com_z = c * ahead.com[0] - s * ahead.com[1], s * ahead.com[0] + c * ahead.com[1], ahead.com[2]
-    # a foot stays where it stands at the motion's end
-    dx, dy, coasted = _coasted(config, ref, _beyond(table, clock, steps))
-    ct, st = np.cos(yaw - coasted - heading), np.sin(yaw - coasted - heading)
-    left_x, left_y = ct * dx - st * dy, st * dx + ct * dy
-    turn_rows(np.cos(-coasted), np.sin(-coasted), ahead.rotation)
-    for leg in range(4):
-        ahead.standing[j, leg] = ref.contact[leg]
-        if ref.contact[leg] == 0:
-            continue
-        stood = True
-        for i in range(j):
-            stood = stood and ahead.standing[i, leg] == 1
-        arm = ahead.arms[j, leg]
-        if stood:
-            for r in range(3):
-                arm[r] = scratch.arms[leg, r] + ahead.com[r] - 0.5 * (ahead.nominal[j, r] + ahead.nominal[j + 1, r])
-        else:
-            times(ahead.rotation, ref.foot_pos[leg], arm)
-            for r in range(3):
-                arm[r] += ahead.offset[leg, r]
-            arm[0] -= left_x
-            arm[1] -= left_y
-            arm[2] += ahead.here[2] - model.foot_radius
-        arm[0] -= com_x
-        arm[1] -= com_y
-        arm[2] -= com_z
-    _turned(c, s, scratch.inverse_inertia, ahead.inverse_inertia[j])
 
 
 @kernel
@@ -407,7 +76,7 @@ def plan_forces(
         memory.qp_failures += 1
         memory.horizon_failures += 1
         return False
-    plan.heading = _heading(obs.root_quat)
+    plan.heading = heading_of(obs.root_quat)
     plan.reference[:, :] = ahead.target
     plan.state[0, :] = ahead.free[0]
     for j in range(config.horizon_steps):
@@ -419,11 +88,11 @@ def plan_forces(
             if ahead.slot[j, leg] < 0:
                 continue
             for axis in range(3):
-                share = qp.x[_variable(ahead.slot[j, leg], axis, k)]
+                share = qp.x[variable(ahead.slot[j, leg], axis, k)]
                 plan.force[j, leg, axis] = share * weight
                 for r in range(6):
                     acceleration[r] += ahead.columns[j, leg, axis, r] * share
-        _advance(config.horizon_step_s, acceleration, plan.state[j], plan.state[j + 1])
+        advance(config.horizon_step_s, acceleration, plan.state[j], plan.state[j + 1])
     return True
 
 
@@ -453,7 +122,7 @@ def track_plan(config: Any, obs: Any, plan: Any, ahead: Any, desired: Array) -> 
         change[r] = config.kd[r] * (velocity + t * (a[r] - mean))
         change[r] += config.kp[r] * (state[r] - reference[r] + t * (velocity + 0.5 * t * (a[r] - mean)))
         change[r] += a[r] - config.reference_acceleration * mean
-    turn = plan.heading - _heading(obs.root_quat)
+    turn = plan.heading - heading_of(obs.root_quat)
     heading_vector(np.cos(turn), -np.sin(turn), change[0:3], ahead.vector)
     for r in range(3):
         desired[r] += ahead.vector[r]

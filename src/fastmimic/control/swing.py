@@ -18,7 +18,7 @@ def swing_target(
     hx = reference_rotation[0, 0] * x + reference_rotation[0, 1] * y + reference_rotation[0, 2] * z
     hy = reference_rotation[1, 0] * x + reference_rotation[1, 1] * y + reference_rotation[1, 2] * z
     hz = reference_rotation[2, 0] * x + reference_rotation[2, 1] * y + reference_rotation[2, 2] * z
-    # a yaw error is not the swing foot's to make up for
+    # a yaw error is not corrected by the swing foot
     yaw = np.arctan2(reference_rotation[1, 0], reference_rotation[0, 0])
     cy, sy = np.cos(yaw), np.sin(yaw)
     hx, hy = cy * hx + sy * hy, -sy * hx + cy * hy
@@ -32,13 +32,9 @@ def swing_target(
 
 
 @inlined
-def lift_off(
-    config: Any, ref: Any, memory: Any, scratch: Any, foot: Array, leg: int, height_error: float, target: Array
-) -> None:
-    """Remembers where a foot (3,), body frame, leaves the ground: its offset from the reference, or the path's start.
-
-    `target` (3,) is scratch.
-    """
+def lift_off(config: Any, ref: Any, memory: Any, scratch: Any, leg: int, height_error: float) -> None:
+    """Stores where a foot leaves the ground, body frame: its offset from the reference, or the start of its path."""
+    foot, target = scratch.feet[leg], scratch.foot_target
     if config.raibert == 1:
         rotation = scratch.rotation
         for k in range(3):
@@ -81,7 +77,7 @@ def raibert_path(
 def raibert_leg(
     config: Any, model: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int, height_error: float
 ) -> None:
-    """A leg on its way to the Raibert foothold, and after T_s holding it until contact; nothing is the animal's."""
+    """A leg on its way to the Raibert foothold, which it holds after T_s until contact; independent of the animal."""
     share = min(memory.since_switch[leg] / config.swing_time, 1.0)
     step = config.dt / config.swing_time
     a, h, k = raibert_path(config, model, ref, memory, scratch, leg, share, height_error)
@@ -120,7 +116,7 @@ def swing_leg(
     if config.raibert == 1:
         raibert_leg(config, model, ref, memory, command, scratch, leg, height_error)
         return
-    target = scratch.work
+    target = scratch.foot_target
     swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
     for k in range(2):
         gain = config.velocity_feedback[k] + scratch.recovering * config.recovery_feedback[k]

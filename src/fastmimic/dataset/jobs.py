@@ -38,7 +38,7 @@ from fastmimic.optimize.randomization import Randomization
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.pybullet_sim import DESCRIPTIONS
+from fastmimic.simulation.pybullet_description import DESCRIPTIONS
 
 WORK: Final = "work"
 _SEARCH: Final = 0.85  # the share of a job's time that the search takes, about

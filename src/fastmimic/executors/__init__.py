@@ -5,7 +5,7 @@ that dies takes nothing with it but its own jobs' time: they are begun again els
 its file, and its name in `EXECUTORS`.
 """
 
-from fastmimic.executors.base import Executor, Outcome, Report
+from fastmimic.executors.base import Executor, JobOutcome, Report
 from fastmimic.executors.choice import EXECUTORS, make_executor
 
-__all__ = ["EXECUTORS", "Executor", "Outcome", "Report", "make_executor"]
+__all__ = ["EXECUTORS", "Executor", "JobOutcome", "Report", "make_executor"]

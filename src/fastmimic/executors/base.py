@@ -17,7 +17,7 @@ Work = Callable[[Any, Report], Any]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class JobOutcome:
     """What came of a job.
 
     Attributes:
@@ -40,7 +40,7 @@ class Executor(Protocol):
 
     def run(
         self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
-    ) -> Generator[Outcome, None, None]:
+    ) -> Generator[JobOutcome, None, None]:
         """Runs all jobs; yields each one's outcome as it is there.
 
         Closing it (`contextlib.closing`), or Ctrl-C, stops what runs. Anything but a `FastMimicError` that a job raises

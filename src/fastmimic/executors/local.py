@@ -16,7 +16,7 @@ from pebble import ProcessExpired, ProcessPool
 
 from fastmimic.base.errors import ConfigError, FastMimicError, WorkerError
 from fastmimic.base.machine import available_cores
-from fastmimic.executors.base import ATTEMPTS, Outcome, Report, Work, attempt
+from fastmimic.executors.base import ATTEMPTS, JobOutcome, Report, Work, attempt
 
 _POLL_S: Final = 0.5
 _AHEAD: Final = 2  # jobs handed out for each process, so that none waits for the next
@@ -48,7 +48,7 @@ class LocalExecutor:
 
     def run(
         self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
-    ) -> Generator[Outcome, None, None]:
+    ) -> Generator[JobOutcome, None, None]:
         """As `Executor.run`."""
         if self._workers == 1 and self._in_process:
             return _here(work, jobs, progress)
@@ -57,19 +57,19 @@ class LocalExecutor:
 
 def _here(
     work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None
-) -> Generator[Outcome, None, None]:
+) -> Generator[JobOutcome, None, None]:
     for index, job in enumerate(jobs):
 
         def report(share: float, index: int = index) -> None:
             if progress is not None:
                 progress(index, share)
 
-        yield Outcome(index, *attempt(work, job, report))
+        yield JobOutcome(index, *attempt(work, job, report))
 
 
 def _spread(
     work: Work, jobs: Iterable[Any], workers: int, progress: Callable[[int, float], None] | None
-) -> Generator[Outcome, None, None]:
+) -> Generator[JobOutcome, None, None]:
     context = multiprocessing.get_context("spawn")
     steps: Any = context.Queue()
     waiting = enumerate(jobs)
@@ -93,12 +93,12 @@ def _spread(
             for future in done:
                 index, job, attempts = running.pop(future)
                 try:
-                    outcome = Outcome(index, *future.result())
+                    outcome = JobOutcome(index, *future.result())
                 except ProcessExpired as died:
                     if attempts < ATTEMPTS:
                         begin(index, job, attempts + 1)
                         continue
-                    outcome = Outcome(index, error=_died(attempts, died))
+                    outcome = JobOutcome(index, error=_died(attempts, died))
                 fill()
                 yield outcome
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from fastmimic.base.errors import ClusterError, ConfigError, FastMimicError, WorkerError
 from fastmimic.base.machine import available_cores
-from fastmimic.executors.base import ATTEMPTS, Outcome, Work, attempt
+from fastmimic.executors.base import ATTEMPTS, JobOutcome, Work, attempt
 
 _AHEAD: Final = 2  # jobs handed out for each core, so that none waits for the next
 _POLL_S: Final = 1.0
@@ -75,7 +75,7 @@ class RayExecutor:
 
     def run(
         self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
-    ) -> Generator[Outcome, None, None]:
+    ) -> Generator[JobOutcome, None, None]:
         """As `Executor.run`; a job is told of as done only when it is."""
         ray = require_ray()
         own = not ray.is_initialized()
@@ -97,7 +97,7 @@ class RayExecutor:
                     done, _ = ray.wait(list(running), timeout=_POLL_S)
                 for reference in done:
                     index = running.pop(reference)
-                    outcome = Outcome(index, *_result(ray, reference))
+                    outcome = JobOutcome(index, *_result(ray, reference))
                     if progress is not None:
                         progress(index, 1.0)
                     yield outcome

@@ -6,11 +6,8 @@ in a physics client of its own.
 """
 
 import contextlib
-import io
-import os
 import tempfile
 import weakref
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -25,30 +22,17 @@ from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate,
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import OBSERVATION
-from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 from fastmimic.simulation.disturbances import Disturbance, driving_limit, make_world
+from fastmimic.simulation.pybullet_description import changed_description, quiet, read_description, require_pybullet
 from fastmimic.simulation.terrain import CELL_M, rough_ground, turns
 
 DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
 
-DESCRIPTIONS: Final = {"a1": "a1/a1.urdf"}
-"""In the package `pybullet_data`, by the robot's name."""
 _JOINTS: Final = tuple(f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "upper", "lower"))
 _TOES: Final = tuple(f"{leg}_toe" for leg in LEGS)
-_TRUNK: Final = "trunk"
 _FIT_M: Final = 2e-3
 """By how much the feet may differ from those of our model."""
-
-
-def require_pybullet() -> Any:
-    """PyBullet's module; raises `ConfigError` with what to do if it is not installed."""
-    with contextlib.redirect_stderr(io.StringIO()), _quiet():  # it tells when it was built
-        try:
-            import pybullet
-            import pybullet_data  # noqa: F401
-        except ImportError:
-            raise ConfigError("the second simulator needs PyBullet: pip install 'fastmimic[pybullet]'") from None
-    return pybullet
 
 
 class PybulletSimulation:
@@ -84,7 +68,7 @@ class PybulletSimulation:
                 f" ({control_rate_hz:g} Hz)"
             )
         self._bullet = bullet = require_pybullet()
-        description = _description(robot)
+        description = read_description(robot)
         self.substeps = round(substeps)
         self.observation = np.zeros(n, OBSERVATION)
         self._rate = physics_rate_hz
@@ -99,9 +83,8 @@ class PybulletSimulation:
             if client < 0:
                 raise ConfigError(f"PyBullet has room for {len(self._clients)} robots at a time; {n} were asked for")
             self._clients.append(client)
-        self._descriptions = [
-            _changed(description, *(float(world[name][i]) for name in ("payload", "com-x", "com-y"))) for i in range(n)
-        ]
+        loads = np.column_stack([world[name] for name in ("payload", "com-x", "com-y")])
+        self._descriptions = [changed_description(description, *load) for load in loads.tolist()]
         self._bodies = [
             _Body(bullet, client, text) for client, text in zip(self._clients, self._descriptions, strict=True)
         ]
@@ -198,7 +181,7 @@ class _Body:
         with tempfile.TemporaryDirectory() as folder:  # PyBullet reads files only
             path = Path(folder) / "robot.urdf"
             path.write_text(description, encoding="utf-8")
-            with _quiet():
+            with quiet():
                 self.id = bullet.loadURDF(
                     str(path), useFixedBase=False, flags=bullet.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client
                 )
@@ -309,45 +292,6 @@ class _Body:
         return np.array([link[4] for link in links])
 
 
-def _description(robot: Robot) -> str:
-    """The robot's URDF without what only decorates."""
-    import pybullet_data
-
-    if robot.name not in DESCRIPTIONS:
-        raise ConfigError(
-            f"PyBullet has a description of {' and '.join(DESCRIPTIONS)}, none of '{robot.name}'; run it in mujoco"
-        )
-    path = Path(pybullet_data.getDataPath()) / DESCRIPTIONS[robot.name]
-    tree = ElementTree.fromstring(path.read_text(encoding="utf-8"))
-    for link in tree.iter("link"):
-        for visual in link.findall("visual"):
-            link.remove(visual)
-    return ElementTree.tostring(tree, encoding="unicode")
-
-
-def _changed(description: str, payload: float, com_x: float, com_y: float) -> str:
-    """The description with a payload on the trunk and the trunk's centre of mass shifted."""
-    if not (payload or com_x or com_y):
-        return description
-    tree = ElementTree.fromstring(description)
-    origin = tree.find(f"link[@name='{_TRUNK}']/inertial/origin")
-    assert origin is not None, "the trunk has a centre of mass"
-    x, y, z = (float(value) for value in origin.get("xyz", "0 0 0").split())
-    origin.set("xyz", f"{x + com_x!r} {y + com_y!r} {z!r}")
-    if payload:
-        moment = payload * PAYLOAD_SIDE_M**2 / 6.0
-        load = ElementTree.SubElement(tree, "link", name="payload")
-        inertial = ElementTree.SubElement(load, "inertial")
-        ElementTree.SubElement(inertial, "mass", value=repr(payload))
-        moments = {f"i{a}{b}": repr(moment) if a == b else "0" for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")}
-        ElementTree.SubElement(inertial, "inertia", moments)
-        joint = ElementTree.SubElement(tree, "joint", name="payload_joint", type="fixed")
-        ElementTree.SubElement(joint, "parent", link=_TRUNK)
-        ElementTree.SubElement(joint, "child", link="payload")
-        ElementTree.SubElement(joint, "origin", xyz=f"0 0 {PAYLOAD_HEIGHT_M!r}", rpy="0 0 0")
-    return ElementTree.tostring(tree, encoding="unicode")
-
-
 def _check_fit(body: _Body, robot: Robot) -> None:
     """Refuses a robot of the same name with other legs."""
     rng = np.random.default_rng(0)
@@ -387,18 +331,3 @@ def _disconnect(bullet: Any, clients: list[int]) -> None:
 def _wxyz(quat: Sequence[float]) -> Array:
     x, y, z, w = quat
     return np.array([w, x, y, z])
-
-
-@contextlib.contextmanager
-def _quiet() -> Any:
-    """Sends what C code writes to the terminal nowhere."""
-    with open(os.devnull, "wb") as nowhere:
-        kept = [(fd, os.dup(fd)) for fd in (1, 2)]
-        try:
-            for fd, _ in kept:
-                os.dup2(nowhere.fileno(), fd)
-            yield
-        finally:
-            for fd, copy in kept:
-                os.dup2(copy, fd)
-                os.close(copy)
