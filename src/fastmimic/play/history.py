@@ -12,7 +12,8 @@ from fastmimic.viewer.marks import TRAIL_POINTS, TRAIL_S
 from fastmimic.viewer.take import Take, world_feet
 
 if TYPE_CHECKING:
-    from fastmimic.play.session import LiveSession, Snapshot
+    from fastmimic.play.session import LiveSession
+    from fastmimic.play.snapshot import Snapshot
 
 
 RATE_HZ: Final = 100.0

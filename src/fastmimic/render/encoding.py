@@ -23,7 +23,11 @@ GIF_MEGAPIXELS: Final = 60
 """Of all frames of a GIF together: about 20 MB, more than which hardly anything shows."""
 
 _VP9: Final = ("-c:v", "libvpx-vp9", "-b:v", "0", "-row-mt", "1", "-pix_fmt", "yuv420p")
-_PALETTE: Final = ("palettegen=stats_mode=full", "paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle")
+_PALETTE: Final = (
+    "split[all][drawn];[all]palettegen=stats_mode=full[palette];"
+    "[drawn][palette]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
+)
+"""A GIF's 256 colours are chosen from all its frames, which the encoder holds until the last one is there."""
 
 
 _PIPE: Final = 2**20  # bytes, the most that Linux allows anyone: a frame in two pieces instead of in twenty-four
@@ -32,7 +36,7 @@ _PIPE: Final = 2**20  # bytes, the most that Linux allows anyone: a frame in two
 class VideoFile:
     """Encodes frames into a temporary file beside `path` and puts it there when all went well.
 
-    A GIF's frames are kept without loss until all are there: its palette is chosen from the whole. It plays for ever.
+    A GIF plays for ever.
 
     Use it as a context manager; after an exception, an interrupt included, `path` is as it was.
 
@@ -64,11 +68,11 @@ class VideoFile:
             raise OutputError(f"{path}: a video's name must end in {' or '.join(ENDINGS)}")
         if self._path.is_dir():
             raise OutputError(f"{path}: is a folder; a video cannot take its place")
-        self._gif = ending == ".gif"
-        if min(size) < 2 or (not self._gif and (size[0] % 2 or size[1] % 2)):
+        gif = ending == ".gif"
+        if min(size) < 2 or (not gif and (size[0] % 2 or size[1] % 2)):
             raise ConfigError(f"H.264 and VP9 need an even width and height, found {size[0]} x {size[1]}")
         megapixels = size[0] * size[1] * frames / 1e6
-        if self._gif and megapixels > GIF_MEGAPIXELS:
+        if gif and megapixels > GIF_MEGAPIXELS:
             raise ConfigError(
                 f"{path}: a GIF of {frames} frames of {size[0]} x {size[1]} would be enormous; make it smaller, shorter"
                 f" or of fewer frames a second, up to {GIF_MEGAPIXELS} megapixels in all ({megapixels:.0f}), or an .mp4"
@@ -76,7 +80,7 @@ class VideoFile:
         self._arguments = _arguments(source_size, size, fps, ending, quality)
 
     def __enter__(self) -> "VideoFile":
-        self._temporary = _temporary_beside(self._path, ".mkv" if self._gif else self._path.suffix.lower())
+        self._temporary = _temporary_beside(self._path, self._path.suffix.lower())
         try:
             self._messages: IO[bytes] = tempfile.TemporaryFile()
             self._encoder = subprocess.Popen(
@@ -125,36 +129,17 @@ class VideoFile:
         self._encoder.communicate()  # closes its input and waits
         if self._encoder.returncode:
             raise OutputError(f"{self._path}: the video encoder failed ({self._complaint()})")
-        if self._gif:
-            self._make_gif()
         try:
             os.chmod(self._temporary, 0o644)
             os.replace(self._temporary, self._path)
         except OSError as error:
             raise OutputError(f"{self._path}: cannot be written ({error.strerror or error})") from None
 
-    def _make_gif(self) -> None:
-        """Puts a GIF in the place of the temporary file: first its 256 colours, then its frames in them."""
-        choose, use = _PALETTE
-        frames = self._temporary
-        palette, gif = (_temporary_beside(self._path, ending) for ending in (".png", ".gif"))
-        try:
-            self._convert("-i", str(frames), "-vf", choose, "-frames:v", "1", "-update", "1", str(palette))
-            self._convert("-i", str(frames), "-i", str(palette), "-lavfi", use, "-loop", "0", str(gif))
-            os.replace(gif, frames)
-        finally:
-            palette.unlink(missing_ok=True)
-            gif.unlink(missing_ok=True)
-
-    def _convert(self, *arguments: str) -> None:
-        command = [_ffmpeg(), "-y", "-v", "error", *arguments]
-        done = subprocess.run(command, capture_output=True, check=False, start_new_session=True)
-        if done.returncode:
-            raise OutputError(f"{self._path}: the video encoder failed ({_last_line(done.stderr, done.returncode)})")
-
     def _complaint(self) -> str:
+        """The encoder's last message."""
         self._messages.seek(0)
-        return _last_line(self._messages.read(), self._encoder.returncode)
+        lines = self._messages.read().decode(errors="replace").strip().splitlines()
+        return lines[-1] if lines else f"exit status {self._encoder.returncode}"
 
 
 def _widen(pipe: "IO[bytes] | None") -> None:
@@ -165,11 +150,6 @@ def _widen(pipe: "IO[bytes] | None") -> None:
 
     with suppress(OSError):
         fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, _PIPE)
-
-
-def _last_line(messages: bytes, status: int) -> str:
-    lines = messages.decode(errors="replace").strip().splitlines()
-    return lines[-1] if lines else f"exit status {status}"
 
 
 def _temporary_beside(path: Path, ending: str) -> Path:
@@ -198,12 +178,13 @@ def _arguments(
 ) -> list[str]:
     source = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", "{}x{}".format(*source_size), "-r", f"{fps:g}")
     scale = "" if source_size == size else ",scale={}:{}:flags=area".format(*size)
-    return ["-y", "-v", "error", *source, "-i", "-", "-an", "-vf", f"vflip{scale}", *_encode(ending, quality)]
+    filters = f"vflip{scale}" + (f",format=rgb24,{_PALETTE}" if ending == ".gif" else "")
+    return ["-y", "-v", "error", *source, "-i", "-", "-an", "-lavfi", filters, *_encode(ending, quality)]
 
 
 def _encode(ending: str, quality: Quality) -> tuple[str, ...]:
     if ending == ".gif":
-        return ("-c:v", "libx264rgb", "-qp", "0", "-preset", "ultrafast")
+        return ("-loop", "0")
     if ending == ".webm":
         speed = ("-deadline", "realtime", "-cpu-used", "8") if quality.preset == PREVIEW.preset else ("-cpu-used", "4")
         return (*_VP9, "-crf", str(quality.crf + 10), *speed)

@@ -1,0 +1,232 @@
+"""What a live robot follows: a motion, modulated, and the way from one motion to another."""
+
+import math
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.reference.course_transition import CourseTransition
+from fastmimic.reference.modulation_limits import Limits
+from fastmimic.reference.motion_set import Entry, MotionSet
+from fastmimic.reference.standing import STAND
+from fastmimic.reference.stream import MODULATION, Stream, make_place
+from fastmimic.robot import Robot
+
+RATES: Final = {"speed": 0.5, "turn": 1.2, "lift": 0.8}
+"""How fast a modulation follows what was asked for: 1/s, rad/s², 1/s."""
+NEUTRAL: Final = {"speed": 1.0, "turn": 0.0, "lift": 1.0}
+"""The modulation that changes nothing."""
+_LANDED: Final = 1e-9
+_PACING: Final = 10
+"""Control steps between two changes of the course while the speed changes."""
+
+
+class LiveReference:
+    """The reference motion of a live session.
+
+    Args:
+        robot: the robot.
+        library: the motions.
+        rate_hz: control steps a second.
+        start: name of the first motion.
+
+    Attributes:
+        goal: the motion that was asked for.
+        trouble: why the robot does not go where it was asked to; None if it does.
+        wanted: the modulation that was asked for.
+        place: where the reference is: one record of `make_place`.
+    """
+
+    def __init__(self, robot: Robot, library: MotionSet, rate_hz: float, start: str) -> None:
+        self._library, self._dt = library, 1.0 / rate_hz
+        self._stream = Stream(robot, rate_hz)
+        self.place, self._modulation = make_place(), np.zeros(1, MODULATION)
+        self.wanted = dict(NEUTRAL)
+        self._set_neutral()
+        self._transition: CourseTransition | None = None
+        self._armed: tuple[str, CourseTransition] | None = None
+        self.trouble: str | None = None
+        self._enter(library.entry(start))
+        self._following = self._entry
+        self.goal = start
+
+    @property
+    def motion(self) -> str:
+        """The present motion, or during a transition the one that it left."""
+        return self._entry.name
+
+    @property
+    def state(self) -> str:
+        """In words."""
+        if self.trouble is not None:
+            return self.trouble
+        if self._transition is not None:
+            return f"{self._entry.name} → {self._following.name}"
+        if self.goal != self._entry.name:
+            return f"{self._entry.name}, going to {self.goal}" + ("" if self._armed else " (preparing)")
+        return self._entry.name
+
+    @property
+    def limits(self) -> Limits:
+        """Of the modulation, at present: the motion's, in a transition what both motions allow, at their own speed."""
+        limits = self._entry.limits
+        target = self._armed[0] if self._armed is not None else None
+        if self._transition is not None:
+            target = self._following.name
+        if target is not None:
+            return replace(limits.within(self._library.entry(target).limits), speed=(1.0, 1.0))
+        if self._modulation["speed"][0] == self.wanted["speed"] == 1.0 or self._library.tempo(self._entry.name) is None:
+            return replace(limits, speed=(1.0, 1.0))
+        return limits
+
+    @property
+    def modulation(self) -> dict[str, float]:
+        """What is in force at present: speed, turn (rad/s), lift."""
+        return {name: float(self._modulation[name][0]) for name in self.wanted}
+
+    def switch(self, name: str) -> None:
+        """Continues with another motion as soon as feet and phase allow; raises `ConfigError` if there is none."""
+        self._library.entry(name)
+        self.goal, self.trouble = name, None
+        self._disarm()
+
+    def want(self, name: str, value: float) -> None:
+        """Asks for a modulation; what is beyond the limits is cut to them. Raises `ConfigError` for no number."""
+        if not math.isfinite(value):
+            raise ConfigError(f"{name} must be a number, found {value}")
+        self.wanted[name] = float(value)
+
+    def put(self, x: float, y: float, yaw: float) -> None:
+        """Begins the present motion here; a transition is given up."""
+        self.give_up_transition()
+        self.place[...] = make_place()
+        self.place["pose"][0] = (x, y, yaw)
+
+    def stand(self, x: float, y: float, yaw: float) -> None:
+        """Begins to stand here, not modulated."""
+        self._enter(self._library.entry(STAND))
+        self._set_neutral()
+        self.put(x, y, yaw)
+
+    def give_up_transition(self) -> None:
+        """Leaves a transition, or forgets the next one."""
+        self._transition = None
+        self._disarm()
+
+    def update(self, step: int) -> None:
+        """Changes modulation and course for the next control step.
+
+        Args:
+            step: number of the control step.
+        """
+        self._modulate(step)
+        self._route()
+
+    def fill(self, rows: NDArray[Any]) -> None:
+        """Fills rows of `SAMPLE` with what the controller follows, from now on."""
+        self._stream.fill(self._course, self._next_course, self.place, self._modulation, rows)
+
+    def fill_demonstration(self, rows: NDArray[Any]) -> None:
+        """Fills rows of `SAMPLE` with what the robot is scored against, modulated in the same way."""
+        self._stream.fill(self._target, self._next_target, self.place, self._modulation, rows)
+
+    def advance(self, base_xy: Array) -> None:
+        """Moves on by a control step after which the base (2,) is there, world, m."""
+        self._stream.advance(self._course, self._next_course, self.place, self._modulation, base_xy)
+        if self.place["left"][0]:
+            self._arrived()
+
+    @property
+    def _course(self) -> NDArray[Any]:
+        return self._courses[0] if self._transition is None else self._transition.course
+
+    @property
+    def _target(self) -> NDArray[Any]:
+        return self._courses[1] if self._transition is None else self._transition.demonstration
+
+    @property
+    def _next_course(self) -> NDArray[Any] | None:
+        if self._transition is not None:
+            return self._following.course
+        return self._armed[1].course if self._armed is not None else None
+
+    @property
+    def _next_target(self) -> NDArray[Any] | None:
+        if self._transition is not None:
+            return self._following.demonstration
+        return self._armed[1].demonstration if self._armed is not None else None
+
+    def _set_neutral(self) -> None:
+        for name, value in NEUTRAL.items():
+            self._modulation[name] = value
+
+    def _modulate(self, step: int) -> None:
+        """Follows what is wanted at a limited rate, within what the motion allows."""
+        limits, now = self.limits, self._modulation
+        before = float(now["speed"][0])
+        for name, rate in RATES.items():
+            low, high = getattr(limits, name)
+            target = min(max(self.wanted[name], low), high)
+            value = float(now[name][0])
+            most = rate * self._dt
+            now[name] = target if abs(target - value) <= most else value + math.copysign(most, target - value)
+        speed = float(now["speed"][0])
+        now["speed_rate"] = (speed - before) / self._dt
+        if speed != self._paced and (step % _PACING == 0 or speed == 1.0):
+            self._pace(speed)
+
+    def _pace(self, speed: float) -> None:
+        """Takes the motion as it is balanced for a speed."""
+        tempo = self._library.tempo(self._entry.name) if speed != 1.0 else None
+        entry = self._entry
+        self._paced = speed
+        self._courses = entry.course, entry.demonstration
+        if tempo is not None:
+            target = tempo.at(speed)
+            own = target if entry.course is entry.demonstration else tempo.changed(speed, entry.course)
+            self._courses = own, target
+
+    def _route(self) -> None:
+        """Looks for the way to the goal, and lets the reference leave when the modulation is one that both allow."""
+        if self._transition is not None or self.goal == self._entry.name or self.trouble is not None:
+            return
+        if self._armed is None:
+            try:
+                hop = self._library.next_hop(self._entry.name, self.goal)
+            except MotionError as error:
+                self.trouble, self.goal = str(error), self._entry.name
+                return
+            if hop is None:
+                return
+            self._armed = hop
+        _, transition = self._armed
+        if self.limits.hold(**self.modulation, slack=_LANDED):
+            self.place["exit"], self.place["entry"] = transition.leave, transition.first
+        else:
+            self.place["exit"] = -1
+
+    def _enter(self, entry: Entry) -> None:
+        self._entry, self._paced = entry, 1.0
+        self._courses = entry.course, entry.demonstration
+
+    def _arrived(self) -> None:
+        """The reference has gone from a motion into a transition, or out of it."""
+        self.place["exit"] = -1
+        if self._transition is not None:
+            self._transition = None
+            self._enter(self._following)
+            return
+        assert self._armed is not None
+        name, self._transition = self._armed
+        self._following = self._library.entry(name)
+        self._armed = None
+        self.place["exit"], self.place["entry"] = self._transition.last, self._transition.arrive
+
+    def _disarm(self) -> None:
+        if self._transition is None:
+            self._armed = None
+            self.place["exit"] = -1
