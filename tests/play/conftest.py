@@ -1,11 +1,11 @@
 """A motion, and a browser."""
 
 import pytest
-from fastmimic.runs.loading import load_motion
 
 from browsing import browser
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
+from fastmimic.runs.loading import load_motion
 
 
 @pytest.fixture(scope="session")

@@ -14,9 +14,9 @@ from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, rotate_planar, yaw_from_quat
 from fastmimic.episode.loop import run_episodes
 from fastmimic.motion.motion import Motion
+from fastmimic.play.live_reference import RATES
 from fastmimic.play.motions import DEFAULTS, load_motions
 from fastmimic.play.pacing import MOST_BEHIND_S, Pacer
-from fastmimic.play.live_reference import RATES
 from fastmimic.play.session import LiveSession, playable_methods
 from fastmimic.primitive import FOOT_Z, MotionDmp
 from fastmimic.reference.course import course_of, since_middle
