@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
+from fastmimic.primitive.basis import basis_widths, normalised_basis, place_basis
 from fastmimic.primitive.fixed_order import product, solve_positive_definite
-from fastmimic.primitive.placement import basis_widths, normalised_basis, place_basis
 from fastmimic.primitive.samples import checked_samples
 
 N_BASIS: Final = 100
