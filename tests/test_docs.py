@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+import fastmimic
+
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 WORDS = 25
@@ -67,7 +69,11 @@ def resolves(name: str) -> bool:
         except ModuleNotFoundError:
             continue
         if module:
-            text = Path(find_spec(".".join(parts[:end])).origin).read_text(encoding="utf-8")  # type: ignore[union-attr, arg-type]
+            file = Path(find_spec(".".join(parts[:end])).origin)  # type: ignore[union-attr, arg-type]
+            sources = [source for source in (file, file.with_suffix(".pyi")) if source.exists()]
+            text = "".join(source.read_text(encoding="utf-8") for source in sources)
+            if end == 1 < len(parts) and parts[1] in fastmimic.__all__:
+                return True
             return end == len(parts) or re.search(rf"\b{parts[end]}\b", text) is not None
     return False
 

@@ -47,7 +47,7 @@ def test_evaluate_in_the_second_simulator(run: Run) -> None:
         (("stress", "trot", "--episodes", "0"), "episodes must be at least 1, found 0"),
         (("stress", "trot", "--resume"), "runs/stress holds no experiment to resume"),
         (("transfer", "trot", "--trials", "0"), "trials must be at least 1, found 0"),
-        (("transfer", "trot", "trot"), "two of the motions have one name"),
+        (("transfer", "trot", "trot"), "two motions have the same name"),
         (("transfer", "trot", "--robot", "go1"), "description of a1, none of 'go1'"),
     ],
 )

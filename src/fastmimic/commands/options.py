@@ -82,7 +82,7 @@ MethodName = Annotated[
     option(
         "NAME",
         "mbc-dmp and lh-dmp optimise the motion's DMPs. mbc, lh and raibert run it without optimisation. "
-        "lh plans forces over a long horizon; raibert places feet by the Raibert heuristic.",
+        "lh plans forces over a long horizon; raibert places feet by the Raibert heuristic. An unknown NAME lists all.",
     ),
 ]
 ConfigName = Annotated[str, option("NAME|FILE", lambda: f"Controller parameters: {configs()}.")]
