@@ -54,9 +54,9 @@ def test_its_log_can_be_evaluated(run: Run) -> None:
     assert found["motion"] == "stand"
     assert found["driver"] == "sim"
     assert found["reward_mean"] == found["result"]["reward_truth_mean"]
-    assert "the simulator's truth" in run("evaluate", "there/log.npz").out
+    assert "the simulator's ground truth" in run("evaluate", "there/log.npz").out
     assert "there/log.npz: the log is 0.50 s long" in run("identify", "there/log.npz").error
-    assert "leave out --episodes" in run("evaluate", "there/log.npz", "--episodes", "2").error
+    assert "drop --episodes" in run("evaluate", "there/log.npz", "--episodes", "2").error
 
 
 def test_a_violation_has_a_status_and_a_line_of_its_own(run: Run) -> None:
