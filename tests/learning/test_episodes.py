@@ -10,8 +10,8 @@ from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.episode.loop import ClosedLoop
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE, Start
 from fastmimic.learning.config import PolicyConfig
-from fastmimic.learning.controller import controlled_by
 from fastmimic.learning.episodes import Episodes, Outcome
+from fastmimic.learning.policy_controller import controlled_by
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion

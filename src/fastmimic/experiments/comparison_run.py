@@ -232,7 +232,7 @@ def run_of(row: Row) -> Run:
 
 
 def _controlled_by(policy: "Policy") -> MakeController:
-    from fastmimic.learning.controller import controlled_by  # with Gymnasium, which other runs do without
+    from fastmimic.learning.policy_controller import controlled_by  # with Gymnasium, which other runs do without
 
     return controlled_by(policy)
 

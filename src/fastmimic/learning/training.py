@@ -14,9 +14,9 @@ from fastmimic.base.files import replace_file
 from fastmimic.base.machine import versions
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import episode_duration, perturbed_start, start_room
-from fastmimic.learning.controller import controlled_by
 from fastmimic.learning.learner import Iteration, Learner
 from fastmimic.learning.policy import POLICY_FILE, Policy
+from fastmimic.learning.policy_controller import controlled_by
 from fastmimic.learning.settings import TrainingSettings
 from fastmimic.learning.training_folder import EVALUATIONS, EVENTS, ONNX, Stopwatch, TrainingFolder
 from fastmimic.motion.motion import Motion
