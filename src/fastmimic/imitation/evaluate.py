@@ -95,7 +95,7 @@ def evaluate(
             and "default" for others. Of the `method` only its controller counts: the motion is run as it is.
         log: whether to keep the whole course.
         conditions: what the robot meets and what its controller sees.
-        controller: of a trained policy (`fastmimic.learning.policy_controller.controlled_by`), which makes the method rl.
+        controller: of a trained policy (`controlled_by` of `fastmimic.learning`), which makes the method rl.
 
     Raises:
         FastMimicError: something is wrong with what was given.
