@@ -1,22 +1,30 @@
 # make demo   from nothing to an optimised trot with its video in runs/demo
-# make test   the tests; PYTEST_ARGS="-n 2 --dist loadfile" runs them on two cores
+# make test   the tests, on all cores; PYTEST_ARGS="-x tests/control" runs some of them
+# make test-skipped   installs all extras and runs what make test skipped
 # make docs   the documentation site in build/site
 # The virtual environment is made in .venv when it is first needed.
 
 VENV ?= .venv
 BIN := $(VENV)/bin
 PYTEST_ARGS ?=
+WORKERS ?= auto
 DEMO_ARGS ?=
 PYTHON ?= $(firstword $(foreach p,python3 python3.13 python3.12 python3.11,$(shell \
 	$(p) -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && echo $(p))))
 
-.PHONY: demo test lint format types docs bench clean
+.PHONY: demo test test-skipped lint format types docs bench clean
 
 demo: $(VENV)/.installed
 	$(BIN)/fastmimic imitate trot --out runs/demo $(DEMO_ARGS)
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(PYTEST_ARGS)
+
+# Torch without CUDA, where the index has such a build.
+test-skipped: $(VENV)/.installed-dev
+	$(BIN)/python -m pip install --quiet torch==2.13.0
+	$(BIN)/python -m pip install --quiet --editable '.[rl,ray]' onnxruntime pandas
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --skipped $(PYTEST_ARGS)
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

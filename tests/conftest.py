@@ -1,11 +1,15 @@
-"""Fixtures shared by all tests."""
+"""Fixtures shared by all tests; what a run skipped, and how to include it."""
 
 import os
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
 
 from fastmimic.robot import Robot, load_robot
+
+SKIPPED = "fastmimic/skipped"
+"""Where the cache keeps the tests and files that the last run skipped."""
 
 
 @pytest.fixture(scope="session")
@@ -13,7 +17,7 @@ def data_folder() -> Path:
     """The folder with the real dog motions, named by FASTMIMIC_DATA."""
     value = os.environ.get("FASTMIMIC_DATA")
     if not value:
-        pytest.skip("FASTMIMIC_DATA is not set: the real dog motions are needed")
+        pytest.skip("FASTMIMIC_DATA is not set: run 'fastmimic data fetch', then name its folder")
     return Path(value)
 
 
@@ -27,3 +31,61 @@ def robot() -> Robot:
 def a1(robot: Robot) -> Robot:
     """The A1, where a test has several robots."""
     return robot
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--skipped", action="store_true", help="run the tests that the last run skipped, and no others")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if not hasattr(config, "workerinput"):  # the process that hears of all tests
+        config.pluginmanager.register(Skips(config.getoption("--skipped")), "skips")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """With `--skipped`, a file is left out unless something of it was skipped."""
+    if not config.getoption("--skipped") or collection_path.suffix != ".py" or collection_path.name == "conftest.py":
+        return None
+    files = {name.split("::")[0] for name in config.cache.get(SKIPPED, [])} if config.cache else set()
+    return collection_path.relative_to(config.rootpath).as_posix() not in files or None
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("--skipped") and config.cache:
+        wanted = set(config.cache.get(SKIPPED, []))
+        items[:] = [item for item in items if item.nodeid in wanted or item.nodeid.split("::")[0] in wanted]
+
+
+class Skips:
+    """Remembers what was skipped, and says so at the end."""
+
+    def __init__(self, again: bool) -> None:
+        self.again = again
+        self.reasons: dict[str, list[str]] = defaultdict(list)
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        self._note(report)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self._note(report)
+
+    def _note(self, report: pytest.CollectReport | pytest.TestReport) -> None:
+        if report.skipped and isinstance(report.longrepr, tuple) and not hasattr(report, "wasxfail"):
+            reason = report.longrepr[2].removeprefix("Skipped: ")
+            if report.nodeid not in self.reasons[reason]:  # each worker tells of a file that it skips
+                self.reasons[reason].append(report.nodeid)
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        if session.config.cache is not None and not self.again:
+            session.config.cache.set(SKIPPED, sorted(name for names in self.reasons.values() for name in names))
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        if not self.reasons:
+            terminalreporter.write_line("skipped: nothing")
+            return
+        terminalreporter.section("skipped, and how to include it")
+        for reason, names in sorted(self.reasons.items(), key=lambda entry: -len(entry[1])):
+            files = sorted({name.split("::")[0] for name in names})
+            shown = ", ".join(files[:3]) + (f" and {len(files) - 3} more" if len(files) > 3 else "")
+            terminalreporter.write_line(f"{len(names):4d} in {shown}: {reason}")
+        terminalreporter.write_line("To run them: install what is missing, then make test-skipped.")

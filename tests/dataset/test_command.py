@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ QUICK = [
     *("--others", "2", "--no-second-simulator"),
 ]
 HERE = [*QUICK, "--workers", "1"]
+RAY = "no Ray cluster at" if find_spec("ray") else "pip install 'fastmimic[ray]'"
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +155,7 @@ def test_verify(library: Path, run: Run, tmp_path: Path) -> None:
         (["build", "trot", "dog:trot", "--out", "x"], "run 'fastmimic data fetch'"),
         (["build", "trot", "none.list", "--out", "x"], "no such list"),
         (["build", "trot", "--out", "x", "--robots", "a1", "none.xml"], "none.xml"),
-        (["build", "trot", "--out", "x", "--executor", "ray", "--address", "127.0.0.1:9"], "no Ray cluster at"),
+        (["build", "trot", "--out", "x", "--executor", "ray", "--address", "127.0.0.1:9"], RAY),
         (["build", "trot", "--out", "x", "--seeds", "0"], "seeds must be at least 1"),
         (["build", "trot", "--out", "x", "--iterations", "0"], "iterations must be at least 1"),
         (["build", "trot", "--out", "x", "--robots", "a2"], "unknown robot 'a2'"),
