@@ -89,7 +89,7 @@ def test_ctrl_c_stops_all_processes_and_says_how_to_go_on(start: Start, in_folde
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "--resume goes on" in error
+    assert "--resume continues" in error
     assert "Traceback" not in error
     gone_by = time.monotonic() + 20
     while any(alive(child) for child in children):

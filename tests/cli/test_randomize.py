@@ -37,7 +37,7 @@ def test_what_was_asked_for_and_what_came_of_it_is_recorded(run: Run, tmp_path: 
         assert 0 <= others[when]["worst"] < others[when]["mean"] < metrics["reward"][when] <= 1
         assert others[when]["fell"] == 0
     assert Motion.load(tmp_path / "run" / "motion.npz").meta["made_with"]["randomization"] == asked
-    for label, key in (("over 16 other robots", "mean"), ("with the worst of them", "worst")):
+    for label, key in (("16 other robots: mean reward", "mean"), ("worst reward", "worst")):
         shown = next(line for line in done.out.splitlines() if line.strip().startswith(label))
         assert shown.split()[-2:] == [f"{others[when][key]:.3f}" for when in ("before", "after")]
     assert run("report", "run", "--out", "run.html").status == 0
@@ -81,10 +81,10 @@ REFUSED = {
     "not each robot's": (["--randomize", "--randomize-over", "roughness"], "'roughness' cannot differ between robots"),
     "twice": (["--randomize", "--randomize-over", "delay", "delay"], "the range of 'delay' is given twice"),
     "criterion": (["--randomize", "--criterion", "wurst"], "unknown criterion 'wurst'; there are mean, worst"),
-    "over without": (["--randomize-over", "friction"], "--randomize-over is of the robots of a randomised search"),
-    "criterion without": (["--criterion", "worst"], "--criterion is of the robots of a randomised search"),
-    "method": (["--randomize", "--method", "mbc"], "--randomize is of a search, and method 'mbc' has none"),
-    "no search": (["--randomize", "--no-optimize"], "--randomize is of a search, and method 'mbc' has none"),
+    "over without": (["--randomize-over", "friction"], "--randomize-over needs --randomize"),
+    "criterion without": (["--criterion", "worst"], "--criterion needs --randomize"),
+    "method": (["--randomize", "--method", "mbc"], "method 'mbc' does not search, so --randomize has no effect"),
+    "no search": (["--randomize", "--no-optimize"], "method 'mbc' does not search, so --randomize has no effect"),
     "policy": (["--randomize", "--method", "rl"], "method 'rl' needs a trained policy"),
 }
 

@@ -77,7 +77,7 @@ class TestStress:
             patch.setattr(stress, "sweep", interrupted)
             stopped = run("stress", "trot", "--methods", "mbc", *SWEPT, *TINY)
         assert stopped.status == 130
-        assert "the same command with --resume goes on" in stopped.err
+        assert "the same command with --resume continues" in stopped.err
         assert "**Unfinished: 1 sweeps are missing.**" in (out / "table.md").read_text()
 
         assert "--resume goes on" in run("stress", "trot", "--methods", "mbc", *SWEPT, *TINY).error
