@@ -38,10 +38,10 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_build_says_what_it_does(run: Run) -> None:
     done = run("library", "build", "trot", "--out", "lib", *HERE)
     assert done.status == 0
-    assert done.out.splitlines() == ["1 motions, 1 of them built now", "1 records: 1 A", "library in lib"]
+    assert done.out.splitlines() == ["1 motions, 1 of them new", "1 records: 1 A", "library in lib"]
     assert "1/1 trot on a1 seed 0: reward 0.9" in done.err
     again = run("library", "build", "trot", "--out", "lib", *HERE)
-    assert again.out.startswith("1 motions, 0 of them built now")
+    assert again.out.startswith("1 motions, 0 of them new")
 
 
 def test_one_corrupt_clip_does_not_stop_the_others(run: Run, in_folder: Path) -> None:
@@ -79,7 +79,7 @@ def test_records_that_are_superseded_or_of_another_version_are_told_of(library: 
     MotionDataset.open(mine).write_index()
     listed = run("library", "list", mine).out
     assert "made by several versions of FastMimic (1 by 0.0.1, 1 by " in listed
-    assert "1 more records are not in the index: 'list --superseded' says why" in listed
+    assert "1 more records are not in the index: 'list --superseded' lists the reasons" in listed
     assert "00000000  trot  a1     0     made otherwise" in run("library", "list", mine, "--superseded").out
     (said,) = json.loads(run("library", "list", mine, "--superseded", "--json").out)["superseded"]
     assert said == {
@@ -109,7 +109,7 @@ def test_list_and_show_say_what_is_damaged_and_go_on(library: Path, run: Run, tm
     assert verified.status == 3
     assert f"damaged: sources/{torn.name}: cannot be read" in verified.out
     assert run("library", "verify", mine, "--mend").status == 3
-    assert run("library", "build", "trot", "pace", "--out", mine, *HERE).out.startswith("2 motions, 0 of them built now")
+    assert run("library", "build", "trot", "pace", "--out", mine, *HERE).out.startswith("2 motions, 0 of them new")
     assert run("library", "verify", mine).status == 0
 
 
@@ -139,7 +139,7 @@ def test_verify(library: Path, run: Run, tmp_path: Path) -> None:
     assert "is not what was written" in done.out
     assert run("library", "verify", mine, "--mend").status == 0
     assert [row["name"] for row in MotionDataset.open(mine).index()] == ["pace"]
-    assert run("library", "build", "trot", "pace", "--out", mine, *HERE).out.startswith("2 motions, 1 of them built now")
+    assert run("library", "build", "trot", "pace", "--out", mine, *HERE).out.startswith("2 motions, 1 of them new")
 
 
 @pytest.mark.parametrize(
@@ -209,7 +209,7 @@ def test_interrupted_and_gone_on(
     done = len(MotionDataset.open(in_folder / "lib").index())
     assert 1 <= done < 4
     rest = run("library", "build", *names, "--out", "lib", *HERE)
-    assert rest.out.startswith(f"4 motions, {4 - done} of them built now")
+    assert rest.out.startswith(f"4 motions, {4 - done} of them new")
     assert check(MotionDataset.open(in_folder / "lib")).sound
     if workers == "1":  # others choose among the best candidates by longer episodes than these tests
         rows = {row["name"]: reproducible(row) for row in MotionDataset.open(in_folder / "lib").index()}

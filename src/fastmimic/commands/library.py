@@ -79,7 +79,7 @@ class Build:
         said = f"{len(building.sources)} sources, {len(building.robots)} robots, {building.seeds} seeds, in {self.out}"
         with _progress(said) as progress:
             built = build_dataset(building, self.out, executor, update=self.update, progress=progress)
-        put(f"{built.jobs} motions, {built.done} of them built now")
+        put(f"{built.jobs} motions, {built.done} of them new")
         put_summary(built.library)
         for line in built.left_out:
             note(f"skipped: {line}")
