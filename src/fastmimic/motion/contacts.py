@@ -1,4 +1,4 @@
-"""Contacts: stances and swings of each foot, and their detection in an animal's motion."""
+"""Foot contacts: stances and swings, and their detection in an animal's motion."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,12 +12,8 @@ from fastmimic.base.configuration import documented, parameter
 
 
 class Stance(NamedTuple):
-    """One contact of one foot.
-
-    Attributes:
-        touch_down: first sample on the ground, in [0, n) of a cycle of n samples.
-        lift_off: first sample off the ground again; exceeds n where the contact straddles a cycle's seam.
-    """
+    """One contact of one foot: the first sample on the ground, in [0, n) of a cycle of n samples, and the first sample
+    off the ground again, which exceeds n where the contact straddles the seam."""
 
     touch_down: int
     lift_off: int
@@ -27,14 +23,13 @@ class Stance(NamedTuple):
         return self.lift_off - self.touch_down
 
 
-Stances = list[list[Stance]]
-"""The contacts of each leg in order of time."""
+Stances = list[list[Stance]]  # of each leg, in order of time
 
 
 @documented
 @dataclass(frozen=True)
 class ContactConfig:
-    """How contacts are detected. A foot's activity is that of `foot_activity`."""
+    """How contacts are detected; activity is that of `foot_activity`."""
 
     enter: float = parameter(0.25, about="a foot lands when its activity falls below this")
     leave: float = parameter(0.30, about="a foot lifts off when its activity rises above this")
@@ -52,18 +47,11 @@ class ContactConfig:
 
 
 def foot_activity(toe_height: Array, toe_speed: Array, rate_hz: float, periodic: bool, config: ContactConfig) -> Array:
-    """The activity of each foot, (t, 4): 0 at rest on the ground, about 1 in mid-swing.
+    """Activity of each foot, (t, 4): 0 at rest on the ground, about 1 in mid-swing.
 
-    It is the larger of height above the ground and horizontal speed in the world, each relative to its own largest
-    value nearby in time. Relative measures do not depend on the animal's size or gait, and find slow steps beside fast
-    ones.
-
-    Args:
-        toe_height: (t, 4) above each leg's own ground, m.
-        toe_speed: (t, 4) horizontal, world, m/s.
-        rate_hz: of the samples.
-        periodic: whether sample t repeats sample 0.
-        config: weight of the height, window and least values.
+    It is the larger of height above the leg's own ground (`toe_height`, (t, 4), m) and horizontal world speed
+    (`toe_speed`, (t, 4), m/s), each relative to its largest value nearby in time. Relative measures do not depend on
+    the animal's size or gait, and find slow steps beside fast ones.
     """
     from scipy.ndimage import maximum_filter1d
 
@@ -78,17 +66,7 @@ def foot_activity(toe_height: Array, toe_speed: Array, rate_hz: float, periodic:
 
 
 def detect(activity: Array, rate_hz: float, periodic: bool, config: ContactConfig) -> Stances:
-    """Contacts by hysteresis and a minimum duration.
-
-    Args:
-        activity: (t, legs) from `foot_activity`.
-        rate_hz: of the samples.
-        periodic: whether sample t repeats sample 0.
-        config: thresholds.
-
-    Returns:
-        The stances of each leg.
-    """
+    """Stances of each leg from its activity (t, legs), by hysteresis and a minimum duration."""
     shortest = round(config.shortest_s * rate_hz)
     legs = []
     for series in activity.T:
@@ -128,7 +106,7 @@ def duty_factors(stances: Stances, n: int) -> Array:
 
 
 def swings_of(spans: list[Stance], n: int, periodic: bool) -> list[tuple[int, int]]:
-    """Swings (lift-off, next touch-down) of one leg, not empty; cut off by the ends if not periodic."""
+    """Non-empty swings (lift-off, next touch-down) of one leg; the ends cut them off if the motion is not periodic."""
     if not spans:
         return [(0, n)]
     swings = [(a.lift_off, b.touch_down) for a, b in pairwise(spans)]
@@ -140,15 +118,12 @@ def swings_of(spans: list[Stance], n: int, periodic: bool) -> list[tuple[int, in
 
 
 def swing_tops(contact: NDArray[np.bool_], height: Array, periodic: bool) -> list[tuple[int, float]]:
-    """The touch-down sample and the greatest height of each swing of one foot.
+    """Touch-down sample and greatest height, m, of each swing of one foot with contact (n,) and height (n,).
 
-    Args:
-        contact: (n,) True in stance.
-        height: (n,) above the ground, m.
-        periodic: whether sample n repeats sample 0; if not, a swing that the end cuts off does not count.
+    Without `periodic`, a swing that the end cuts off does not count.
     """
     n = len(contact)
-    first = int(contact.argmax()) if periodic else 0  # from a stance, so that no swing is cut in two
+    first = int(contact.argmax()) if periodic else 0  # starts in a stance, so that no swing is cut in two
     swings = stances_of(np.roll(~contact, -first), periodic=False)
     rolled = np.roll(height, -first)
     if not contact.any():
@@ -159,7 +134,7 @@ def swing_tops(contact: NDArray[np.bool_], height: Array, periodic: bool) -> lis
 def _hysteresis(series: Array, config: ContactConfig, periodic: bool) -> NDArray[np.bool_]:
     on = np.empty(len(series), dtype=bool)
     state = bool(series[0] < config.enter)
-    for _ in range(2 if periodic else 1):  # the second time, the state at the seam is the last one
+    for _ in range(2 if periodic else 1):  # the second pass starts from the state at the seam
         for i, value in enumerate(series):
             state = bool(value < (config.leave if state else config.enter))
             on[i] = state
@@ -167,7 +142,7 @@ def _hysteresis(series: Array, config: ContactConfig, periodic: bool) -> NDArray
 
 
 def _without_short(on: NDArray[np.bool_], value: bool, shortest: int, periodic: bool) -> NDArray[np.bool_]:
-    """Inverts the runs of `value` that are shorter than `shortest` and not cut off by the recording's ends."""
+    """Inverts runs of `value` shorter than `shortest` that the recording's ends do not cut off."""
     result = on.copy()
     for start, end in stances_of(on == value, periodic):
         cut_off = not periodic and (start == 0 or end == len(on))

@@ -6,7 +6,7 @@ from fastmimic.base.arrays import Array
 
 
 def differentiate(padded: Array, dt: float) -> Array:
-    """Fourth-order central differences; `padded` (t + 4, ...) has two extra samples at each end; returns (t, ...)."""
+    """Fourth-order central differences (t, ...) of `padded` (t + 4, ...), which has two extra samples at each end."""
     return (padded[:-4] - 8 * padded[1:-3] + 8 * padded[3:-1] - padded[4:]) / (12 * dt)
 
 

@@ -1,10 +1,10 @@
 """Robot motions as tracking references for other projects.
 
-- `mjlab`: `.npz` as mjlab's and BeyondMimic's trainers read: `joint_pos`, `joint_vel`, `body_pos_w`, `body_quat_w`
-  (w, x, y, z), `body_lin_vel_w`, `body_ang_vel_w` (of each body's frame, world axes) and `fps`; also `joint_names` and
+- `mjlab`: `.npz` as mjlab's and BeyondMimic's trainers read: `joint_pos`, `joint_vel`, `body_pos_w`, `body_quat_w` (w,
+  x, y, z), `body_lin_vel_w`, `body_ang_vel_w` (of each body's frame, world axes) and `fps`; also `joint_names` and
   `body_names`, because orders differ between projects.
-- `deepmimic`: JSON text with 19 numbers a frame (root x, y, z, quaternion x, y, z, w, joints) and the name of the
-  `Robot`. A cycle loops (`Wrap`): its last frame is its first, moved by the cycle.
+- `deepmimic`: JSON text with 19 numbers a frame (root x, y, z, quaternion x, y, z, w, joints) and the robot's name. A
+  cycle loops (`Wrap`): its last frame is its first, moved by the cycle.
 - `csv`: the same 19 numbers a line below a header, after a column `time`.
 """
 
@@ -33,27 +33,21 @@ from fastmimic.base.rotations import (
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
-EXPORTS: Final = {"mjlab": ".npz", "deepmimic": ".txt", "csv": ".csv"}
-"""Formats and their file suffixes."""
+EXPORTS: Final = {"mjlab": ".npz", "deepmimic": ".txt", "csv": ".csv"}  # format -> file suffix
 DEFAULT_FPS: Final = 50.0
-REPEATED_S: Final = 10.0
-"""Default duration of a cycle in a format that does not loop."""
-DECIMALS: Final = 6
-"""Of numbers in text."""
+REPEATED_S: Final = 10.0  # default duration of a cycle in a format that does not loop
+DECIMALS: Final = 6  # of numbers in text
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """A motion at even times, its cycles one after the other.
+    """A motion at evenly spaced times, with its cycles one after another.
 
     Attributes:
         fps: frames a second.
-        root_pos_w: (t, 3) m.
-        root_quat_wxyz: (t, 4).
-        joint_pos: (t, 12) rad.
-        joint_vel: (t, 12) rad/s.
-        root_lin_vel_w: (t, 3) m/s.
-        root_ang_vel_w: (t, 3) rad/s, world frame.
+        root_pos_w, root_quat_wxyz: (t, 3) m, and (t, 4).
+        joint_pos, joint_vel: (t, 12) rad and rad/s.
+        root_lin_vel_w, root_ang_vel_w: (t, 3) m/s and rad/s, world frame.
     """
 
     fps: float
@@ -78,19 +72,14 @@ def export_motion(
     fps: float = DEFAULT_FPS,
     duration_s: float | None = None,
 ) -> Frames:
-    """Writes a motion for another trainer, in place of an existing file.
+    """Writes a motion, without its demonstration, for another trainer and returns the frames; replaces an existing
+    file.
 
     Args:
-        motion: the motion; its demonstration is not written.
-        robot: its robot.
-        path: the file.
         form: one of `EXPORTS`.
         fps: frames a second; for a cycle the nearest rate that divides it evenly.
-        duration_s: length, s; if None one cycle in a format that loops, `REPEATED_S` in another, and the whole of a
-            motion that does not repeat.
-
-    Returns:
-        The written frames.
+        duration_s: length, s. If None: one cycle in a format that loops, `REPEATED_S` in another, and all of a motion
+            that does not repeat.
 
     Raises:
         ConfigError: an unknown format, or a number out of its range.
@@ -113,16 +102,10 @@ def export_motion(
 
 
 def sample(motion: Motion, fps: float, duration_s: float | None = None, *, looping: bool = False) -> Frames:
-    """A motion at even times.
+    """A motion at evenly spaced times; `fps` and `duration_s` as in `export_motion`.
 
-    Args:
-        motion: the motion.
-        fps: frames a second, as `export_motion` takes it.
-        duration_s: as `export_motion` takes it.
-        looping: one cycle, and its first frame again, moved by the cycle.
-
-    Raises:
-        ConfigError: a rate or duration that cannot be.
+    With `looping`, one cycle followed by its first frame moved by the cycle. Raises `ConfigError` for a bad rate or
+    duration.
     """
     if not (math.isfinite(fps) and 0 < fps <= motion.rate_hz):
         raise ConfigError(f"fps must be above 0 and at most the motion's {motion.rate_hz:g}, found {fps:g}")

@@ -1,4 +1,4 @@
-"""The wrench that a motion needs from the ground, and the wrenches that standing feet can give."""
+"""The ground wrench that a motion needs, and the wrenches that feet in stance can give."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -18,12 +18,12 @@ _PYRAMID: Final = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], 
 
 @dataclass(frozen=True, eq=False)
 class GroundDemand:
-    """The wrench that a motion needs at some of its samples, heading frame, about the centre of mass.
+    """The ground wrench of k samples, heading frame, about the centre of mass.
 
     Attributes:
         sample: (k,) indices.
         wrench: (k, 6) force, N, and moment, N·m.
-        arm: (k, 4, 3) from the centre of mass to the contact point of each foot, m.
+        arm: (k, 4, 3) from the centre of mass to each foot's contact point, m.
         stands: (k, 4) the feet in stance.
         joint_torque: (k, 12) torques of the joints if the wrench acted on the trunk, N·m.
     """
@@ -59,11 +59,8 @@ def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> Gro
 
 
 def push_directions(demand: GroundDemand, friction: float) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Pushes of 1 N normal force along the edges of each foot's friction pyramid.
-
-    Returns:
-        forces (k, 16, 3); their wrenches about the centre of mass (k, 16, 6); which feet can give them (k, 16).
-    """
+    """Forces (k, 16, 3) of 1 N normal force along the edges of each foot's friction pyramid, their wrenches about the
+    centre of mass (k, 16, 6), and which of them come from feet in stance (k, 16)."""
     k = len(demand.sample)
     force = np.broadcast_to(_PYRAMID * np.array([friction, friction, 1.0]), (k, 4, 4, 3))
     moment = np.cross(demand.arm[:, :, None], force)

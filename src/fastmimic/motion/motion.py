@@ -1,4 +1,4 @@
-"""`Motion`: a robot's reference motion, and its file."""
+"""`Motion`, a robot's reference motion, and its file."""
 
 import json
 import zipfile
@@ -30,15 +30,14 @@ _DEMONSTRATION: Final = "demonstration_"
 _PART: Final = "part{}_"
 _UNREADABLE: Final = (
     *(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error),
-    RuntimeError,  # zipfile: encrypted, or compressed in a way that it does not know
+    RuntimeError,  # zipfile: encrypted, or an unknown compression
     TypeError,  # a lone .npy
-)
-"""Errors of NumPy and zipfile for a damaged archive."""
+)  # of NumPy and zipfile for a damaged archive
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A robot reference at a fixed rate. Immutable: its arrays are read-only.
+    """A robot's reference motion at a fixed rate. Its arrays are read-only.
 
     Samples cover [0, T): sample t would repeat sample 0 moved by `cycle`.
 
@@ -46,12 +45,10 @@ class Motion:
         rate_hz: samples a second.
         root_pos_w: (t, 3) base position, world, m.
         root_quat_wxyz: (t, 4) base orientation, body → world.
-        joint_pos: (t, 12) rad.
-        joint_vel: (t, 12) rad/s.
-        foot_pos_b: (t, 4, 3) centres of the foot spheres in the body frame, m.
+        joint_pos, joint_vel: (t, 12) rad and rad/s.
+        foot_pos_b: (t, 4, 3) centres of the foot spheres, body frame, m.
         contact: (t, 4) bool, True in stance.
-        root_lin_vel_w: (t, 3) base velocity, world, m/s.
-        root_ang_vel_w: (t, 3) base angular velocity, world, rad/s.
+        root_lin_vel_w, root_ang_vel_w: (t, 3) base velocity, m/s, and angular velocity, rad/s, world.
         cycle: (dx, dy, dyaw) of one period in sample 0's heading frame, m and rad; None if not periodic.
         meta: provenance, JSON-serialisable: `name`, `robot`, `source`, `licence`, `retarget`, `dmp`, `made_with`, ….
         demonstration: the motion that an optimised one is scored against, or None.
@@ -124,13 +121,13 @@ class Motion:
 
     @property
     def cycle_starts(self) -> NDArray[np.int64]:
-        """Samples at which a cycle starts: the first, and those in the `meta` of a stitched motion."""
+        """Samples at which a cycle starts: the first, and those in a stitched motion's `meta`."""
         later = self.meta.get("stitch", {}).get("cycle_starts", ())
         return np.array([0, *(int(i) for i in later if 0 < int(i) < self.n_samples)], dtype=np.int64)
 
     @property
     def segment_starts(self) -> tuple[int, ...]:
-        """Samples at which the segments of a stitched motion start, the first one included; empty for others."""
+        """First samples of a stitched motion's segments; empty for other motions."""
         return tuple(int(s["first"]) for s in self.meta.get("stitch", {}).get("segments", ()))
 
     @property
@@ -148,11 +145,7 @@ class Motion:
             )
 
     def save(self, path: str | Path) -> None:
-        """Writes an `.npz` without pickles; an existing file is replaced by the complete new one.
-
-        Raises:
-            OutputError: the file cannot be written.
-        """
+        """Writes an `.npz` without pickles and replaces an existing file only when complete; raises `OutputError`."""
         arrays: dict[str, Any] = _to_arrays(self)
         if self.demonstration is not None:
             arrays |= {_DEMONSTRATION + k: v for k, v in _to_arrays(self.demonstration).items()}
@@ -160,7 +153,7 @@ class Motion:
 
     @classmethod
     def load(cls, path: str | Path | BinaryIO) -> "Motion":
-        """Reads what `save` wrote, from a file or an open stream.
+        """Reads a file or open stream that `save` wrote.
 
         Raises:
             MotionError: the file is missing, damaged, or not a motion.

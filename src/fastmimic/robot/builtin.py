@@ -7,17 +7,12 @@ from typing import Final
 from fastmimic.base.errors import RobotError, did_you_mean
 from fastmimic.robot.robot import Robot
 
-ROBOT_NAMES: Final = ("a1", "go1", "go2")
-"""The built-in robots: each is the file NAME.xml beside this one."""
-ROBOT_CHOICES: Final = f"{', '.join(ROBOT_NAMES)}, or the MJCF of your own"
-"""For help texts."""
+ROBOT_NAMES: Final = ("a1", "go1", "go2")  # each is the file NAME.xml beside this one
+ROBOT_CHOICES: Final = f"{', '.join(ROBOT_NAMES)}, or the MJCF of your own"  # for help texts
 
 
 def load_robot(robot: str | Path | Robot) -> Robot:
-    """Returns a built-in robot by name, or reads the user's own MJCF.
-
-    Args:
-        robot: one of `ROBOT_NAMES`, or the path of an MJCF file; a `Robot` is returned unchanged.
+    """Returns a built-in robot by name or reads the user's own MJCF; a `Robot` is returned unchanged.
 
     Raises:
         RobotError: no such robot or file, not an MJCF, or not a quadruped with abduction, hip and knee joints.

@@ -1,7 +1,7 @@
 """Rigid-body dynamics: one leg on a moving trunk in closed form, and the whole robot through MuJoCo.
 
-The closed form is recursive Newton-Euler (Featherstone 2008, ch. 5) for three hinges (x, y, y). Every vector is in the
-body frame, so that no transforms between link frames are needed.
+The closed form is recursive Newton-Euler (Featherstone 2008, ch. 5) for three hinges (x, y, y), with every vector in
+the body frame.
 """
 
 from typing import TYPE_CHECKING
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 @inlined
 def cross(a0: float, a1: float, a2: float, b0: float, b1: float, b2: float) -> tuple[float, float, float]:
-    """a × b."""
     return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
 
 
@@ -62,15 +61,14 @@ def leg_inverse_dynamics(
     acceleration: Array,
     out: Array,
 ) -> None:
-    """Joint torques that give one leg, free of ground forces, the accelerations `ddq`.
+    """Joint torques `out` (3,), N·m, that give one leg without ground forces the accelerations `ddq`; rotor inertia
+    excluded.
 
     Args:
         geometry: (12,) the leg's row of `LegGeometry`.
         mass, com, inertia: (3,), (3, 3), (3, 3, 3) of its links, in their own frames.
-        q, dq, ddq: (3,) joints.
         omega: (3,) the trunk's angular velocity, body frame, rad/s.
         acceleration: (3,) of the base's origin minus gravity, body frame, m/s² (standing still: +9.81 upwards).
-        out: (3,) N·m, without the rotor's inertia.
     """
     ca, sa = np.cos(q[0]), np.sin(q[0])
     # each link's position: origin o, link frame Rx(a) Ry(theta); forces summed about the three joint axes
@@ -115,7 +113,6 @@ def leg_inverse_dynamics(
         if link > 1:
             m0, m1, m2 = cross(ox + p0 - o3x, oy + p1 - o3y, oz + p2 - o3z, f0, f1, f2)
             out[2] += ca * (n1 + m1) + sa * (n2 + m2)
-        # to the next joint
         if link == 0:
             r0, r1, r2 = _rotated(sa, ca, 0.0, 1.0, geometry[4], geometry[3], geometry[5])
             o2x, o2y, o2z = ox + r0, oy + r1, oz + r2
@@ -181,16 +178,12 @@ def _inverse_dynamics(
 def leg_torques(
     robot: "Robot", joint_pos: Array, joint_vel: Array, joint_acc: Array, ang_vel_b: Array, acceleration_b: Array
 ) -> Array:
-    """Joint torques that move the legs as wanted while no foot touches the ground.
+    """Joint torques (n, 12), N·m, rotor inertia included, that move the legs while no foot touches the ground.
 
     Args:
-        robot: the robot.
         joint_pos, joint_vel, joint_acc: (n, 12) rad, rad/s, rad/s².
         ang_vel_b: (n, 3) of the trunk, body frame, rad/s.
         acceleration_b: (n, 3) of the base's origin minus gravity, body frame, m/s².
-
-    Returns:
-        (n, 12) N·m, rotor inertia included.
     """
     q, dq, ddq = (np.ascontiguousarray(x, dtype=np.float64) for x in (joint_pos, joint_vel, joint_acc))
     out = np.empty_like(q)
@@ -211,10 +204,9 @@ def leg_torques(
 
 
 def inverse_dynamics(robot: "Robot", position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
-    """Forces that move the whole robot, legs included, as given, without contacts.
+    """Forces that move the whole robot, legs included, without contacts.
 
     Args:
-        robot: the robot.
         position: (k, 19) base position (world, m) and quaternion (w, x, y, z), joints (rad).
         velocity: (k, 18) base velocity (world, m/s), angular velocity (body frame, rad/s), joints (rad/s).
         acceleration: (k, 18) the derivative of `velocity`.

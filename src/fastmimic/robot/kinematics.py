@@ -5,8 +5,7 @@ With the leg's joints (a, h, k) and the abduction origin p₀ in the body frame,
     p = p₀ + Rx(a) [ (s_x, d, s_z) + Ry(h) ( t + Ry(k) c ) ]
 
 where d collects all lateral offsets (they commute with the two pitch rotations), s is the hip joint's shift in the
-abduction frame, and t and c are thigh and calf in their plane. Kernels take one leg; the public functions take
-any leading shape.
+abduction frame, and t and c are thigh and calf in their plane.
 """
 
 from typing import TYPE_CHECKING, NamedTuple
@@ -22,14 +21,12 @@ if TYPE_CHECKING:
 
 
 class LegGeometry(NamedTuple):
-    """What the kernels need of a robot's legs: (4, 12) rows of p₀ (3), d, s_x, s_z, t_x, t_z, c_x, c_z, knee sign,
-    0."""
+    """Legs for the kernels: (4, 12) rows of p₀ (3), d, s_x, s_z, t_x, t_z, c_x, c_z, knee sign, 0."""
 
     rows: Array
 
 
 def leg_geometry(robot: "Robot") -> LegGeometry:
-    """Packs a robot's leg geometry for the kernels."""
     rows = np.zeros((4, 12))
     rows[:, 0:3] = robot.hip_pos_b
     rows[:, 3] = robot.lateral_offset
@@ -72,9 +69,9 @@ def leg_jacobian(g: Array, a: float, h: float, k: float, out: Array) -> None:
 
 @inlined
 def leg_inverse(g: Array, px: float, py: float, pz: float) -> tuple[float, float, float, bool]:
-    """Joints (a, h, k) that bring the foot to a point of the body frame, and whether the leg reaches it.
+    """Joints (a, h, k) for a foot position in the body frame, and whether the leg reaches it.
 
-    Out of reach, the angles of the nearest reachable point in the leg's plane are returned, never NaN.
+    If not, the angles are those of the nearest reachable point in the leg's plane, never NaN.
     """
     x, y, z = px - g[0] - g[4], py - g[1], pz - g[2]
     d = g[3]
@@ -123,15 +120,7 @@ def _inverse(rows: Array, p: Array, q: Array, reachable: Array) -> None:
 
 
 def foot_positions(robot: "Robot", joint_pos: Array) -> Array:
-    """Centres of the feet in the body frame.
-
-    Args:
-        robot: the robot.
-        joint_pos: (..., 12) rad.
-
-    Returns:
-        (..., 4, 3) m.
-    """
+    """Foot centres (..., 4, 3), body frame, m, at joint angles (..., 12), rad."""
     q = np.ascontiguousarray(joint_pos, dtype=np.float64)
     out = np.empty((q.size // 12, 4, 3))
     _forward(robot.geometry.rows, q.reshape(-1, 12), out)
@@ -139,15 +128,8 @@ def foot_positions(robot: "Robot", joint_pos: Array) -> Array:
 
 
 def foot_jacobians(robot: "Robot", joint_pos: Array) -> Array:
-    """Derivatives of each foot's position in the body frame by its own leg's joints.
-
-    Args:
-        robot: the robot.
-        joint_pos: (..., 12) rad.
-
-    Returns:
-        (..., 4, 3, 3) m/rad, last axis: abduction, hip, knee.
-    """
+    """Jacobians (..., 4, 3, 3), m/rad, of the feet (body frame) by the joints of their own leg, at angles (..., 12),
+    rad."""
     q = np.ascontiguousarray(joint_pos, dtype=np.float64)
     out = np.empty((q.size // 12, 4, 3, 3))
     _jacobians(robot.geometry.rows, q.reshape(-1, 12), out)
@@ -155,15 +137,10 @@ def foot_jacobians(robot: "Robot", joint_pos: Array) -> Array:
 
 
 def inverse_kinematics(robot: "Robot", foot_pos_b: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Joint angles that bring the feet to points of the body frame.
+    """Joint angles (..., 12), rad, for foot centres (..., 4, 3), body frame, m; and whether each is reachable (..., 4).
 
-    Args:
-        robot: the robot.
-        foot_pos_b: (..., 4, 3) centres of the feet, body frame, m.
-
-    Returns:
-        (..., 12) rad, not limited to the joints' ranges, and (..., 4) whether each point can be reached; where
-        it cannot, the angles are those of the nearest reachable point in the leg's plane.
+    Joint ranges are not considered. Out of reach, the angles are those of the nearest reachable point in the leg's
+    plane.
     """
     p = np.ascontiguousarray(foot_pos_b, dtype=np.float64)
     n = p.size // 12

@@ -1,4 +1,4 @@
-"""Reading a `Robot` from MuJoCo's description: legs are recognised by the geometry of the model, not by names."""
+"""Reads a `Robot` from an MJCF model. The legs are recognised by geometry, not by names."""
 
 import hashlib
 from dataclasses import dataclass
@@ -15,8 +15,7 @@ from fastmimic.robot.robot import Robot
 if TYPE_CHECKING:
     import mujoco
 
-DEFAULT_JOINT_SPEED_LIMIT: Final = 21.0
-"""rad/s, for a model without a `joint_speed_limit`: MJCF has no element for it."""
+DEFAULT_JOINT_SPEED_LIMIT: Final = 21.0  # rad/s, for a model without a `joint_speed_limit`; MJCF has no element for it
 
 _AXES: Final = {"abduction": (1.0, 0.0, 0.0), "hip": (0.0, 1.0, 0.0), "knee": (0.0, 1.0, 0.0)}
 _AXIS_TOLERANCE: Final = 1e-6
@@ -26,7 +25,7 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
     """Reads a `Robot` from a MuJoCo specification; `where` names it in messages.
 
     Raises:
-        RobotError: the model does not compile, or is not a twelve-joint quadruped; the message says what was found.
+        RobotError: the model does not compile or is not a twelve-joint quadruped.
     """
     import mujoco
 
@@ -109,7 +108,7 @@ class _Leg:
 
 
 def _files_digest(spec: "mujoco.MjSpec") -> str:
-    """Digest of the content of the mesh files; empty without."""
+    """SHA-256 of the mesh files; empty if there are none."""
     names = [mesh.file for mesh in spec.meshes if mesh.file]
     if not names:
         return ""
@@ -118,13 +117,13 @@ def _files_digest(spec: "mujoco.MjSpec") -> str:
         found.update(name.encode())
         try:
             found.update((folder / name).read_bytes())
-        except OSError:  # MuJoCo has found it somewhere, as one of its own resources
+        except OSError:  # one of MuJoCo's own resources
             continue
     return found.hexdigest()
 
 
 def _name_spheres(spec: "mujoco.MjSpec") -> None:
-    """Gives unnamed spheres a name, because feet are addressed by name in every scene built from the model."""
+    """Names unnamed spheres, because scenes address feet by name."""
     import mujoco
 
     for i, geom in enumerate(spec.geoms):
@@ -151,7 +150,7 @@ def _trunk(model: "mujoco.MjModel", where: str) -> int:
 
 
 def _leg_roots(model: "mujoco.MjModel", trunk: int, where: str) -> list[int]:
-    """Bodies with a hinge directly below the trunk, fixed bodies left out."""
+    """Bodies with a hinge directly below the trunk, apart from fixed bodies."""
     roots = [
         int(b) for b in range(trunk + 1, model.nbody) if model.body_jntnum[b] and _moving_parent(model, b) == trunk
     ]
@@ -198,11 +197,7 @@ def _at_zero(model: "mujoco.MjModel", trunk: int) -> "mujoco.MjData":
 
 
 def _reversed(model: "mujoco.MjModel", at_zero: "mujoco.MjData", root: int, where: str) -> list[int]:
-    """The joints of a leg that turn about the opposite of the common axis.
-
-    Raises:
-        RobotError: one turns about another axis.
-    """
+    """The joints of a leg that turn about the opposite of the common axis; `RobotError` for any other axis."""
     found = []
     joints = (int(model.body_jntadr[b]) for b in _chain(model, root, where))
     for joint, role in zip(joints, JOINTS_PER_LEG, strict=True):
@@ -218,7 +213,7 @@ def _reversed(model: "mujoco.MjModel", at_zero: "mujoco.MjData", root: int, wher
 
 
 def _turn_round(spec: "mujoco.MjSpec", model: "mujoco.MjModel", joints: list[int]) -> None:
-    """Reverses the axes of joints, by their ids: the same robot with other signs."""
+    """Reverses the axes of joints, by their ids, so that the same robot has other signs."""
     for joint in spec.joints:
         if joint.id in joints:
             joint.axis = -np.array(joint.axis)
@@ -234,7 +229,7 @@ def _turn_round(spec: "mujoco.MjSpec", model: "mujoco.MjModel", joints: list[int
 
 
 def _leg(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int, root: int, where: str) -> _Leg:
-    """A leg, from the places of its parts with all joints at zero."""
+    """A leg, from the positions of its parts with all joints at zero."""
     chain, label = _chain(model, root, where), _label(model, root)
     joints = tuple(int(model.body_jntadr[b]) for b in chain)
     for joint in joints:
@@ -264,7 +259,7 @@ def _leg(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int, root: int, 
 
 
 def _foot_geom(model: "mujoco.MjModel", data: "mujoco.MjData", calf: int, label: str, where: str) -> int:
-    """The lowest colliding sphere on the last link (or on what is fixed to it)."""
+    """The lowest colliding sphere on the last link or on a body fixed to it."""
     import mujoco
 
     spheres = [
@@ -280,7 +275,7 @@ def _foot_geom(model: "mujoco.MjModel", data: "mujoco.MjData", calf: int, label:
 
 
 def _order(model: "mujoco.MjModel", legs: list[_Leg], where: str) -> list[int]:
-    """Indices of FR, FL, RR, RL among the legs, by where their hips are."""
+    """Indices of FR, FL, RR, RL among the legs, by hip position."""
     signs = {"FR": (1, -1), "FL": (1, 1), "RR": (-1, -1), "RL": (-1, 1)}
     found = [tuple(np.sign(leg.hip_pos[:2]).astype(int)) for leg in legs]
     order = [found.index(signs[leg]) for leg in LEGS if signs[leg] in found]
@@ -304,7 +299,7 @@ def _home(model: "mujoco.MjModel") -> Array:
 
 
 def _composite(model: "mujoco.MjModel", body: int) -> tuple[float, Array, Array]:
-    """Mass, centre of mass and inertia about it of a body and all that is fixed to it, in the body's frame."""
+    """Mass, centre of mass and central inertia of a body and all that is fixed to it, in the body's frame."""
     from fastmimic.base.rotations import matrix_from_quat, quat_multiply, quat_rotate
 
     parts: list[tuple[float, Array, Array]] = []
@@ -338,7 +333,7 @@ def _combine(parts: list[tuple[float, Array, Array]]) -> tuple[float, Array, Arr
 
 
 def _whole_body(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int) -> tuple[Array, Array]:
-    """Centre of mass and inertia about it of the whole robot as it stands in `data`, body frame."""
+    """Centre of mass and central inertia of the whole robot in the pose of `data`, body frame."""
     rotation = data.xmat[trunk].reshape(3, 3)
     parts = []
     for body in range(trunk, model.nbody):
@@ -350,7 +345,7 @@ def _whole_body(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int) -> t
 
 
 def _torque_limits(model: "mujoco.MjModel", joints: list[int], where: str) -> Array:
-    """From the actuator's force range, its control range if it is a plain motor, or the joint's own force range."""
+    """From the actuator's force range, the control range of a plain motor, or the joint's own force range."""
     limits = np.zeros(len(joints))
     for i, joint in enumerate(joints):
         candidates = []

@@ -21,11 +21,10 @@ _ROUNDED_ZERO: Final = re.compile(r"-?\d(\.\d+)?e-(1[2-9]|[2-9]\d)\b|(?<![\d.])-
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A quadruped with abduction, hip and knee joints in each leg. Legs and joints in the common order.
+    """A quadruped with abduction, hip and knee joints in each leg. Legs and joints are in the common order.
 
     Attributes:
-        name: the model's name.
-        xml: its MJCF as text.
+        name, xml: the model's name and its MJCF text.
         mass: total, kg.
         inertia_b: (3, 3) of the whole robot in its home pose about its centre of mass, body axes, kg·m².
         com_b: (3,) centre of mass in the home pose, body frame, m.
@@ -36,23 +35,20 @@ class Robot:
         knee_sign: (4,) +1 or −1, the side to which the knee bends.
         foot_radius: m.
         joint_lower, joint_upper: (12,) rad.
-        torque_limit: (12,) N·m.
-        joint_speed_limit: (12,) rad/s.
+        torque_limit, joint_speed_limit: (12,) N·m and rad/s.
         armature: (12,) reflected rotor inertia, kg·m².
         joint_damping, joint_friction: (12,) viscous, N·m·s/rad, and dry friction of the joints, N·m.
-        joint_inertia: (12,) diagonal of the joint-space inertia with all joints at zero and the trunk held, rotors
-            included, kg·m².
-        home_joint_pos: (12,) rad.
-        home_height: base height in the home pose, m.
+        joint_inertia: (12,) diagonal of the joint-space inertia at zero angles, trunk held, rotors included, kg·m².
+        home_joint_pos, home_height: (12,) rad, and base height in the home pose, m.
         trunk_mass, trunk_com_b: of the body that carries the legs.
-        link_mass: (4, 3); link_com: (4, 3, 3) and link_inertia: (4, 3, 3, 3) in each link's frame, those of
-            thigh and calf moved along their joint axis into the leg's plane (`lateral_offset`).
+        link_mass, link_com, link_inertia: (4, 3), (4, 3, 3), (4, 3, 3, 3) in each link's frame; thigh and calf frames
+            are moved along the joint axis into the leg's plane (`lateral_offset`).
         joint_names, foot_geoms: names of the model's elements in the common order.
-        joint_sign: (12,) −1 where a joint of that name turns about the opposite axis in the file that was read. `xml`
-            and `base_spec` have the common axes.
-        assumed: assumptions where the model does not say, as sentences.
-        base_spec: the specification that all this was read from; see `spec()`.
-        files_digest: of the content of the mesh files; empty without.
+        joint_sign: (12,) −1 where the joint turned about the opposite axis in the source file. `xml` and `base_spec`
+            have the common axes.
+        assumed: assumptions where the model has no value, as sentences.
+        base_spec: the source specification; see `spec()`.
+        files_digest: SHA-256 of the mesh files; empty if there are none.
     """
 
     name: str
@@ -90,10 +86,7 @@ class Robot:
     files_digest: str = ""
 
     def spec(self) -> "mujoco.MjSpec":
-        """A fresh copy of the robot's MuJoCo specification, to build a scene from.
-
-        `xml` is for people and files: MuJoCo rounds the numbers that it writes.
-        """
+        """A fresh copy of the MuJoCo specification, for building scenes. Unlike `xml`, its numbers are not rounded."""
         assert self.base_spec is not None
         return self.base_spec.copy()
 
@@ -111,9 +104,9 @@ class Robot:
 
     @property
     def content(self) -> bytes:
-        """The robot's content for digests: `xml`, and the digest of its mesh files.
+        """The robot's content for digests: `xml` and the digest of its mesh files.
 
-        With meshes MuJoCo writes rounded zeros of their places, which are left out.
+        MuJoCo writes rounded zeros for mesh positions; these are left out.
         """
         if not self.files_digest:
             return self.xml.encode()
@@ -136,7 +129,7 @@ class Robot:
 
     @cached_property
     def geometry(self) -> "LegGeometry":
-        """The leg geometry in the form that the compiled kinematics take."""
+        """The leg geometry for the compiled kinematics."""
         from fastmimic.robot.kinematics import leg_geometry
 
         return leg_geometry(self)

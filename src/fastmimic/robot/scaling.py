@@ -1,7 +1,6 @@
-"""How parameters with the values of an A1 are scaled to another robot.
+"""Scaling of parameters from an A1 to another robot.
 
-The constants are the A1's own figures with all their digits: each ratio of an A1 is then exactly 1, and no parameter is
-rounded. `tests/control/test_config.py` holds them to its model.
+The constants have all digits, so that each ratio of an A1 is exactly 1; `tests/control/test_config.py` checks them.
 """
 
 from typing import Final
@@ -11,8 +10,7 @@ import numpy as np
 from fastmimic.robot.robot import Robot
 
 A1_MASS_KG: Final = 12.453000000000001
-A1_JOINT_INERTIA: Final = 0.037411360960741595
-"""Mean of `Robot.joint_inertia`, kg·m²."""
+A1_JOINT_INERTIA: Final = 0.037411360960741595  # mean of `Robot.joint_inertia`, kg·m²
 A1_LEG_LENGTH_M: Final = 0.4
 
 
@@ -22,8 +20,7 @@ def mass_ratio(robot: Robot) -> float:
 
 
 def joint_ratio(robot: Robot) -> float:
-    """What the robot's joints move over what an A1's move: with gains in this ratio, frequency and damping of the legs
-    are the same."""
+    """Joint inertia of the robot over an A1's. Gains in this ratio keep frequency and damping of the legs."""
     return float(np.mean(robot.joint_inertia)) / A1_JOINT_INERTIA
 
 

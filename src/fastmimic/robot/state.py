@@ -22,8 +22,8 @@ OBSERVATION: Final = record_dtype(
         ("other_contact", "f8"),
     ]
 )
-"""One robot's state: base pose and velocities in the world frame, joints, ground force on each foot (world frame, N),
-and the number of contacts of anything but the feet with the ground."""
+"""State of one robot: base pose and velocities in the world frame, joints, ground force on each foot (world frame, N),
+and the number of ground contacts other than feet."""
 
 COMMAND: Final = record_dtype(
     [
@@ -52,8 +52,8 @@ MEMORY: Final = record_dtype(
         ("early_touchdowns", "i8"),
     ]
 )
-"""The controller's memory of one robot: leg states (stance 1, swing 0), timers, last forces (heading frame), and the
-time of the last horizon plan, s, 0 without one."""
+"""Controller memory of one robot: leg states (stance 1, swing 0), timers, last forces (heading frame), and the time of
+the last horizon plan, s, 0 without one."""
 
 MODEL: Final = record_dtype(
     [
@@ -73,11 +73,10 @@ MODEL: Final = record_dtype(
         ("foot_radius", "f8"),
     ]
 )
-"""The controller's model of the robot."""
 
 
 def pack_model(robot: "Robot") -> NDArray[Any]:
-    """A robot as a structured array of one `MODEL` record."""
+    """Packs a robot as an array of one `MODEL` record."""
     record = np.zeros(1, MODEL)
     record["geometry"] = robot.geometry.rows
     record["inertia"] = robot.inertia_b
