@@ -1,4 +1,4 @@
-"""Dynamic movement primitives, rhythmic and discrete: fit a motion, reconstruct it, modulate it."""
+"""Rhythmic and discrete dynamic movement primitives: fit, reconstruct and modulate a motion."""
 
 from fastmimic.primitive.coordinates import FOOT_Z, NAMES
 from fastmimic.primitive.discrete import DiscreteDmp

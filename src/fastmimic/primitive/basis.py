@@ -1,4 +1,4 @@
-"""Where the basis functions of a DMP sit on the cycle."""
+"""Placement of a DMP's basis functions over the cycle."""
 
 from typing import Final
 
@@ -6,18 +6,16 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 
-_FLOOR: Final = 0.2
-"""Share of the basis functions that is always spread evenly."""
-_SAMPLES_PER_FUNCTION: Final = 4
-"""Functions are never set closer than this many samples."""
+_FLOOR: Final = 0.2  # share of the basis functions that is spread evenly
+_SAMPLES_PER_FUNCTION: Final = 4  # least number of samples between two functions
 
 
 def place_basis(samples: Array, n_basis: int) -> Array:
     """Centres c (d, n_basis) of the basis functions for one cycle (t, d) of samples, rad, ascending.
 
-    A cycle of one stride gets evenly spaced functions, as in the paper. In a loop of several strides and pauses they
-    follow the motion, since a swing of 0.2 s in a loop of 6 s would get only three of 100. Their density grows with the
-    square root of the curvature, which equalises the error of a second-order approximation (de Boor 1973).
+    A cycle of one stride gets evenly spaced functions, as in the paper. In a loop of several strides and pauses (a
+    swing of 0.2 s in 6 s would get three of 100), their density grows with the square root of the curvature, which
+    equalises the error of a second-order approximation (de Boor 1973).
     """
     t = len(samples)
     densest = max(1.0, t / (_SAMPLES_PER_FUNCTION * n_basis))
@@ -27,7 +25,7 @@ def place_basis(samples: Array, n_basis: int) -> Array:
 
 
 def basis_widths(centres: Array) -> Array:
-    """h (d, n) of each function: 1/√h is its distance to its neighbours, so that they overlap evenly."""
+    """Widths h (d, n): 1/√h is the distance to the neighbours."""
     following = np.roll(centres, -1, axis=-1)
     following[..., -1] += 2 * np.pi
     gap = following - centres
@@ -45,7 +43,7 @@ def _density(y: Array, n_basis: int, densest: float) -> Array:
     """Density (t,) of the functions over the cycle, mean 1, at most `densest`."""
     t = len(y)
     k = np.arange(t // 2 + 1)
-    smoothing = np.exp(-0.5 * (k * 0.25 * (2 * np.pi / n_basis)) ** 2)  # over a quarter of the even distance
+    smoothing = np.exp(-0.5 * (k * 0.25 * (2 * np.pi / n_basis)) ** 2)  # a quarter of the even distance
 
     def smooth(values: Array) -> Array:
         return np.fft.irfft(np.fft.rfft(values) * smoothing, t)

@@ -1,8 +1,7 @@
-"""The 24 coordinates of a motion that are fitted: root pose, root velocity and feet, each periodic if the motion is.
+"""The 24 fitted coordinates of a motion: root pose, root velocity and feet, each periodic if the motion is.
 
-Planar root motion is relative to the constant-twist motion of the cycle, in its moving frame. Without a cycle it is
-relative to the start. Roll and pitch are ZYX Euler angles, R = Rz(yaw) Ry(pitch) Rx(roll): smooth unless the trunk
-points straight up or down. Feet are in the body frame.
+Planar root motion is relative to the constant-twist motion of the cycle, in its moving frame, or to the start of a
+motion without a cycle. Roll and pitch are ZYX Euler angles, R = Rz(yaw) Ry(pitch) Rx(roll). Feet are in the body frame.
 """
 
 from typing import Final
@@ -28,7 +27,6 @@ NAMES: Final = (
     *(f"root_{c}" for c in ("vx", "vy", "vz", "wx", "wy", "wz")),
     *(f"{leg}_foot_{c}" for leg in LEGS for c in "xyz"),
 )
-"""The 24 dimensions."""
 GROUPS: Final = {
     "root_position_m": slice(0, 3),
     "root_orientation_rad": slice(3, 6),
@@ -37,8 +35,7 @@ GROUPS: Final = {
     "foot_position_m": slice(12, 24),
 }
 FEET: Final = slice(12, 24)
-FOOT_Z: Final = (14, 17, 20, 23)
-"""The dimensions that the paper optimises."""
+FOOT_Z: Final = (14, 17, 20, 23)  # the dimensions that the paper optimises
 _MAX_PITCH: Final = np.radians(85.0)
 
 
@@ -48,17 +45,14 @@ def phases(n_samples: int) -> Array:
 
 
 def twist_of(motion: Motion) -> PlanarTwist:
-    """The constant-twist motion of a cyclic motion from its first sample; without a cycle it rests there."""
+    """Constant-twist motion of a cycle from its first sample; at rest there for a motion without a cycle."""
     origin = np.array([*motion.root_pos_w[0, :2], yaw_from_quat(motion.root_quat_wxyz[0])])
     return PlanarTwist.from_cycle(origin, np.zeros(3) if motion.cycle is None else motion.cycle)
 
 
 def to_coordinates(motion: Motion, twist: PlanarTwist) -> Array:
-    """The 24 coordinates (t, 24) of a motion, in the order of `NAMES`.
-
-    Raises:
-        MotionError: the trunk points nearly straight up or down.
-    """
+    """The coordinates (t, 24) of a motion, in the order of `NAMES`; `MotionError` if the trunk points nearly straight
+    up or down."""
     phase = phases(motion.n_samples)
     origin, heading = twist.pose(phase)
     (roll, pitch), yaw = roll_pitch_from_quat(motion.root_quat_wxyz), yaw_from_quat(motion.root_quat_wxyz)

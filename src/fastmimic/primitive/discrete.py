@@ -5,13 +5,15 @@ With the canonical phase x, which decays from 1 over the duration T of the fitte
     τ ż = α (β (g − y) − z) + a f(x),   τ ẏ = z,   T ẋ = −αₓ x,
     f(x) = x Σ ψᵢ wᵢ / Σ ψᵢ,            ψᵢ = exp(−hᵢ (x − cᵢ)²),   β = α/4,   αₓ = α/3.
 
-The forcing vanishes with x, so that y comes to rest at g for all g and a. It starts with the position and the velocity
-of the fitted motion. Two things differ from the original. There f is multiplied by g − y₀, which is zero or noise for a
-foot that ends at its first height; here the amplitude a stands by itself, as in the rhythmic primitive. There τ = T;
-here τ is T or 1 s, whichever is less, because ten seconds of an animal are many movements, and g and a would act only
-after the first of them.
+The forcing vanishes with x, so y comes to rest at g for all g and a. It starts with the position and velocity of the
+fitted motion. It differs from the original in two points:
 
-The system is linear in g and a: y = rest + pull g + a s. Each is computed once and nothing is integrated again.
+- The amplitude a stands alone, as in the rhythmic primitive. The original factor g − y₀ is zero or noise for a foot
+  that ends at its first height.
+- τ is T or 1 s, whichever is less, instead of T. Ten seconds of an animal are many movements, and g and a would act
+  only after the first of them.
+
+The system is linear in g and a: y = rest + pull g + a s. Each term is integrated only once.
 """
 
 from dataclasses import dataclass
@@ -27,22 +29,15 @@ from fastmimic.primitive.fixed_order import product, solve_positive_definite
 from fastmimic.primitive.rhythmic import ALPHA, N_BASIS
 from fastmimic.primitive.samples import checked_samples
 
-MAX_S: Final = 30.0
-"""Longest motion; memory and time of the fit grow with its square."""
+MAX_S: Final = 30.0  # longest motion; memory and time of the fit grow with its square
 MAX_TAU_S: Final = 1.0
-"""The largest τ, s."""
-RIDGE: Final = 1e-8
-"""Weight of the regularisation, as in the rhythmic primitive."""
-_FUNCTIONS_PER_S: Final = 40.0
-"""Least number; the knots of retargeted swings lie 25 ms apart."""
-_ROWS_PER_FUNCTION: Final = 5
-"""Samples of the fit for each function; more do not improve it."""
+RIDGE: Final = 1e-8  # weight of the regularisation, as in the rhythmic primitive
+_FUNCTIONS_PER_S: Final = 40.0  # least number; the knots of retargeted swings lie 25 ms apart
+_ROWS_PER_FUNCTION: Final = 5  # samples of the fit for each function; more do not improve it
 _CHUNK: Final = 256
-_STEPS_PER_FUNCTION: Final = 2
-"""Least number of integration steps."""
+_STEPS_PER_FUNCTION: Final = 2  # least number of integration steps
 _NODES: Final = 0.5 + np.array([-np.sqrt(0.15), 0.0, np.sqrt(0.15)])
-_NODE_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18.0
-"""Gauss–Legendre on [0, 1]."""
+_NODE_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18.0  # Gauss–Legendre on [0, 1]
 
 
 class DiscreteTerms(NamedTuple):
@@ -64,10 +59,9 @@ class DiscreteDmp:
     """Discrete DMPs of `d` dimensions that share a phase.
 
     Attributes:
-        weights: (d, n_basis) weights w of the forcing term: the style, fixed once fitted.
-        start: (d,) y₀.
-        start_rate: (d,) ẏ₀ T, the change of y in the whole duration at its starting velocity.
-        goal: (d,) where the fitted motion ends.
+        weights: (d, n_basis) weights w of the forcing term.
+        start, start_rate: (d,) y₀, and ẏ₀ T, the change of y in the whole duration at its starting velocity.
+        goal: (d,) end of the fitted motion.
         duration_s: T, from the first sample to the last, s.
         alpha: stiffness α of the spring.
     """
@@ -88,17 +82,16 @@ class DiscreteDmp:
         ridge: float = RIDGE,
         alpha: float = ALPHA,
     ) -> "DiscreteDmp":
-        """Fits a movement by regularised least squares on the movement itself.
+        """Fits a movement by regularised least squares on y itself, which is linear in w.
 
-        The error of y itself is minimised, since y is linear in w. The usual regression on f needs second derivatives,
-        which corners at touch-down spoil. Start, starting velocity and goal are the samples' own.
+        The usual regression on f needs second derivatives, which corners at touch-down spoil. Start, starting velocity
+        and goal are taken from the samples.
 
         Args:
             samples: (t, d) from start to end, evenly spaced.
             duration_s: T, from the first to the last of them, s.
             n_basis: basis functions per dimension; a long motion gets more, one each 25 ms.
             ridge: weight of the regularisation, without unit.
-            alpha: stiffness α.
 
         Raises:
             MotionError: fewer than 4 samples, a value that is not finite, or longer than `MAX_S`.
@@ -119,7 +112,7 @@ class DiscreteDmp:
         rows = np.unique(np.append(np.arange(0, len(y), every), len(y) - 1))
         centres = _centres(n, alpha)
         response = _response(None, centres, len(y), spring, alpha / 3)[rows]
-        gain = spring**2 + (0.5 * n) ** 2  # a motion's forcing grows with the square of its frequency
+        gain = spring**2 + (0.5 * n) ** 2  # forcing grows with the square of a motion's frequency
         normal = product(response.T, response) / len(rows) + ridge / (n * gain**2) * np.eye(n)
         forces = solve_positive_definite(normal, product(response.T, left[rows]) / len(rows))
         weights = (forces / centres[:, None]).T / (duration_s / min(duration_s, MAX_TAU_S)) ** 2
@@ -140,17 +133,16 @@ class DiscreteDmp:
 
     @property
     def tau_s(self) -> float:
-        """τ, s."""
         return min(self.duration_s, MAX_TAU_S)
 
     @cached_property
     def centres(self) -> Array:
-        """(n_basis,) centres c of the basis functions, in x, evenly spaced in time."""
+        """Centres c (n_basis,) of the basis functions, in x, evenly spaced in time."""
         return _centres(self.n_basis, self.alpha)
 
     @cached_property
     def widths(self) -> Array:
-        """(n_basis,) widths h of the basis functions."""
+        """Widths h (n_basis,) of the basis functions."""
         return _widths(self.centres)
 
     def forcing(self, phase: Array | float) -> Array:
@@ -159,14 +151,14 @@ class DiscreteDmp:
         return x[..., None] * product(_basis(x, self.centres), self.weights.T)
 
     def course(self, n_samples: int) -> DiscreteTerms:
-        """The primitive at so many samples (at least 2), from its start to its end."""
+        """The terms at `n_samples` (at least 2) evenly spaced times from start to end."""
         spring = _spring(self.alpha, self.duration_s)
         rest, pull = _unforced(self.start, self.start_rate, n_samples, spring)
         weights = self.weights.T * (self.duration_s / self.tau_s) ** 2  # time is in units of T here
         return DiscreteTerms(rest, pull, _response(weights, self.centres, n_samples, spring, self.decay))
 
     def position(self, n_samples: int, goal: Array | None = None, amplitude: Array | float = 1.0) -> Array:
-        """y (t, d) at so many samples from start to end; `goal` and `amplitude` (d,) modulate it."""
+        """y (t, d) at `n_samples` times from start to end; `goal` and `amplitude` (d,) modulate it."""
         rest, pull, shape = self.course(n_samples)
         return rest + pull * (self.goal if goal is None else goal) + amplitude * shape
 
@@ -189,24 +181,23 @@ def _widths(centres: Array) -> Array:
 
 
 def _basis(x: Array, centres: Array) -> Array:
-    """ψᵢ/Σψ at phases (...) → (..., n). Beyond the last function that one remains."""
+    """ψᵢ/Σψ at phases (...) → (..., n); beyond the last function, that function alone."""
     exponent = -_widths(centres) * (x[..., None] - centres) ** 2
     psi = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
     return psi / psi.sum(axis=-1, keepdims=True)
 
 
 def _unforced(start: Array, rate: Array, n_samples: int, c: float) -> tuple[Array, Array]:
-    """`rest` (t, d) and `pull` (t, 1): the critically damped spring without forcing, with its pole at −`c`."""
+    """`rest` (t, d) and `pull` (t, 1) of the critically damped spring with pole −`c`."""
     s = np.linspace(0.0, 1.0, n_samples)[:, None]
     fading = np.exp(-c * s)
     return fading * ((1 + c * s) * start + s * rate), 1 - fading * (1 + c * s)
 
 
 def _response(weights: Array | None, centres: Array, n_samples: int, c: float, decay: float) -> Array:
-    """The response (t, d) from rest to the forcing of weights (n, d); without weights that of each function, with
-    weight 1/c, (t, n).
+    """Response (t, d) from rest to the forcing of weights (n, d); if None, to each function with weight 1/c, (t, n).
 
-    The spring, its pole at −`c`, is advanced exactly and the forcing by quadrature.
+    The spring with pole −`c` is advanced exactly, the forcing by quadrature.
     """
     n = len(centres)
     finer = max(1, int(np.ceil(_STEPS_PER_FUNCTION * n / (n_samples - 1))))

@@ -1,7 +1,7 @@
 """Linear algebra with sums in a fixed order.
 
-BLAS and LAPACK choose the order by the number of threads. Fits would then differ in their last bits, the same seed
-would give other results, and a run would not recognise its own checkpoint.
+BLAS and LAPACK choose the order by the number of threads, which would change the last bits of a fit, and with them the
+results of a seed and the match between a run and its checkpoint.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ def product(a: Array, b: Array) -> Array:
 
 
 def solve_positive_definite(a: Array, b: Array) -> Array:
-    """Solves a x = b for a symmetric positive definite a (n, n) and b (n, m), by Cholesky's method."""
+    """Solves a x = b for a symmetric positive definite a (n, n) and b (n, m) by Cholesky's method."""
     factor, x = np.array(a, dtype=np.float64, order="C"), np.array(b, dtype=np.float64, order="C")
     _solve(factor, x)
     return x

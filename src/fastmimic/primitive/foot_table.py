@@ -1,4 +1,4 @@
-"""Feet of a modulated motion, brought into the legs' reach, with their joints."""
+"""Brings the feet of modulated motions into the legs' reach and computes their joints."""
 
 from typing import NamedTuple
 
@@ -15,9 +15,8 @@ class FootTable(NamedTuple):
     """Feet and joints of n courses of t samples.
 
     Attributes:
-        foot_pos_b: (n, t, 4, 3) feet that the legs reach, body frame, m.
-        joint_pos: (n, t, 12) within the joints' ranges, rad.
-        joint_vel: (n, t, 12) central differences of `joint_pos`, rad/s; periodic if the motion is.
+        foot_pos_b: (n, t, 4, 3) feet within reach, body frame, m.
+        joint_pos, joint_vel: (n, t, 12) within the joints' ranges, rad, and their central differences, rad/s.
         shift_m: (n, 4) largest distance by which a sample of each foot was moved, m.
         n_shifted: (n, 4) samples of each foot that were moved by more than 0.01 mm.
     """
@@ -30,16 +29,10 @@ class FootTable(NamedTuple):
 
 
 def foot_table(robot: Robot, foot_pos_b: Array, rate_hz: float, periodic: bool = True) -> FootTable:
-    """Joints of n courses of foot positions, all in one compiled call.
+    """Joints of n courses of foot positions `foot_pos_b` (n, t, 4, 3), body frame, m, in one compiled call.
 
-    A foot out of reach (leg too short, or the knee at its limit) moves to the nearest point in reach on the line from
-    the hip. If abduction or hip are at their limits, it moves to where the limited joints put it.
-
-    Args:
-        robot: the robot.
-        foot_pos_b: (n, t, 4, 3) wanted feet, body frame, m.
-        rate_hz: samples a second.
-        periodic: whether sample t repeats sample 0.
+    A foot out of reach (leg too short, or knee at its limit) moves to the nearest point in reach on the line from the
+    hip; if abduction or hip are at their limits, to the foot position of the limited joints.
     """
     feet = np.array(foot_pos_b, dtype=np.float64, order="C")
     n, t = feet.shape[:2]
@@ -69,7 +62,7 @@ def _hip_to_foot_angle(g: Array, knee: float) -> float:
 
 @kernel
 def _reach(rows: Array, limits: Array, feet: Array, q: Array, shift: Array, count: NDArray[np.int64]) -> None:
-    """Joints `q` of `feet` (changed in place where not reached)."""
+    """Joints `q` of `feet`, which are changed in place where out of reach."""
     lower, upper = limits[0], limits[1]
     for n in range(feet.shape[0]):
         for t in range(feet.shape[1]):

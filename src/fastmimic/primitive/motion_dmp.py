@@ -1,4 +1,4 @@
-"""The 24 DMPs of a motion, rhythmic or discrete, and the motions that they make."""
+"""`MotionDmp`: the 24 rhythmic or discrete DMPs of a motion, and the motions that they make."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -34,11 +34,10 @@ class MotionDmp:
     path; its start is not modulated.
 
     Attributes:
-        fitted: the motion they were fitted to.
-        robot: the robot.
+        fitted, robot: the fitted motion and its robot.
         primitive: the DMPs, dimensions in the order of `names`.
-        twist: the planar motion of a cycle, removed before fitting and put back afterwards; none without a cycle.
-        fit_rms: root-mean-square fit error of each group of dimensions, in the unit that its name ends with.
+        twist: the planar motion of a cycle, removed before fitting and restored afterwards.
+        fit_rms: root-mean-square fit error of each group of dimensions; the name ends with the unit.
     """
 
     fitted: Motion
@@ -49,10 +48,10 @@ class MotionDmp:
 
     @classmethod
     def fit(cls, motion: Motion, robot: Robot, n_basis: int = N_BASIS) -> "MotionDmp":
-        """Fits the 24 DMPs of a motion.
+        """Fits the DMPs of a motion.
 
         Raises:
-            MotionError: its trunk points straight up or down, or it does not repeat and is very long.
+            MotionError: its trunk points straight up or down, or it does not repeat and is longer than `MAX_S`.
         """
         twist = twist_of(motion)
         samples = to_coordinates(motion, twist)
@@ -68,38 +67,30 @@ class MotionDmp:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the 24 dimensions: `root_x`, …, `RL_foot_z`."""
+        """The 24 dimensions: `root_x`, …, `RL_foot_z`."""
         return NAMES
 
     @property
     def goal(self) -> Array:
-        """(24,) fitted baselines g, or goals, a copy: m, rad, m/s, rad/s."""
+        """A copy of the fitted baselines or goals g, (24,): m, rad, m/s, rad/s."""
         return self.primitive.goal.copy()
 
     @property
     def amplitude(self) -> Array:
-        """(24,) amplitudes a of the unmodulated motion: ones."""
+        """Amplitudes a (24,) of the unmodulated motion: ones."""
         return np.ones(len(NAMES))
 
     def index(self, name: str) -> int:
-        """Position of a dimension in `names`.
-
-        Raises:
-            MotionError: no such dimension.
-        """
+        """Position of a dimension in `names`; `MotionError` if there is none."""
         if name not in NAMES:
             raise MotionError(f"no DMP is called '{name}'{did_you_mean(name, NAMES)}")
         return NAMES.index(name)
 
     def motion(self, goal: Array | None = None, amplitude: Array | None = None) -> Motion:
-        """The reference with modulated baselines and amplitudes, at the fitted motion's rate.
+        """The motion with baselines or goals g (24,) and amplitudes a (24,); None keeps the fitted g or a = 1.
 
-        Joints come from inverse kinematics, contacts from the fitted motion. Feet out of reach are brought back and
-        counted in `meta["dmp"]`. The result has the fitted motion's demonstration, for its score.
-
-        Args:
-            goal: (24,) baselines or goals g; None keeps the fitted ones.
-            amplitude: (24,) amplitudes a; None is 1.
+        Joints come from inverse kinematics, contacts and demonstration from the fitted motion. Feet out of reach are
+        brought back and counted in `meta["dmp"]`.
 
         Raises:
             MotionError: a parameter array of another shape, or with a value that is not finite.
@@ -125,14 +116,7 @@ class MotionDmp:
         )
 
     def foot_table(self, goal: Array, amplitude: Array) -> FootTable:
-        """Feet and joints of n candidates in one compiled call, as `motion` computes them.
-
-        Args:
-            goal: (n, 24) baselines g.
-            amplitude: (n, 24) amplitudes a.
-
-        Returns:
-            Feet (n, t, 4, 3), joints (n, t, 12), and the distances out of reach.
+        """Feet and joints of n candidates with baselines g (n, 24) and amplitudes a (n, 24), as `motion` computes them.
 
         Raises:
             MotionError: arrays of another shape, or with a value that is not finite.
@@ -143,11 +127,8 @@ class MotionDmp:
         return self._foot_table(self._course(goal, amplitude, FEET))
 
     def root(self, goal: Array, amplitude: Array) -> tuple[Array, Array, Array, Array]:
-        """The root of a candidate: world position (t, 3), quaternion (t, 4), linear and angular velocity (t, 3), SI.
-
-        Args:
-            goal: (24,) baselines g.
-            amplitude: (24,) amplitudes a.
+        """Root of a candidate with g (24,) and a (24,): world position (t, 3), quaternion (t, 4), linear and angular
+        velocity (t, 3), SI units.
 
         Raises:
             MotionError: arrays of another shape, or with a value that is not finite.
@@ -158,17 +139,16 @@ class MotionDmp:
 
     def _root(self, y: Array) -> tuple[Array, Array, Array, Array]:
         position, quat, lin_vel, ang_vel = root_from_coordinates(y, self.twist, self.fitted.period_s)
-        if quat[0] @ self.fitted.root_quat_wxyz[0] < 0:  # the same of the two quaternions of a rotation
+        if quat[0] @ self.fitted.root_quat_wxyz[0] < 0:  # the same sign of the quaternion
             quat = -quat
         return position, quat, lin_vel, ang_vel
 
     def _foot_table(self, feet: Array) -> FootTable:
-        """Of feet (n, t, 12) in the body frame, m."""
         periodic = self.fitted.cycle is not None
         return foot_table(self.robot, feet.reshape(len(feet), -1, 4, 3), self.fitted.rate_hz, periodic)
 
     def _course(self, goal: Array, amplitude: Array, dimensions: slice = slice(None)) -> Array:
-        """Some of the dimensions (..., t, d) modulated by (..., 1 or t, d)."""
+        """Dimensions (..., t, d) of the path, modulated by (..., 1 or t, d)."""
         if isinstance(self._linear, DiscreteTerms):
             rest, pull, shape = self._linear
             return rest[:, dimensions] + pull * goal + amplitude * shape[:, dimensions]
@@ -176,7 +156,7 @@ class MotionDmp:
 
     @cached_property
     def _linear(self) -> Array | DiscreteTerms:
-        """The responses that the samples are linear in: s (t, 24) of a cycle."""
+        """The responses in which the samples are linear; s (t, 24) for a cycle."""
         if isinstance(self.primitive, DiscreteDmp):
             return self.primitive.course(self.fitted.n_samples)
         return self.primitive.shape(phases(self.fitted.n_samples))

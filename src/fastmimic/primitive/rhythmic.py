@@ -5,9 +5,8 @@ With τ = T/2π and the phase φ̇ = 1/τ,
     τ ż = α (β (g − y) − z) + a f(φ),   τ ẏ = z,
     f(φ) = Σ ψᵢ wᵢ / Σ ψᵢ,              ψᵢ = exp(h (cos(φ − cᵢ) − 1)),   β = α/4.
 
-Written over the phase this is a linear filter with a periodic input, y″ + α y′ + αβ y = αβ g + a f(φ), so
-that its limit cycle is y = g + a s(φ) with a fixed shape s: harmonic k of s is harmonic k of f times
-1 / (αβ − k² + iαk). Nothing has to be integrated.
+Over the phase this is a linear filter with a periodic input, y″ + α y′ + αβ y = αβ g + a f(φ). Its limit cycle is y = g
++ a s(φ) with a fixed shape s: harmonic k of s is harmonic k of f times 1 / (αβ − k² + iαk). Nothing is integrated.
 """
 
 from dataclasses import dataclass
@@ -23,10 +22,8 @@ from fastmimic.primitive.fixed_order import product, solve_positive_definite
 from fastmimic.primitive.samples import checked_samples
 
 N_BASIS: Final = 100
-ALPHA: Final = 25.0
-"""As in Ijspeert et al. 2013; critically damped with β = α/4."""
-RIDGE: Final = 1e-8
-"""Weight of the regularisation: it keeps w/αβ at the motion's size without loss of accuracy."""
+ALPHA: Final = 25.0  # as in Ijspeert et al. 2013; critically damped with β = α/4
+RIDGE: Final = 1e-8  # weight of the regularisation: keeps w/αβ at the motion's size without loss of accuracy
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +31,8 @@ class RhythmicDmp:
     """Rhythmic DMPs of `d` dimensions that share a phase.
 
     Attributes:
-        weights: (d, n_basis) weights w of the forcing term: the style, fixed once fitted.
-        centres: (d, n_basis) centres c of the basis functions, rad.
-        goal: (d,) baseline g: the mean over the cycle of the fitted motion.
+        weights, centres: (d, n_basis) weights w of the forcing term, and centres c of the basis functions, rad.
+        goal: (d,) baseline g, the mean of the fitted motion.
         period_s: T of the fitted motion, s.
         alpha: stiffness α of the filter, per radian of phase.
     """
@@ -58,16 +54,15 @@ class RhythmicDmp:
     ) -> "RhythmicDmp":
         """Fits one cycle by regularised least squares on the limit cycle itself.
 
-        The weights minimise mean (y − g − s)² + ridge · mean (w/αβ)², since s is linear in w. The usual regression on
-        f = y″ + αy′ + αβ(y − g) needs second derivatives of the samples, which corners at touch-down spoil. g is the
-        mean of the samples, and the mean of f is made zero, so that (g, a) are not redundant with w.
+        The weights minimise mean (y − g − s)² + ridge · mean (w/αβ)², since s is linear in w. The usual regression on f
+        = y″ + αy′ + αβ(y − g) needs second derivatives, which corners at touch-down spoil. g is the mean of the
+        samples, and the mean of f is made zero, so that (g, a) are not redundant with w.
 
         Args:
             samples: (t, d) one cycle, evenly spaced in [0, T).
             period_s: T, s.
             n_basis: basis functions per dimension.
             ridge: weight of the regularisation, without unit.
-            alpha: stiffness α.
 
         Raises:
             MotionError: fewer than 4 samples, or a value that is not finite.
@@ -91,7 +86,7 @@ class RhythmicDmp:
 
     @cached_property
     def widths(self) -> Array:
-        """(d, n_basis) widths h of the basis functions."""
+        """Widths h (d, n_basis) of the basis functions."""
         return basis_widths(self.centres)
 
     def forcing(self, phase: Array | float) -> Array:
@@ -122,7 +117,7 @@ class RhythmicDmp:
 
     @cached_property
     def _harmonics(self) -> NDArray[np.complex128]:
-        """Complex amplitudes (k, d) of s for k = 0, 1, …; those left out are below rounding."""
+        """Complex amplitudes (k, d) of s for k = 0, 1, …, down to rounding error."""
         columns = []
         for centres, dims in self._placements:
             phase = _fine_phases(centres)
@@ -136,15 +131,15 @@ class RhythmicDmp:
 
 
 def _distinct(centres: Array) -> list[tuple[Array, NDArray[np.intp]]]:
-    """The different rows of `centres` (d, n), each with the dimensions that have it."""
+    """The distinct rows of `centres` (d, n), each with its dimensions."""
     rows, group = np.unique(centres, axis=0, return_inverse=True)
     return [(row, np.flatnonzero(group.reshape(-1) == i)) for i, row in enumerate(rows)]
 
 
 def _fine_phases(centres: Array) -> Array:
-    """Evenly spaced phases (m,): the spectrum of the narrowest basis function dies out before m/2."""
+    """Evenly spaced phases (m,), fine enough that the spectrum of the narrowest basis function vanishes before m/2."""
     closest = float(np.min(np.diff(centres, append=centres[0] + 2 * np.pi)))
-    n = 64 * int(np.ceil(8 * np.pi / closest / 64))  # a good length for the Fourier transform
+    n = 64 * int(np.ceil(8 * np.pi / closest / 64))  # a good length for the FFT
     return 2 * np.pi * np.arange(n) / n
 
 
@@ -156,7 +151,7 @@ def _filtered(forcing: Array, alpha: float) -> NDArray[np.complex128]:
 
 
 def _least_squares(centres: Array, deviation: Array, ridge: float, alpha: float) -> Array:
-    """Weights (d, n) whose limit cycles come closest to `deviation` (t, d), samples minus their mean."""
+    """Weights (d, n) with limit cycles closest to `deviation` (t, d), the samples minus their mean."""
     t, n = len(deviation), len(centres)
     basis = normalised_basis(_fine_phases(centres), centres, basis_widths(centres))
     harmonics = _filtered(basis, alpha)
@@ -165,7 +160,7 @@ def _least_squares(centres: Array, deviation: Array, ridge: float, alpha: float)
     gain = alpha**2 / 4
     normal = product(response.T, response) / t + ridge / (n * gain**2) * np.eye(n)
     weights = solve_positive_definite(normal, product(response.T, deviation) / t).T
-    # the basis sums to one, so this shifts f by its mean and leaves its shape alone
+    # the basis sums to one, so this only removes the mean of f
     return weights - product(weights, basis.mean(axis=0)[:, None])
 
 

@@ -1,4 +1,4 @@
-"""Checks of the samples that a primitive is fitted to."""
+"""Checks the samples that a primitive is fitted to."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,12 +9,7 @@ LEAST_SAMPLES = 4
 
 
 def checked_samples(samples: NDArray[np.float64], what: str, **settings: float) -> NDArray[np.float64]:
-    """A copy of the samples, (t, d).
-
-    Args:
-        samples: (t, d).
-        what: their name in messages, such as "the cycle".
-        settings: of the fit; each must be positive.
+    """A copy of the samples (t, d); `what` names them in messages, and each of `settings` must be positive.
 
     Raises:
         MotionError: fewer than 4 samples, or a value that is not finite.

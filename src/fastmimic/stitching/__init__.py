@@ -1,1 +1,1 @@
-"""Joining motions to one."""
+"""Joins several motions into one."""

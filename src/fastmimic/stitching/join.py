@@ -1,9 +1,9 @@
-"""Stitching: cyclic robot motions one after another as one motion that does not repeat (paper, "Motion stitching").
+"""Stitching: cyclic motions one after another as one motion that does not repeat (paper, "Motion stitching").
 
-ξ₁ ⊕ ξ₂: each motion's retargeted cycle is repeated and laid end to end in the world. The legs pass from one schedule to
-the next at the phases that agree best (`switch`). The trunk's velocity, turn, height and tilt are blended within a
-bounded acceleration. Feet, trunk and joints of a transition are then made consistent as in retargeting (`transition`).
-Outside the transitions every sample is that of the retargeted cycle, moved in the plane.
+ξ₁ ⊕ ξ₂: the retargeted cycles are repeated and laid end to end in the world. The legs switch contact schedules at the
+phases that agree best (`switch`). The trunk's velocity, turn, height and tilt are blended within a bounded
+acceleration. Feet, trunk and joints of a transition are then made consistent as in retargeting (`transition`). Outside
+the transitions every sample is that of the retargeted cycle, moved in the plane.
 """
 
 from collections.abc import Sequence
@@ -27,15 +27,13 @@ from fastmimic.stitching.layout import Layout, Span, StitchedSegment
 from fastmimic.stitching.switch import Cycle, Switch, best_switch
 from fastmimic.stitching.transition import make_transition
 
-SEGMENT_S: Final = 3.0
-"""Default length of a segment, to whole cycles."""
+SEGMENT_S: Final = 3.0  # default length of a segment, rounded to whole cycles
 
 MAX_S: Final = 600.0
-"""Longest stitched motion."""
 
 
 def default_cycles(motion: Motion) -> int:
-    """Default number of cycles of a motion, for about `SEGMENT_S`."""
+    """Number of cycles that last about `SEGMENT_S`."""
     return max(1, round(SEGMENT_S / motion.period_s))
 
 
@@ -46,13 +44,12 @@ def stitch_motions(
     *,
     config: RetargetConfig | None = None,
 ) -> Motion:
-    """The demonstration of several cyclic motions, one after another.
+    """Joins several cyclic motions into one demonstration.
 
     Args:
-        robot: the robot.
-        motions: two or more demonstrations with a cycle, at one rate.
-        cycles: how often each is repeated; about `SEGMENT_S` each if None. A segment ends within 0.6 s and half a cycle
-            of its whole cycles, where it fits the next one best. The last one ends with its cycle.
+        motions: two or more cyclic demonstrations at one rate.
+        cycles: repetitions of each; about `SEGMENT_S` each if None. The last segment ends with its cycle, the others
+            within 0.6 s and half a cycle of it, where they fit the next one best.
         config: settings of feet, reach and balance in the transitions, at the A1's size.
 
     Returns:
@@ -61,8 +58,8 @@ def stitch_motions(
 
     Raises:
         ConfigError: fewer than two motions, cycles that are not one positive number for each, or more than `MAX_S`.
-        MotionError: a motion that does not repeat, is for another robot, or has another rate; a segment too short for
-            its transitions; a foot that never lifts off and would have to move.
+        MotionError: a motion that does not repeat, or is for another robot or rate; a segment too short for its
+            transitions; a foot that never lifts off and would have to move.
     """
     config = (config or RetargetConfig()).for_robot(robot)
     counts = _check(robot, motions, cycles)
@@ -184,7 +181,7 @@ def _layout(
 
 
 def _check_room(layout: Layout) -> None:
-    """Raises `MotionError` if a transition overlaps the one before it or an end."""
+    """Raises `MotionError` if a transition overlaps the previous one or an end."""
     over = 0
     for before, segment in pairwise(layout.segments):
         spans = [s for s in (segment.trunk, segment.rebuilt) if s is not None]
@@ -200,7 +197,7 @@ def _raise_too_short(name: str, cycles: int) -> None:
 
 
 def _samples(parts: Sequence[Motion], layout: Layout, track: TrunkTrack) -> dict[str, Any]:
-    """The arrays of the whole: each sample from the part of its segment, the root from the track."""
+    """Arrays of the whole: each sample from its segment's part, the root from the track."""
     n = layout.n
     out: dict[str, Any] = {
         "root_pos_w": np.column_stack([track.root_xy, track.root_z]),
@@ -225,8 +222,8 @@ def _samples(parts: Sequence[Motion], layout: Layout, track: TrunkTrack) -> dict
 def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[TrunkTrack, Array, NDArray[np.bool_]]:
     """The blended trunk, the feet's paths (n, 4, 3) under it (world; z above the ground) and the contacts (n, 4).
 
-    The trunk's planar path is the integral of the blended velocity in the heading frame, so that position, velocity and
-    acceleration are continuous.
+    The planar path integrates the blended velocity in the heading frame: position, velocity, acceleration are
+    continuous.
     """
     n, t = layout.n, np.arange(layout.n)
     trunk, feet = layout.trunk_weights(), layout.foot_weights()
@@ -270,15 +267,14 @@ def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[TrunkTrac
 def _pass_in_swing(
     feet: Array, span: Span, parts: Sequence[Motion], before: StitchedSegment, after: StitchedSegment, leg: int
 ) -> None:
-    """Blends one foot (n, 3), heading frame, in a swing from one motion to another. Both swings are stretched to its
-    duration."""
+    """Blends a swing (n, 3), heading frame, of two motions, each stretched to the duration of the blend."""
     t = np.arange(span.start, span.end)
     paths = []
     for segment, lifts in ((before, True), (after, False)):
         motion = parts[segment.part]
         local = (span.start if lifts else span.end) - segment.shift
         n, contact = motion.n_samples, motion.contact[:, leg]
-        away = np.arange(1, n)  # to the next touch-down, or back to the last sample of the stance before
+        away = np.arange(1, n)  # to the next touch-down, or back to the end of the last stance
         samples = int(np.argmax(contact[(local + away if lifts else local - away) % n])) + (1 if lifts else 0)
         at = local + samples * ((t - span.start) / (span.end - span.start) - (0 if lifts else 1))
         low = np.floor(at).astype(int)

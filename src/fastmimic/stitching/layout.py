@@ -13,31 +13,29 @@ from fastmimic.motion.motion import Motion
 
 @dataclass(frozen=True)
 class Span:
-    """Samples [start, end) of a blend; of a foot, a stance, or a swing if `stands` is False."""
+    """Samples [start, end) of a blend; for a foot, of a stance, or of a swing if `stands` is False."""
 
     start: int
     end: int
     stands: bool = True
 
     def smooth_step(self, sample: NDArray[np.int_]) -> Array:
-        """The blend (k,) at samples (k,): 0 before, 1 after, a polynomial with continuous second derivative between."""
+        """Blend weight (k,) at samples (k,): from 0 to 1 by a polynomial with continuous second derivative."""
         u = np.clip((sample - self.start) / max(self.end - self.start, 1), 0.0, 1.0)
         return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
 
 
 @dataclass(frozen=True)
 class StitchedSegment:
-    """One stretch of a stitched motion.
+    """One segment of a stitched motion.
 
     Attributes:
-        name: of its motion.
-        part: index into the motion's `parts`.
-        cycles: asked for.
+        name, part, cycles: of its motion: name, index into the whole's `parts`, and requested number of cycles.
         first, last: samples, last exclusive; neighbours meet in the middle of their transition.
         shift: sample t of the whole is sample (t − shift) mod n of the part.
         trunk: blend of the trunk into this segment; None for the first.
-        feet: (4) stances or swings in which each leg passes to it; None for the first.
-        rebuilt: samples of the transition, which are no part's own.
+        feet: (4) stances or swings in which each leg switches to it; None for the first.
+        rebuilt: samples of the transition, which belong to no part.
     """
 
     name: str
@@ -60,7 +58,8 @@ class Layout:
 
     @classmethod
     def of(cls, motion: Motion) -> "Layout":
-        """The layout of a stitched motion; raises `MotionError` for another motion, or if it does not fit."""
+        """The layout in a motion's `meta`; `MotionError` if the motion is not stitched or the layout does not fit
+        it."""
         found = motion.meta.get("stitch")
         if found is None:
             raise MotionError(f"motion '{motion.name}' is not a stitched one")
@@ -78,7 +77,7 @@ class Layout:
         return layout
 
     def as_meta(self) -> list[dict[str, Any]]:
-        """Plain JSON types for `of`."""
+        """JSON types for `of`."""
         return [asdict(s) for s in self.segments]
 
     def trunk_weights(self) -> Array:
@@ -95,7 +94,7 @@ class Layout:
 
 
 def _shares(steps: Array) -> Array:
-    """Each segment's own step less that to the next."""
+    """Each segment's own step minus that of the next."""
     return steps - np.concatenate([steps[1:], np.zeros_like(steps[:1])])
 
 

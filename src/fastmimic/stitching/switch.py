@@ -1,9 +1,8 @@
-"""Finds the phases at which one cyclic motion passes to another: where their feet agree best.
+"""Finds the phases at which one cyclic motion switches to another: where their feet agree best.
 
-Each leg passes within a stance, or within a swing: the last of the first motion and the first of the second become
-one. The merged one that lasts most nearly its usual time is chosen, so that no foot has to stand and swing at once.
-Between gaits of the same pairs these stances are as long as usual. From a pace to a trot some are longer and some
-shorter, by as little as the best phases allow.
+Each leg switches within a stance or a swing: the last of the first motion and the first of the second are merged. The
+phases that keep the merged durations nearest to the usual ones are chosen, so that no foot has to stand and swing at
+once. From a pace to a trot some stances become longer and others shorter, by as little as the best phases allow.
 """
 
 import math
@@ -21,19 +20,15 @@ from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.reach import Reach
 from fastmimic.stitching.layout import Span
 
-SEARCH_S: Final = 0.6
-"""Largest distance of a switch from whole cycles; half a cycle at most."""
+SEARCH_S: Final = 0.6  # largest distance of a switch from whole cycles, at most half a cycle
 MAX_ACCELERATION: Final = 1.4  # m/s², of the trunk's mean velocity within a transition
 MAX_TURN_ACCELERATION: Final = 6.0  # rad/s²
-_STEEPEST: Final = 1.875
-"""Slope of the smooth step at its middle."""
-_LEAST_STRIDES: Final = 0.5
-"""Shortest transition of the trunk, strides."""
+_STEEPEST: Final = 1.875  # slope of the smooth step at its middle
+_LEAST_STRIDES: Final = 0.5  # shortest transition of the trunk
 _STEP_S: Final = 0.02
 _FINER: Final = 5
 _LOOK_S: Final = 0.01
-_SHORTEST: Final = 0.5
-"""Shortest merged stance, share of its usual duration; for swings `_SHORTEST_SWING`."""
+_SHORTEST: Final = 0.5  # shortest merged stance, as a share of its usual duration; `_SHORTEST_SWING` for swings
 _SHORTEST_SWING: Final = 0.85
 _FORBIDDEN: Final = 100.0
 _OFF_CENTRE: Final = 0.3
@@ -42,8 +37,7 @@ _SPEED_CHANGE: Final = 0.1  # s²/m²
 _STRANGE_SUPPORT: Final = np.array([16.0, 8.0, 2.0, 0.0, 0.0])
 """Cost of a stride on 0, …, 4 feet in a combination that neither motion has."""
 _CANDIDATES: Final = 150
-_FOREVER: Final = 100
-"""Stance, in strides, of a foot that never lifts off."""
+_FOREVER: Final = 100  # strides of the stance of a foot that never lifts off
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +60,6 @@ class Cycle:
 
     @classmethod
     def of(cls, motion: Motion) -> "Cycle":
-        """Of a cyclic motion."""
         n = motion.n_samples
         stances = tuple(
             () if motion.contact[:, leg].all() else tuple(stances_of(motion.contact[:, leg], periodic=True))
@@ -83,7 +76,8 @@ class Cycle:
         return cls(n, stances, motion.contact, smooth, stride)
 
     def around(self, leg: int, phase: int, reach: int) -> list[Stance]:
-        """Stances of a leg within `reach` samples of a phase, relative to it; a very long one if it never lifts off."""
+        """Stances of a leg within `reach` samples of a phase, relative to it; one very long stance if it never lifts
+        off."""
         if not self.stances[leg]:
             return [Stance(-_FOREVER * reach, _FOREVER * reach)]
         found = []
@@ -101,8 +95,7 @@ class Switch:
     """A switch between two cyclic motions.
 
     Attributes:
-        out: sample of the first motion, not wrapped, at which they meet.
-        into: sample of the second at that moment.
+        out, into: sample of the first motion, not wrapped, and of the second, at which they meet.
         feet: the merged stances or swings relative to that moment.
         half: half the samples of the trunk's blend.
         cost: small where the motions agree well.
@@ -116,14 +109,9 @@ class Switch:
 
 
 def best_switch(a: Cycle, b: Cycle, out: int, rate_hz: float, reach: Reach, linger_s: float) -> Switch:
-    """The best switch from `a` to `b`, near sample `out` of `a` and the beginning of `b`.
+    """The best switch from `a`, near its unwrapped sample `out`, to the beginning of `b`.
 
-    Args:
-        a, b: the motions.
-        out: sample of `a`, not wrapped.
-        rate_hz: of the samples.
-        reach: of the legs; it limits the stances at the present speed.
-        linger_s: see `SwingPathConfig`.
+    `reach` limits the stances at the present speed; `linger_s` as in `SwingPathConfig`.
     """
     step = max(1, round(_STEP_S * rate_hz))
 
@@ -135,7 +123,7 @@ def best_switch(a: Cycle, b: Cycle, out: int, rate_hz: float, reach: Reach, ling
         return range(max(middle - step, -most + 1), min(middle + step, most) + 1, finer)
 
     found: tuple[int, Switch] | None = None
-    for _ in range(2):  # a grid, then a finer one about its best point
+    for _ in range(2):  # a coarse grid, then a fine one about its best point
         offset, into = (None, None) if found is None else (found[0], found[1].into)
         here = _best_of(a, b, out, about(a, offset), about(b, into), rate_hz, reach, linger_s)
         if found is None or here.cost < found[1].cost:
@@ -184,10 +172,10 @@ def _half_transition(change: Array, stride: float, rate_hz: float) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Passing:
-    """Travel of the trunk from one velocity (2,), m a sample, to another within ± `half` samples.
+    """The trunk's travel from one velocity (2,), m a sample, to another within ± `half` samples.
 
-    `sweep` is the distance, m, that a trunk can travel over a foot within the leg's reach. The foot is near its
-    foothold for `linger` samples before and after the stance.
+    `sweep` is the trunk's travel over a foot within the leg's reach, m. The foot stays near its foothold for `linger`
+    samples before and after the stance.
     """
 
     before: Array
@@ -205,7 +193,7 @@ class _Passing:
         )
 
     def excess(self, start: int, end: int, own: float) -> float:
-        """Share by which a stance exceeds the leg's reach, or `own`, the travel in its own motion, m."""
+        """Excess of a stance over the leg's reach, or over `own`, the travel in its own motion, m, as a share."""
         way = self.travel(start - self.linger, end + self.linger)
         return max(0.0, way / max(self.sweep, own) - 1.0)
 
@@ -257,7 +245,7 @@ def _merge_swings(before: list[Stance], after: list[Stance], stride: float) -> t
 
 
 def _supports(contact: NDArray[np.bool_]) -> set[int]:
-    """The combinations of standing feet in more than 2 % of a motion, as bits."""
+    """The sets of standing feet in more than 2 % of a motion, as bits."""
     code, count = np.unique(contact @ (1 << np.arange(4)), return_counts=True)
     return {int(c) for c, k in zip(code, count, strict=True) if k >= 0.02 * len(contact)}
 

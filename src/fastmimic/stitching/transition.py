@@ -1,4 +1,4 @@
-"""A transition between two stitched motions, made consistent: feet planted, trunk balanced, joints within limits."""
+"""Makes a transition between two motions consistent: feet planted, trunk balanced, joints within limits."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,10 +23,8 @@ from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout, Span
 from fastmimic.stitching.switch import Cycle
 
-_PAD: Final = 4
-"""Samples beyond the rebuilt ones, for derivatives."""
-_LOWERING_SHARE: Final = 0.3
-"""Share of a transition in which the trunk goes down, and in which it comes up again."""
+_PAD: Final = 4  # samples beyond the rebuilt ones, for derivatives
+_LOWERING_SHARE: Final = 0.3  # share of a transition in which the trunk is lowered, and in which it is raised again
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,19 +60,13 @@ def make_transition(
     reach: Reach,
     config: RetargetConfig,
 ) -> Transition:
-    """Rebuilds the samples between segment `index` − 1 and segment `index`.
+    """Rebuilds the samples between segments `index` − 1 and `index`.
 
     Args:
-        robot: geometry, limits, inertia.
-        layout: of the whole.
-        index: the segment that begins.
         track: the blended trunk of the whole.
         raw_w: (n, 4, 3) feet under it, world, m; z is the height of their centres.
         contact: (n, 4).
-        own: the cycles of the two.
-        rate_hz: of the samples.
-        reach: of the legs.
-        config: of the feet and the balance.
+        own: the cycles of the two motions.
 
     Raises:
         MotionError: a foot that never lifts off would have to move, or a segment is too short.
@@ -140,7 +132,7 @@ def _within_limits(
 ) -> tuple[TrunkTrack, Pose]:
     """Trunk and joints with the fewest samples beyond the joints' limits and speeds.
 
-    The swings of a leg that is beyond them are made more even. Then the trunk is lowered smoothly, step by step.
+    The swings of a leg beyond its limits are made more even; then the trunk is lowered smoothly in steps.
     """
     robot, config = consistency.robot, consistency.config
     limit = config.speed_share * robot.joint_speed_limit
@@ -217,7 +209,7 @@ def _plan(layout: Layout, index: int, contact: NDArray[np.bool_], own: tuple[Cyc
         begin, end = trunk.start, trunk.end
         if not feet[leg].stands:
             begin, end = min(begin, feet[leg].start), max(end, feet[leg].end)
-        if new:  # the swings before and after new footholds are new, too
+        if new:  # the swings before and after a new foothold are new, too
             begin = min(begin, stances[new[0] - 1].lift_off if new[0] > 0 else -1)
             end = max(end, stances[new[-1] + 1].touch_down if new[-1] + 1 < len(stances) else len(contact) + 1)
         if not lifts[0]:
@@ -248,7 +240,6 @@ def _plan(layout: Layout, index: int, contact: NDArray[np.bool_], own: tuple[Cyc
 def _measure(
     robot: Robot, motion: Motion, pose: Pose, before: TrunkTrack, after: TrunkTrack, plan: _Plan, rate_hz: float
 ) -> dict[str, Any]:
-    """Figures of a transition."""
     inner = slice(_PAD, motion.n_samples - _PAD)
     speed = np.abs(motion.joint_vel[inner]) / robot.joint_speed_limit
     acceleration = np.gradient(motion.root_lin_vel_w, motion.dt, axis=0)[inner]
