@@ -28,8 +28,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
 DEFAULT_S: Final = 10.0
-_MARGIN_S: Final = 30.0
-"""More than standing up, sitting down and damping take together."""
+_MARGIN_S: Final = 30.0  # more than standing up, sitting down and damping take
 FELL: Final = (StopReason.TILT, StopReason.HEIGHT)
 
 
@@ -40,13 +39,12 @@ class DeployOptions:
     Attributes:
         method, config, policy: as in `fastmimic.imitation.evaluate.evaluate`.
         solve_rate_hz: rate of the horizon planner, Hz; the control rate if None.
-        estimator: its parameters; the default ones if None.
-        cycles, duration_s, endless: number of cycles, duration of the motion, or until the operator ends it; at most
-            one of them. 10 s by default.
+        estimator: its parameters; the defaults if None.
+        cycles, duration_s, endless: when the motion ends; at most one of them. 10 s by default.
         limits: safety limits; `SafetyLimits.of` the robot if None.
-        dry_run: whether commands are computed and not sent.
+        dry_run: whether commands are computed but not sent.
         real_time: whether to request real-time scheduling and locked memory.
-        logged_s: longest time that the log holds, s; of a longer run the last part.
+        logged_s: longest time in the log, s; of a longer run the last part.
     """
 
     method: str | None = None
@@ -63,11 +61,7 @@ class DeployOptions:
     logged_s: float = 330.0
 
     def controller(self, motion: Motion) -> tuple[str, ControllerConfig]:
-        """The method's name and the controller's parameters for a motion.
-
-        Raises:
-            ConfigError: an unknown name, a policy without a use, or a rate that does not fit.
-        """
+        """The method's name and the controller's parameters; raises `ConfigError` for a bad name, policy or rate."""
         learned = self.policy is not None
         method, config = controller_for(motion, "rl" if learned and self.method is None else self.method, self.config)
         check_controller(method, learned)
@@ -106,13 +100,7 @@ class DeployOptions:
 
 @dataclass(frozen=True, eq=False)
 class Deployment:
-    """A deployment that has ended.
-
-    Attributes:
-        outcome: how it ended.
-        log: of all periods.
-        noted: in a dry run, the violations, a line for each kind.
-    """
+    """A finished deployment: how it ended, its log, and in a dry run one line per kind of violation."""
 
     outcome: LoopOutcome
     log: DeploymentLog
@@ -141,14 +129,14 @@ def deploy(
     """Makes a robot stand up, run a motion, and sit down.
 
     Args:
-        motion: a motion that repeats, or a stitched one, which runs once.
+        motion: a cyclic motion, or a stitched one, which runs once.
         robot: its model.
         driver: not yet open; it is closed at the end.
         options: see `DeployOptions`.
-        sequence: of this motion and controller, if it was made before.
+        sequence: of this motion and controller, if already made.
         clock: the computer's if None. A simulated robot must have the same.
         switch: the operator's stop; keys and signals if None.
-        on_ready: called when all is prepared and states arrive, before the first command; False cancels.
+        on_ready: called when states arrive, before the first command; False cancels.
         watch: called after each period with the state machine and its command.
         note: takes lines for the operator.
 
@@ -199,7 +187,7 @@ def deploy(
 
 
 def _periods_logged(sequence: MotionSequence, seconds: float, most_s: float, rate_hz: float) -> int:
-    """Rows of the log: for the whole run if it is not longer than `most_s`."""
+    """Rows of the log: the whole run, up to `most_s`."""
     around = sequence.blend_in.last + sequence.blend_out.last + sequence.motion.n_samples
     whole = around / rate_hz + _MARGIN_S + seconds
     return round(min(whole, most_s) * rate_hz)
@@ -241,7 +229,7 @@ def _result(
 
 
 def percentiles(values: NDArray[np.float64], unit: float) -> dict[str, float | None]:
-    """Median, 99th percentile and greatest value, multiplied by `unit`; None without values."""
+    """Median, 99th percentile and maximum, multiplied by `unit`; None without values."""
     if not len(values):
         return {"median": None, "p99": None, "max": None}
     median, p99 = np.percentile(values, (50, 99))

@@ -1,7 +1,6 @@
 """A robot's low-level interface: read its sensors, write its motors' commands.
 
-Each driver converts the vendor's units, order and signs. Everything above it has the project's units, frames and order
-of joints (`fastmimic.base.conventions`).
+Drivers convert the vendor's units, order and signs to the project's (`fastmimic.base.conventions`).
 """
 
 import time
@@ -16,10 +15,8 @@ from fastmimic.base.errors import DriverError
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 
-FIRST_STATE_S: Final = 3.0
-"""How long a driver waits for the first state."""
-ENCODER_ERROR: Final = 0.3
-"""How far beyond its range an encoder may show a joint, rad."""
+FIRST_STATE_S: Final = 3.0  # timeout of the first state
+ENCODER_ERROR: Final = 0.3  # rad; tolerance beyond a joint's range
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +26,7 @@ class StateMessage:
     Attributes:
         reading: (1,) of `fastmimic.estimation.reading.READING`; a copy.
         sequence: the robot's own count of its messages.
-        received: when it arrived, s on the clock of `time.perf_counter`.
+        received: arrival, s on the clock of `time.perf_counter`.
     """
 
     reading: NDArray[Any]
@@ -44,7 +41,7 @@ class Packets:
     Attributes:
         sent: commands written.
         received: states accepted.
-        lost: states missing between the sequence numbers of those that arrived.
+        lost: states missing between the sequence numbers received.
         rejected: states with a wrong checksum, duplicates, out of order, or not finite.
     """
 
@@ -57,14 +54,8 @@ class Packets:
 class RobotDriver:
     """Base of all drivers; a context manager that opens and closes the connection.
 
-    A driver implements `open`, `close`, `_newest`, `_wait` and `_send`.
-
-    Attributes:
-        packets: see `Packets`.
-
-    Errors:
-        `open` raises `DriverError` for whatever a user can correct: a missing extra, an unknown interface, another
-        robot, no state within `FIRST_STATE_S`.
+    A driver implements `open`, `close`, `_newest`, `_wait` and `_send`. `open` raises `DriverError` for whatever a user
+    can correct: a missing extra, an unknown interface, another robot, no state within `FIRST_STATE_S`.
     """
 
     packets: Packets
@@ -80,46 +71,40 @@ class RobotDriver:
         """
         Args:
             robot: the robot expected.
-            release: whether opening may make the robot's own software release the motors; without, it only listens.
-            say: takes lines on what happens while it opens.
-            timeout_s: how long to wait for the first state, s.
+            release: whether opening may release the motors from the robot's own software; otherwise it only listens.
+            say: takes lines on progress while it opens.
+            timeout_s: timeout of the first state, s.
         """
         self._robot, self._release, self._say, self._timeout_s = robot, release, say, timeout_s
         self.packets = Packets()
 
     def open(self) -> None:
-        """Connects, and waits for the first state. Sends no command."""
+        """Connects and waits for the first state. Sends no command."""
         raise NotImplementedError
 
     def close(self) -> None:
-        """Disconnects; sends nothing. Closing twice is allowed."""
+        """Disconnects; sends nothing. May be called twice."""
         raise NotImplementedError
 
     def read(self, timeout_s: float = 0.0) -> StateMessage | None:
-        """The newest state since the last call, or None if none arrives within `timeout_s`. States that fail the
-        checks of `Packets.rejected` are counted and never returned."""
+        """The newest acceptable state since the last call, or None after `timeout_s`. See `Packets.rejected`."""
         end = self._now() + timeout_s
         while (state := self._newest()) is None and (left := end - self._now()) > 0:
             self._wait(left)
         return state
 
     def write(self, command: NDArray[Any]) -> None:
-        """Sends (1,) of `fastmimic.robot.state.COMMAND` to the motors.
-
-        Raises:
-            DriverError: the command is not finite; nothing was sent.
-        """
+        """Sends (1,) of `fastmimic.robot.state.COMMAND` to the motors; raises `DriverError` if it is not finite."""
         if not np.isfinite(command.view(np.float64)).all():
             raise DriverError("a command that is not finite was not sent to the motors")
         if self._send(command):
             self.packets.sent += 1
 
     def _now(self) -> float:
-        """The present moment, s."""
         return time.perf_counter()
 
     def _newest(self) -> StateMessage | None:
-        """The newest state that has arrived since the last call and is accepted."""
+        """The newest acceptable state since the last call."""
         raise NotImplementedError
 
     def _wait(self, most_s: float) -> None:
@@ -127,7 +112,7 @@ class RobotDriver:
         raise NotImplementedError
 
     def _send(self, command: NDArray[Any]) -> bool:
-        """Sends a finite command; whether it left."""
+        """Sends a finite command; returns whether it left."""
         raise NotImplementedError
 
     def __enter__(self) -> Self:
@@ -139,19 +124,14 @@ class RobotDriver:
 
 
 def damping_command(damping: float = 3.0) -> NDArray[Any]:
-    """(1,) of `COMMAND`: no torque, no stiffness, `damping` N·m·s/rad on every joint: the robot sinks to the ground."""
+    """(1,) of `COMMAND`: `damping` N·m·s/rad on every joint and nothing else: the robot sinks to the ground."""
     command = np.zeros(1, COMMAND)
     command["damping"] = damping
     return command
 
 
 def implausible_joint(robot: Robot, joint_pos: NDArray[np.float64]) -> str:
-    """The message for a joint that is where this robot's cannot be; empty if all are plausible.
-
-    Args:
-        robot: the robot expected.
-        joint_pos: (12,) rad.
-    """
+    """A message if a joint, of (12,) rad, is outside the robot's range; empty if all are plausible."""
     off = np.maximum(robot.joint_lower - joint_pos, joint_pos - robot.joint_upper)
     j = int(np.argmax(off))
     if off[j] <= ENCODER_ERROR:

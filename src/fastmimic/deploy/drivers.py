@@ -12,7 +12,7 @@ WIRED: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "go2": ("fastmimic.deploy.go2.driver", "Go2Driver", ("interface", "domain")),
     "a1": ("fastmimic.deploy.a1.driver", "A1Driver", ()),
 }
-"""Drivers of the built-in robots of these names: module, class, and names of its own options."""
+"""Drivers of the built-in robots: module, class, and names of the driver's own options."""
 DRIVERS: Final = (*WIRED, SIM)
 
 
@@ -23,21 +23,14 @@ def check_driver(name: str) -> None:
 
 
 def robot_driven(driver: str) -> str | None:
-    """The built-in robot that a driver is for; None for any robot."""
+    """The built-in robot of a driver; None for any robot."""
     return driver if driver in WIRED else None
 
 
 def make_driver(driver: str, robot: Robot, **options: Any) -> RobotDriver:
-    """A driver of a real robot, not yet open.
+    """A driver (one of `WIRED`) of a real robot, not yet open; `options` are those of `RobotDriver` and its own.
 
-    Args:
-        driver: one of `WIRED`.
-        robot: the robot expected.
-        options: those of `RobotDriver`, and its own.
-
-    Raises:
-        ConfigError: an unknown option.
-        DriverError: a missing dependency.
+    Raises `ConfigError` for an unknown option, `DriverError` for a missing dependency.
     """
     module, name, own = WIRED[driver]
     unknown = next((option for option in options if option not in (*own, "release", "say", "timeout_s")), None)

@@ -8,18 +8,16 @@ import threading
 from types import FrameType
 from typing import Any, Final, Self
 
-EMERGENCY_KEYS: Final = " \r\nqQ"
-"""Damp at once; the robot sinks to the ground."""
-LEAVE_KEYS: Final = "sS"
-"""Blend out and sit down."""
+EMERGENCY_KEYS: Final = " \r\nqQ"  # damp at once: the robot sinks to the ground
+LEAVE_KEYS: Final = "sS"  # blend out and sit down
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
 class StopSwitch:
-    """Watches the terminal and the process's signals; a context manager.
+    """A context manager that watches the terminal and the process's signals.
 
-    While it is entered, SIGINT and SIGTERM are counted and do not end the program. Keys are read without Enter, if
-    standard input is a terminal.
+    Within it, SIGINT and SIGTERM are counted and do not end the program. Keys need no Enter if standard input is a
+    terminal.
 
     Attributes:
         signals: number of signals so far.
@@ -28,10 +26,7 @@ class StopSwitch:
     """
 
     def __init__(self, stream: Any = None) -> None:
-        """
-        Args:
-            stream: the terminal; standard input if None.
-        """
+        """Reads keys from `stream`; standard input if None."""
         self._stream = stream if stream is not None else sys.stdin
         self._file: int | None = None
         self._saved: Any = None
@@ -39,7 +34,7 @@ class StopSwitch:
         self.signals, self.key, self.leave = 0, False, False
 
     def poll(self) -> None:
-        """Reads the keys that were pressed; takes some microseconds."""
+        """Reads the pressed keys; takes some microseconds."""
         if self._file is None:
             return
         while select.select([self._file], [], [], 0.0)[0]:

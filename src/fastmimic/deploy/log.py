@@ -1,4 +1,4 @@
-"""The log of a deployment: a row for each period, in preallocated memory; and its file."""
+"""The log of a deployment, one row per period in preallocated memory, and its file."""
 
 import io
 import json
@@ -49,21 +49,16 @@ ROW: Final = np.dtype(
         ("qp_failures", "i8"),
     ]
 )
-"""One period: its start since the start of the run, and its delay; durations of reading, control and writing, and from
-the state's arrival to the command's departure; the state's age, sequence number, and whether it is new; the
-`DeploymentPhase`, whether it is in the motion itself, the reference's sample and origin; state, estimate and command,
-whether it was sent, and how many of its numbers were cut; stance legs, commanded ground reaction forces (heading frame,
-N), planning time, and the controller's counts."""
+"""One period: its start since the run's start, and its delay; durations of reading, control and writing, and from the
+state's arrival to the command's departure; the state's age, sequence number and novelty; the `DeploymentPhase`, whether
+in the motion itself, the reference's sample and origin; state, estimate, command, whether sent, and how many numbers
+were cut; stance legs, commanded ground reaction forces (heading frame, N), planning time and counts."""
 
 LOST_ROWS: Final = "the first {:.0f} s are not in the log, which holds the last {:.0f} s"
 
 
 class Recorder:
-    """Rows in preallocated memory; when it is full, the oldest are overwritten.
-
-    Attributes:
-        periods: number of periods recorded, overwritten ones included.
-    """
+    """Rows in preallocated memory; when it is full, the oldest are overwritten, but still counted in `periods`."""
 
     def __init__(self, capacity: int) -> None:
         self._rows = np.zeros(capacity, ROW)
@@ -86,13 +81,13 @@ class Recorder:
 
 @dataclass(frozen=True, eq=False)
 class DeploymentLog:
-    """A deployment that has ended.
+    """A finished deployment.
 
     Attributes:
         rows: (t,) of `ROW`.
         motion: the motion deployed.
         meta: `rate_hz`, `robot`, `motion`, `driver`, `method`, `result` and more, JSON-serialisable.
-        truth: (t,) of `OBSERVATION`, a simulated robot's true states at the states used; None of a real one.
+        truth: (t,) of `OBSERVATION`, a simulated robot's true states at the states used; None of a real robot.
     """
 
     rows: NDArray[Any]
@@ -102,14 +97,12 @@ class DeploymentLog:
 
     @property
     def rate_hz(self) -> float:
-        """Periods a second."""
         return float(self.meta["rate_hz"])
 
     def run_log(self) -> RunLog:
         """The part in the motion itself, for `fastmimic.identification.identify.identify`.
 
-        Raises:
-            DeploymentError: the robot did not reach the motion.
+        Raises `DeploymentError` if the robot did not reach the motion.
         """
         at = np.flatnonzero(self.rows["in_motion"])
         if len(at) < 2:
@@ -140,11 +133,7 @@ class DeploymentLog:
 
     @classmethod
     def load(cls, path: str | Path) -> "DeploymentLog":
-        """Reads what `save` wrote.
-
-        Raises:
-            DeploymentError: the file is missing, damaged, or not the log of a deployment.
-        """
+        """Reads what `save` wrote; raises `DeploymentError` for any other or a damaged file."""
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {key: file[key] for key in file.files}
@@ -167,7 +156,6 @@ class DeploymentLog:
 
 
 def is_deployment_log(path: str | Path) -> bool:
-    """Whether a file is the log of a deployment."""
     if Path(path).suffix != ".npz" or not Path(path).is_file():
         return False
     try:
@@ -178,7 +166,6 @@ def is_deployment_log(path: str | Path) -> bool:
 
 
 def _as_bytes(motion: Motion) -> bytes:
-    """The motion's file."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "motion.npz"
         motion.save(path)
@@ -186,7 +173,7 @@ def _as_bytes(motion: Motion) -> bytes:
 
 
 def columns(prefix: str, rows: NDArray[Any]) -> dict[str, Any]:
-    """A structured array's fields as plain arrays, those of nested records by both names joined."""
+    """A structured array's fields as plain arrays; nested fields join both names."""
     found: dict[str, Any] = {}
     for name in rows.dtype.names or ():
         column = rows[name]
@@ -198,7 +185,7 @@ def columns(prefix: str, rows: NDArray[Any]) -> dict[str, Any]:
 
 
 def from_columns(prefix: str, dtype: np.dtype[Any], arrays: Mapping[str, Any]) -> NDArray[Any]:
-    """The structured array (t,) that `columns` took apart; raises `KeyError` and `ValueError`."""
+    """The inverse of `columns`; raises `KeyError` and `ValueError`."""
     parts = {
         name: from_columns(f"{prefix}{name}_", dtype[name], arrays) if dtype[name].names else arrays[f"{prefix}{name}"]
         for name in dtype.names or ()

@@ -1,8 +1,8 @@
 """The driver of an A1 through `robot_interface`, the binding of Unitree's SDK that the published A1 code builds.
 
-Its interface, as fast_and_efficient and motion_imitation use it: `RobotInterface(0xff)` for low-level control,
-`receive_observation()` for the latest state, `send_command(60 numbers)` with (q, kp, dq, kd, tau) of each joint in
-turn. Legs come FR, FL, RR, RL, the quaternion w, x, y, z, angles and signs as in Unitree's description: the project's.
+Its interface, as in fast_and_efficient and motion_imitation: `RobotInterface(0xff)`, `receive_observation()`, and
+`send_command` of 60 numbers, (q, kp, dq, kd, tau) per joint. Order of legs, quaternion, angles and signs are the
+project's.
 """
 
 import importlib
@@ -18,8 +18,7 @@ from fastmimic.estimation.reading import READING
 
 MODULE: Final = "robot_interface"
 LOW_LEVEL: Final = 0xFF
-FOOT_N_PER_COUNT: Final = 1.0
-"""Scale of the pressure sensors in the feet. Assumed: the vendor gives no unit."""
+FOOT_N_PER_COUNT: Final = 1.0  # assumed: the vendor gives no unit of the foot sensors
 
 _FIELDS: Final = ("joint_pos", "stiffness", "joint_vel", "damping", "torque")
 _POLL_S: Final = 0.0002
@@ -29,20 +28,16 @@ _REQUEST_S: Final = 0.002
 class A1Driver(RobotDriver):
     """A `RobotDriver`.
 
-    The A1 answers whoever writes to it. Until the first state, `open` therefore writes commands without gains or
-    torque: they move nothing, but end the robot's damping mode. The SDK checks checksums and reports no lost states,
-    so `packets.lost` stays 0. With `release=False` it only listens, and may hear nothing.
+    The A1 answers only who writes to it: until the first state, `open` writes commands without gains or torque, which
+    end the robot's damping mode. With `release=False` it only listens and may hear nothing. The SDK checks checksums
+    and reports no lost states: `packets.lost` stays 0.
     """
 
     _interface: Any = None
     _sequence = -1
 
     def open(self) -> None:
-        """See `RobotDriver`; sends commands without gains or torque until the robot answers.
-
-        Raises:
-            DriverError: no binding, or another module of that name; no state; another robot.
-        """
+        """See `RobotDriver`; raises `DriverError` also without the binding, or for another module of that name."""
         interface = _binding()
         try:
             self._interface = interface(LOW_LEVEL)
@@ -57,7 +52,6 @@ class A1Driver(RobotDriver):
         self.packets = Packets()
 
     def close(self) -> None:
-        """See `RobotDriver`."""
         self._interface = None
 
     def _newest(self) -> StateMessage | None:
@@ -105,7 +99,6 @@ class A1Driver(RobotDriver):
 
 
 def _binding() -> Any:
-    """The binding's class."""
     where = (
         "build it from third_party/unitree_legged_sdk of github.com/yxyang/fast_and_efficient (cmake, make) and put"
         f" {MODULE}*.so on PYTHONPATH; see docs/wire.md"

@@ -1,12 +1,9 @@
-"""CycloneDDS through its C interface: messages of a fixed layout, by the names that robots know them by.
+"""CycloneDDS through its C interface, 0.10.2 and 11: messages are `ctypes.Structure`s in the order of the vendor's IDL.
 
-Why not through the library's Python binding: since version 11 it describes its types to every peer in a form that ends
-a process with CycloneDDS 0.10.2, which is what robots and Unitree's SDK run, with a segmentation fault; and it builds
-each message field by field in Python. The C interface may leave the description out, as DDS without the XTypes
-extension does: peers then match by the type's name. The library serialises straight from memory in C's layout, which
-is also what NumPy sees and what checksums are made over.
-
-A message is a `ctypes.Structure`, in the order of the vendor's IDL. Both 0.10.2 and 11 are supported.
+The library's Python binding is no alternative: from version 11 on it announces its types in a form that crashes peers
+with CycloneDDS 0.10.2 (robots, Unitree's SDK), and it builds messages field by field. Through C the announcement is
+left out, and peers match by the type's name. Messages are serialised from memory in C's layout, which NumPy and
+checksums use too.
 """
 
 from fastmimic.deploy.dds.domain import (

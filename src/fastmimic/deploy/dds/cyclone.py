@@ -66,7 +66,6 @@ _PROTOTYPES: Final[dict[str, tuple[Any, ...]]] = {
 
 @functools.cache
 def cyclone() -> ctypes.CDLL:
-    """The library of the package `cyclonedds`."""
     try:
         from cyclonedds.internal import CycloneDDSLoaderException, load_cyclonedds
     except ImportError:
@@ -85,14 +84,14 @@ def cyclone() -> ctypes.CDLL:
 
 
 def checked(code: int, what: str) -> int:
-    """The handle or count; raises `DriverError` for an error's code."""
+    """Returns the handle or count; raises `DriverError` for an error code."""
     if code < 0:
         raise DriverError(f"{what}: CycloneDDS reports '{cyclone().dds_strretcode(code).decode()}'")
     return code
 
 
 def loaned(reader: int, depth: int, structure: Any, convert: Callable[[Any], T]) -> list[T]:
-    """Takes messages in the library's memory, converts them, and hands the memory back."""
+    """Takes messages in the library's memory, converts them, and returns the memory."""
     dds = cyclone()
     pointers, infos = (ctypes.c_void_p * depth)(), (SampleInfo * depth)()
     taken = checked(dds.dds_take(reader, pointers, infos, depth, depth), "taking messages")

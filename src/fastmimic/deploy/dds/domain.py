@@ -10,10 +10,8 @@ from fastmimic.deploy.dds.cyclone import checked, cyclone, loaned
 from fastmimic.deploy.dds.types import Message, described
 
 LOOPBACK: Final = "lo"
-MAX_DOMAIN: Final = 230
-"""Above, the domain's UDP ports would exceed the range."""
-MAX_PARTICIPANTS: Final = 10
-"""Programs of one computer in a domain; 0.10.2 looks for no more."""
+MAX_DOMAIN: Final = 230  # above, the domain's UDP ports would exceed the range
+MAX_PARTICIPANTS: Final = 10  # per computer and domain; 0.10.2 looks for no more
 
 _NOT_NOW: Final = -4  # DDS_RETCODE_PRECONDITION_NOT_MET
 _PUBLICATIONS: Final = 0x7FFF0000 + 3  # the built-in topic of everybody's writers
@@ -33,8 +31,8 @@ class _Endpoint(ctypes.Structure):
 
 
 def configuration(interface: str) -> str:
-    """CycloneDDS's configuration for one network interface. Loopback has no multicast: peers on this computer are found
-    by their ports; elsewhere by multicast, as with Unitree's SDK."""
+    """CycloneDDS's configuration for a network interface: peers are found by their ports on loopback, else by
+    multicast."""
     general, discovery = f'<Interfaces><NetworkInterface name="{interface}"/></Interfaces>', ""
     if interface == LOOPBACK:
         general += "<AllowMulticast>false</AllowMulticast>"
@@ -81,7 +79,6 @@ def enter_domain(domain: int, interface: str) -> None:
 
 
 def _why_not(code: int, domain: int, interface: str) -> str:
-    """Why a domain cannot be opened."""
     if code == _NOT_NOW:
         return f"DDS domain {domain} has been opened by something else in this process"
     if interface == LOOPBACK and not any(_free(port) for port in _ports(domain)):
@@ -118,14 +115,9 @@ def leave_domain(domain: int) -> None:
 
 
 class Participant:
-    """A participant in a DDS domain. A context manager; not thread-safe.
+    """A participant in a DDS domain (0 … `MAX_DOMAIN`; robots are in 0). A context manager; not thread-safe.
 
-    Args:
-        domain: 0 … `MAX_DOMAIN`; robots are in 0.
-        interface: name of the network interface, such as `lo` or `eth0`.
-
-    Raises:
-        DriverError: no CycloneDDS, no such interface or domain, or no place left in it.
+    Raises `DriverError` without CycloneDDS, for an unknown interface or domain, or if the domain is full.
     """
 
     def __init__(self, domain: int, interface: str = LOOPBACK) -> None:
@@ -154,7 +146,7 @@ class Participant:
         return known[1]
 
     def publishers(self, topic: str) -> list[str]:
-        """The types of all known writers of a topic, ours included."""
+        """The types of all known writers of a topic, including our own."""
         dds = cyclone()
         reader = checked(dds.dds_create_reader(self._handle, _PUBLICATIONS, None, None), "the built-in topic")
         found = loaned(reader, 256, _Endpoint, lambda e: (e.topic_name.decode(), e.type_name.decode()))
@@ -163,11 +155,10 @@ class Participant:
 
     @property
     def handle(self) -> int:
-        """CycloneDDS's handle, for readers and writers."""
         return self._handle
 
     def close(self) -> None:
-        """Leaves the domain with all readers and writers; closing twice is allowed."""
+        """Leaves the domain with all readers and writers; may be called twice."""
         if self._handle > 0:
             cyclone().dds_delete(self._handle)
             self._handle = 0

@@ -20,7 +20,7 @@ _ANY_STATE: Final = 0x7F
 
 @contextmanager
 def _qos(reliable: bool, depth: int) -> Iterator[Any]:
-    """Quality of service for creating an entity, with CDR of version 1, as 0.10 writes."""
+    """Quality of service of an entity, with CDR version 1, as 0.10 writes."""
     dds = cyclone()
     qos = dds.dds_create_qos()
     dds.dds_qset_reliability(qos, _RELIABLE if reliable else _BEST_EFFORT, 0)
@@ -31,7 +31,7 @@ def _qos(reliable: bool, depth: int) -> Iterator[Any]:
 
 
 class Writer:
-    """Sends messages of one topic; reliable for readers that request it, as the vendor's, but never waits.
+    """Sends messages of one topic; reliable for readers that request it, but never waits.
 
     Attributes:
         message: the message that `write` sends.
@@ -53,25 +53,20 @@ class Writer:
         return bool(self._write(self._handle, self._address) == 0)
 
     def matched(self) -> int:
-        """The number of readers now."""
+        """The number of readers."""
         status = Matched()
         cyclone().dds_get_publication_matched_status(self._handle, ctypes.byref(status))
         return int(status.current)
 
 
 class Reader:
-    """Receives messages of one topic and a fixed size, into its own memory.
-
-    Args:
-        participant: of the domain.
-        topic: its name.
-        message: its type.
-        depth: number of messages queued until they are taken; older ones are lost.
+    """Receives messages of one topic and a fixed size, into its own memory; beyond `depth` in the queue the oldest are
+    lost.
 
     Attributes:
         samples: (depth,) NumPy structures; those of the last `take` come first.
         words: (depth, size / 4) the same memory as 32-bit words. Padding is zero.
-        valid: (depth,) whether it is a message, and not the notice that its writer has gone.
+        valid: (depth,) True for a message, False for the notice that its writer has gone.
         publication: (depth,) its writer.
     """
 
@@ -98,27 +93,27 @@ class Reader:
         self._arguments = (self._handle, ctypes.addressof(self._pointers), ctypes.addressof(self._infos), depth, depth)
 
     def take(self) -> int:
-        """Takes what has arrived, oldest first; returns how many entries of `samples` and `valid` it fills."""
+        """Takes what has arrived, oldest first; returns the number of entries of `samples` and `valid` filled."""
         return checked(self._take(*self._arguments), "taking messages")
 
     def wait(self, timeout_s: float) -> bool:
-        """Waits until something has arrived; False if nothing did in that time."""
+        """Waits for a message; returns whether one arrived."""
         return bool(checked(self._wait(self._waitset, None, 0, round(max(timeout_s, 0.0) * 1e9)), "waiting") > 0)
 
     def matched(self) -> int:
-        """The number of writers now."""
+        """The number of writers."""
         status = Matched()
         cyclone().dds_get_subscription_matched_status(self._handle, ctypes.byref(status))
         return int(status.current)
 
     def close(self) -> None:
-        """Stops listening, before its participant does."""
+        """Stops listening."""
         cyclone().dds_delete(self._waitset)
         cyclone().dds_delete(self._handle)
 
 
 class TextReader:
-    """Receives messages of one topic with strings or sequences, in the library's memory."""
+    """Receives messages with strings or sequences, in the library's memory."""
 
     def __init__(self, participant: Participant, topic: str, message: type[Message], depth: int = 16) -> None:
         self._participant, self._message, self._depth = participant, message, depth
@@ -127,5 +122,5 @@ class TextReader:
         self._handle = checked(handle, f"a reader of {topic}")
 
     def take(self, convert: Callable[[Any], T]) -> list[T]:
-        """The result of `convert` for each message that has arrived; the message is freed when it returns."""
+        """Applies `convert` to each message that has arrived; the message is freed afterwards."""
         return loaned(self._handle, self._depth, self._message, convert)

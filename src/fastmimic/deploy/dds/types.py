@@ -15,17 +15,13 @@ _CODES: Final = {
     ctypes.c_int64: (4, 8),
     ctypes.c_char_p: (5, 0),
 }
-"""Type codes and flags (signed 8, floating point 4) in a type's program; dds/ddsc/dds_opcodes.h."""
+"""Type codes and flags (signed 8, floating point 4); dds/ddsc/dds_opcodes.h."""
 _ADR, _SEQUENCE, _ARRAY, _END = 1 << 24, 7 << 16, 8 << 16, 0
 _FIXED_SIZE: Final = 1 << 4
 
 
 class Message(ctypes.Structure):
-    """A DDS type.
-
-    Attributes:
-        typename: the name by which peers match it.
-    """
+    """A DDS type; peers match it by `typename`."""
 
     typename: ClassVar[str] = ""
 
@@ -58,9 +54,9 @@ _MEMBER: Final = re.compile(r"(\w[\w<> ]*?)\s+(\w+)(?:\[(\d+)\])?;")
 
 
 def messages_of(idl: str) -> dict[str, Any]:
-    """The structures that an IDL defines, as `Message` classes by their full names.
+    """The structures of an IDL, as `Message` classes by their full names.
 
-    Modules, structures, comments, the types of `_IDL_TYPES` and arrays of one dimension are understood.
+    It may contain modules, structures, comments, the types of `_IDL_TYPES` and arrays of one dimension.
     """
     found: dict[str, Any] = {}
     known, modules = dict(_IDL_TYPES), []
@@ -79,12 +75,7 @@ def messages_of(idl: str) -> dict[str, Any]:
 
 
 def program(message: Any, offset: int = 0) -> list[int]:
-    """CycloneDDS's instructions to serialise a structure; nested ones are unrolled.
-
-    Args:
-        message: a subclass of `ctypes.Structure`.
-        offset: of its first byte, in bytes.
-    """
+    """CycloneDDS's instructions to serialise a structure, at an offset in bytes; nested structures are unrolled."""
     instructions: list[int] = []
     for name, kind in message._fields_:
         at = offset + getattr(message, name).offset
@@ -106,7 +97,7 @@ def program(message: Any, offset: int = 0) -> list[int]:
 
 
 def fixed_size(message: Any) -> bool:
-    """Whether it has neither a string nor a sequence."""
+    """Whether the message has neither strings nor sequences."""
     kinds = [getattr(kind, "_type_", kind) if hasattr(kind, "_length_") else kind for _, kind in message._fields_]
     nested = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, ctypes.Structure)]
     return ctypes.c_char_p not in kinds and Octets not in nested and all(fixed_size(kind) for kind in nested)
@@ -117,7 +108,7 @@ class _Blob(ctypes.Structure):
 
 
 class _Descriptor(ctypes.Structure):
-    """dds_topic_descriptor_t, the same in 0.10 and 11. Without a description of the type for peers."""
+    """dds_topic_descriptor_t of 0.10 and 11, without a description of the type for peers."""
 
     _fields_ = [
         ("size", ctypes.c_uint32),
@@ -136,7 +127,7 @@ class _Descriptor(ctypes.Structure):
 
 
 def described(message: type[Message]) -> tuple[_Descriptor, Any]:
-    """The descriptor from which a topic is created, and the memory that it refers to."""
+    """The descriptor of a topic's type, and the memory that it refers to."""
     instructions = [*program(message), _END]
     array = (ctypes.c_uint32 * len(instructions))(*instructions)
     descriptor = _Descriptor(

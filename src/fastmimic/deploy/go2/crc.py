@@ -1,5 +1,4 @@
-"""Unitree's checksum: CRC-32 with polynomial 0x04c11db7 over 32-bit words, the most significant bit of each first,
-from 0xffffffff, neither reflected nor inverted at the end (CRC-32/MPEG-2 over big-endian words)."""
+"""Unitree's checksum: CRC-32/MPEG-2 (polynomial 0x04c11db7, from 0xffffffff) over big-endian 32-bit words."""
 
 from typing import Final
 
@@ -20,7 +19,6 @@ def _table() -> NDArray[np.int64]:
 
 
 TABLE: Final = _table()
-"""What a byte does to the register, for each byte."""
 
 
 @kernel
@@ -35,9 +33,6 @@ def checksum(words: NDArray[np.uint32], count: int, table: NDArray[np.int64]) ->
 
 
 def crc32(words: NDArray[np.uint32]) -> int:
-    """The checksum of a message: of all its words but the last, where it is kept.
-
-    Args:
-        words: (n,) the message in C's layout, padding zero, as little-endian words.
-    """
+    """The checksum of a message (n,) in C's layout, as little-endian words; the last word, its own place, is left
+    out."""
     return int(checksum(words, len(words) - 1, TABLE))

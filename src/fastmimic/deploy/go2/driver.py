@@ -23,11 +23,11 @@ _LYING: Final = 0.6  # share of the height in the home pose
 
 
 class Go2Driver(RobotDriver):
-    """A `RobotDriver`. With `release`, a motion service that is active lies the robot down and releases the motors.
+    """A `RobotDriver`. With `release`, an active motion service lies the robot down and releases the motors.
 
-    It rejects states with a wrong checksum, without an orientation, from another publisher than the first, not finite,
-    or with a tick not above the last one's. Two kinds of simulators are tolerated: checksums that are 0 in the first
-    states (unitree_mujoco in Python) are not checked afterwards, and ticks that are 0 are replaced by a count.
+    It rejects states with a wrong checksum, without an orientation, from a second publisher, not finite, or with a tick
+    not above the last one. For simulators it ignores checksums if the first are 0 (unitree_mujoco in Python), and
+    replaces ticks of 0 by a count.
 
     Attributes:
         packets: see `Packets`. `lost` follows from ticks of 1 ms and states at 500 Hz.
@@ -48,11 +48,7 @@ class Go2Driver(RobotDriver):
         self._participant: Participant | None = None
 
     def open(self) -> None:
-        """Connects, has the motion service release the motors, and waits for the first states. Sends no command.
-
-        Raises:
-            DriverError: see `RobotDriver`; two robots in one domain; or another program that commands this one.
-        """
+        """See `RobotDriver`; raises `DriverError` also for two robots in the domain or another commanding program."""
         participant = self._participant = Participant(self._domain, self._interface)
         try:
             self._reader = Reader(participant, messages.LOW_STATE_TOPIC, messages.LowState, _DEPTH)
@@ -75,7 +71,6 @@ class Go2Driver(RobotDriver):
             raise
 
     def close(self) -> None:
-        """See `RobotDriver`."""
         if self._participant is not None:
             self._participant.close()
             self._participant = None
@@ -112,7 +107,7 @@ class Go2Driver(RobotDriver):
         return self._writer.write()
 
     def _await_states(self, participant: Participant) -> None:
-        """Waits for the first states, and checks who publishes them."""
+        """Waits for the first states and checks their publisher."""
         end = time.monotonic() + self._timeout_s
         seen: list[Received] = []
         reading, problem, publishers = np.zeros(1, READING), "", set()

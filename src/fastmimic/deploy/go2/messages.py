@@ -1,9 +1,9 @@
 """The Go2's low-level messages in C's layout, converted to and from the project's units.
 
 Fields are those of Unitree's IDL, in `unitree.idl`; a quadruped uses the first 12 of the 20 motors. CDR's alignment
-differs from C's between nested structures; the checksum covers C's layout with its padding. Joints come FR, FL, RR, RL
-and abduction (Unitree: hip), hip (thigh), knee (calf), with the axes of Unitree's description (x, y, y): the project's
-order and signs. The quaternion is w, x, y, z, body → world; the IMU's axes are the body's.
+differs from C's between nested structures; the checksum covers C's layout with its padding. Joints (FR, FL, RR, RL;
+hip, thigh, calf), their signs and the quaternion (w, x, y, z; body → world) are the project's; the IMU's axes are the
+body's.
 """
 
 import math
@@ -20,20 +20,13 @@ from fastmimic.deploy.go2.crc import TABLE, checksum, crc32
 LOW_COMMAND_TOPIC: Final = "rt/lowcmd"
 LOW_STATE_TOPIC: Final = "rt/lowstate"
 HEAD: Final = (0xFE, 0xEF)
-LOW_LEVEL: Final = 0xFF
-"""The level flag of commands to the motors."""
-SERVO: Final = 0x01
-"""The motor's mode in which it follows commands; 0 switches it off."""
-STOP_POSITION: Final = 2.146e9
-"""A position that means none: the stiffness does not act."""
-STOP_VELOCITY: Final = 16000.0
-"""A velocity that means none: the damping does not act."""
-RATE_HZ: Final = 500.0
-"""Rate of states and commands."""
-TICKS_PER_STATE: Final = 2
-"""The state's tick counts milliseconds."""
-FOOT_COUNTS_PER_N: Final = 1.0
-"""Scale of the pressure sensors in the feet. Assumed: the vendor gives no unit."""
+LOW_LEVEL: Final = 0xFF  # the level flag of commands to the motors
+SERVO: Final = 0x01  # the motor follows commands; 0 switches it off
+STOP_POSITION: Final = 2.146e9  # no position: the stiffness does not act
+STOP_VELOCITY: Final = 16000.0  # no velocity: the damping does not act
+RATE_HZ: Final = 500.0  # of states and commands
+TICKS_PER_STATE: Final = 2  # a tick is 1 ms
+FOOT_COUNTS_PER_N: Final = 1.0  # assumed: the vendor gives no unit of the foot sensors
 
 _TYPES: Final = messages_of(Path(__file__).with_name("unitree.idl").read_text(encoding="utf-8"))
 LowCommand: Final = _TYPES["unitree_go::msg::dds_::LowCmd_"]
@@ -43,11 +36,7 @@ Response: Final = _TYPES["unitree_api::msg::dds_::Response_"]
 
 
 class CommandWire:
-    """A command message in memory, between the project's units and the wire's.
-
-    Args:
-        record: (n,) NumPy structures of `LowCommand`; of the first if it is to be written.
-    """
+    """Converts command messages, `record` (n,) of `LowCommand`, in memory; writes only the first."""
 
     def __init__(self, record: NDArray[Any]) -> None:
         self.record = record
@@ -72,7 +61,7 @@ class CommandWire:
         self._words[0, -1] = crc32(self._words[0])
 
     def intact(self, i: int) -> bool:
-        """Whether message i has its head, its level and its checksum, and is finite."""
+        """Whether message i has the right head, level and checksum, and is finite."""
         record = self.record[i]
         return (
             tuple(record["head"]) == HEAD
@@ -82,7 +71,7 @@ class CommandWire:
         )
 
     def read(self, i: int, command: NDArray[Any]) -> None:
-        """Puts message i into (1,) of `COMMAND`; a position or velocity that means none gets no gain."""
+        """Puts message i into (1,) of `COMMAND`; without a position or velocity the gain is 0."""
         for name, wire in self._fields:
             command[name][0] = wire[i]
         command["stiffness"][command["joint_pos"] >= STOP_POSITION / 2] = 0.0
@@ -94,11 +83,7 @@ class CommandWire:
 
 
 class StateWire:
-    """State messages in memory, between the project's units and the wire's.
-
-    Args:
-        record: (n,) NumPy structures of `LowState`; of the first if it is to be written.
-    """
+    """Converts state messages, `record` (n,) of `LowState`, in memory; writes only the first."""
 
     def __init__(self, record: NDArray[Any]) -> None:
         self.record = record
@@ -118,7 +103,7 @@ class StateWire:
         )
 
     def clear(self) -> None:
-        """Sets the fields that are not used here to a healthy robot's values."""
+        """Sets the unused fields to a healthy robot's values."""
         self.record[...] = np.zeros((), self.record.dtype)
         self.record["head"] = HEAD
         self.record["level_flag"] = LOW_LEVEL
@@ -150,8 +135,8 @@ class Received(NamedTuple):
     """What the checks of a state message need.
 
     Attributes:
-        checksum, expected: the checksum that it carries, and the one that it should.
-        sound: whether it is finite, and its quaternion one.
+        checksum, expected: the checksum in the message and the right one.
+        sound: whether it is finite, with a valid quaternion.
         tick: ms.
     """
 
@@ -162,8 +147,8 @@ class Received(NamedTuple):
 
 
 def _state_words() -> NDArray[np.int64]:
-    """Offsets in a state message, in words of 4 bytes: quaternion, gyroscope, accelerometer; the first motor's q, dq
-    and tau_est; from there to the next motor's; foot forces; tick."""
+    """Word offsets: quaternion, gyroscope, accelerometer; first motor's q, dq, tau_est; motor stride; foot forces;
+    tick."""
     state = np.dtype(LowState)
     imu, motors = state["imu_state"], state["motor_state"].base
     at = {name: state.fields[name][1] for name in ("imu_state", "motor_state", "foot_force", "tick")}

@@ -1,7 +1,4 @@
-"""A Go2's own services: requests and answers over DDS, and releasing its motion service.
-
-A service S listens on rt/api/S/request and answers on rt/api/S/response; parameters and results are JSON.
-"""
+"""A Go2's services over DDS (JSON on rt/api/SERVICE/request and …/response), and releasing its motion service."""
 
 import json
 import time
@@ -20,8 +17,7 @@ SPORT: Final = "sport"
 STAND_UP: Final = 1004
 STAND_DOWN: Final = 1005
 
-NOT_IMPLEMENTED: Final = 3203
-"""The code of an answer to an unknown request."""
+NOT_IMPLEMENTED: Final = 3203  # code of the answer to an unknown request
 
 FIND_S: Final = 1.0  # for a service on this computer to be found
 FIND_FAR_S: Final = 5.0  # for one on another
@@ -32,15 +28,13 @@ RELEASE_S: Final = 10.0
 
 
 class Answer(NamedTuple):
-    """A service's answer: 0 or an error code, and the result."""
+    """An error code, 0 for none, and the result."""
 
     code: int
     data: dict[str, Any]
 
 
 class ServiceClient:
-    """A client of one service of a robot."""
-
     def __init__(self, participant: Participant, service: str) -> None:
         self._service = service
         self._requests = Writer(participant, f"rt/api/{service}/request", Request)
@@ -74,13 +68,7 @@ class ServiceClient:
 
 
 class ServiceServer:
-    """Answers requests to one service: for the simulated robot.
-
-    Args:
-        participant: in the robot's domain.
-        service: its name.
-        handlers: by api id; each returns the result, None for an empty one.
-    """
+    """The simulated robot's side of a service; each handler, by api id, returns its result, None for an empty one."""
 
     def __init__(self, participant: Participant, service: str, handlers: dict[int, Callable[[], Any]]) -> None:
         self._handlers = handlers
@@ -106,15 +94,13 @@ def release_motion_service(
     Args:
         participant: in the robot's domain.
         lies: whether the robot lies now.
-        say: takes lines on what happens.
+        say: takes lines on progress.
 
     Returns:
-        The mode that was released; None if none was active, or on this computer without such a service: a simulator
-        may lack it.
+        The mode released; None if none was active, or for a simulator on this computer without such a service.
 
     Raises:
-        DriverError: a robot on another computer without such a service; or a service that does not answer, does not
-            lie the robot down, or does not release the motors.
+        DriverError: a robot without such a service, or one that does not answer, lie down or release the motors.
     """
     switcher = ServiceClient(participant, MOTION_SWITCHER)
     here = participant.interface == LOOPBACK
