@@ -9,12 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final, Protocol
 
-SPIN_S: Final = 0.0005
-"""How long before a deadline the loop polls the clock: a sleep ends late by as much."""
-SHORT_SPIN_S: Final = 0.0001
-"""The same with real-time scheduling, where sleeps end in time and Linux throttles what never sleeps."""
-PRIORITY: Final = 60
-"""In `SCHED_FIFO`: above all processes that are not real-time, below the kernel's threads."""
+SPIN_S: Final = 0.0005  # before a deadline the loop polls the clock: a sleep ends this late
+SHORT_SPIN_S: Final = 0.0001  # with real-time scheduling: sleeps end in time, and Linux throttles polling
+PRIORITY: Final = 60  # in `SCHED_FIFO`: below the kernel's threads
 _MCL_CURRENT_AND_FUTURE: Final = 3
 
 
@@ -45,12 +42,11 @@ class RealClock:
 
 
 def real_clock(real_time: bool) -> RealClock:
-    """A real clock, with or without real-time scheduling."""
     return RealClock(SHORT_SPIN_S if real_time else SPIN_S)
 
 
 class VirtualClock:
-    """A clock on which only sleeping takes time: loop and simulated robot run in lock step, as fast as possible."""
+    """A clock that advances only by sleeping: loop and simulated robot run in lock step, as fast as possible."""
 
     def __init__(self) -> None:
         self.time_s = 0.0
@@ -64,13 +60,9 @@ class VirtualClock:
 
 @contextmanager
 def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
-    """Disables Python's garbage collector for a while, and requests real-time scheduling and locked memory.
+    """Disables Python's garbage collector; `real_time` requests real-time scheduling and locked memory.
 
-    Args:
-        real_time: whether to request real-time scheduling and locked memory.
-
-    Yields:
-        A sentence for each request that was refused.
+    Yields a sentence for each request refused.
     """
     refused: list[str] = []
     gc.collect()
@@ -88,11 +80,8 @@ def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
 
 
 def _ask_for_real_time(refused: list[str]) -> dict[int, tuple[int, int]]:
-    """Requests real-time scheduling of all threads, since the driver's receive the states, and locked memory.
-
-    Returns:
-        The former scheduler and priority of each thread.
-    """
+    """Requests real-time scheduling of all threads and locked memory; returns each thread's former scheduler and
+    priority."""
     if not hasattr(os, "sched_setscheduler"):
         refused.append("this system has no real-time scheduler")
         return {}
@@ -117,7 +106,7 @@ def _ask_for_real_time(refused: list[str]) -> dict[int, tuple[int, int]]:
 
 
 def _restore(before: dict[int, tuple[int, int]]) -> None:
-    """Restores the scheduling of the threads that still exist."""
+    """Restores the scheduling of the remaining threads."""
     for thread, (policy, priority) in before.items():
         with contextlib.suppress(OSError):
             os.sched_setscheduler(thread, policy, os.sched_param(priority))
@@ -126,7 +115,7 @@ def _restore(before: dict[int, tuple[int, int]]) -> None:
 
 
 def _threads() -> list[int]:
-    """The threads of this process; 0 is the calling one where they cannot be listed."""
+    """The threads of this process; 0, the calling thread, where they cannot be listed."""
     try:
         return [int(name) for name in os.listdir("/proc/self/task")]
     except OSError:

@@ -14,8 +14,7 @@ from fastmimic.deploy.loop_clock import LoopClock
 from fastmimic.deploy.safety import StopReason, Violation
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 
-_AT_ONCE: Final = 2
-"""Number of signals that end the damping early."""
+_AT_ONCE: Final = 2  # signals that end the damping early
 
 
 class CalledOffError(DriverError):
@@ -24,12 +23,8 @@ class CalledOffError(DriverError):
 
 @dataclass(frozen=True)
 class EndCondition:
-    """When the motion ends.
-
-    Attributes:
-        cycles: after so many complete cycles; None for no such end.
-        steps: after so many control steps in the motion; None for no such end.
-    """
+    """When the motion ends: after a number of complete cycles, or of control steps in the motion; None for no such
+    end."""
 
     cycles: int | None = None
     steps: int | None = None
@@ -51,7 +46,7 @@ class LoopOutcome:
         stopped_by: the reason.
         text: a line on what was not planned; else empty.
         phase: the phase in which it stopped.
-        deadline_misses: periods that sent their command after their end.
+        deadline_misses: periods that sent their command too late.
         skipped: periods left out because an earlier one took too long.
         packets: messages since the first period.
     """
@@ -65,7 +60,7 @@ class LoopOutcome:
 
 
 class Loop:
-    """One run. Nothing is sent to the robot before `run`; after it the robot is damped or limp."""
+    """One run. Nothing is sent before `run`; afterwards the robot is damped or limp."""
 
     def __init__(
         self,
@@ -100,10 +95,7 @@ class Loop:
         self._misses = self._skipped = 0
 
     def run(self, on_ready: Callable[[], bool] | None = None) -> LoopOutcome:
-        """Runs until the robot lies again.
-
-        Args:
-            on_ready: called when all is prepared; False cancels.
+        """Runs until the robot lies again; `on_ready` is called when all is prepared, and cancels by returning False.
 
         Raises:
             CalledOffError: cancelled, or stopped before anything was sent.
@@ -136,7 +128,6 @@ class Loop:
         self._recorder.periods = 0
 
     def _begin(self) -> None:
-        """Begins with the newest state."""
         self._state = self._driver.read(FIRST_STATE_S)
         if self._state is None:
             raise DriverError(f"the robot's states stopped: none for {FIRST_STATE_S:g} s")
@@ -167,7 +158,7 @@ class Loop:
         return LoopOutcome(reason, text, phase, self._misses, self._skipped, packets)
 
     def _wait(self) -> None:
-        """Waits for the next period; skips those that are already over."""
+        """Waits for the next period; skips those already over."""
         self._clock.sleep_until(self._deadline)
         self._began = self._clock.now()
         self._late = self._began - self._deadline
@@ -248,7 +239,6 @@ class Loop:
         row["early_touchdowns"], row["qp_failures"] = memory["early_touchdowns"], memory["qp_failures"]
 
     def _end(self, violation: Violation) -> LoopOutcome:
-        """Damps the robot for a while."""
         phase = self._machine.phase
         try:
             for _ in range(max(1, round(self._guard.limits.damping_s / self._dt))):

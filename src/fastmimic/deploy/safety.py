@@ -44,7 +44,7 @@ class StopReason(Enum):
 
 @dataclass(frozen=True)
 class Violation:
-    """What ended a deployment early: the reason, and a line with the value found and the limit."""
+    """The reason of an early end, and a line with the value and its limit."""
 
     reason: StopReason
     text: str
@@ -97,14 +97,8 @@ def _tilt(quat: Any, reference: Any) -> float:
 
 @kernel
 def _check_state(limits: Any, readings: Any, table: Any, clock: Any, strained: Any) -> tuple[int, int, float, float]:
-    """What is wrong with a state, as (check, joint, value, limit).
-
-    Args:
-        limits: (1,) of `_LIMITS`.
-        readings: (1,) of `READING`.
-        table, clock: (t,) of `SAMPLE` and (1,) of `CLOCK`, where the reference is.
-        strained: (12,) how long each motor has been near its limit, s; changed.
-    """
+    """A state's violation as (check, joint, value, limit); `strained` (12,), s near the limit of each motor, is
+    changed."""
     limit, reading = limits[0], readings[0]
     if not _finite(reading):
         return _NOT_FINITE, 0, 0.0, 0.0
@@ -132,7 +126,7 @@ def _check_state(limits: Any, readings: Any, table: Any, clock: Any, strained: A
 
 @kernel
 def _check_estimate(limits: Any, observations: Any, table: Any, clock: Any) -> tuple[int, float, float, float]:
-    """What is wrong with an estimate, as (check, height, least, greatest); arguments as above."""
+    """An estimate's violation as (check, height, least, greatest)."""
     observation, height = observations[0], table[clock[0].sample].root_pos[2]
     total = 0.0
     for k in range(3):
@@ -171,11 +165,7 @@ def _cut_command(records: Any, commands: Any) -> int:
 
 
 class Guard:
-    """Checks states and commands of one robot against the limits.
-
-    Attributes:
-        cut: how many numbers of the last command were cut to the limits.
-    """
+    """Checks states and commands of one robot against the limits; `cut` counts the numbers cut in the last command."""
 
     def __init__(self, robot: Robot, limits: SafetyLimits, rate_hz: float) -> None:
         self.limits = limits
@@ -191,7 +181,6 @@ class Guard:
         self.cut = 0
 
     def reset(self) -> None:
-        """Clears how long motors have been near their limits."""
         self._strained[:] = 0.0
 
     def check_age(self, age_s: float) -> Violation | None:
@@ -211,13 +200,8 @@ class Guard:
     def check_state(
         self, reading: NDArray[Any], table: NDArray[Any] | None = None, clock: NDArray[Any] | None = None
     ) -> Violation | None:
-        """Checks a state.
-
-        Args:
-            reading: (1,) of `READING`.
-            table: (t,) of `SAMPLE`, the reference for the trunk's tilt; None for upright.
-            clock: (1,) of `CLOCK`, the reference's sample.
-        """
+        """Checks a state (1,) of `READING`, its tilt against the reference: `table` (t,) of `SAMPLE`, None for upright,
+        at `clock` (1,) of `CLOCK`."""
         followed = table if table is not None else self._upright
         at = clock if clock is not None else self._still
         what, joint, value, limit = _check_state(self._record, reading, followed, at, self._strained)
@@ -234,7 +218,7 @@ class Guard:
         return self._found(reason, f"{JOINT_NAMES[joint]}: {name} {value:.2f} {unit}, beyond {limit:.2f} {unit}{took}")
 
     def check_estimate(self, observation: NDArray[Any], table: NDArray[Any], clock: NDArray[Any]) -> Violation | None:
-        """Checks the controller's input, (1,) of `OBSERVATION`, against the reference as above."""
+        """Checks the controller's input, (1,) of `OBSERVATION`, against the reference."""
         what, height, least, most = _check_estimate(self._record, observation, table, clock)
         if what == _FINE:
             return None
@@ -251,7 +235,7 @@ class Guard:
         return self._found(StopReason.QP_FAILURE, text)
 
     def check_posture(self, reading: NDArray[Any], target: NDArray[np.float64]) -> Violation | None:
-        """Checks that the joints of a state are near a posture (12,), rad."""
+        """Checks that the joints are near a posture (12,), rad."""
         error = np.abs(reading["joint_pos"][0] - target)
         joint = int(np.argmax(error))
         if error[joint] <= self.limits.posture:
@@ -271,11 +255,7 @@ class Guard:
 
 
 class DryRunGuard(Guard):
-    """Notes violations without stopping: in a dry run the robot does not follow the commands.
-
-    Attributes:
-        noted: the first violation of each kind.
-    """
+    """For dry runs: keeps the first violation of each kind in `noted` and does not stop."""
 
     def __init__(self, robot: Robot, limits: SafetyLimits, rate_hz: float) -> None:
         super().__init__(robot, limits, rate_hz)

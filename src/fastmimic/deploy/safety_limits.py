@@ -17,9 +17,9 @@ from fastmimic.robot.scaling import joint_ratio
 @documented
 @dataclass(frozen=True)
 class SafetyLimits:
-    """Limits of a deployment. Beyond one of them the joints are damped.
+    """Limits of a deployment. Beyond any of them the joints are damped.
 
-    Shares refer to the robot's own limits in its model. The defaults are an A1's; `SafetyLimits.of` scales them.
+    Shares refer to the robot's limits in its model. The defaults are an A1's; `SafetyLimits.of` scales them.
     """
 
     joint_margin: float = parameter(
@@ -86,11 +86,7 @@ class SafetyLimits:
 
 
 def read_limits(robot: Robot, file: str | Path | None = None, settings: Sequence[str] = ()) -> SafetyLimits:
-    """A robot's limits, changed by a TOML file and then by texts `name=value`.
-
-    Raises:
-        ConfigError: a file that cannot be read, an unknown name, or a value out of its range.
-    """
+    """A robot's limits, changed by a TOML file and then by texts `name=value`; raises `ConfigError` for bad ones."""
     changes: dict[str, Any] = {}
     if file is not None:
         try:

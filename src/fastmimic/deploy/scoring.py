@@ -1,4 +1,4 @@
-"""What a deployment was worth: the reward of what was done in the motion itself, out of its log."""
+"""The reward of a deployment's motion, from its log."""
 
 from typing import Any, Final
 
@@ -32,18 +32,15 @@ _FIGURES: Final = (
 def score_log(
     robot: Robot, log: DeploymentLog, config: ControllerConfig, observation: NDArray[Any] | None = None
 ) -> Rollout | None:
-    """Scores the periods in the motion itself, as every other closed loop, against the motion's demonstration.
+    """Scores the periods in the motion itself against its demonstration, as one episode; None if there are none.
 
-    The reference starts as the controller's did and is then synchronised to what is scored.
+    The reference starts as the controller's did and is then synchronised to the states scored.
 
     Args:
         robot: the robot.
         log: of the deployment.
-        config: with which it ran.
-        observation: (t,) of `OBSERVATION`, the state in each of the log's rows; the estimate if None.
-
-    Returns:
-        One episode; None if the robot did not come so far.
+        config: of its controller.
+        observation: (t,) of `OBSERVATION`, the state in each row of the log; the estimate if None.
     """
     motion, rows = log.motion, np.flatnonzero(log.rows["in_motion"])
     if not len(rows):
@@ -68,15 +65,9 @@ def score_log(
 
 
 def evaluation_of(robot: Robot, log: DeploymentLog, config: ControllerConfig) -> Evaluation:
-    """A deployment as `fastmimic.evaluate` would have it: by the truth if there is one, else by the estimate.
+    """The `fastmimic.evaluate` result of a deployment, by the true states if known, else by the estimate.
 
-    Args:
-        robot: the robot.
-        log: of the deployment.
-        config: with which it was.
-
-    Raises:
-        DeploymentError: the robot did not come so far as to the motion.
+    Raises `DeploymentError` if the robot did not reach the motion.
     """
     rollout = score_log(robot, log, config, log.truth)
     if rollout is None:
@@ -86,7 +77,7 @@ def evaluation_of(robot: Robot, log: DeploymentLog, config: ControllerConfig) ->
 
 
 def figures(rollout: Rollout | None) -> dict[str, Any]:
-    """Of an episode, JSON-serialisable; None for each if there is none."""
+    """An episode's figures, JSON-serialisable; each None without an episode."""
     if rollout is None:
         return {"reward_mean": None, "components": None, "swing_clearance_m": None, "motion_s": 0.0}
     found = Metrics.of(rollout).as_dict()
@@ -96,13 +87,8 @@ def figures(rollout: Rollout | None) -> dict[str, Any]:
 def true_states(log: DeploymentLog, truth: NDArray[Any], sequence: NDArray[np.int64]) -> NDArray[Any]:
     """A simulated robot's true states in the log's rows, (t,) of `OBSERVATION`.
 
-    Args:
-        log: whose rows say which state message each period had.
-        truth: (k,) of `OBSERVATION`.
-        sequence: (k,) ascending, the sequence numbers of the messages that told of them.
-
-    Raises:
-        DeploymentError: there is none of some message.
+    `truth` (k,) of `OBSERVATION` belongs to the ascending message numbers `sequence` (k,). Raises `DeploymentError` if
+    a message of the log is not among them.
     """
     wanted = log.rows["sequence"]
     at = np.searchsorted(sequence, wanted)
@@ -117,7 +103,7 @@ def true_states(log: DeploymentLog, truth: NDArray[Any], sequence: NDArray[np.in
 
 
 def _first_clock(motion: Motion, row: Any, seen: Any) -> NDArray[Any]:
-    """The reference's clock in the first row, moved from where the robot was believed to be to where it was."""
+    """The reference's clock in the first row, moved from the robot's estimated place to the true one."""
     clock = make_clocks(motion, 1)
     clock["sample"] = row["sample"]
     believed = row["estimate"]

@@ -1,8 +1,7 @@
 """The motion sequence from standing to standing: blend in, the motion, blend out, as reference tables.
 
-Blending in stands, steps in place and passes into the motion by the transitions of `fastmimic.reference`; blending out
-goes back the same way. All tables are made before the first command. The motion itself has the same table as in every
-other closed loop.
+Blending in stands, steps in place and enters the motion by the transitions of `fastmimic.reference`; blending out
+reverses this. All tables are made before the first command; the motion's is that of every closed loop.
 """
 
 import math
@@ -36,8 +35,7 @@ from fastmimic.reference.table import (
 from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout
 
-STAND_S: Final = 1.0
-"""How long the robot stands under the controller before it begins to step, and again at the end."""
+STAND_S: Final = 1.0  # standing under the controller at start and end
 _SAME_POSTURE: Final = 0.05
 _VECTORS: Final = ("lin_vel", "ang_vel", "lin_acc", "ang_acc", "leg_lin_acc", "leg_ang_acc")
 
@@ -48,7 +46,7 @@ class SequencePart:
 
     Attributes:
         table: (1, t) of `SAMPLE`.
-        first, last: its first and last sample; in a motion that repeats, `last` may be below `first`.
+        first, last: its first and last sample; in a cyclic motion `last` may be below `first`.
         clock: (1,) of `CLOCK`, at the table's start.
     """
 
@@ -65,13 +63,8 @@ class SequencePart:
 
 @dataclass(frozen=True, eq=False)
 class MotionSequence:
-    """The sequence from standing to standing.
-
-    Attributes:
-        motion: the motion in the middle.
-        blend_in, main, blend_out: its parts in order.
-        stand: (12,) joints while standing, rad.
-    """
+    """The sequence from standing to standing: the motion, its three parts, and `stand`, (12,) standing joints in
+    rad."""
 
     motion: Motion
     blend_in: SequencePart
@@ -82,7 +75,7 @@ class MotionSequence:
 
 @dataclass(frozen=True, eq=False)
 class _CourseSlice:
-    """Rows `first` to `last`, exclusive, of a course that repeats; `last` may be beyond its end."""
+    """Rows `first` to `last`, exclusive, of a cyclic course; `last` may be beyond its end."""
 
     course: NDArray[Any]
     first: int
@@ -102,11 +95,7 @@ class Follower:
     """
 
     def __init__(self, sequence: MotionSequence, recovery: NDArray[Any] | None = None) -> None:
-        """
-        Args:
-            sequence: the sequence.
-            recovery: packed configuration of a controller with push recovery; None without.
-        """
+        """`recovery` is the packed configuration of a controller with push recovery."""
         self.sequence, self._recovery = sequence, recovery
         self.begin(np.zeros(3))
 
@@ -123,8 +112,7 @@ class Follower:
     def advance(self, observation: NDArray[Any]) -> bool:
         """Advances by one control step; returns whether another part has begun.
 
-        Args:
-            observation: (1,) of `OBSERVATION`; where a cycle starts, x and y are synchronised to it.
+        Where a cycle starts, x and y are synchronised to the `observation` (1,) of `OBSERVATION`.
         """
         if self.done:
             return False
@@ -153,16 +141,9 @@ class Follower:
 
 
 def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionSequence:
-    """The sequence of a motion.
+    """The sequence of a motion that is cyclic or stitched; `config` is the controller's, which may plan ahead.
 
-    Args:
-        robot: the robot.
-        motion: a motion that repeats, or a stitched one, which runs once.
-        config: of the controller, which may plan ahead.
-
-    Raises:
-        MotionError: a motion for another robot or rate, one that neither repeats nor is stitched, or one without a
-            transition from or to standing.
+    Raises `MotionError` for another robot or rate, another kind of motion, or without a transition from or to standing.
     """
     first, last = _ends(robot, motion, config.rate_hz)
     if motion.contact.all():
@@ -196,11 +177,7 @@ def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> Mot
 
 
 def _standing(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionSequence:
-    """The sequence of a motion that only stands.
-
-    Raises:
-        MotionError: it does not begin and end in the standing posture.
-    """
+    """The sequence of a standing motion; raises `MotionError` if it does not begin and end in the standing posture."""
     hold = max(1, round(STAND_S * config.rate_hz))
     stand = standing(robot)
     off = float(np.abs(motion.joint_pos[[0, -1]] - stand.joint_pos[0]).max())
@@ -217,14 +194,13 @@ def _standing(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionS
 
 
 class _End(NamedTuple):
-    """A cyclic motion with which another one begins or ends: sample t of that is sample (t − shift) mod n of it."""
+    """The cyclic motion at a motion's start or end: sample t of the motion is its sample (t − shift) mod n."""
 
     motion: Motion
     shift: int
 
 
 def _ends(robot: Robot, motion: Motion, rate_hz: float) -> tuple[_End, _End]:
-    """The cyclic motions with which a motion begins and ends."""
     motion.check_robot(robot.name)
     if abs(motion.rate_hz - rate_hz) > 1e-9:
         raise MotionError(
@@ -281,11 +257,7 @@ def _slices(
 
 
 def _table(robot: Robot, slices: list[_CourseSlice], rate_hz: float) -> tuple[NDArray[Any], list[int]]:
-    """Slices one after the other as a table (t,) of `SAMPLE`, relative to the heading frame of its first row.
-
-    Returns:
-        The table, and the sample at which each piece begins.
-    """
+    """Consecutive slices as a table (t,) of `SAMPLE` from the heading frame of row 0, and each slice's first sample."""
     stream, place, row = Stream(robot, rate_hz), make_place(), np.zeros(1, SAMPLE)
     modulation = np.zeros(1, MODULATION)
     modulation["speed"] = modulation["lift"] = 1.0

@@ -1,4 +1,4 @@
-"""A robot in this process: a simulated body and link behind the drivers' interface."""
+"""A simulated robot in this process, behind the drivers' interface."""
 
 from typing import Any, Final
 
@@ -22,8 +22,8 @@ _MOST_BEHIND_S: Final = 0.25
 
 
 class SimDriver(RobotDriver):
-    """One simulated robot, which advances to the clock's present moment when it is read: with a `VirtualClock` in lock
-    step with the reader, with a `RealClock` in real time.
+    """One simulated robot, which advances to the clock's time when it is read: in lock step with a `VirtualClock`, in
+    real time with a `RealClock`.
 
     Attributes:
         packets: of the states, and of the commands sent.
@@ -45,7 +45,7 @@ class SimDriver(RobotDriver):
             robot: the robot.
             clock: a virtual one if None.
             rate_hz: of its states.
-            conditions: its sensors, its world and the seed of both.
+            conditions: its sensors, world and seed.
             faults: of the link in both directions.
             start: "lying" or "standing".
 
@@ -70,7 +70,7 @@ class SimDriver(RobotDriver):
         return np.concatenate(self._truth)
 
     def open(self) -> None:
-        """Puts the robot at its start, and sends its first state."""
+        """Puts the robot at its start and sends its first state."""
         self.packets = Packets()
         self._states = SimulatedLink(self._faults, self._dt, 0)
         self._commands = SimulatedLink(self._faults, self._dt, 1)
@@ -82,7 +82,6 @@ class SimDriver(RobotDriver):
         self._is_open = True
 
     def close(self) -> None:
-        """Ends the simulation."""
         self._is_open = False
 
     def _now(self) -> float:
@@ -112,7 +111,7 @@ class SimDriver(RobotDriver):
             self._advance(self._epoch + self.body.steps * self._dt)
 
     def _advance(self, began: float) -> None:
-        """One control period, with the commands that have arrived at its beginning."""
+        """Simulates a control period with the commands that have arrived at its beginning."""
         for packet in self._commands.arrived(began):
             taken = self._at_robot.take(packet)
             if taken is not None:

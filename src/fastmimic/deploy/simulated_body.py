@@ -1,4 +1,4 @@
-"""The body of a simulated robot: physics, sensors, motors with a watchdog, and the robot's own motion service."""
+"""The body of a simulated robot: physics, sensors, motors with a watchdog, and the motion service."""
 
 from typing import Any, Final
 
@@ -14,8 +14,7 @@ from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.sensors import Sensors
 
 STARTS: Final = ("lying", "standing")
-WATCHDOG_S: Final = 0.02
-"""Without a command for longer, the motors only damp."""
+WATCHDOG_S: Final = 0.02  # without a command for longer, the motors only damp
 _SETTLE_S: Final = 0.5
 _MOVE_S: Final = 1.5  # for standing up or lying down
 _TIPPED: Final = 0.5  # cosine of the tilt beyond which it has fallen
@@ -23,11 +22,7 @@ _IMPACT: Final = 0.7  # m/s; landing faster on anything but the feet is a fall
 
 
 class MotionService:
-    """The robot's own software, which moves it until it is released: it stands, lies down and gets up.
-
-    Attributes:
-        active: whether it commands the motors.
-    """
+    """The robot's own software: it stands, lies down and gets up. While `active` it commands the motors."""
 
     def __init__(self, robot: Robot, lying: Array, *, active: bool) -> None:
         self._stand, self._lying = robot.home_joint_pos, lying
@@ -37,15 +32,13 @@ class MotionService:
         self.active = active
 
     def lie_down(self) -> None:
-        """Begins to lie down."""
         self._move(self._lying)
 
     def stand_up(self) -> None:
-        """Begins to stand up."""
         self._move(self._stand)
 
     def take_over(self, joints: Array) -> None:
-        """Becomes active with the joints (12,) where they are, and stands up."""
+        """Becomes active with the joints at (12,) rad, and stands up."""
         self._command["joint_pos"] = joints
         self.active = True
         self.stand_up()
@@ -67,7 +60,7 @@ class SimulatedBody:
     Attributes:
         service: its own motion service; active if it starts standing.
         command: (1,) of `COMMAND`, what the motors followed in the last step.
-        damped: whether its motors damp for lack of commands; `damped_s` for how long in all, s.
+        damped, damped_s: whether the motors damp for lack of commands, and for how long in all, s.
         fell: whether it tipped over or landed on anything but its feet at more than 0.7 m/s.
         steps: since the start.
     """
@@ -87,11 +80,8 @@ class SimulatedBody:
             simulation: of this one robot, stepped at `rate_hz`.
             sensors: of this one robot.
             rate_hz: of `step`.
-            start: one of `STARTS`.
-            watchdog_s: motors without commands for longer damp.
-
-        Raises:
-            ConfigError: no such start.
+            start: one of `STARTS`; raises `ConfigError` for others.
+            watchdog_s: without commands for longer, the motors damp.
         """
         if start not in STARTS:
             raise ConfigError(f"a simulated robot starts {' or '.join(STARTS)}, not '{start}'")
@@ -100,7 +90,7 @@ class SimulatedBody:
         self._damping = damping_command()
 
     def reset(self, generator: np.random.Generator) -> NDArray[Any]:
-        """Puts the robot at its start, at rest; returns (1,) of `READING`. `generator` draws the sensors' errors."""
+        """Puts the robot at rest at its start; returns (1,) of `READING`. `generator` draws the sensors' errors."""
         path, height = rising_path(self.robot, self.robot.home_joint_pos)
         joints = path[0]
         self.service = MotionService(self.robot, joints, active=self._standing)
@@ -123,7 +113,7 @@ class SimulatedBody:
 
     @property
     def reading(self) -> NDArray[Any]:
-        """(1,) of `READING`, the last that the sensors delivered."""
+        """(1,) of `READING`, last delivered by the sensors."""
         return self.sensors.reading
 
     @property
@@ -137,7 +127,7 @@ class SimulatedBody:
         self._commanded = self.steps
 
     def step(self) -> None:
-        """One step with the motion service's command, the last one obeyed, or damping."""
+        """Advances one step with the motion service's command, the last one obeyed, or damping."""
         fresh = self._commanded is not None and (self.steps - self._commanded) * self._dt <= self._watchdog_s
         self.damped = not fresh and not self.service.active
         if self.service.active:
@@ -154,5 +144,5 @@ class SimulatedBody:
         self.fell = self.fell or bool(1 - 2 * (x * x + y * y) < _TIPPED or landed)
 
     def measure(self) -> NDArray[Any]:
-        """(1,) of `READING`, what the sensors deliver after this step."""
+        """(1,) of `READING`, delivered by the sensors after this step."""
         return self.sensors.measure(self.observation, self._motors)

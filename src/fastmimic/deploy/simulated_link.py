@@ -1,4 +1,4 @@
-"""A simulated network link: delays, loses, doubles, swaps and damages messages; and the receiver that checks them."""
+"""A simulated network link, which delays, loses, doubles, swaps and damages messages, and its receiver."""
 
 import heapq
 import zlib
@@ -30,7 +30,7 @@ class LinkFaults:
 
     @property
     def perfect(self) -> bool:
-        """Whether messages are delayed at most."""
+        """Whether messages are at most delayed."""
         return self == LinkFaults(latency_s=self.latency_s, seed=self.seed)
 
 
@@ -40,10 +40,10 @@ class Packet:
 
     Attributes:
         arrival: s.
-        order: of packets that arrive at the same time.
+        order: of packets with the same arrival.
         sequence: the sender's count.
         content: the record's bytes.
-        checksum: CRC-32 of sequence and content as they were sent.
+        checksum: CRC-32 of sequence and content as sent.
     """
 
     arrival: float
@@ -54,19 +54,10 @@ class Packet:
 
 
 class SimulatedLink:
-    """One direction of a link.
-
-    Attributes:
-        lost, corrupted: numbers of messages so far.
-    """
+    """One direction of a link; counts the messages `lost` and `corrupted`."""
 
     def __init__(self, faults: LinkFaults, period_s: float, stream: int) -> None:
-        """
-        Args:
-            faults: of the link.
-            period_s: time between two messages, s.
-            stream: number of its random stream.
-        """
+        """`period_s` is the time between two messages, s; `stream` the number of its random stream."""
         self.faults, self._period_s = faults, period_s
         self._rng = np.random.default_rng(np.random.SeedSequence([faults.seed, stream]))
         self._under_way: list[Packet] = []
@@ -96,7 +87,7 @@ class SimulatedLink:
             heapq.heappush(self._under_way, Packet(arrival, self._sent, sequence, content, checksum))
 
     def arrived(self, now: float) -> list[Packet]:
-        """The packets that have arrived by a time in s, in their order."""
+        """The packets that have arrived by a time in s, in order."""
         found = []
         while self._under_way and self._under_way[0].arrival <= now + 1e-9:
             found.append(heapq.heappop(self._under_way))
@@ -104,11 +95,7 @@ class SimulatedLink:
 
 
 class Receiver:
-    """Accepts packets that are intact and newer than the last one, and counts the others.
-
-    Attributes:
-        packets: its counts; `sent` is the sender's.
-    """
+    """Accepts packets that are intact and newer than the last one; `packets` counts all, with `sent` the sender's."""
 
     def __init__(self, dtype: np.dtype[Any], packets: Packets | None = None) -> None:
         self._dtype = dtype

@@ -20,8 +20,7 @@ from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND, OBSERVATION
 
-_STANDING: Final = 0.75
-"""From this share of the standing posture's height on, hips over feet, a robot counts as standing."""
+_STANDING: Final = 0.75  # share of the standing height above which a robot counts as standing
 _WARM_UP: Final = 20
 _LEGS: Final = np.ones((1, 4), np.int64)
 
@@ -41,7 +40,6 @@ class DeploymentPhase(IntEnum):
 
     @property
     def text(self) -> str:
-        """In words."""
         return _TEXTS[self]
 
 
@@ -67,7 +65,7 @@ _LASTS_S: Final = {
 
 
 class StateMachine:
-    """Commands for one robot, one control step after the other.
+    """Commands for one robot, step by step.
 
     Attributes:
         phase: the current phase.
@@ -123,7 +121,7 @@ class StateMachine:
         self.violation: Violation | None = None
 
     def begin(self, reading: NDArray[Any]) -> Violation | None:
-        """Begins with the robot's first state (1,) of `READING`; returns a violation that prevents standing up."""
+        """Begins with the first state (1,) of `READING`; returns a violation that prevents standing up."""
         self.guard.reset()
         found = self.guard.check_state(reading)
         if found is None:
@@ -132,7 +130,7 @@ class StateMachine:
         return found
 
     def warm_up(self, reading: NDArray[Any]) -> None:
-        """Runs all phases once so that everything is compiled and cached, and begins again."""
+        """Runs all phases once to compile and cache everything, and begins again."""
         way, guard = self.sequence, self.guard
         self.guard = DryRunGuard(self.robot, guard.limits, 1.0 / self.dt)
         for phase in DeploymentPhase:
@@ -164,7 +162,7 @@ class StateMachine:
 
     @property
     def in_motion(self) -> bool:
-        """Whether the robot executes the motion itself, and does not blend in or out."""
+        """Whether the robot executes the motion itself, neither blending in nor out."""
         return self.phase is DeploymentPhase.FOLLOW and self.follower.in_motion
 
     @property
@@ -172,18 +170,14 @@ class StateMachine:
         return self.follower.steps // self.sequence.motion.n_samples
 
     def leave(self) -> None:
-        """Makes the robot blend out and sit down as soon as the motion can be left."""
+        """Makes the robot blend out and sit down as soon as the motion allows."""
         self.follower.leaving = True
         self._leave_early = True
 
     def step(self, reading: NDArray[Any]) -> NDArray[Any]:
-        """One control step.
+        """One control step from the newest state (1,) of `READING`.
 
-        Args:
-            reading: (1,) of `READING`, the newest.
-
-        Returns:
-            (1,) of `COMMAND`, overwritten by the next call. Where `violation` is set it is not to be sent.
+        Returns (1,) of `COMMAND`, overwritten by the next call; it must not be sent if `violation` is set.
         """
         following, follower = self.phase is DeploymentPhase.FOLLOW, self.follower
         reference = (follower.table, follower.clock) if following else (None, None)
@@ -247,7 +241,6 @@ class StateMachine:
         return command
 
     def _next(self, reading: NDArray[Any]) -> None:
-        """Begins the next phase with this state."""
         if self.phase is DeploymentPhase.HOLD:
             height, stand = _height(self.robot, reading["joint_pos"][0]), _height(self.robot, self.sequence.stand)
             self._folded = height < _STANDING * stand
@@ -270,7 +263,7 @@ class StateMachine:
         self._from = np.array(reading["joint_pos"][0])
 
     def _start_estimating(self, reading: NDArray[Any]) -> None:
-        """Starts the estimator: the robot stands at the world's origin and faces x."""
+        """Starts the estimator with the robot at the world's origin, facing x."""
         self.estimator.reset(reading, np.zeros(1, START), _LEGS)
         self._estimating = True
 
@@ -281,7 +274,7 @@ class StateMachine:
         self._switch_controller()
 
     def _switch_controller(self) -> None:
-        """Chooses the controller of the current part, and gives it the part's table."""
+        """Chooses the controller of the current part, with the part's table."""
         follower = self.follower
         chosen = self._own if follower.in_motion else self._model_based
         begins = follower.part is self.sequence.blend_in

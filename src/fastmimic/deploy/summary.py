@@ -42,7 +42,7 @@ def summary_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def command_table(log: DeploymentLog) -> list[str]:
-    """The commands of each phase as a table, to check before a robot gets them."""
+    """The commands of each phase as a table, to check before a deployment."""
     rows = log.rows
     lines = []
     for phase in DeploymentPhase:
@@ -65,7 +65,7 @@ def command_table(log: DeploymentLog) -> list[str]:
 
 
 def _times(r: dict[str, Any]) -> list[tuple[str, str]]:
-    """The times measured; on a virtual clock there are none."""
+    """The times measured; none on a virtual clock."""
     return [
         ("period error, µs", _spread(r["period_error_us"])),
         ("control, µs", _spread(r["control_us"])),

@@ -1,1 +1,1 @@
-"""A robot to rehearse with: a process of its own that has a real robot's wire, and a simulated body."""
+"""A simulated robot in its own process, with a real robot's interface, to rehearse with."""

@@ -1,4 +1,4 @@
-"""The ground truth of a simulated robot: its true states, for scoring a deployment afterwards."""
+"""The true states of a simulated robot, for scoring a deployment."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -22,18 +22,13 @@ GROUND_TRUTH: Final = np.dtype(
         ("service", "?"),
     ]
 )
-"""One state that the simulated robot measured, whether or not it arrived: time since the start, s; tick of the state
-message, which drivers call its sequence; the true state; the command that the motors followed; whether they damped for
-lack of commands; whether the robot's motion service moved it."""
+"""One measured state, whether or not it arrived: time since the start, s; tick (the driver's sequence number); true
+state; command of the motors; whether they damped for lack of commands; whether the motion service was active."""
 _SINGLE: Final = ("time", "tick", "damped", "service")
 
 
 def load_ground_truth(path: str | Path) -> NDArray[Any]:
-    """(t,) of `GROUND_TRUTH`, as `GroundTruthLog.save` wrote it.
-
-    Raises:
-        OutputError: not such a file.
-    """
+    """(t,) of `GROUND_TRUTH` as `GroundTruthLog.save` wrote it; raises `OutputError` for another file."""
     try:
         with np.load(path, allow_pickle=False) as file:
             if int(file["format_version"]) != FORMAT_VERSION:
@@ -52,7 +47,7 @@ class GroundTruthLog:
     """Collects rows of `GROUND_TRUTH`.
 
     The file is an `.npz` without pickles: `format_version`; `time`, `tick`, `damped`, `service` (t,); the fields of
-    `OBSERVATION` under their names, such as `root_pos` (t, 3); those of `COMMAND` with `command_` before them.
+    `OBSERVATION` under their names, such as `root_pos` (t, 3); those of `COMMAND` prefixed by `command_`.
     """
 
     def __init__(self) -> None:
@@ -61,14 +56,14 @@ class GroundTruthLog:
     def add(
         self, time: float, tick: int, observation: NDArray[Any], command: NDArray[Any], damped: bool, service: bool
     ) -> None:
-        """One measurement; the arrays are (1,) and copied."""
+        """Adds a measurement; the arrays are (1,) and copied."""
         row = np.zeros(1, GROUND_TRUTH)
         row["time"], row["tick"], row["damped"], row["service"] = time, tick, damped, service
         row["observation"], row["command"] = observation, command
         self._rows.append(row)
 
     def rows(self) -> NDArray[Any]:
-        """(t,) of `GROUND_TRUTH`, collected so far."""
+        """(t,) of `GROUND_TRUTH`."""
         return np.concatenate([np.zeros(0, GROUND_TRUTH), *self._rows])
 
     def save(self, path: str | Path) -> None:

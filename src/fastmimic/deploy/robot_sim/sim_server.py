@@ -1,4 +1,4 @@
-"""The simulated robot's computer: a Go2's DDS interface to a simulated body, in real time."""
+"""A Go2's DDS interface to a simulated body, in real time."""
 
 import dataclasses
 import math
@@ -24,10 +24,8 @@ from fastmimic.simulation.mujoco_sim import MujocoSimulation
 from fastmimic.simulation.sensors import SensorConfig, Sensors
 
 PHYSICS_RATE_HZ: Final = 1000.0
-MODE: Final = "normal"
-"""The motion service's mode while it is active."""
-MOST_BEHIND_S: Final = 0.05
-"""The delay that a busy machine can catch up; the real-time factor shows the rest."""
+MODE: Final = "normal"  # of the active motion service
+MOST_BEHIND_S: Final = 0.05  # delay that is caught up; the real-time factor shows the rest
 _PER_STATE: Final = round(PHYSICS_RATE_HZ / RATE_HZ)
 _LINK_S: Final = 1.0 / RATE_HZ  # part of the sensors' assumed latency; here the real connection adds it
 _LOOK_S: Final = 0.5  # for another robot
@@ -47,8 +45,7 @@ class SimSettings:
     states: LinkFaults = field(default_factory=LinkFaults)
     commands: LinkFaults = field(default_factory=LinkFaults)
     watchdog_s: float = parameter(WATCHDOG_S, above=0.0, unit="s", about="after which motors without commands damp")
-    dead_after_s: float = math.inf
-    """When it falls silent and its motors damp, as if its computer had died."""
+    dead_after_s: float = math.inf  # time of a simulated failure: silence and damping
 
     def __post_init__(self) -> None:
         check(self, "robot-sim: ")
@@ -78,14 +75,13 @@ class SimCounts:
 
 
 def robot_sensors() -> SensorConfig:
-    """The sensors of `SensorConfig`, less the one period of latency that the real connection adds."""
+    """`SensorConfig` without the period of latency that the real connection adds."""
     config = SensorConfig()
     names = ("imu_latency_s", "joint_latency_s", "foot_latency_s")
     return dataclasses.replace(config, **{name: getattr(config, name) - _LINK_S for name in names})
 
 
 def go2_body(robot: Robot, settings: SimSettings) -> SimulatedBody:
-    """The simulated body at its start."""
     rate = PHYSICS_RATE_HZ
     simulation = MujocoSimulation(robot, 1, control_rate_hz=rate, physics_rate_hz=rate)
     sensors = Sensors(robot, 1, RATE_HZ, settings.sensors if settings.sensors is not None else robot_sensors())
@@ -100,19 +96,12 @@ class SimServer:
     Attributes:
         body: see `SimulatedBody`.
         counts: see `SimCounts`.
-        realtime_factor: simulated time per second, in (0, 1]; 1 if the machine keeps up.
+        realtime_factor: simulated time per second, in (0, 1].
     """
 
     def __init__(self, robot: Robot, settings: SimSettings | None = None, log: GroundTruthLog | None = None) -> None:
-        """
-        Args:
-            robot: the robot.
-            settings: see `SimSettings`.
-            log: collects the ground truth; None for none.
-
-        Raises:
-            DriverError: see `Participant`; or another robot in the domain.
-        """
+        """The ground truth goes into `log`. Raises `DriverError` as `Participant`, or if the domain has another
+        robot."""
         self.settings = settings if settings is not None else SimSettings()
         self.counts, self.realtime_factor = SimCounts(), 1.0
         self._log = log
@@ -126,7 +115,6 @@ class SimServer:
             raise
 
     def _connect(self, participant: Participant) -> None:
-        """Creates readers, writers and services."""
         settings = self.settings
         self._reader = Reader(participant, messages.LOW_COMMAND_TOPIC, LowCommand, 16)
         self._writer = Writer(participant, messages.LOW_STATE_TOPIC, messages.LowState)
@@ -165,14 +153,8 @@ class SimServer:
         report: Callable[["SimServer"], None] = lambda sim: None,
         every_s: float = 1.0,
     ) -> None:
-        """Runs in real time until `stop` is set or `duration_s` of simulated time has passed.
-
-        Args:
-            stop: ends it.
-            duration_s: s.
-            report: called every `every_s` of simulated time.
-            every_s: s.
-        """
+        """Runs in real time until `stop` is set or for `duration_s` of simulated time; calls `report` every
+        `every_s`."""
         dt = 1.0 / PHYSICS_RATE_HZ
         begin = due = time.perf_counter()
         next_report, reported = every_s, (begin, self.body.time)
@@ -217,7 +199,7 @@ class SimServer:
         }
 
     def close(self) -> None:
-        """Leaves the domain; closing twice is allowed."""
+        """Leaves the domain; may be called twice."""
         self._participant.close()
 
     def __enter__(self) -> Self:
@@ -245,7 +227,7 @@ class SimServer:
                 server.poll()
 
     def _obey(self) -> None:
-        """The command received, if it is intact and the motion service is not active."""
+        """Obeys the command received if it is intact and the motion service is not active."""
         if not self._received_wire.intact(0):
             self.counts.commands_rejected += 1
         elif self.body.service.active:
@@ -279,7 +261,7 @@ class SimServer:
 
 
 def _check_alone(participant: Participant) -> None:
-    """Raises `DriverError` if another robot publishes states in the domain; waits until it must have been found."""
+    """Raises `DriverError` if another robot publishes states in the domain."""
     end = time.monotonic() + _LOOK_S
     while time.monotonic() < end:
         if participant.publishers(messages.LOW_STATE_TOPIC):
