@@ -1,4 +1,4 @@
-"""Standing legs: the torques of the ground forces, and the paper's online adaptation (eq. 2)."""
+"""Standing legs: joint torques from the ground forces, and the paper's online adaptation (eq. 2)."""
 
 from typing import Any, Final
 
@@ -23,7 +23,7 @@ def stance_leg(
     leg: int,
     solved: bool,
 ) -> None:
-    """τ = −Jᵀ Rᵀ f, and low-gain feedback towards where the foot will be (paper, eq. 2)."""
+    """τ = −Jᵀ Rᵀ f, plus low-gain feedback towards the foot's next position (paper, eq. 2)."""
     j, foot = 3 * leg, scratch.feet[leg]
     q = obs.joint_pos[j : j + 3]
     leg_jacobian(model.geometry[leg], q[0], q[1], q[2], scratch.jacobian)

@@ -49,8 +49,7 @@ class ControllerConfig:
     stance: StanceConfig = dataclasses.field(default_factory=StanceConfig)
     horizon: HorizonConfig = dataclasses.field(default_factory=HorizonConfig)
     swing: SwingConfig = dataclasses.field(default_factory=SwingConfig)
-    robot: str = ""
-    """The only robot that they are for; empty for all."""
+    robot: str = ""  # the only robot that the set is for; empty for all
     load: LoadConfig = dataclasses.field(default_factory=LoadConfig)
     recovery: RecoveryConfig = dataclasses.field(default_factory=RecoveryConfig)
 
@@ -74,16 +73,12 @@ class ControllerConfig:
                 raise ConfigError(where + message)
 
     def as_dict(self) -> dict[str, Any]:
-        """Nested plain values, JSON-serialisable."""
+        """JSON-serialisable."""
         return dataclasses.asdict(self)
 
     @classmethod
     def from_dict(cls, record: Any) -> "ControllerConfig":
-        """The configuration that `as_dict` returned, also after it was stored as JSON.
-
-        Raises:
-            ConfigError: the record is of another release, or damaged.
-        """
+        """Inverse of `as_dict`; raises `ConfigError` if the record is damaged or of another release."""
         try:
             config: ControllerConfig = changed(cls(), record, "controller")
             complete = plain(config.as_dict()) == plain(record)
@@ -95,7 +90,7 @@ class ControllerConfig:
 
 
 def _horizon_checks(config: ControllerConfig) -> tuple[tuple[bool, str], ...]:
-    """Rules of a horizon with their messages; its rates matter only where it is used."""
+    """(ok, message) of each rule of the horizon; the rates matter only where it is used."""
     horizon, rate_hz, used = config.horizon, config.rate_hz, config.stance.forces == "horizon"
     ratio = rate_hz / horizon.solve_rate_hz
     return (
@@ -145,7 +140,7 @@ def paper_config() -> ControllerConfig:
 
 def robust_config() -> ControllerConfig:
     """The full controller for a robot that differs from its model: the trunk turns over the standing feet, and forces
-    stay within the friction in every direction. With a right model its reward is within 0.005 of the default's."""
+    stay within the friction in every direction. With a correct model its reward is within 0.005 of the default's."""
     return ControllerConfig(name="robust", stance=StanceConfig(standing_inertia=True, friction_sides=8))
 
 
@@ -153,11 +148,7 @@ CONFIGS: Final = {"default": default_config, "robust": robust_config, "paper": p
 
 
 def controller_config(name: str) -> ControllerConfig:
-    """The configuration of that name, or in a file of that name (`.json`).
-
-    Raises:
-        ConfigError: it does not exist, or the file cannot be read.
-    """
+    """A configuration by its name, or from a `.json` file; raises `ConfigError` if there is none."""
     if name.endswith(".json"):
         return read_config(name)
     if name not in CONFIGS:
@@ -169,11 +160,7 @@ def controller_config(name: str) -> ControllerConfig:
 
 
 def read_config(path: str | Path) -> ControllerConfig:
-    """Reads a configuration from a file; it is named like the file.
-
-    Raises:
-        ConfigError: no such file, another kind of file, or an unknown field or wrong value.
-    """
+    """Reads a configuration and names it after the file; raises `ConfigError` for a wrong file, field or value."""
     found = read_json(path)
     changes = {name: value for name, value in found.items() if name not in (*FILE_FORMAT, "base", "identified")}
     if any(found.get(name) != value for name, value in FILE_FORMAT.items()):
@@ -202,7 +189,7 @@ _RECORD: Final = record_dtype(
 
 
 def pack_config(config: ControllerConfig, robot: Robot) -> NDArray[Any]:
-    """The configuration for a robot, as a structured array of one record, for the kernels."""
+    """(1,) structured array for the kernels, scaled to the robot."""
     scales = {
         "weight": robot.mass * GRAVITY,
         "joint": joint_ratio(robot),

@@ -1,7 +1,4 @@
-"""The controller: from the robots' states and references to joint commands, all robots in one compiled call.
-
-Gait planner → stance forces and adaptation → swing → joint commands (paper, §III-B).
-"""
+"""The controller: from robot states and references to joint commands of all robots, compiled (paper, §III-B)."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -36,7 +33,7 @@ from fastmimic.robot.state import COMMAND, MEMORY, pack_model
 
 
 class RobotRecords(NamedTuple):
-    """The n robots: (k, samples) reference tables, and (n,) records of each kind."""
+    """Of n robots: (k, samples) reference tables, and (n,) records of each other kind."""
 
     tables: Any
     clocks: Any
@@ -47,7 +44,7 @@ class RobotRecords(NamedTuple):
 
 
 class WorkMemory(NamedTuple):
-    """WorkMemory memory of one thread, (1,) each: the two QPs, `SCRATCH` and `FORESIGHT`."""
+    """Work memory of one thread, (1,) each: the two QPs, `SCRATCH` and `FORESIGHT`."""
 
     qp: Any
     plan_qp: Any
@@ -109,11 +106,7 @@ def _control_robot(config: Any, model: Any, table: Any, robots: Any, i: int, wor
 
 @inlined
 def _forces(config: Any, model: Any, ref: Any, obs: Any, memory: Any, planned: bool, scratch: Any, qp: Any) -> bool:
-    """Forces of the standing legs, and the base's acceleration for the legs' own dynamics.
-
-    Returns:
-        False if the stance QP failed.
-    """
+    """Stance forces, and the base acceleration for the legs' own dynamics; False if the stance QP failed."""
     desired, gravity_acc = scratch.desired, scratch.gravity_acc
     for k in range(6):
         limit = config.acceleration_limit[k]
@@ -133,8 +126,8 @@ def _forces(config: Any, model: Any, ref: Any, obs: Any, memory: Any, planned: b
 
 @kernel
 def _turn_over_standing_feet(config: Any, model: Any, obs: Any, memory: Any, scratch: Any) -> None:
-    """Gives the desired angular acceleration beyond the reference's the moment that it takes while the standing feet
-    stay, as an acceleration of the rigid body. The reference's own is covered by `leg_momentum`."""
+    """Scales the desired angular acceleration beyond the reference's to the inertia with the standing feet held.
+    `leg_momentum` covers the reference's own."""
     held_inertia, desired, rotation = scratch.held_inertia, scratch.desired, scratch.rotation
     held_inertia[:, :] = model.inertia
     for leg in range(4):
@@ -164,12 +157,9 @@ def _plan_ahead(
     foresight: Any,
     qp: Any,
 ) -> bool:
-    """Plans at the planning rate, and at the start of a cycle, since the reference may jump there.
+    """Plans at the planning rate and at the start of a cycle, where the reference may jump; False without a plan.
 
-    ẍ_des then follows the plan; with a plan for every control step the forces do, too.
-
-    Returns:
-        False if there is no plan because the solver failed: ẍ_des is unchanged.
+    ẍ_des then follows the plan; if every control step is planned, the forces do, too.
     """
     plan.age += 1
     memory.solve_time = 0.0
@@ -208,16 +198,10 @@ class Controller:
         n: int,
         config: ControllerConfig | None = None,
     ) -> None:
-        """
-        Args:
-            robot: the robot.
-            motions: one reference for all robots, or one for each.
-            n: number of robots.
-            config: parameters; the default configuration if None.
+        """`motions` has one reference for all robots, or one for each.
 
         Raises:
-            ConfigError: the references' rate is not the controller's, there are neither 1 nor n of them, or the
-                parameters are for another robot.
+            ConfigError: the references are at another rate or neither 1 nor n, or the config is for another robot.
             MotionError: the references differ in length.
         """
         self.config = config if config is not None else default_config()
@@ -245,7 +229,7 @@ class Controller:
         self._plan_qp = make_workspace(HORIZON_VARIABLES, HORIZON_CONSTRAINTS)
 
     def reset(self, sample: NDArray[np.int64]) -> None:
-        """Starts each robot in the leg states that its reference wants at `sample` (n,)."""
+        """Starts each robot in the leg states that its reference has at `sample` (n,)."""
         self.memory[...] = np.zeros((), MEMORY)
         rows = np.minimum(np.arange(len(self.memory)), len(self.tables) - 1)
         self.memory["stance"] = self.tables["contact"][rows, sample]
@@ -253,14 +237,9 @@ class Controller:
         self.plan["valid"] = 0
 
     def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
-        """Commands for the next control step.
+        """Commands (n,) of `COMMAND` for the next control step; overwritten by the next call.
 
-        Args:
-            observation: (n,) of `OBSERVATION`.
-            clocks: (n,) of `CLOCK`.
-
-        Returns:
-            (n,) of `COMMAND`; overwritten by the next call.
+        `observation` is (n,) of `OBSERVATION`, `clocks` (n,) of `CLOCK`.
         """
         control_step(
             self._config,

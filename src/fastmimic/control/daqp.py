@@ -2,10 +2,9 @@
 
     min ½ xᵀHx + fᵀx   subject to   lower ≤ (x[:ms], A x) ≤ upper
 
-The wheel's extension module exports the C interface. Its symbols are made known to LLVM and declared as an external
-function, so that kernels which call it can be cached. The structs' layout is checked once by solving a known
-problem; if that fails (another build of DAQP), the Python function is called instead, slower but with the same
-results.
+The wheel's extension module exports the C interface. LLVM knows its symbols as an external function, so that kernels
+which call it can be cached. Solving a known problem checks the structs' layout once; if that fails (another build of
+DAQP), the slower Python function is called instead, with the same results.
 """
 
 import ctypes
@@ -26,14 +25,10 @@ _SETTINGS_BYTES: Final = 1024  # more than the struct needs in any release
 
 
 def make_workspace(n_max: int, m_max: int) -> NDArray[Any]:
-    """Memory of one problem with up to n_max variables and m_max constraints, simple bounds included.
+    """Memory of a problem of up to n_max variables and m_max constraints, simple bounds included. One per thread.
 
-    Not to be shared between threads.
-
-    Returns:
-        One record with `hessian` (the n × n matrix H, row-major in its first n² entries), `gradient` f, `rows` of A (n
-        entries each), `upper` and `lower` (first of the simple bounds, then of the rows), the solution `x` and its
-        multipliers `dual`, and DAQP's structs, which point to them.
+    The record holds `hessian` (n × n, row-major in its first n² entries), `gradient` f, `rows` of A, `upper` and
+    `lower` (simple bounds first), the solution `x`, its multipliers `dual`, and DAQP's structs, which point to them.
     """
     workspace = np.zeros(
         1,
@@ -70,7 +65,7 @@ def make_workspace(n_max: int, m_max: int) -> NDArray[Any]:
 
 @functools.cache
 def _library() -> Any:
-    """The extension module as a C library, its symbols known to LLVM; None if it does not export them."""
+    """The extension module as a C library with its symbols known to LLVM; None if it does not export them."""
     import daqp
     from llvmlite import binding
 
@@ -125,7 +120,7 @@ def _solve_plain(w: Any, n: int, m: int, ms: int) -> int:
 
 
 def _native_works() -> bool:
-    """Solves min ½|x|² − (3, 1)·x subject to x₀ ≤ 1 and x₀ + x₁ ≤ 1.5, whose solution is (1, 0.5)."""
+    """Solves min ½|x|² − (3, 1)·x subject to x₀ ≤ 1 and x₀ + x₁ ≤ 1.5; the solution is (1, 0.5)."""
     if _library() is None:
         return False
     workspace = make_workspace(2, 2)

@@ -1,8 +1,8 @@
-"""Gait planner: each leg's state machine over schedule and measured contact (paper, §III-B1 and its figure).
+"""Gait planner: a state machine per leg over contact schedule and measured contact (paper, §III-B1 and its figure).
 
-A leg leaves stance when the schedule says so (take-off), or when it has lost its load for a while although it
-should stand (early take-off). It enters stance when the schedule says so (touch-down), or when it meets the ground
-while it should swing (early touch-down). Two switches of a leg are at least `min_switch_time` apart.
+A leg leaves stance when the schedule says so (take-off), or when it has been unloaded for a while in scheduled stance
+(early take-off). It enters stance when the schedule says so (touch-down), or when it meets the ground in scheduled
+swing (early touch-down). Two switches of a leg are at least `min_switch_time` apart.
 """
 
 from typing import Any
@@ -12,17 +12,9 @@ from fastmimic.base.jit import inlined
 
 @inlined
 def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, force_z: float) -> bool:
-    """Advances one leg's state machine by one control step.
+    """Advances one leg by one control step; True if it has just lifted off.
 
-    Args:
-        config: packed controller configuration.
-        memory: the robot's `MEMORY` record, changed in place.
-        leg: index.
-        wanted: stance according to the schedule.
-        force_z: measured vertical ground force, N.
-
-    Returns:
-        True if the leg has just lifted off.
+    `wanted` is the scheduled stance, `force_z` the measured vertical ground force in N; `memory` is changed.
     """
     loaded = force_z > config.contact_threshold
     memory.since_switch[leg] += config.dt

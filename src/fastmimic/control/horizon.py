@@ -1,19 +1,18 @@
-"""Long-horizon convex model predictive control (Di Carlo et al. 2018): the ground forces of the steps ahead.
+"""Long-horizon convex model predictive control (Di Carlo et al. 2018): the ground forces of the coming steps.
 
-The state is the body's pose X and velocity V, six components each, in the robot's heading frame at the time of
-planning; orientations are rotation vectors from the present one. Over a step of length h with forces f,
+The state is the body's pose X and velocity V, six components each, in the robot's heading frame at planning time;
+orientations are rotation vectors from the present one. Over a step of length h with forces f,
 
     Ẍ = B f − g̃ − a,    X⁺ = X + h V + ½ h² Ẍ,    V⁺ = V + h Ẍ,
 
-where B, which differs from step to step, maps forces at the feet to accelerations as in the stance, linearised along a
-nominal path of the body that runs beside the reference from where the robot is, and a is what the legs' motion takes.
-The plan minimises, over the steps k,
+where B maps forces at the feet to accelerations as in the stance, linearised in each step along a nominal path beside
+the reference, and a is what the legs' motion takes. The plan minimises, over the steps k,
 
     Σ ‖X_k − X̄_k‖²_Wp + ‖V_k − V̄_k‖²_Wv + ‖f_k‖²_R,   |f_x|, |f_y| ≤ μ f_z,  f_min ≤ f_z ≤ f_max.
 
-The variables are the forces of the legs that stand in each step, in multiples of the weight; the states are eliminated.
-Because only B changes, the Hessian's block between the forces of steps i ≤ j is Bᵢᵀ D_ij Bⱼ with a diagonal D_ij in
-closed form: an entry costs four products, and no matrix of the model is ever formed.
+The variables are the forces of the standing legs in each step, in multiples of the weight; the states are eliminated.
+Because only B changes, the Hessian's block between steps i ≤ j is Bᵢᵀ D_ij Bⱼ with a diagonal D_ij in closed form: an
+entry costs four products, and no matrix of the model is ever formed.
 """
 
 from typing import Any, Final
@@ -42,7 +41,7 @@ PLAN: Final = record_dtype(
         ("force", "f8", (_N, 4, 3)),  # N
     ]
 )
-"""What one robot means to do, in the heading frame at the time of planning."""
+"""The plan of one robot, in the heading frame at planning time."""
 
 
 @kernel
@@ -58,11 +57,7 @@ def plan_forces(
     ahead: Any,
     qp: Any,
 ) -> bool:
-    """Plans the forces ahead of one robot; see `foresee` for what it takes.
-
-    Returns:
-        False if the solver failed; there is no plan then.
-    """
+    """Plans the forces ahead of one robot (inputs as in `foresee`); False, and no plan, if the solver failed."""
     foresee(config, model, table, clock, obs, memory, scratch, ahead)
     weight = model.mass * GRAVITY
     k = condense(config, weight, ahead, qp)
@@ -98,17 +93,10 @@ def plan_forces(
 
 @kernel
 def track_plan(config: Any, obs: Any, plan: Any, ahead: Any, desired: Array) -> None:
-    """Moves the stance's feedback from the reference to the plan.
+    """Moves the stance's feedback `desired` (6,), ẍ_des in the heading frame, from the reference to the plan.
 
-    The plan enters as what it deviates from the reference by, so that the reference's course within a step of the
-    horizon, and the feet that its position is measured from, stay those of the stance.
-
-    Args:
-        config: packed controller configuration.
-        obs: the robot's `OBSERVATION`.
-        plan: the robot's `PLAN`.
-        ahead: work memory.
-        desired: (6,) ẍ_des about the reference, heading frame; about the plan on return.
+    Only the plan's deviation from the reference enters: the reference's course within a step of the horizon, and the
+    feet that the position is measured from, stay those of the stance.
     """
     h = config.horizon_step_s
     t = plan.age * config.dt

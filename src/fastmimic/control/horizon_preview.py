@@ -1,4 +1,4 @@
-"""The steps ahead of the long horizon: the reference's course, the feet that stand, and the model about them."""
+"""The coming steps of the long horizon: the reference's course, the standing feet, and the model about them."""
 
 from typing import Any, Final
 
@@ -35,18 +35,18 @@ FORESIGHT: Final = record_dtype(
         ("time", "i8", (2,)),
     ]
 )
-"""Work memory: what lies ahead of one robot. One record for each thread."""
+"""Work memory for one robot's horizon, one record per thread."""
 
 
 @inlined
 def _beyond(table: Any, clock: Any, steps: int) -> int:
-    """Control steps by which that many from now are past the last sample of a motion that ends."""
+    """Control steps by which `steps` from now lies past the end of a motion that does not repeat."""
     return max(0, clock.sample + steps - table.shape[0] + 1) if clock.repeats == 0 else 0
 
 
 @inlined
 def _coasted(config: Any, ref: Any, steps: int) -> tuple[float, float, float]:
-    """Planar displacement, in the table's frame, and turn of a body that goes on with a sample's twist."""
+    """Planar displacement, in the table's frame, and turn of a body that keeps a sample's twist."""
     time = steps * config.dt
     turn = ref.ang_vel[2] * time
     # time · (sin θ / θ, (1 − cos θ) / θ)
@@ -59,9 +59,9 @@ def _coasted(config: Any, ref: Any, steps: int) -> tuple[float, float, float]:
 
 @inlined
 def _ahead(config: Any, table: Any, clock: Any, steps: int) -> tuple[int, float, float, float]:
-    """Sample that many control steps from now, and the origin (x, y, yaw) that it is seen from.
+    """Sample after `steps` control steps, and the origin (x, y, yaw) that it is seen from.
 
-    A motion that ends goes on as its last sample, level, straight on or turning, as that one moves.
+    After its end a motion keeps the twist of its last sample, level.
     """
     n = table.shape[0]
     sample = clock.sample + steps
@@ -103,10 +103,10 @@ def _turned(c: float, s: float, m: Array, out: Array) -> None:
 
 @kernel
 def foresee(config: Any, model: Any, table: Any, clock: Any, obs: Any, memory: Any, scratch: Any, ahead: Any) -> None:
-    """Fills `ahead` with what the reference wants and the feet allow in the steps to come.
+    """Fills `ahead` with what the reference wants and the feet allow in the coming steps.
 
-    Of `scratch` it takes rotation, reference_rotation, feet, arms, inverse_inertia, position_error, velocity_error, the
-    velocities, and `shift`, by which the reference is moved to where the standing feet are.
+    Reads from `scratch`: rotation, reference_rotation, feet, arms, inverse_inertia, position_error, velocity_error, the
+    velocities, and `shift`, the reference's displacement to where the standing feet are.
     """
     rotation, arms = scratch.rotation, scratch.arms
     for r in range(3):
@@ -139,13 +139,13 @@ def foresee(config: Any, model: Any, table: Any, clock: Any, obs: Any, memory: A
 
 @inlined
 def heading_of(q: Array) -> float:
-    """Yaw of a quaternion (w, x, y, z)."""
+    """Yaw of a quaternion (w, x, y, z), rad."""
     return np.arctan2(2 * (q[1] * q[2] + q[0] * q[3]), 1 - 2 * (q[2] * q[2] + q[3] * q[3]))
 
 
 @kernel
 def _targets(config: Any, table: Any, clock: Any, obs: Any, scratch: Any, heading: float, ahead: Any) -> None:
-    """What the body should do: reference at the ends of the steps, and the nominal path beside it."""
+    """Reference at the ends of the steps, and the nominal path beside it."""
     c, s = np.cos(heading), np.sin(heading)
     for j in range(config.horizon_steps + 1):
         steps = round(j * config.horizon_step_s / config.dt)
@@ -186,7 +186,7 @@ def _targets(config: Any, table: Any, clock: Any, obs: Any, scratch: Any, headin
 
 @inlined
 def _landings(config: Any, memory: Any, scratch: Any, offset: Array) -> None:
-    """How far the swing's feedback will move the next footholds from the reference's, heading frame."""
+    """Offset (4, 3) of the next footholds from the reference's by the swing feedback, heading frame."""
     rotation = scratch.rotation
     for leg in range(4):
         for r in range(3):
@@ -203,7 +203,7 @@ def _landings(config: Any, memory: Any, scratch: Any, offset: Array) -> None:
 def _footing(
     config: Any, model: Any, table: Any, clock: Any, scratch: Any, heading: float, yaw_error: float, j: int, ahead: Any
 ) -> None:
-    """Which feet stand in the middle of step j ≥ 1, and where from the centre of mass on its nominal path."""
+    """Feet that stand in the middle of step j ≥ 1, and their arms from the centre of mass on its nominal path."""
     steps = round((j + 0.5) * config.horizon_step_s / config.dt)
     sample, _, _, yaw = _ahead(config, table, clock, steps)
     ref = table[sample]

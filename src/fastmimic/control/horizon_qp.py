@@ -19,7 +19,7 @@ def _along(column: Array, axis: int, v: Array) -> float:
 
 @inlined
 def variable(slot: int, axis: int, k: int) -> int:
-    """Index of a force's component: the z of all k forces first, for DAQP's simple bounds, then their x and y."""
+    """Index of a force component: the z of all k forces first, for DAQP's simple bounds, then their x and y."""
     return slot if axis == 2 else k + 2 * slot + axis
 
 
@@ -33,9 +33,9 @@ def advance(step: float, acceleration: Array, state: Array, out: Array) -> None:
 
 @inlined
 def _coupling(config: Any, i: int, j: int, out: Array) -> None:
-    """D_ij, i ≤ j: what accelerations in steps i and j together do to the states from the end of step j on.
+    """D_ij, i ≤ j: effect of accelerations in steps i and j together on the states from the end of step j on.
 
-    A unit in step i moves X at the end of step k > i by h² (k − i − ½) and V by h; here these are summed over k > j.
+    A unit in step i moves X at the end of step k > i by h² (k − i − ½) and V by h; here summed over k > j.
     """
     h, m = config.horizon_step_s, float(config.horizon_steps - j)
     moved = h * h * (m * (4 * m * m - 1) / 12 + 0.5 * (j - i) * m * m)
@@ -45,10 +45,9 @@ def _coupling(config: Any, i: int, j: int, out: Array) -> None:
 
 @kernel
 def condense(config: Any, weight: float, ahead: Any, qp: Any) -> int:
-    """Assembles the QP of what is in `ahead`: standing, columns, drift, target, free[0].
+    """Assembles the QP from `ahead` (standing, columns, drift, target, free[0]) and returns the number k of forces.
 
-    Returns:
-        The number k of forces; there are 3 k variables, k simple bounds and 4 k rows, or 8 k.
+    There are 3 k variables, k simple bounds and 4 k or 8 k rows.
     """
     steps, h = config.horizon_steps, config.horizon_step_s
     k = 0

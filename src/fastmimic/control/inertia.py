@@ -1,10 +1,9 @@
 """How much moment a turn of the trunk takes while feet stand.
 
 The stance QP's body is the whole robot, rigid. Standing legs do not turn with the trunk: their feet stay, they fold
-under it, and their rotors turn. So it takes another moment to turn the trunk, for the A1 in roll on four feet about
-half of the rigid body's, and feedback that goes by the rigid body is that much stiffer than its gains say. What counts
-is the inertia that the trunk has with the feet held: the operational-space inertia of the constrained robot (Khatib
-1987; Featherstone 2008, ch. 8).
+under it, and their rotors turn. For the A1 in roll on four feet, turning the trunk takes about half of the rigid body's
+moment, so feedback that assumes the rigid body is that much too stiff. The right inertia is the trunk's with the feet
+held: the operational-space inertia of the constrained robot (Khatib 1987; Featherstone 2008, ch. 8).
 """
 
 from typing import Any, Final
@@ -29,8 +28,7 @@ WORK: Final = record_dtype(
         ("place", "f8", (3,)),  # of the link's centre
         ("vector", "f8", (3,)),
     ]
-)
-"""Work memory, body frame."""
+)  # work memory, body frame
 _LEAST_REACH: Final = 1e-6  # m³, |det J| below which a leg is stretched so far that it counts as rigid
 
 
@@ -61,17 +59,9 @@ def _solve_3x3(a: Array, b: Array, det: float, out: Array) -> None:
 
 @kernel
 def add_standing_leg(model: Any, leg: int, q: Array, foot: Array, com: Array, work: Any, inertia: Array) -> None:
-    """Changes an inertia (3, 3), body axes, about the centre of mass, by what it is for a leg's foot to stay where it
-    is.
+    """Changes `inertia` (3, 3), kg·m², body axes, about the centre of mass, by holding one leg's foot in place.
 
-    Args:
-        model: the robot's `MODEL` record.
-        leg: index.
-        q: (3,) its joints.
-        foot: (3,) its foot, body frame, m.
-        com: (3,) the robot's centre of mass, likewise.
-        work: of `WORK`.
-        inertia: (3, 3) kg·m², changed in place.
+    `q` (3,) are the leg's joints, `foot` and `com` (3,) in m, body frame; `work` is of `WORK`.
     """
     g, jacobian, rates = model.geometry[leg], work.jacobian, work.rates
     leg_jacobian(g, q[0], q[1], q[2], jacobian)
@@ -137,8 +127,8 @@ def add_standing_leg(model: Any, leg: int, q: Array, foot: Array, com: Array, wo
 
 @inlined
 def _link_motion(work: Any, axis: int, link: int, sa: float, ca: float, com: Array) -> None:
-    """Velocity of a link's centre and its angular velocity while the trunk turns about an axis through `com` and the
-    foot is held, and the former if the leg were rigid (`carried`)."""
+    """Velocity and angular velocity of a link while the trunk turns about `com` and the foot is held, and the velocity
+    of a rigid leg (`carried`)."""
     w, place, rates = work.turning[axis], work.place, work.rates[axis]
     v, spin = work.velocity[axis], work.spin[axis]
     v[0], v[1], v[2] = cross(w[0], w[1], w[2], place[0] - com[0], place[1] - com[1], place[2] - com[2])

@@ -1,4 +1,4 @@
-"""What all joint commands get: the leg's own dynamics, the joints' losses, and the limits."""
+"""Common to all joint commands: the leg's own dynamics, joint losses, and limits."""
 
 from typing import Any, Final
 
@@ -8,8 +8,7 @@ from fastmimic.base.jit import inlined
 from fastmimic.control.adaptation import DAMPING_AFTER_FAILURE
 from fastmimic.robot.dynamics import leg_inverse_dynamics
 
-DRY_FRICTION_FROM: Final = 0.5
-"""rad/s; below it, dry friction is compensated in part only, so that torques do not jump where joints reverse."""
+DRY_FRICTION_FROM: Final = 0.5  # rad/s; below it friction is compensated in part, so that torques do not jump
 
 
 @inlined

@@ -1,4 +1,4 @@
-"""The robot as it is with a payload that the controller knows of."""
+"""The robot with a payload that the controller knows of."""
 
 import dataclasses
 
@@ -10,7 +10,7 @@ from fastmimic.robot import Robot
 
 
 def loaded_robot(robot: Robot, load: LoadConfig) -> Robot:
-    """The robot with a point mass on its trunk; its specification, from which simulations are built, is as it was."""
+    """The robot with a point mass on its trunk; its specification, from which simulations are built, is unchanged."""
     if load.mass == 0:
         return robot
     place = np.array(load.position)
@@ -30,5 +30,5 @@ def loaded_robot(robot: Robot, load: LoadConfig) -> Robot:
 
 
 def _point_inertia(d: Array) -> Array:
-    """(3, 3) inertia of a unit mass at (3,) d, m²."""
+    """(3, 3) inertia of a unit mass at `d` (3,), m²."""
     return np.asarray(d @ d * np.eye(3) - np.outer(d, d))

@@ -1,7 +1,6 @@
 """Stance: ground forces that accelerate the body as wanted (paper, eq. 1; Di Carlo et al. 2018).
 
-All vectors are in the heading frame: the world frame turned by the robot's yaw, so that gains keep their meaning in
-turns.
+All vectors are in the heading frame (world frame turned by the robot's yaw), so that gains keep their meaning in turns.
 """
 
 import math
@@ -51,11 +50,7 @@ def force_column(inverse_inertia: Array, arm: Array, axis: int, mass: float, out
 
 @inlined
 def friction_rows(config: Any, k: int, qp: Any) -> int:
-    """Writes the sides of the friction pyramids of k forces below the k simple bounds on their z components.
-
-    Returns:
-        How many rows: 4 k or 8 k.
-    """
+    """Writes the friction pyramids of k forces below the k simple bounds on f_z; returns how many rows, 4 k or 8 k."""
     n, row = 3 * k, 0
     qp.rows[: config.friction_sides * k * n] = 0.0
     for i in range(k):
@@ -81,26 +76,15 @@ def friction_rows(config: Any, k: int, qp: Any) -> int:
 def stance_forces(
     config: Any, mass: float, inverse_inertia: Array, arms: Array, desired: Array, memory: Any, qp: Any, columns: Array
 ) -> bool:
-    """Solves for the forces of the legs whose state is stance; the result is in `memory.force`.
+    """Solves for the forces of the standing legs, into `memory.force`; False if the solver failed.
 
-    min ‖A f − g̃ − ẍ_des‖²_Q + ‖f‖²_R,  |f_x|, |f_y| ≤ μ f_z,  f_min ≤ f_z ≤ f_max;  f = 0 in swing;
-    with `friction_sides` 8 also |f_x ± f_y| ≤ √2 μ f_z.
+        min ‖A f − g̃ − ẍ_des‖²_Q + ‖f‖²_R,  |f_x|, |f_y| ≤ μ f_z,  f_min ≤ f_z ≤ f_max;  f = 0 in swing;
+        with `friction_sides` 8 also |f_x ± f_y| ≤ √2 μ f_z.
 
     The variables are the z forces of the k standing legs, then their x and y forces, so that the bounds on f_z are
-    DAQP's simple bounds.
-
-    Args:
-        config: packed controller configuration.
-        mass: kg.
-        inverse_inertia: (3, 3) of the whole robot, heading frame.
-        arms: (4, 3) feet relative to the centre of mass, heading frame, m.
-        desired: (6,) ẍ_des, heading frame.
-        memory: the robot's `MEMORY` record.
-        qp: workspace.
-        columns: (12, 6) scratch.
-
-    Returns:
-        False if the solver failed; the last forces are then held for a few steps and dropped afterwards.
+    DAQP's simple bounds. After a failure the last forces are held for a few steps and then dropped. In the heading
+    frame: `inverse_inertia` (3, 3) of the whole robot, `arms` (4, 3) from the centre of mass to the feet in m,
+    `desired` (6,) ẍ_des; `columns` (12, 6) is scratch.
     """
     k = 0
     for leg in range(4):

@@ -1,4 +1,4 @@
-"""The monotonic clock, callable from compiled code: for how long something took, never for what it does."""
+"""The monotonic clock, callable from compiled code. For timing only, never for behaviour."""
 
 import ctypes
 import sys

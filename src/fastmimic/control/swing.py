@@ -1,4 +1,4 @@
-"""Swing: where the feet in the air go (paper, eq. 3)."""
+"""Swing: paths of the feet in the air (paper, eq. 3)."""
 
 from typing import Any
 
@@ -51,11 +51,10 @@ def lift_off(config: Any, ref: Any, memory: Any, scratch: Any, leg: int, height_
 def raibert_path(
     config: Any, model: Any, ref: Any, memory: Any, scratch: Any, leg: int, share: float, height_error: float
 ) -> tuple[float, float, float]:
-    """Joints at a share of the straight path to the Raibert foothold (Kang et al. 2021; paper, §IV-B).
+    """Joint angles at a share of the straight path to the Raibert foothold (Kang et al. 2021; paper, §IV-B).
 
-    From where the foot lifted off to 0.5 T_s v − K (v̄ − v) from under the hip, on the ground: x and y linear in time, z
-    over a parabola. Velocities in the body frame, as in eq. 3, and of the base alone, in turns as well. The path keeps
-    level with the ground as the reference does, by the factor `config.level`.
+    The path leads from lift-off to 0.5 T_s v − K (v̄ − v) from under the hip, on the ground: x and y linear in time, z
+    over a parabola. Velocities are the base's, body frame, as in eq. 3. `config.level` levels the path.
     """
     g, rotation, start = model.geometry[leg], scratch.rotation, memory.liftoff_offset[leg]
     forward = 0.5 * config.swing_time
@@ -77,7 +76,7 @@ def raibert_path(
 def raibert_leg(
     config: Any, model: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int, height_error: float
 ) -> None:
-    """A leg on its way to the Raibert foothold, which it holds after T_s until contact; independent of the animal."""
+    """Moves a leg to the Raibert foothold, holding it after T_s until contact; independent of the animal."""
     share = min(memory.since_switch[leg] / config.swing_time, 1.0)
     step = config.dt / config.swing_time
     a, h, k = raibert_path(config, model, ref, memory, scratch, leg, share, height_error)

@@ -92,10 +92,10 @@ def _desired_acceleration(
 def _relative_to_feet(
     config: Any, ref: Any, rotation: Array, reference_rotation: Array, feet: Array, memory: Any, error: Array
 ) -> None:
-    """Mixes the position error with that relative to where the standing feet are (x and y, heading frame).
+    """Mixes the x and y position error, heading frame, with that relative to the standing feet.
 
-    Balance depends on the feet: over feet that landed elsewhere, the body has to be as it is over the reference's feet,
-    not as it is in the world. Feet that are about to leave the ground count less and less.
+    Balance depends on the feet: the body belongs over the actual feet as it is over the reference's, wherever they
+    landed. Feet about to lift off fade out.
     """
     ex = ey = total = 0.0
     for leg in range(4):

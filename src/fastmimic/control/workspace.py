@@ -56,5 +56,4 @@ SCRATCH: Final = record_dtype(
         ("torque", "f8", (3,)),
         ("recovering", "f8"),  # 1 after a push, else 0
     ]
-)
-"""One record for each thread."""
+)  # one record per thread
