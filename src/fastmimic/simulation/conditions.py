@@ -16,17 +16,14 @@ OBSERVED: Final = ("truth", "sensors")
 
 @dataclass(frozen=True)
 class Conditions:
-    """Under which conditions episodes run. The defaults are those under which motions are optimised.
+    """The conditions of episodes. The defaults are those of the optimisation.
 
     Attributes:
         simulator: one of `SIMULATORS`.
-        observe: what the controller observes: "truth" for the simulator's state, "sensors" for an estimate from noisy,
-            biased and late sensors.
-        seed: of sensors and disturbances. Each episode has its own random stream, so it does not depend on the episodes
-            beside it.
-        disturbances: differences from the robot and the ground of the optimisation, as objects or as texts such as
-            "payload=2".
-        sensors, estimator: their parameters where `observe` is "sensors".
+        observe: "truth" for the simulator's state, "sensors" for an estimate from noisy, biased and late sensors.
+        seed: of sensors and disturbances. Each episode has its own random stream, independent of the others in a batch.
+        disturbances: deviations from robot and ground of the optimisation, as objects or texts such as "payload=2".
+        sensors, estimator: used where `observe` is "sensors".
     """
 
     simulator: str = "mujoco"
@@ -48,5 +45,5 @@ class Conditions:
 
 
 def episode_generator(seed: int, episode: int, purpose: int) -> np.random.Generator:
-    """The random stream of one episode for one purpose (each user of randomness has a number of its own)."""
+    """The random stream of one episode for one purpose (each user of randomness has its own number)."""
     return np.random.default_rng(np.random.SeedSequence([seed, episode, purpose]))

@@ -1,4 +1,4 @@
-"""All disturbances as data, each with its unit, range and realisation. To add one, register one entry.
+"""All disturbances as data, each with unit, range and realisation. To add one, register one entry:
 
     DISTURBANCES.register(DisturbanceKind("wind", unit="N", lower=-50.0, upper=50.0, about="…", each_step=blow))
 
@@ -20,35 +20,27 @@ from fastmimic.base.registry import Registry
 from fastmimic.base.rotations import matrix_from_quat
 from fastmimic.simulation.simulators import SIMULATORS
 
-PUSH_TIME_S: Final = 2.0
-"""Default time of a push after the start of an episode, when the robot has settled into its gait."""
+PUSH_TIME_S: Final = 2.0  # after the start of an episode, when the robot has settled into its gait
 PUSH_DURATION_S: Final = 0.1
-PAYLOAD_HEIGHT_M: Final = 0.1
-"""Of the payload's centre above the base's origin."""
-PAYLOAD_SIDE_M: Final = 0.1
-"""Of the payload, a cube."""
+PAYLOAD_HEIGHT_M: Final = 0.1  # of the payload's centre above the base's origin
+PAYLOAD_SIDE_M: Final = 0.1  # of the payload, a cube
 
-Apply = Callable[[Any, Array], None]
-"""(simulation, (n,) values): changes the models of the n robots, once they are built."""
-EachStep = Callable[[Any, Array, float], None]
-"""(simulation, (n,) values, time in s): called before each control step."""
+Apply = Callable[[Any, Array], None]  # (simulation, (n,) values): changes the built models of the n robots
+EachStep = Callable[[Any, Array, float], None]  # (simulation, (n,) values, time in s), before each control step
 
 
 @dataclass(frozen=True)
 class DisturbanceKind:
-    """One entry.
+    """A kind of disturbance.
 
     Attributes:
-        name: as on the command line.
-        unit: of its value; empty for a number without.
-        lower, upper: of the values that it takes.
-        about: one line.
+        unit: of its value; empty for a plain number.
         nominal: the value that disturbs nothing.
-        levels: what `fastmimic stress` runs, the nominal value among them; empty for five from lower to upper.
-        usual: the range to expect of a robot of this class, for randomisation: the order of magnitude, not identified
-            on a robot. None if the robots of a batch cannot differ in it.
+        levels: what `fastmimic stress` runs, with the nominal value; empty for five from lower to upper.
+        usual: the range to expect of a robot of this class, for randomisation: an order of magnitude, not identified on
+            a robot. None if the robots of a batch cannot differ in it.
         randomized: whether randomisation varies it by default.
-        per_robot: whether each robot of a batch may have a value of its own.
+        per_robot: whether each robot of a batch may have its own value.
         timed: whether it happens at a time.
         apply: by simulator.
         each_step: the same function for every simulator.
@@ -74,7 +66,6 @@ class DisturbanceKind:
             object.__setattr__(self, "levels", tuple(sorted(levels)))
 
     def realized_in(self, simulator: str) -> bool:
-        """Whether a simulator has it."""
         return self.each_step is not None or simulator in self.apply or self.name in SIMULATORS[simulator].realizes
 
     def show(self, value: float) -> str:
@@ -134,16 +125,9 @@ def _trunk_load(simulation: Any, _: Array) -> None:
 
 
 def loaded(mass: float, com: Array, inertia: Array, payload: float) -> tuple[float, Array, Array]:
-    """A trunk with a payload.
+    """Mass (kg), centre of mass (3,) (m) and inertia (3, 3) about it (kg·m²) of a trunk with a `payload` (kg).
 
-    Args:
-        mass: of the trunk, kg.
-        com: (3,) its centre of mass in its frame, m.
-        inertia: (3, 3) about it, kg·m².
-        payload: kg.
-
-    Returns:
-        Mass, centre of mass and inertia about it of the two.
+    `mass`, `com` and `inertia` are those of the trunk alone, in its frame.
     """
     at = np.array([0.0, 0.0, PAYLOAD_HEIGHT_M])
     total = mass + payload

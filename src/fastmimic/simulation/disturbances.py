@@ -1,7 +1,6 @@
-"""Disturbances with their strengths: what differs from the robot and ground of the optimisation.
+"""Disturbances with their strengths: deviations from robot and ground of the optimisation, unknown to the controller.
 
-A disturbance belongs to the world; the controller is not told. On the command line it is written `name=value`, a push
-also `name=value@time`.
+On the command line: `name=value`, a push also `name=value@time`.
 """
 
 import math
@@ -24,7 +23,7 @@ class Disturbance:
     Attributes:
         name: one of `DISTURBANCES`.
         values: one for all robots, or one for each.
-        at_s: when it happens, s after the start; None for those that are there all the time.
+        at_s: time of a timed disturbance, s after the start; None for a lasting one.
     """
 
     name: str
@@ -53,7 +52,6 @@ class Disturbance:
 
     @property
     def kind(self) -> DisturbanceKind:
-        """What it is."""
         return DISTURBANCES[self.name]
 
     def __str__(self) -> str:
@@ -62,11 +60,7 @@ class Disturbance:
 
 
 def parse_disturbance(text: str) -> Disturbance:
-    """A disturbance from `name=value` or `name=value@time`, the time in s.
-
-    Raises:
-        ConfigError: it does not read so, or there is no such disturbance or value.
-    """
+    """A disturbance from `name=value` or `name=value@time` (s); raises `ConfigError` for any other text."""
     found = re.fullmatch(r"\s*([\w-]+)\s*=\s*([^@]+?)\s*(?:@\s*([^@]+?)\s*)?", text)
     if found is None:
         raise ConfigError(
@@ -83,13 +77,12 @@ def parse_disturbance(text: str) -> Disturbance:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """The values of all disturbances for n robots: (n,) arrays, the nominal value where nothing is disturbed.
+    """The values of all disturbances for n robots, nominal where nothing is disturbed.
 
     Attributes:
-        n: number of robots.
-        given: the names of the disturbances that there are.
+        given: names of the disturbances present.
         values: by name, (n,) in the disturbance's unit.
-        times: by name, when those that happen at a time do, s after the start.
+        times: by name, s after the start, of those that happen at a time.
     """
 
     n: int
@@ -101,7 +94,7 @@ class World:
         return self.values[name]
 
     def has(self, *names: str) -> bool:
-        """Whether any of these is there."""
+        """Whether any of these is given."""
         return any(name in self.given for name in names)
 
     @cached_property
@@ -112,13 +105,13 @@ class World:
 
     @property
     def gravity(self) -> Array:
-        """(n, 3) unit vectors of gravity in the frame of the ground, z normal to it."""
+        """(n, 3) unit vectors of gravity in the ground's frame, z normal to it."""
         x, y = (np.tan(np.radians(self.values[name])) for name in ("slope", "side-slope"))
         down = -np.column_stack([x, y, np.ones(self.n)])
         return down / np.linalg.norm(down, axis=1, keepdims=True)
 
     def push(self, elapsed_s: float) -> Array | None:
-        """(n, 2) the present force of the pushes on the trunk, forwards and to the left, N; None without any."""
+        """(n, 2) present push on the trunks, forwards and to the left, N; None without any."""
         force, pushed = np.zeros((self.n, 2)), False
         for axis, name in enumerate(("push", "side-push")):
             if name in self.given and 0 <= elapsed_s - self.times[name] + 1e-9 < PUSH_DURATION_S:
@@ -128,10 +121,10 @@ class World:
 
 
 def make_world(disturbances: Sequence[Disturbance], n: int, simulator: str) -> World:
-    """What the disturbances amount to for n robots.
+    """The world of n robots.
 
     Raises:
-        ConfigError: one is given twice, is not realised in the simulator, or has neither one value nor n.
+        ConfigError: a disturbance is given twice, is not realised in the simulator, or has neither one value nor n.
     """
     values = {name: np.full(n, kind.nominal) for name, kind in DISTURBANCES.items()}
     given: set[str] = set()
@@ -156,16 +149,9 @@ def known(simulator: str) -> list[str]:
 
 
 def driving_limit(limit: Array, top_speed: Array, joint_vel: Array) -> Array:
-    """Torque that motors have in the direction of their motion: all of it up to half their top speed, then less in a
-    line until there is none.
+    """Motor torque (n, 12) available in the direction of motion, N·m: full to half the top speed, then linear to 0.
 
-    Args:
-        limit: (12,) N·m.
-        top_speed: (n, 1) rad/s.
-        joint_vel: (n, 12) rad/s.
-
-    Returns:
-        (n, 12) N·m.
+    `limit` is (12,) N·m, `top_speed` (n, 1) rad/s, `joint_vel` (n, 12) rad/s.
     """
     with np.errstate(invalid="ignore"):
         share = 2.0 * (1.0 - np.abs(joint_vel) / top_speed)

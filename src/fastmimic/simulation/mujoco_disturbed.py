@@ -19,9 +19,9 @@ from fastmimic.simulation.terrain import HALF_SIDE_M, rough_ground, turns
 class DisturbedMujocoSimulation(MujocoSimulation):
     """A batch of robots that differ from each other and from the model that their controllers know.
 
-    Attributes for disturbances: `model`, `batch` (its fields by robot), `world` (all values), `trunk` (body),
-    `joint_dofs` (12,), `trunk_force` (n, 3) in N, world frame, for this control step; and `constants_changed`, to be
-    set by a change of masses, inertias, gravity or joints.
+    For disturbances: `model`, `batch` (its fields by robot), `world` (all values), `trunk` (body), `joint_dofs` (12,),
+    `trunk_force` (n, 3) in N, world frame, for this control step; and `constants_changed`, which a change of masses,
+    inertias, gravity or joints sets.
     """
 
     def __init__(
@@ -35,13 +35,7 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
         threads: int = 1,
     ) -> None:
-        """
-        Args:
-            robot: without the disturbances.
-            n: how many.
-            disturbances: each with one value, or one for each robot.
-            seed: of uneven ground.
-            control_rate_hz, physics_rate_hz, threads: as for `MujocoSimulation`.
+        """`robot` is without the disturbances; `seed` is for uneven ground; the rest as for `MujocoSimulation`.
 
         Raises:
             ConfigError: as `make_world`, or the physics rate is not a multiple of the control rate.
@@ -100,7 +94,7 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         super().reset(root_pos, root_quat, joint_pos, lin_vel, ang_vel_b, joint_vel)
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
-        """Applies commands (n,) of `COMMAND` for one control step and returns the new observation."""
+        """Applies commands (n,) of `COMMAND` for one control step; returns the new observation."""
         self._push()
         self._sent[self._steps % len(self._sent)] = commands
         if self._late is None and not self.world.has("top-speed"):
@@ -114,7 +108,7 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         return self.observe()
 
     def _drive(self, commands: NDArray[Any]) -> None:
-        """Gives the motors their commands, as strong as they are."""
+        """Sends the motors their commands, scaled by motor strength."""
         actuate(commands, self._ctrl, self._bias)
         if self._range is None:
             return

@@ -1,7 +1,7 @@
 """MuJoCo: n robots on flat ground, stepped as one batch on native threads.
 
 The motor law τ + k_p (q* − q) + k_d (q̇* − q̇), clipped to the torque limit, runs at physics rate inside MuJoCo: each
-joint has an affine actuator whose bias holds the gains, per robot and per step.
+joint has an affine actuator with the gains in its bias, per robot and per step.
 """
 
 from typing import Any, Final, NamedTuple
@@ -21,10 +21,8 @@ from fastmimic.robot.state import OBSERVATION
 FLOOR: Final = "fastmimic_floor"
 DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
 GROUND_FRICTION: Final = 0.8
-FOOT_FIRST: Final = 0.3
-"""Of the foot's radius: how much higher than the foot the rest of its link has to be while it stands."""
-STANDING_LEANS_DEG: Final = (-60.0, -30.0, 0.0, 30.0, 60.0)
-"""Of the calf from the vertical, while a foot stands."""
+FOOT_FIRST: Final = 0.3  # foot radii by which the rest of its link has to be higher than a standing foot
+STANDING_LEANS_DEG: Final = (-60.0, -30.0, 0.0, 30.0, 60.0)  # of the calf from the vertical, in stance
 SLIDING: Final = 3  # MuJoCo's condim: a normal force and friction against slipping
 
 
@@ -38,19 +36,12 @@ class HeightField(NamedTuple):
 def build_model(
     robot: Robot, physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ, ground: HeightField | None = None
 ) -> mujoco.MjModel:
-    """The robot on a floor, with motors that take stiffness and damping, and sensors for the ground's force on each
-    foot.
+    """The robot on a floor (`ground`; None for flat), with motors that take stiffness and damping, and foot sensors.
 
-    Only the floor collides with the robot; its links do not collide with each other. Feet are hard points with the
-    file's sliding friction. What else it may say of their contacts is left out, as a controller cannot count on such
-    feet: resistance to rolling, since with friction of several kinds in one elliptic cone a foot that rolls over its
-    sphere at a calf's rate has little left against slipping; and softness, in which it sinks by up to its radius.
-    Geoms of the last link that would touch the ground before a standing foot collide with nothing.
-
-    Args:
-        robot: the robot.
-        physics_rate_hz: Hz.
-        ground: what the floor is if it is not flat.
+    Only the floor collides with the robot. Feet are hard points with the file's sliding friction. Two other contact
+    properties of the file are left out, as a controller cannot count on such feet: resistance to rolling (in one
+    elliptic cone, a foot that rolls at a calf's rate has little friction left against slipping) and softness (feet sink
+    by up to their radius). Geoms of the last link that would touch the ground before a standing foot do not collide.
     """
     spec, plain = robot.spec(), mujoco.MjSpec().default.geom
     for group in (spec.actuators, spec.sensors, spec.keys):
@@ -108,8 +99,7 @@ def build_model(
 
 
 def _before_feet(model: mujoco.MjModel, robot: Robot) -> list[int]:
-    """Geoms on the feet's links that are as low as the foot, but for a share of its radius, in postures in which it
-    stands on a level floor."""
+    """Geoms on the feet's links about as low as the foot, in postures in which it stands on a level floor."""
     data, points, floor = mujoco.MjData(model), np.zeros(6), model.geom(FLOOR).id
     joints = [model.joint(name).qposadr[0] for name in robot.joint_names]
     free = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE][0]
@@ -135,7 +125,7 @@ def _before_feet(model: mujoco.MjModel, robot: Robot) -> list[int]:
 
 
 def _floor_shape(spec: mujoco.MjSpec, ground: HeightField | None) -> dict[str, Any]:
-    """What the floor's geom is: a plane, or a height field, which is added to the model's assets."""
+    """The floor's geom: a plane, or a height field, which is added to the model's assets."""
     if ground is None:
         return {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0, 0, 0.05]}
     lowest, highest = float(ground.heights.min()), float(ground.heights.max())
@@ -201,10 +191,7 @@ class MujocoSimulation:
         threads: int = 1,
         ground: HeightField | None = None,
     ) -> None:
-        """
-        Raises:
-            ConfigError: the physics rate is not a multiple of the control rate.
-        """
+        """Raises `ConfigError` if the physics rate is not a multiple of the control rate."""
         substeps = physics_rate_hz / control_rate_hz
         if substeps < 1 or abs(substeps - round(substeps)) > 1e-9:
             raise ConfigError(
@@ -227,7 +214,7 @@ class MujocoSimulation:
     def reset(
         self, root_pos: Array, root_quat: Array, joint_pos: Array, lin_vel: Array, ang_vel_b: Array, joint_vel: Array
     ) -> None:
-        """Puts the robots into given states; arrays (n, …), world frame but for the angular velocity (body frame)."""
+        """Puts the robots into given states (n, …), world frame but for the angular velocity (body frame)."""
         self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         self._qpos[:, :3], self._qpos[:, 3:7] = root_pos, root_quat
         self._qpos[:, self._index[:12]] = joint_pos
@@ -265,12 +252,12 @@ class MujocoSimulation:
         self.observation["other_contact"][rows] = 0.0
 
     def observe(self) -> NDArray[Any]:
-        """The robots' present states, (n,) of `OBSERVATION`; contact forces are those of the last substep."""
+        """The present states, (n,) of `OBSERVATION`; contact forces are those of the last substep."""
         _observe(self._qpos, self._qvel, self._sensors, self._contacts, self._index, self.observation)
         return self.observation
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
-        """Applies commands (n,) of `COMMAND` for one control step and returns the new observation."""
+        """Applies commands (n,) of `COMMAND` for one control step; returns the new observation."""
         actuate(commands, self._ctrl, self._bias)
         self.batch.step(nstep=self.substeps)
         return self.observe()

@@ -12,13 +12,12 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.robot import Robot
 from fastmimic.simulation.disturbance_kinds import PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M
 
-DESCRIPTIONS: Final = {"a1": "a1/a1.urdf"}
-"""In the package `pybullet_data`, by the robot's name."""
+DESCRIPTIONS: Final = {"a1": "a1/a1.urdf"}  # in the package `pybullet_data`, by robot
 _TRUNK: Final = "trunk"
 
 
 def require_pybullet() -> Any:
-    """PyBullet's module; raises `ConfigError` with what to do if it is not installed."""
+    """PyBullet's module; raises `ConfigError`, with what to do, if it is not installed."""
     with contextlib.redirect_stderr(io.StringIO()), quiet():  # it tells when it was built
         try:
             import pybullet

@@ -1,8 +1,7 @@
 """PyBullet: the manufacturer's own description of the robot in another physics engine, behind the same interface.
 
-The masses, inertias, collision shapes and torque limits are those of Unitree's URDF in `pybullet_data`, which differ
-from our MJCF's; it knows no rotor inertia. Contacts are Bullet's: rigid, by sequential impulses. Each robot is alone
-in a physics client of its own.
+Masses, inertias, collision shapes and torque limits are those of Unitree's URDF in `pybullet_data`, which differ from
+our MJCF's; it has no rotor inertia. Contacts are Bullet's: rigid, by sequential impulses.
 """
 
 import contextlib
@@ -31,12 +30,11 @@ DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
 
 _JOINTS: Final = tuple(f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "upper", "lower"))
 _TOES: Final = tuple(f"{leg}_toe" for leg in LEGS)
-_FIT_M: Final = 2e-3
-"""By how much the feet may differ from those of our model."""
+_FIT_M: Final = 2e-3  # largest difference of the feet from those of our model
 
 
 class PybulletSimulation:
-    """n robots, each in a physics client of its own, stepped one after another. One thread at a time."""
+    """n robots, each alone in its own physics client, stepped one after another. One thread at a time."""
 
     def __init__(
         self,
@@ -48,18 +46,17 @@ class PybulletSimulation:
         control_rate_hz: float = 500.0,
         physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
     ) -> None:
-        """
+        """Starts the clients.
+
         Args:
             robot: one of `DESCRIPTIONS`.
-            n: how many.
             disturbances: each with one value, or one for each robot.
             seed: of uneven ground.
-            control_rate_hz: Hz.
-            physics_rate_hz: of the motor law and of Bullet's steps, Hz.
+            physics_rate_hz: of the motor law and of Bullet's steps.
 
         Raises:
-            ConfigError: PyBullet is missing, the robot is another one, a disturbance that is not realised here, or the
-                physics rate is not a multiple of the control rate.
+            ConfigError: PyBullet is missing, the robot or a disturbance is not supported, or the physics rate is not a
+                multiple of the control rate.
         """
         substeps = physics_rate_hz / control_rate_hz
         if substeps < 1 or abs(substeps - round(substeps)) > 1e-9:
@@ -97,15 +94,15 @@ class PybulletSimulation:
         self.trunk_force = np.zeros((n, 3))
 
     def close(self) -> None:
-        """Ends the physics clients; otherwise done when the simulation is forgotten."""
+        """Ends the physics clients; garbage collection does so otherwise."""
         self._close()
 
     def reset(
         self, root_pos: Array, root_quat: Array, joint_pos: Array, lin_vel: Array, ang_vel_b: Array, joint_vel: Array
     ) -> None:
-        """Puts the robots into given states; arrays (n, …), world frame but for the angular velocity (body frame).
+        """Puts the robots into given states (n, …), world frame but for the angular velocity (body frame).
 
-        Everything is loaded anew: Bullet remembers contacts, and the same start must lead to the same course.
+        Reloads everything: Bullet remembers contacts, and the same start must lead to the same course.
         """
         n = len(self._bodies)
         wide = [
@@ -125,11 +122,11 @@ class PybulletSimulation:
             body.observe(self.observation[i], self._rate)
 
     def observe(self) -> NDArray[Any]:
-        """The robots' present states, (n,) of `OBSERVATION`; contact forces are those of the last substep."""
+        """The present states, (n,) of `OBSERVATION`; contact forces are those of the last substep."""
         return self.observation
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
-        """Applies commands (n,) of `COMMAND` for one control step and returns the new observation."""
+        """Applies commands (n,) of `COMMAND` for one control step; returns the new observation."""
         self._sent.append(commands.copy())
         if len(self._sent) > int(self._late.max()) // self.substeps + 2:
             self._sent.pop(0)
@@ -200,11 +197,11 @@ class _Body:
 
     @property
     def links(self) -> range:
-        """Indices of all links, the base (−1) among them."""
+        """Indices of all links, including the base (−1)."""
         return range(-1, self._bullet.getNumJoints(self.id, physicsClientId=self._client))
 
     def prepare(self, friction: float, damping: float) -> None:
-        """Motors off but for the joints' own friction; no drag of the air, which Bullet has by default."""
+        """Motors off but for the joints' own friction; no air drag, which Bullet has by default."""
         bullet, on = self._bullet, {"physicsClientId": self._client}
         for link in self.links:
             # each in a call of its own: together with the damping, a link's friction would be ignored
@@ -220,7 +217,7 @@ class _Body:
     def place(
         self, position: Array, quat: Array, joint_pos: Array, lin_vel: Array, ang_vel: Array, joint_vel: Array
     ) -> None:
-        """Sets the state; all in the world frame, of the trunk's frame."""
+        """Sets the state of the trunk's frame and the joints, world frame."""
         bullet, on = self._bullet, {"physicsClientId": self._client}
         arm = quat_rotate(quat, self.com_b)
         frame = quat_multiply(quat, self.frame_b)
@@ -261,7 +258,7 @@ class _Body:
         bullet.applyExternalForce(self.id, -1, force_w, at, bullet.WORLD_FRAME, **on)
 
     def observe(self, out: Any, rate: float) -> None:
-        """Writes the state, and the ground's forces in the last physics step, into a record of `OBSERVATION`."""
+        """Writes the state, and the ground reaction forces of the last physics step, into a record of `OBSERVATION`."""
         bullet, on = self._bullet, {"physicsClientId": self._client}
         at, frame = bullet.getBasePositionAndOrientation(self.id, **on)
         velocity, turning = (np.array(v) for v in bullet.getBaseVelocity(self.id, **on))
@@ -286,7 +283,7 @@ class _Body:
         out["other_contact"] = others
 
     def feet(self, joint_pos: Array) -> Array:
-        """Feet of the robot in the trunk's frame at some joint angles, (4, 3) m; leaves it there."""
+        """Feet in the trunk's frame at given joint angles, (4, 3) m; leaves the robot there."""
         self.place(np.zeros(3), np.array([1.0, 0, 0, 0]), joint_pos, np.zeros(3), np.zeros(3), np.zeros(12))
         links = self._bullet.getLinkStates(self.id, self.toes, computeForwardKinematics=1, physicsClientId=self._client)
         return np.array([link[4] for link in links])

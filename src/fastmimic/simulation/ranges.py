@@ -12,18 +12,12 @@ from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S
 from fastmimic.simulation.disturbances import Disturbance
 
-PUSH_WINDOW_S: Final = 1.0
-"""A push comes at a time drawn from a window of this length after its usual time: at any phase of the gait."""
+PUSH_WINDOW_S: Final = 1.0  # length of the window of push times after the usual time: any phase of the gait
 
 
 @dataclass(frozen=True)
 class Range:
-    """A disturbance drawn uniformly from a range, for each robot once.
-
-    Attributes:
-        name: of a disturbance that has a usual range.
-        lower, upper: of the range, in the disturbance's unit.
-    """
+    """A disturbance drawn uniformly from a range, once for each robot; bounds are in the disturbance's unit."""
 
     name: str
     lower: float
@@ -42,7 +36,6 @@ class Range:
 
     @property
     def timed(self) -> bool:
-        """Whether it happens at a time."""
         return DISTURBANCES[self.name].timed
 
     def __str__(self) -> str:
@@ -56,20 +49,12 @@ def usual_ranges() -> dict[str, tuple[float, float]]:
 
 
 def usual_range(name: str) -> Range:
-    """A disturbance over its usual range.
-
-    Raises:
-        ConfigError: an unknown disturbance, or one in which robots cannot differ.
-    """
+    """A disturbance over its usual range; raises `ConfigError` if it is unknown or robots cannot differ in it."""
     return Range(name, *(DISTURBANCES[name].usual or (0.0, 0.0)))
 
 
 def parse_range(text: str) -> Range:
-    """A range from `name=lower:upper`, or a disturbance's usual one from its name.
-
-    Raises:
-        ConfigError: a text of another form, or an unknown disturbance or range.
-    """
+    """A range from `name=lower:upper`, or the usual one from its name; raises `ConfigError` for anything else."""
     found = re.fullmatch(r"\s*([\w-]+)\s*(?:=\s*([^:]+):([^:]+))?", text)
     try:
         if found is None:
@@ -96,8 +81,8 @@ def check_lasting(ranges: Sequence[Range]) -> None:
     """Checks ranges for a training, which can be resumed at any step.
 
     Raises:
-        ConfigError: a disturbance has two ranges, happens at a time, or is a delay: commands under way are not part of
-            the state from which a training resumes.
+        ConfigError: a disturbance has two ranges, happens at a time, or is a delay (the training state lacks commands
+            under way).
     """
     check_once(ranges)
     possible = [name for name in usual_ranges() if not DISTURBANCES[name].timed and name != "delay"]
@@ -115,17 +100,10 @@ def draw_uniform(ranges: Sequence[Range], n: int, rng: np.random.Generator) -> t
 def draw(
     ranges: Sequence[Range], n: int, rng: np.random.Generator, *, nominal_first: bool = False
 ) -> tuple[Disturbance, ...]:
-    """Draws n robots by a Latin hypercube: of as many equal parts of each range as robots are drawn, each has one, so
-    that few robots are not all of one kind by chance.
+    """Draws n robots by a Latin hypercube: one from each of n equal parts of each range, so that few robots spread.
 
-    Args:
-        ranges: of different disturbances.
-        n: how many robots.
-        rng: random generator.
-        nominal_first: whether the first robot is undisturbed, and only the others are drawn.
-
-    Returns:
-        A disturbance for each range, of n values; pushes all at one time.
+    The ranges are of different disturbances. With `nominal_first` the first robot is undisturbed and only the others
+    are drawn. Returns a disturbance of n values for each range; pushes all come at one time.
     """
     first = int(nominal_first)
     found = []
@@ -140,7 +118,7 @@ def draw(
 
 
 def repeated(robots: Sequence[Disturbance], times: int) -> tuple[Disturbance, ...]:
-    """The same robots over and over: those of the first round, then those of the second."""
+    """The same robots `times` over, round after round."""
     return tuple(replace(d, values=d.values * times) for d in robots)
 
 

@@ -106,9 +106,9 @@ _ERRORS: Final = record_dtype(
         ("level", "f8", (4,)),
     ]
 )
-"""One robot's errors that last, and its velocity at the last reading of the IMU. `attitude` is that of the IMU's
+"""One robot's lasting errors, and its velocity at the last IMU reading. `attitude` is the error of the IMU's
 orientation, a small rotation vector in the world frame. `up` is the vertical in the simulation's frame, and `level` the
-rotation from there to a frame in which it is z."""
+rotation from there to a frame with z vertical."""
 
 _NOISE: Final = record_dtype(
     [
@@ -124,8 +124,7 @@ _NOISE: Final = record_dtype(
         ("foot", "f8", (4,)),
         ("foot_offset", "f8", (4,)),
     ]
-)
-"""Standard normal numbers for one control step of a robot."""
+)  # standard normal numbers for one control step of a robot
 
 _DRAWN: Final = _NOISE.itemsize // 8
 
@@ -159,8 +158,8 @@ def _rounded(value: float, quantum: float) -> float:
 
 @inlined
 def _measure_imu(c: Any, errors: Any, noise: Any, truth: Any, out: Any, rotation: Array, work: Array) -> None:
-    """Orientation, angular velocity, and the mean specific force since the last reading, with the orientation halfway:
-    what an IMU says that samples much faster and sums up."""
+    """Orientation, angular velocity, and mean specific force since the last reading in the orientation halfway, like an
+    IMU that samples much faster and sums up."""
     quat_to_matrix(truth.root_quat, rotation)
     transposed_times(rotation, truth.ang_vel, out.gyro)
     span = c.dt * c.periods[0]
@@ -216,7 +215,7 @@ def _measure_joints(c: Any, errors: Any, noise: Any, truth: Any, command: Any, o
 
 @inlined
 def _drift(c: Any, errors: Any, noise: Any) -> None:
-    """One control step of the errors that last. The heading drifts with what the IMU's gyro gets wrong."""
+    """One control step of the lasting errors. The heading drifts with the errors of the IMU's gyro."""
     root = np.sqrt(c.dt)
     keep = np.exp(-c.dt / c.tilt_time)
     spread = c.tilt_error * np.sqrt(1.0 - keep * keep)
@@ -234,7 +233,7 @@ def _drift(c: Any, errors: Any, noise: Any) -> None:
 def _measure(
     config: Any, errors: Any, noises: Any, truths: Any, commands: Any, ring: Any, outs: Any, at: int, work: Array
 ) -> None:
-    """What all robots' sensors measure now, into a ring (n, depth) of readings, and what has arrived of it by now."""
+    """Writes all measurements into a ring (n, depth) of readings; `outs` are those that have arrived by now."""
     c = config[0]
     depth = ring.shape[1]
     for i in range(truths.shape[0]):
@@ -276,7 +275,7 @@ def _shift(errors: Any, commands: Any, outs: Any) -> None:
 
 
 class Sensors:
-    """The sensors of n robots. What a robot draws depends on its generator alone, not on the robots beside it."""
+    """The sensors of n robots. A robot's noise depends on its own generator alone."""
 
     def __init__(
         self,
@@ -286,14 +285,7 @@ class Sensors:
         config: SensorConfig | None = None,
         gravity: Array | None = None,
     ) -> None:
-        """
-        Args:
-            robot: the robot.
-            n: number of robots.
-            rate_hz: control steps a second.
-            config: parameters; those of `SensorConfig` if None.
-            gravity: (n, 3) its directions in the simulation's frame, unit vectors; downwards if None.
-        """
+        """`gravity` (n, 3) are its directions in the simulation's frame, unit vectors; downwards if None."""
         self.config = config if config is not None else SensorConfig()
         self._config = _pack(self.config, robot, rate_hz)
         self._errors = np.zeros(n, _ERRORS)
@@ -308,14 +300,9 @@ class Sensors:
         self.reading = np.zeros(n, READING)
 
     def reset(self, generators: Sequence[np.random.Generator], truth: NDArray[Any]) -> NDArray[Any]:
-        """Begins n episodes, each with its own random stream, and measures their first states.
+        """Begins n episodes with one random stream each; `truth` is (n,) of `OBSERVATION`.
 
-        Args:
-            generators: n random streams.
-            truth: (n,) of `OBSERVATION`.
-
-        Returns:
-            (n,) of `READING`; overwritten by the next call.
+        Returns the first readings, (n,) of `READING`; overwritten by the next call.
         """
         assert len(generators) == len(self._errors)
         self._generators, self._step = generators, 0
@@ -336,14 +323,9 @@ class Sensors:
         return self.measure(truth, np.zeros(len(errors), COMMAND))
 
     def measure(self, truth: NDArray[Any], commands: NDArray[Any]) -> NDArray[Any]:
-        """What has arrived of the sensors at the end of a control step.
+        """Readings (n,) of `READING` that have arrived at the end of a control step; overwritten by the next call.
 
-        Args:
-            truth: (n,) of `OBSERVATION`, the state at its end.
-            commands: (n,) of `COMMAND`, what the motors were told for it.
-
-        Returns:
-            (n,) of `READING`; overwritten by the next call.
+        `truth` (n,) of `OBSERVATION` is the state at its end, `commands` (n,) of `COMMAND` the motors' commands for it.
         """
         at = self._step % _BLOCK
         if at == 0:
@@ -354,7 +336,7 @@ class Sensors:
         return self.reading
 
     def to_motors(self, commands: NDArray[Any]) -> NDArray[Any]:
-        """What commands (n,) of `COMMAND` mean to motors whose encoders have these offsets: they close their position
-        loops on what they measure. Overwritten by the next call."""
+        """Commands (n,) of `COMMAND` as motors with encoder offsets take them: they close their position loops on what
+        they measure. Overwritten by the next call."""
         _shift(self._errors, commands, self._command)
         return self._command

@@ -1,4 +1,4 @@
-"""The simulators, each an entry of a registry. To add one, register one entry; nothing else has to know it."""
+"""The simulators, each an entry of a registry. To add one, register one entry."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,24 +26,22 @@ class Simulation(Protocol):
     def reset(
         self, root_pos: Array, root_quat: Array, joint_pos: Array, lin_vel: Array, ang_vel_b: Array, joint_vel: Array
     ) -> None:
-        """Puts the robots into given states; arrays (n, …), world frame but for the angular velocity (body frame)."""
+        """Puts the robots into given states (n, …), world frame but for the angular velocity (body frame)."""
 
     def observe(self) -> NDArray[Any]:
-        """The robots' present states, (n,) of `OBSERVATION`."""
+        """The present states, (n,) of `OBSERVATION`."""
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
-        """Applies commands (n,) of `COMMAND` for one control step and returns the new observation."""
+        """Applies commands (n,) of `COMMAND` for one control step; returns the new observation."""
 
 
 @dataclass(frozen=True)
 class Simulator:
-    """One entry.
+    """A simulator.
 
     Attributes:
-        name: as on the command line.
-        about: one line.
         make: `make(robot, n, conditions, control_rate_hz, threads)` returns a simulation.
-        check: raises `ConfigError` if it is not installed or does not know the robot; for before long work.
+        check: raises `ConfigError` if it is not installed or does not know the robot.
         realizes: names of the disturbances that it has by itself, without the disturbance's own functions.
     """
 
@@ -101,28 +99,16 @@ SIMULATORS: Final = Registry(
 
 
 def check_simulator(robot: Robot, simulator: str) -> None:
-    """Makes sure that the simulator exists and knows the robot; for before long work.
-
-    Raises:
-        ConfigError: an unknown simulator, or one that is not installed or does not know the robot.
-    """
+    """Raises `ConfigError` if the simulator is unknown, not installed, or does not know the robot."""
     SIMULATORS[simulator].check(robot)
 
 
 def make_simulation(
     robot: Robot, n: int, conditions: "Conditions", *, control_rate_hz: float, threads: int = 1
 ) -> Simulation:
-    """n robots in the simulator of the conditions, with their disturbances.
+    """n robots in the simulator of the conditions (only `simulator`, `disturbances` and `seed` count).
 
-    Args:
-        robot: the robot.
-        n: how many.
-        conditions: only `simulator`, `disturbances` and `seed` are used.
-        control_rate_hz: Hz.
-        threads: at most; PyBullet has one.
-
-    Raises:
-        ConfigError: the simulator is not installed, does not know the robot or does not realise a disturbance; or rates
-            that do not fit.
+    `threads` is an upper bound; PyBullet has one. Raises `ConfigError` as `check_simulator`, for a disturbance that is
+    not realised, or for rates that do not fit.
     """
     return SIMULATORS[conditions.simulator].make(robot, n, conditions, control_rate_hz, threads)

@@ -8,8 +8,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.simulation.conditions import episode_generator
 
 CELL_M: Final = 0.15
-CELLS: Final = 400
-"""Along each side: 60 m, in whose middle episodes begin. Who leaves it falls."""
+CELLS: Final = 400  # on each side: 60 m; episodes begin in the middle, and a robot that leaves the field falls
 HALF_SIDE_M: Final = CELL_M * CELLS / 2
 _FLAT_RADIUS_M: Final = 0.45
 _FULL_RADIUS_M: Final = 0.9
@@ -18,9 +17,9 @@ _TURN_PURPOSE: Final = 72
 
 
 def rough_ground(roughness: float, seed: int) -> Array:
-    """Heights at the corners of the cells, (CELLS + 1, CELLS + 1), rows along y, columns along x, m.
+    """Heights (m) at the corners of the cells, (CELLS + 1, CELLS + 1), rows along y, columns along x.
 
-    Uniform in ± `roughness`; nothing within 0.45 m of the middle, growing to all of it at 0.9 m.
+    Uniform in ± `roughness`; zero within 0.45 m of the middle, rising to full height at 0.9 m.
     """
     heights = episode_generator(seed, 0, _PURPOSE).uniform(-roughness, roughness, (CELLS + 1, CELLS + 1))
     along = np.linspace(-HALF_SIDE_M, HALF_SIDE_M, CELLS + 1)
@@ -29,5 +28,5 @@ def rough_ground(roughness: float, seed: int) -> Array:
 
 
 def turns(n: int, seed: int) -> Array:
-    """By how much the field is turned about its middle for each episode, (n,) rad: each crosses other ground."""
+    """Turn of the field about its middle for each episode, (n,) rad: each crosses different ground."""
     return np.array([episode_generator(seed, i, _TURN_PURPOSE).uniform(-np.pi, np.pi) for i in range(n)])
