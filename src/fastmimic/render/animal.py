@@ -1,4 +1,4 @@
-"""The animal at the robot's size: its keypoints in its own heading frame, moment by moment."""
+"""The animal at the robot's size: its keypoints in its heading frame over time."""
 
 import numpy as np
 
@@ -15,17 +15,13 @@ from fastmimic.robot import Robot
 
 
 class Animal:
-    """A clip's points in its own heading frame, scaled as retargeting scales them, on the ground.
-
-    Args:
-        clip: the animal.
-        robot: whose size it takes.
-        motion: what was made of the clip; one of another length is run through at its own speed, from start to end.
+    """A clip's points on the ground in its own heading frame, scaled as in retargeting. `motion`, made of the clip, may
+    have another length; it is then run through from start to end.
 
     Attributes:
         name: of the clip.
         points: (t, 10, 3) keypoints, heading frame, origin on the ground under the middle of neck and pelvis, m.
-        body: (t, k, 3) the same of the points that the skeleton joins.
+        body: (t, k, 3) the points that the skeleton joins, in the same frame.
         skeleton: of the clip, with radii at the robot's size.
     """
 
@@ -48,12 +44,11 @@ class Animal:
         self._samples = motion.target.n_samples
 
     def local(self, sample: int) -> Array:
-        """Keypoints (10, 3) at a sample of the demonstration: heading frame, origin on the ground under the middle of
-        neck and pelvis, m."""
+        """Keypoints (10, 3) at a sample of the demonstration, in the frame of `points`, m."""
         return self._at(self.points, sample)
 
     def local_body(self, sample: int) -> Array:
-        """The same of the points that the skeleton joins, (k, 3)."""
+        """The points that the skeleton joins, (k, 3), in the same frame."""
         return self._at(self.body, sample)
 
     def _at(self, points: Array, sample: int) -> Array:
@@ -68,15 +63,8 @@ class Animal:
 def animal_track(
     clip: Clip, robot: Robot, motion: Motion, duration_s: float, title: str = "", caption: str = ""
 ) -> AnimalTrack:
-    """The animal of a clip, moving along the path of the demonstration that was made of it, at its rate.
-
-    Args:
-        clip: the animal.
-        robot: whose size it takes.
-        motion: made of the clip, optimised or not.
-        duration_s: how much of it, s.
-        title, caption: of the panel.
-    """
+    """The first `duration_s` of a clip's animal, at the robot's size, along the path and at the rate of `motion`, made
+    of it."""
     animal = Animal(clip, robot, motion)
     path = motion_track(motion.target, duration_s)
     heading = yaw_from_quat(path.root_quat_wxyz)

@@ -1,4 +1,4 @@
-"""One panel of a video: the video_scene seen by a camera, with a shadow under the robot."""
+"""One panel of a video: the scene seen by a camera, with a shadow under the robot."""
 
 from typing import Final
 
@@ -11,8 +11,7 @@ from fastmimic.render.video_scene import GHOST_GROUP, LIGHT_DIR, VideoScene
 
 Rgba = tuple[float, float, float, float]
 
-_ELEVATION_DEG: Final = -19.0
-"""Steep enough that the ground fills the picture: a sky costs time and shows nothing."""
+_ELEVATION_DEG: Final = -19.0  # the ground fills the picture
 _SHADOW_RGBA: Final = (0.30, 0.33, 0.37, 1.0)
 _EVERYTHING: Final = mujoco.mjtCatBit.mjCAT_ALL.value
 _GROUND_ONLY: Final = mujoco.mjtCatBit.mjCAT_STATIC.value
@@ -23,26 +22,23 @@ _FLATTEN: Final = np.array(
         [0.0, 1.0, -LIGHT_DIR[1] / LIGHT_DIR[2]],
         [0.0, 0.0, 1e-3],  # not quite flat: a singular matrix has no normals
     ]
-)
-"""Projects along the light onto the ground."""
+)  # projects along the light onto the ground
 _SHADOW_HEIGHT: Final = np.array([0.0, 0.0, 0.002])
 _MARK_HEIGHT: Final = 0.004
 _MARK_RADIUS: Final = 0.034
-_LIGHT_DISTANCE: Final = 3.0
-"""From the point that the camera looks at, m: the shadow map has its depth about it."""
+_LIGHT_DISTANCE: Final = 3.0  # m, from the point that the camera looks at
 _ZERO: Final = np.zeros(3)
 _UPRIGHT: Final = np.eye(3).ravel()
-_MAX_MARKS: Final = 400
-"""Bones, trails and contacts drawn at once, their shadows included."""
+_MAX_MARKS: Final = 400  # bones, trails and contacts drawn at once, with their shadows
 
 
 class CameraView:
-    """Poses the robots of a video_scene and collects what there is to draw.
+    """Poses the robots of a video scene and collects what to draw.
 
     Args:
         video_scene: the model to pose.
         azimuth_deg: the camera's direction of sight, from the world's x axis.
-        distance: from the camera to the point at which it looks, m.
+        distance: from the camera to the point that it looks at, m.
     """
 
     def __init__(self, video_scene: VideoScene, azimuth_deg: float, distance: float) -> None:
@@ -61,7 +57,7 @@ class CameraView:
     def update(self, robot: Array | None, ghost: Array | None, look_at: Array) -> None:
         """Poses the robot and the ghost, (19,) each, and points the camera at `look_at` (3,), world.
 
-        A view shows the robot and the ghost always or never: that is settled by the first call.
+        The first call settles whether robot and ghost are shown.
         """
         model, data, video_scene = self._video_scene.model, self._data, self._video_scene
         if robot is not None:
@@ -109,7 +105,7 @@ class CameraView:
         return geom
 
     def _follow(self, look_at: Array) -> None:
-        """Keeps the tiles under the camera, by whole periods of their pattern, and the light's depth map around it."""
+        """Moves the tiles, by whole periods of their pattern, and the light's depth map to the camera's point."""
         video_scene = self._video_scene
         period = 2 * video_scene.tile
         for tiles in video_scene.tiles:
@@ -124,7 +120,7 @@ class CameraView:
         return next(g for g in self.scene.geoms[: self.scene.ngeom] if g.objtype == _GEOM and g.objid == geom_id)
 
     def _cast_shadow(self) -> None:
-        """Appends the robot's geoms again, flattened onto the ground: far quicker than a shadow map."""
+        """Appends the robot's geoms again, flattened onto the ground: much faster than a shadow map."""
         if self._video_scene.quality.shadow_map:
             return
         if self._shadows is None:
@@ -137,7 +133,7 @@ class CameraView:
 def _new_shadows(
     scene: mujoco.MjvScene, casts_shadow: NDArray[np.bool_]
 ) -> list[tuple[mujoco.MjvGeom, mujoco.MjvGeom]]:
-    """The geoms that cast a shadow, each with the slot behind the scene's own geoms that shows it."""
+    """The geoms that cast a shadow, each with its shadow's slot."""
     pairs: list[tuple[mujoco.MjvGeom, mujoco.MjvGeom]] = []
     for i in range(scene.ngeom):
         geom = scene.geoms[i]
@@ -150,7 +146,7 @@ def _new_shadows(
 
 
 def _start_shadow(geom: mujoco.MjvGeom, shadow: mujoco.MjvGeom) -> None:
-    """Makes `shadow` the geom's shape in the shadow's colour, as it looks in the light that is not taken away."""
+    """Gives `shadow` the geom's shape and the colour of ambient light."""
     color = np.array(_SHADOW_RGBA, dtype=np.float32)
     mujoco.mjv_initGeom(shadow, geom.type, np.ones(3), np.zeros(3), np.eye(3).ravel(), color)
     shadow.size[:], shadow.dataid = geom.size, geom.dataid

@@ -1,4 +1,4 @@
-"""Video files, H.264, VP9 or GIF, written so that only a whole one ever appears under its name."""
+"""Video files: H.264, VP9 or GIF, written atomically."""
 
 import os
 import subprocess
@@ -19,26 +19,20 @@ FPS: Final = 30.0
 GIF_FPS: Final = 20.0
 GIF_SIZE: Final = (640, 360)
 ENDINGS: Final = (".mp4", ".gif", ".webm")
-GIF_MEGAPIXELS: Final = 60
-"""Of all frames of a GIF together: about 20 MB, more than which hardly anything shows."""
+GIF_MEGAPIXELS: Final = 60  # of all frames together: about 20 MB
 
 _VP9: Final = ("-c:v", "libvpx-vp9", "-b:v", "0", "-row-mt", "1", "-pix_fmt", "yuv420p")
 _PALETTE: Final = (
     "split[all][drawn];[all]palettegen=stats_mode=full[palette];"
     "[drawn][palette]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
-)
-"""A GIF's 256 colours are chosen from all its frames, which the encoder holds until the last one is there."""
+)  # 256 colours from all frames, which the encoder holds until the end
 
 
 _PIPE: Final = 2**20  # bytes, the most that Linux allows anyone: a frame in two pieces instead of in twenty-four
 
 
 class VideoFile:
-    """Encodes frames into a temporary file beside `path` and puts it there when all went well.
-
-    A GIF plays for ever.
-
-    Use it as a context manager; after an exception, an interrupt included, `path` is as it was.
+    """Encodes frames into a temporary file, which replaces `path` on success. A context manager. GIFs repeat.
 
     Args:
         path: the `.mp4`, `.webm` or `.gif` to write.
@@ -46,7 +40,7 @@ class VideoFile:
         size: width and height of the video, pixels; even but for a GIF. Frames of another size are scaled.
         fps: frames a second.
         quality: of the encoder.
-        frames: how many there will be, if it is known.
+        frames: their number, if known.
 
     Raises:
         OutputError: `path` cannot be written, or has another ending.
@@ -97,10 +91,9 @@ class VideoFile:
         return self
 
     def write(self, frame: NDArray[np.uint8]) -> None:
-        """Adds one frame, (height, width, 3), first row on top. One that OpenGL drew, last row first, is not copied.
+        """Adds a frame, (height, width, 3), first row on top; raises `OutputError` if the encoder has stopped.
 
-        Raises:
-            OutputError: the encoder has stopped.
+        A frame as OpenGL drew it, last row first in memory, is not copied.
         """
         assert self._encoder.stdin is not None
         try:
@@ -143,7 +136,7 @@ class VideoFile:
 
 
 def _widen(pipe: "IO[bytes] | None") -> None:
-    """Gives a pipe more room, where that can be had."""
+    """Enlarges a pipe's buffer where allowed."""
     if pipe is None or not sys.platform.startswith("linux"):
         return
     import fcntl
@@ -153,7 +146,7 @@ def _widen(pipe: "IO[bytes] | None") -> None:
 
 
 def _temporary_beside(path: Path, ending: str) -> Path:
-    """An empty file in the same folder, so that replacing is atomic."""
+    """An empty file in the same folder, for atomic replacement."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=ending)
@@ -164,7 +157,6 @@ def _temporary_beside(path: Path, ending: str) -> Path:
 
 
 def _ffmpeg() -> str:
-    """The ffmpeg that comes with imageio, or the system's."""
     import imageio_ffmpeg  # type: ignore[import-untyped]
 
     try:

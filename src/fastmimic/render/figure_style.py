@@ -1,7 +1,7 @@
 """What all figures share: colours, plain axes, and saving.
 
-Colours are Okabe and Ito's (2008), which colour-blind readers tell apart; every series also has its own line
-style, so that the figures read in grey. Only matplotlib's object interface is used: no pyplot, no rcParams.
+Colours are Okabe and Ito's (2008), safe for colour-blind readers; line styles also tell the series apart. Only
+matplotlib's object interface is used: no pyplot, no rcParams.
 """
 
 from pathlib import Path
@@ -22,14 +22,14 @@ LIMIT: Final = "#b03060"
 
 
 class Line(NamedTuple):
-    """Colour and dash pattern of one series, wherever it appears."""
+    """Colour and dash pattern of a series."""
 
     color: str
     linestyle: Any
     linewidth: float
 
     def kwargs(self) -> dict[str, Any]:
-        """The style as keyword arguments of `Axes.plot`."""
+        """Keyword arguments of `Axes.plot`."""
         return {"color": self.color, "linestyle": self.linestyle, "linewidth": self.linewidth}
 
 
@@ -45,7 +45,7 @@ LEG_LINES: Final = (  # FR, FL, RR, RL: right orange, left blue; front solid, re
 
 
 def new_figure(width: float, height: float, title: str) -> Figure:
-    """An empty figure of `width` × `height` inches with its title at the top left."""
+    """An empty figure of `width` × `height` inches, its title at the top left."""
     figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     figure.suptitle(title, x=0.012, ha="left", fontsize=13, fontweight="bold", color=INK)
@@ -65,10 +65,9 @@ def tidy(axes: Axes, title: str = "", xlabel: str = "", ylabel: str = "") -> Non
 
 
 def save(figure: Figure, path: str | Path) -> None:
-    """Writes `figure` as PNG, PDF or SVG, by the ending of `path`; replaces a file only by a whole one.
+    """Writes `figure` as PNG, PDF or SVG, by the ending of `path`; replaces a file only by a complete one.
 
-    Raises:
-        OutputError: the ending is not one of these, or the file cannot be written.
+    Raises `OutputError` for another ending or a file that cannot be written.
     """
     suffix = Path(path).suffix.lower().lstrip(".")
     if suffix not in ("png", "pdf", "svg"):

@@ -1,7 +1,7 @@
-"""Drawing MuJoCo scenes into memory, with a display or without one.
+"""Drawing MuJoCo scenes into memory, with or without a display.
 
-MuJoCo's own `Renderer` takes the OpenGL backend that `MUJOCO_GL` named when `mujoco` was first imported,
-which is too early to choose one for a machine without a display. Here the context is made directly.
+MuJoCo's own `Renderer` fixes the OpenGL backend when `mujoco` is first imported, too early to choose one for a machine
+without a display. Here the context is made directly.
 """
 
 import importlib
@@ -24,19 +24,15 @@ _OFF: Final = ("disable", "disabled", "off", "false", "0")
 _NAMED: Final = ("egl", "osmesa", "glfw", "cgl")
 
 
-BLANK: Final = (0.93, 0.95, 0.97)
-"""Colour of a cell without a scene: that of the haze."""
+BLANK: Final = (0.93, 0.95, 0.97)  # colour of an empty cell: that of the haze
 
 
 class NoRendererError(Exception):
-    """OpenGL cannot draw here. Not the user's mistake: callers go on without pictures, and say so."""
+    """OpenGL cannot draw here. Callers continue without pictures and say so."""
 
 
 def backends() -> tuple[str, ...]:
-    """The OpenGL backends to try, in this order.
-
-    `MUJOCO_GL` decides if it is set. Otherwise a machine without a display takes EGL, then OSMesa.
-    """
+    """The OpenGL backends to try, in order: `MUJOCO_GL`, or without a display EGL, then OSMesa."""
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted in _OFF:
         return ()
@@ -52,18 +48,14 @@ def backends() -> tuple[str, ...]:
 
 
 def in_any_thread() -> bool:
-    """Whether a context may be made and used in any thread: not those that belong to a window system."""
+    """Whether a context may be used in any thread: not those of a window system."""
     return all(backend in ("egl", "osmesa") for backend in backends())
 
 
 class Offscreen:
-    """An OpenGL context with a framebuffer, for one model; use it as a context manager.
+    """An OpenGL context with a framebuffer of the model's `vis.global_.offwidth` × `offheight`; a context manager.
 
-    Args:
-        model: its `vis.global_.offwidth` and `offheight` give the size of the pictures.
-
-    Raises:
-        NoRendererError: no OpenGL backend works here; the message says what was tried.
+    Raises `NoRendererError` if no OpenGL backend works here; the message lists those tried.
     """
 
     def __init__(self, model: "mujoco.MjModel") -> None:
@@ -72,12 +64,7 @@ class Offscreen:
         self._gl, self._context = _open(model, self.width, self.height)
 
     def draw(self, scenes: "Sequence[mujoco.MjvScene]", columns: int | None = None) -> NDArray[np.uint8]:
-        """The scenes in a grid, row by row: (height, width, 3), first row on top.
-
-        Args:
-            scenes: what is in each cell; cells that are left over are blank.
-            columns: of the grid; as many as scenes if None.
-        """
+        """The scenes in a grid, row by row: (height, width, 3), first row on top; one row if `columns` is None."""
         import mujoco
 
         self._gl.make_current()
@@ -94,7 +81,7 @@ class Offscreen:
         return picture[::-1]
 
     def close(self) -> None:
-        """Frees the context; drawing is over."""
+        """Frees the context."""
         self._context.free()
         self._gl.free()
 
@@ -108,10 +95,10 @@ class Offscreen:
 
 
 def grid_cells(count: int, width: int, height: int, columns: int | None = None) -> list[tuple[int, int, int, int]]:
-    """Left, top, right, bottom of the cells of a grid for so many pictures, row by row, pixels from the top left.
+    """Left, top, right, bottom of the cells of a grid, row by row, in pixels from the top left.
 
     Args:
-        count: of pictures; the last row's cells are all there, filled or not.
+        count: of pictures; the last row is completed by empty cells.
         width, height: of the whole, pixels.
         columns: of the grid; as many as pictures if None.
     """

@@ -1,4 +1,4 @@
-"""Words in a video: titles, captions, the clock and the legend, drawn with Pillow."""
+"""Text in a video: titles, captions, the clock and the legend, drawn with Pillow."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -22,10 +22,9 @@ class Overlay:
     """Text that stays the same for the whole video, blended onto each frame, and a clock.
 
     Args:
-        width: of the frames, pixels.
-        height: of the frames, pixels.
+        width, height: of the frames, pixels.
         panels: a title and a caption for each panel, row by row.
-        legend: colour (r, g, b, 0 to 1) and name of what the translucent robot is; None without one.
+        legend: colour (r, g, b, 0 to 1) and name of the translucent robot; None without one.
         speed_note: such as "slow motion × 0.25", shown with the clock.
         columns: of panels; as many as panels if None.
         clock: whether the time is shown.
@@ -75,13 +74,12 @@ class Overlay:
 
 
 def _unit(width: int, height: int, cell_height: int) -> float:
-    """The letters' size, as a share of that in a picture of 1280 x 720: in a small one they are to be read, too, and in
-    a low panel to leave room for the robot."""
+    """The letters' size relative to a picture of 1280 × 720: legible in small ones, smaller in low panels."""
     return min(max(float(np.sqrt(width * height)) / 960, 0.6), max(cell_height / 330, 0.45))
 
 
 class _Patch:
-    """A small RGBA picture at a place, with its blending worked out once."""
+    """A small RGBA picture at a place, with precomputed blending."""
 
     def __init__(self, image: "Image.Image", top: int, left: int) -> None:
         rgba = np.asarray(image, dtype=np.uint32)
@@ -101,7 +99,7 @@ class _Patch:
 
 @lru_cache(maxsize=16)
 def _font(size: int, bold: bool = False) -> "ImageFont.FreeTypeFont":
-    """DejaVu Sans as matplotlib carries it: the same on every machine."""
+    """DejaVu Sans from matplotlib: the same on every machine."""
     import matplotlib
     from PIL import ImageFont
 

@@ -1,4 +1,4 @@
-"""How carefully a video is drawn: quick, or as well as MuJoCo can."""
+"""Qualities of a video's drawing."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -8,17 +8,17 @@ from fastmimic.base.errors import ConfigError, did_you_mean
 
 @dataclass(frozen=True)
 class Quality:
-    """What drawing a frame takes.
+    """The quality of a video's drawing.
 
     Attributes:
         name: as on the command line.
-        size: width and height if nothing is said, pixels.
-        shadow_map: resolution of the light's depth map, pixels each way; 0 for the robot's geoms flattened onto the
-            ground, which without a graphics card is ten times as quick.
+        size: default width and height, pixels.
+        shadow_map: resolution of the light's depth map, pixels each way; 0 for geoms flattened onto the ground, ten
+            times as fast without a graphics card.
         samples: of each pixel, for smooth edges; 0 for one.
-        reflectance: share of what the ground mirrors.
-        textured: whether the ground's pattern is a texture, which blurs with distance, or tiles, which is quicker.
-        facets: of a round shape, around it.
+        reflectance: of the ground.
+        textured: whether the ground's pattern is a texture, which blurs with distance, or tiles, which are faster.
+        facets: around a round shape.
         preset, crf: libx264's effort and loss.
     """
 
@@ -39,11 +39,7 @@ QUALITIES: Final = {quality.name: quality for quality in (PREVIEW, HIGH)}
 
 
 def quality_named(name: str) -> Quality:
-    """The quality of that name.
-
-    Raises:
-        ConfigError: there is none; the message lists them.
-    """
+    """The quality of that name; raises `ConfigError`."""
     if name not in QUALITIES:
         raise ConfigError(f"unknown quality '{name}'; there are {', '.join(QUALITIES)}{did_you_mean(name, QUALITIES)}")
     return QUALITIES[name]

@@ -1,4 +1,4 @@
-"""Tracks: what robots and animals do, as videos play it back, and how they are made of logs and motions."""
+"""Tracks: poses of robots and animals over time for videos, made from logs and motions."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -17,8 +17,7 @@ from fastmimic.robot.kinematics import foot_positions
 if TYPE_CHECKING:
     from fastmimic.episode.rollout import Rollout
 
-LOADED_N: Final = 1.0
-"""Vertical force from which a foot is marked as loaded, N."""
+LOADED_N: Final = 1.0  # vertical force from which a foot is marked as loaded
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +31,7 @@ class Track:
         title: first line of the panel, such as "before".
         caption: second line, such as "reward 0.84".
         ghost: the demonstration at the same times, drawn as a translucent robot; None for no ghost.
-        contact: (t, 4) bool, which feet are marked as loaded; None for no marks.
+        contact: (t, 4) bool, feet marked as loaded; None for no marks.
     """
 
     root_pos_w: Array
@@ -63,7 +62,7 @@ class AnimalTrack:
     Attributes:
         points_w: (t, k, 3) world, m, finite.
         skeleton: which of the points are joined.
-        title, caption: as a `Track` has them.
+        title, caption: as in `Track`.
     """
 
     points_w: Array
@@ -96,7 +95,7 @@ def resample(track: Track, rate_hz: float, times: Array) -> Array:
 
 
 def resample_points(track: AnimalTrack, rate_hz: float, times: Array) -> Array:
-    """Points of an animal at `times` (n,) s, (n, k, 3); from the last sample on they stay."""
+    """Points of an animal at `times` (n,) s, (n, k, 3); after the last sample they stay."""
     points = np.asarray(track.points_w, dtype=np.float64)
     at = np.clip(times * rate_hz, 0, len(points) - 1)
     low = np.minimum(at.astype(np.int64), max(len(points) - 2, 0))
@@ -105,7 +104,7 @@ def resample_points(track: AnimalTrack, rate_hz: float, times: Array) -> Array:
 
 
 def resample_contact(track: Track, rate_hz: float, times: Array) -> NDArray[np.bool_]:
-    """Which feet are loaded at `times` (n,) s, (n, 4); none where the track does not say."""
+    """Loaded feet at `times` (n,) s, (n, 4); none if unknown."""
     if track.contact is None:
         return np.zeros((len(times), 4), dtype=np.bool_)
     nearest = np.clip(np.round(times * rate_hz).astype(np.int64), 0, len(track.contact) - 1)
@@ -113,13 +112,13 @@ def resample_contact(track: Track, rate_hz: float, times: Array) -> NDArray[np.b
 
 
 def rollout_track(rollout: "Rollout", title: str = "", episode: int = 0, note: str = "") -> Track:
-    """An episode as it happened, falls included, with the demonstration in force at each step as its ghost.
+    """An episode, falls included, with the demonstration at each step as its ghost.
 
     Args:
         rollout: with its log.
-        title: first line of the panel; the second tells the reward, and when the robot fell.
-        episode: which one.
-        note: what the second line begins with, such as the method.
+        title: first line of the panel; the second tells the reward and the time of a fall.
+        episode: its index.
+        note: beginning of the second line, such as the method.
     """
     log = rollout.log
     assert log is not None, "a track needs a rollout with its log"
@@ -142,15 +141,7 @@ def rollout_track(rollout: "Rollout", title: str = "", episode: int = 0, note: s
 def motion_track(
     motion: Motion, duration_s: float, title: str = "", ghost: Track | None = None, caption: str = ""
 ) -> Track:
-    """A motion as it is written, without physics: its cycles one after another, or once if it has none.
-
-    Args:
-        motion: the motion.
-        duration_s: how much of it, s.
-        title: first line of the panel.
-        ghost: of the same length.
-        caption: second line.
-    """
+    """The first `duration_s` of a motion, without physics: repeated if it is cyclic. The ghost has the same length."""
     n = max(1, round(duration_s * motion.rate_hz))
     if motion.cycle is None:
         n = min(n, motion.n_samples)
@@ -173,7 +164,7 @@ def realised_feet(rollout: "Rollout", robot: Robot, episode: int = 0) -> Array:
 
 
 def _cycle_origins(motion: Motion, cycles: int) -> Array:
-    """(x, y, yaw) at which each cycle starts, (cycles, 3)."""
+    """(x, y, yaw) at the start of each cycle, (cycles, 3)."""
     origin = np.zeros((cycles, 3))
     for k in range(1, cycles):
         assert motion.cycle is not None

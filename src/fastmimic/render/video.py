@@ -33,19 +33,15 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 
 
-_CAMERA_AZIMUTH_DEG: Final = 122.0
-"""From the robot's first heading: seen from its front right, so that it moves across the picture."""
+_CAMERA_AZIMUTH_DEG: Final = 122.0  # from the initial heading: the robot crosses the picture
 _CAMERA_SMOOTHING_S: Final = 0.35
-_LOOK_AT_HEIGHT: Final = 0.62
-"""Of the base's height: leaves room above for the words and below for the shadow."""
+_LOOK_AT_HEIGHT: Final = 0.62  # share of the base's height; leaves room for text and shadow
 MAX_PANELS: Final = 4
 _MAX_PAINTERS: Final = 4
 _TRAIL_S: Final = 0.45
 _TRAIL_PIECES: Final = 14
-_TRAIL_STEP: Final = 0.002
-"""Pieces of a trail that are shorter, m, are not drawn: the foot stands."""
-_TRAIL_WIDTH: Final = 3.0
-"""Pixels in a picture of 720 lines; at least half of it."""
+_TRAIL_STEP: Final = 0.002  # m; shorter pieces are not drawn, as the foot stands
+_TRAIL_WIDTH: Final = 3.0  # pixels in a picture of 720 lines; at least half of it
 _BONE_RGBA: Final = (0.66, 0.47, 0.30, 1.0)
 
 AnyTrack: TypeAlias = Track | AnimalTrack
@@ -53,7 +49,7 @@ AnyTrack: TypeAlias = Track | AnimalTrack
 
 @dataclass(frozen=True)
 class VideoInfo:
-    """What was written: number of frames, and how long they play, s."""
+    """Number of frames written, and their duration, s."""
 
     frames: int
     seconds: float
@@ -66,13 +62,10 @@ class _Shown:
     Attributes:
         root: (n, 3) what the camera follows, world, m.
         yaw: heading in the first frame, rad.
-        robot: (n, 19) poses; None for an animal.
-        ghost: (n, 19); None without one.
-        feet: (n, p, 4, 3) centres of the feet now and at the p - 1 moments before that a trail joins, world, m; None
-            without marks.
-        contact: (n, 4) which of them are loaded.
-        bones: (n, b, 2, 3) their ends, world, m; None for a robot.
-        radii: (b,) theirs, m.
+        robot, ghost: (n, 19) poses; None for an animal or without a ghost.
+        feet: (n, p, 4, 3) feet now and at the p - 1 moments before that a trail joins, world, m; None without marks.
+        contact: (n, 4) loaded feet.
+        bones, radii: (n, b, 2, 3) their ends, world, m, None for a robot; (b,) m.
     """
 
     root: Array
@@ -110,7 +103,7 @@ class _Panel:
         return self.view.scene
 
     def _trail(self, path: Array, leg: int) -> None:
-        """The last moments of a foot's path (p, 3), the present first, fading; not where it stood."""
+        """A fading trail of a foot's path (p, 3), present first, without where it stood."""
         moved = np.linalg.norm(np.diff(path, axis=0), axis=1) > _TRAIL_STEP
         for i in np.flatnonzero(moved):
             self.view.line(path[i], path[i + 1], leg_rgba(leg, 0.9 * (1 - i / _TRAIL_PIECES)), self.trail_width)
@@ -137,22 +130,21 @@ def render_video(
     """Writes a video of up to four tracks: one alone, two side by side, three or four as 2 x 2.
 
     Args:
-        robot: the robot that all tracks show.
+        robot: the robot of all tracks.
         tracks: one for each panel; a shorter one holds its last pose.
-        path: the `.mp4` (H.264), `.webm` (VP9) or `.gif` to write; replaced only once the new video is whole.
+        path: the `.mp4` (H.264), `.webm` (VP9) or `.gif` to write; replaced only by a complete video.
         rate_hz: samples a second of the tracks.
         fps: frames a second of the video; if None 30, or a GIF's 20.
         size: width and height, pixels, even but for a GIF; if None the quality's, or a GIF's 640 x 360.
-        quality: how carefully it is drawn, one of `fastmimic.render.quality.QUALITIES`.
+        quality: one of `fastmimic.render.quality.QUALITIES`.
         progress: called with (frames done, frames in all) after each frame.
         slow_motion: how many times slower than reality the video plays.
         supersampling: draw larger by this factor and scale down.
-        columns: of panels, if not as said above.
-        marks: whether feet leave trails, and discs on the ground show which are loaded.
+        columns: of panels, if different from the above.
+        marks: whether feet leave trails, and discs on the ground show loaded feet.
         clock: whether the time is shown.
-        window_s: the part of the tracks that is shown, s; camera and trails know what is before and after it.
-        loop_m: how far the robots come along their heading in it, m, if it is to be played again and again: the
-            ground's tiles are made to fit.
+        window_s: the part of the tracks shown, s; camera and trails also use the rest.
+        loop_m: for a video played in a loop, the distance along the heading, m, to which the ground's tiles are fitted.
 
     Returns:
         What was written; None, with a warning in the log, if this machine has no OpenGL to draw with.
@@ -199,12 +191,12 @@ def render_video(
 
 
 def _painters(frames: int) -> int:
-    """How many draw at once: without a graphics card one thread draws with one core, and waits now and then."""
+    """Number of painters: without a graphics card each uses one core and sometimes waits."""
     return max(1, min(_MAX_PAINTERS, available_cores() + 1, frames)) if in_any_thread() else 1
 
 
 class _Here(Executor):
-    """Does at once what is submitted, in the thread that submits it."""
+    """An executor that runs tasks at once in the submitting thread."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -216,17 +208,8 @@ class _Here(Executor):
 
 
 class _Painter:
-    """Draws frames in a thread of its own, the only one in which its OpenGL context is ever current; in the caller's
-    where contexts belong to windows, which only a program's first thread may open.
-
-    Args:
-        video_scene: the model.
-        panels: makes the panels; a painter has its own, since drawing poses them.
-        columns: of panels.
-
-    Raises:
-        NoRendererError: OpenGL cannot draw here.
-    """
+    """Draws frames in its own thread, to which its OpenGL context belongs; contexts of a window system stay in the
+    caller's thread. `panels` makes its own panels, since drawing poses them. Raises `NoRendererError`."""
 
     def __init__(self, video_scene: VideoScene, panels: Callable[[], list[_Panel]], columns: int) -> None:
         self._columns = columns
@@ -239,7 +222,7 @@ class _Painter:
             raise
 
     def paint(self, frame: int) -> Future[NDArray[np.uint8]]:
-        """Begins to draw that frame (height, width, 3)."""
+        """Starts drawing a frame (height, width, 3)."""
         return self._thread.submit(self._draw, frame)
 
     def _draw(self, frame: int) -> NDArray[np.uint8]:
@@ -263,7 +246,7 @@ def _film(
     video: VideoFile,
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """Labels and writes one frame after another, while the painters draw the next ones by turns."""
+    """Labels and writes the frames in order, while the painters draw the next ones by turns."""
     ahead = deque(painter.paint(i) for painter, i in zip(painters, frames, strict=False))
     for done, i in enumerate(frames, start=1):
         frame = ahead.popleft().result()
@@ -282,7 +265,7 @@ def _frame_times(samples: int, rate_hz: float, frames_per_s: float) -> Array:
 
 
 def _frames(times: Array, window_s: tuple[float, float] | None) -> range:
-    """Which of the frames at `times` are in the window."""
+    """The frames, taken at `times`, in the window."""
     if window_s is None:
         return range(len(times))
     first, end = np.searchsorted(times, np.array(window_s) - 1e-9)
@@ -347,7 +330,7 @@ def _overlay(
 def _panels(
     video_scene: VideoScene, robot: Robot, shown: list[_Shown], times: Array, size: tuple[int, int], columns: int
 ) -> list[_Panel]:
-    """All panels look from the same side and distance, each following its own robot."""
+    """Panels that all look from the same side and distance, each following its own robot."""
     from fastmimic.render.camera_view import CameraView
 
     span = np.ptp(robot.hip_pos_b[:, 0]) + robot.leg_length
@@ -370,7 +353,7 @@ def _panels(
 
 
 def _low_pass(path: Array, width: float) -> Array:
-    """Gaussian smoothing of (n, 3) without lag, `width` in samples; the ends go on in a straight line."""
+    """Gaussian smoothing of (n, 3) without lag, `width` in samples; the ends continue in a straight line."""
     reach = max(1, int(3 * width))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(width, 1e-9)) ** 2)
     kernel /= kernel.sum()

@@ -22,29 +22,25 @@ GHOST_GROUP: Final = 4
 _HIDDEN_GROUP: Final = 5
 _CHECKER: Final = "checker"
 _TILES: Final = ("light tiles", "dark tiles")
-_GHOST_SHRINK: Final = 0.97
-"""Of the sizes, so that surfaces do not flicker where the robot is exactly on its demonstration."""
+_GHOST_SHRINK: Final = 0.97  # avoids flicker where the robot matches its demonstration
 LIGHT_DIR: Final = (0.30, 0.40, -1.0)
 _FOVY_DEG: Final = 30.0
-TILE_M: Final = 0.5
-"""Edge of a tile of the ground."""
-_TILED_M: Final = 8.0
-"""How far from the camera's point the tiles reach: the fog hides what is beyond."""
+TILE_M: Final = 0.5  # edge of a ground tile
+_TILED_M: Final = 8.0  # reach of the tiles; the fog hides the rest
 _OVERLAP: Final = 0.05  # m
-_GROUND_M: Final = 22.0
-"""How far the ground goes on; the fog hides its edge."""
+_GROUND_M: Final = 22.0  # reach of the ground; the fog hides its edge
 _LIGHT_TILE: Final = (0.80, 0.82, 0.84)
 _DARK_TILE: Final = (0.70, 0.73, 0.76)
 _HAZE: Final = (0.93, 0.95, 0.97)
 
 
 def ghost_rgba(alpha: float = 0.36) -> tuple[float, float, float, float]:
-    """The demonstration's colour, as in the figures, translucent."""
+    """The demonstration's colour in the figures, translucent."""
     return (*_rgb(DEMONSTRATION.color), alpha)
 
 
 def leg_rgba(leg: int, alpha: float) -> tuple[float, float, float, float]:
-    """A leg's colour, as in the figures."""
+    """A leg's colour in the figures."""
     return (*_rgb(LEG_LINES[leg].color), alpha)
 
 
@@ -56,15 +52,15 @@ def _rgb(color: str) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class VideoScene:
-    """A model with the robot and, if wanted, its ghost, and where their coordinates are in `qpos`.
+    """A model with the robot and perhaps its ghost, and their coordinates in `qpos`.
 
     Attributes:
         model: the compiled model.
         robot_qpos: (19,) indices of the robot's root position, quaternion and joints in the common order.
-        ghost_qpos: the same of the ghost; None without one.
-        casts_shadow: (ngeom,) which geoms have a shadow: the robot's main ones.
-        quality: how it is drawn.
-        tiles: the geoms that are the ground's pattern, to be kept under the camera; none where that is a texture.
+        ghost_qpos: (19,) those of the ghost; None without one.
+        casts_shadow: (ngeom,) geoms with a shadow: the robot's main ones.
+        quality: of the drawing.
+        tiles: geoms of the ground's pattern, which follow the camera; none with a texture.
         tile: edge of a tile, m.
     """
 
@@ -87,15 +83,14 @@ def build_video_scene(
     quality: Quality = PREVIEW,
     tile: float = TILE_M,
 ) -> VideoScene:
-    """Puts a robot, and a ghost of it, on a checkered ground.
+    """Puts a robot, and a ghost of it if wanted, on a checkered ground.
 
     Args:
         robot: the robot to show.
-        ghost: whether a second, translucent robot is wanted.
-        width: of the whole picture, pixels.
-        height: of the whole picture, pixels.
+        ghost: whether a second, translucent robot is shown.
+        width, height: of the whole picture, pixels.
         floor: (2, 2) lowest and highest x and y that the robots reach, m.
-        quality: how carefully it is drawn.
+        quality: of the drawing.
         tile: edge of a tile of the ground, m.
     """
     import mujoco
@@ -136,8 +131,8 @@ def _set_visual(spec: "mujoco.MjSpec", width: int, height: int, quality: Quality
 
 
 def _add_ground(spec: "mujoco.MjSpec", floor: Array, quality: Quality, tile: float) -> None:
-    """A plane with a texture, or tiles of two colours beside each other: nothing is drawn twice, and without a graphics
-    card most of a picture's time goes into the ground."""
+    """A textured plane, or tiles of two colours side by side: nothing is drawn twice, which saves time on a
+    processor."""
     import mujoco
 
     if quality.textured:
@@ -198,7 +193,7 @@ def _add_checker(spec: "mujoco.MjSpec", tile: float, reflectance: float) -> None
 
 
 def _checkered(tile: float, reach: float, parity: int) -> tuple[Array, NDArray[np.int32]]:
-    """Every other tile of a square of `reach` m each way: vertices (k, 4, 3) and triangles (k, 2, 3), facing up."""
+    """Every other tile of a square of ± `reach` m: vertices (k, 4, 3) and triangles (k, 2, 3), facing up."""
     n = 2 * int(np.ceil(reach / (2 * tile)))
     column, row = np.meshgrid(np.arange(-n, n), np.arange(-n, n))
     low = np.stack([column, row], axis=-1)[(column + row) % 2 == parity] * tile
@@ -206,8 +201,7 @@ def _checkered(tile: float, reach: float, parity: int) -> tuple[Array, NDArray[n
 
 
 def _framed(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
-    """A square of tiles with the ground that goes on around it: under their edge, since it has none of their corners
-    and cracks would show."""
+    """Extends a square of tiles by the ground around it, which overlaps their edge to hide cracks."""
     inner, outer = float(vertices[..., 0].max()) - _OVERLAP, _GROUND_M
     low = np.array([[-outer, inner], [-outer, -outer], [-outer, -inner], [inner, -inner]])
     high = np.array([[outer, outer], [outer, -inner], [-inner, inner], [outer, inner]])
@@ -238,7 +232,7 @@ def _add_light(spec: "mujoco.MjSpec", quality: Quality) -> None:
 
 
 def _bare_robot(robot: Robot) -> "mujoco.MjSpec":
-    """The robot's model without a floor, lights or cameras of its own."""
+    """The robot's model without floor, lights and cameras."""
     spec = robot.spec()
     for element in (*spec.worldbody.geoms, *spec.lights, *spec.cameras, *spec.keys):
         spec.delete(element)
@@ -262,11 +256,7 @@ def _find(model: "mujoco.MjModel", robot: Robot, prefix: str) -> tuple[NDArray[n
 
 
 def _main_geoms(model: "mujoco.MjModel", geoms: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which of a robot's `geoms` its ghost and its shadow show.
-
-    Those that collide, if they are meant to be seen: decoration only costs time. Otherwise all that are
-    seen, as in models whose collision geometry is hidden behind meshes.
-    """
+    """A robot's geoms shown in its ghost and shadow: the visible colliding ones, or all visible ones if none."""
     seen = _seen(model, geoms)
     solid = seen & _solid(model)
     return solid if solid.any() else seen
@@ -282,7 +272,7 @@ def _solid(model: "mujoco.MjModel") -> NDArray[np.bool_]:
 
 
 def _make_ghost(model: "mujoco.MjModel", geoms: NDArray[np.bool_]) -> None:
-    """Makes a robot's `geoms` translucent, in the demonstration's colour."""
+    """Gives a robot's `geoms` the demonstration's colour, translucent."""
     main = _main_geoms(model, geoms)
     model.geom_group[geoms] = np.where(main[geoms], GHOST_GROUP, _HIDDEN_GROUP)
     model.geom_matid[geoms] = -1

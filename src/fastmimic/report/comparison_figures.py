@@ -1,4 +1,4 @@
-"""The figures of a comparison: rewards by method, tracking before and after, and the ablations."""
+"""The figures of a comparison: rewards by method, tracking before and after optimisation, ablations."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -16,23 +16,14 @@ from fastmimic.experiments.tables import Summary
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, new_figure, tidy
 
-_BAR: Final = 0.84
-"""Share of a group's width that its bars take."""
-_LABEL: Final = 0.04
-"""Height of a line of a bar's number, in units of the reward."""
-_CIRCLE: Final = 0.02
-"""Height of a circle with the gap to the number, in units of the reward."""
-_TRACKED_LEG: Final = "RL"
-"""The leg of the paper's tracking figures."""
+_BAR: Final = 0.84  # share of a group's width taken by bars
+_LABEL: Final = 0.04  # height of a bar's number, in units of the reward
+_CIRCLE: Final = 0.02  # height of a circle with its gap to the number, in units of the reward
+_TRACKED_LEG: Final = "RL"  # of the paper's tracking figures
 
 
 def comparison_figure(summaries: Sequence[Summary], title: str) -> Figure:
-    """Reward of every method on every motion, grouped by motion, the methods in the order of the paper's figure.
-
-    Args:
-        summaries: without variants.
-        title: heading.
-    """
+    """Reward of every method on every motion, grouped by motion, methods in the paper's order; without variants."""
     motions, methods = _names(summaries)
     found = {(s.motion, s.method): s for s in summaries}
     figure = new_figure(max(7.5, 1.2 + 0.42 * len(motions) * (len(methods) + 1)), 4.6, title)
@@ -90,16 +81,16 @@ def _bar(axes: Axes, x: float, width: float, s: Summary, color: str, hatch: str)
 def tracking_bars(
     summaries: Sequence[Summary], courses: Mapping[str, Array], rate_hz: float, start_s: float, title: str
 ) -> Figure:
-    """The paper's two tracking figures: foot height and fore-aft position before and after optimisation.
+    """The paper's tracking figures: foot height and fore-aft position before and after optimisation.
 
-    Left, the course of the left rear foot on one motion, as the paper shows its pace; right, the error of all feet on
-    every motion, and its change in percent.
+    Left, the left rear foot on one motion (the paper: pace); right, the error of all feet on every motion, and its
+    change in percent.
 
     Args:
         summaries: of one optimising method, without variants.
-        courses: `demonstration`, `before` and `after`, (t, 4, 3) feet in the body frame, m; NaN from a fall on.
+        courses: `demonstration`, `before` and `after`, (t, 4, 3) feet in the body frame, m; NaN after a fall.
         rate_hz: of the courses.
-        start_s: their first sample's time in the episode, s.
+        start_s: time of their first sample in the episode, s.
         title: heading.
     """
     figure = new_figure(12.0, 6.4, title)
@@ -149,24 +140,19 @@ def _error_bars(axes: Axes, summaries: Sequence[Summary], axis: str) -> None:
 
 
 def _falls(s: Summary) -> str:
-    """A cross if it fell in a nominal episode, with the share of the seeds unless it was all of them."""
+    """A cross after falls in nominal episodes, with the share of the seeds if not all fell."""
     fell = s.mean("fell") or 0.0
     return "" if fell == 0 else " ×" if fell == 1 else f" × {100 * fell:.0f} %"
 
 
 def _change(before: float, after: float) -> str:
-    """In percent of what it was."""
+    """The change in percent."""
     percent = round(100 * (after - before) / before) if before > 0 else 0
     return f"{percent:+d} %" if percent else "±0 %"
 
 
 def ablation_figure(summaries: Sequence[Summary], title: str) -> Figure:
-    """Reward of the method and of its variants, a panel a motion.
-
-    Args:
-        summaries: of the method and its variants.
-        title: heading.
-    """
+    """Reward of the method and of its variants, one panel per motion."""
     motions = list(dict.fromkeys(s.motion for s in summaries))
     variants = list(dict.fromkeys(s.variant for s in summaries))
     variants.sort(key=bool)  # the method itself first

@@ -25,18 +25,17 @@ from fastmimic.render.figure_style import save
 from fastmimic.report.comparison_figures import ablation_figure, comparison_figure, tracking_bars
 from fastmimic.runs.work_folder import RESULTS_CSV, TABLE
 
-SHOWN: Final = "dog:pace"
-"""The motion in the left half of the tracking figure, as in the paper; the first one if it was not compared."""
+SHOWN: Final = "dog:pace"  # the tracking figure's motion, as in the paper; else the first one compared
 
 
 def write_comparison(
     folder: ComparisonFolder, plan: ComparisonPlan, rows: Sequence[Row], kept: Sequence[Row] = ()
 ) -> None:
-    """Writes the tables and figures of all rows, in place of earlier ones; says so where runs are missing.
+    """Writes the tables and figures of all rows, replacing earlier ones; says so if runs are missing.
 
     Args:
         folder: of the comparison.
-        plan: what was asked for.
+        plan: what was requested.
         rows: of its finished runs.
         kept: of the other finished runs in the folder.
 
@@ -69,7 +68,7 @@ def _write_comparison(folder: ComparisonFolder, rows: Sequence[Row], expected: i
 
 
 def _write_tracking(folder: ComparisonFolder, rows: Sequence[Row]) -> list[str]:
-    """Of the paper's method, or of the first one that optimises; nothing if there is none."""
+    """Of the paper's method, or else the first optimising one; nothing without one."""
 
     methods = [row["method"] for row in rows if method_named(row["method"]).optimises]
     if not methods:

@@ -1,4 +1,4 @@
-"""The two figures of an imitation: how the optimiser converged, and how well the feet follow."""
+"""The two figures of an imitation: convergence of the optimiser, and tracking of the feet."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -25,22 +25,19 @@ def convergence_figure(
     *,
     randomized: bool = False,
 ) -> Figure:
-    """Reward and step size of the optimiser against the iteration.
+    """Reward and step size of the optimiser by iteration, (k,) each.
 
     Args:
-        iteration: (k,) iteration numbers.
-        best: (k,) objective of each iteration's best candidate, or of the search's start where that is better; the
-            figure draws the best so far.
-        mean: (k,) mean reward of each iteration's candidates.
-        std: (k,) standard deviation of the same, drawn as a band about the mean.
-        sigma: (k,) CMA-ES's step size, relative to the parameters' scaled ranges.
-        baseline: mean per-step reward of the motion that was not optimised, in [0, 1].
-        title: heading of the figure, such as the motion's and the robot's name.
-        randomized: whether each iteration scores on other robots: each one's best is drawn then, since the best of all
-            would be that of the easiest robots.
-
-    Returns:
-        The figure; `save` writes it.
+        iteration: their numbers.
+        best: objective of each iteration's best candidate, or of the search's start where better; the best so far is
+            drawn.
+        mean: mean reward of the candidates.
+        std: its standard deviation, drawn as a band about the mean.
+        sigma: CMA-ES's step size, relative to the parameters' scaled ranges.
+        baseline: mean per-step reward of the unoptimised motion, in [0, 1].
+        title: heading.
+        randomized: whether each iteration scores on other robots: each iteration's best is drawn then, since the best
+            so far would be that of the easiest robots.
     """
     k, best, mean, std, sigma = (
         np.atleast_1d(np.asarray(a, dtype=np.float64)) for a in (iteration, best, mean, std, sigma)
@@ -91,7 +88,7 @@ def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, bas
 
 
 def _label_step_sizes(axes: Axes, sigma: Array) -> None:
-    """A few round numbers, which a low logarithmic axis has room for: 1, 2 and 5 of each decade, or whole decades."""
+    """Ticks for a low logarithmic axis: 1, 2 and 5 of each decade, or whole decades."""
     shown = sigma[np.isfinite(sigma) & (sigma > 0)]
     if not shown.size:
         return
@@ -109,7 +106,7 @@ def _reward_title(best: Array, baseline: float) -> str:
 
 
 def _marker(k: Array) -> str:
-    """A dot where a line would have no length."""
+    """A dot for a single point, where no line would show."""
     return "o" if len(k) < 3 else ""
 
 
@@ -123,19 +120,16 @@ def tracking_figure(
     *,
     window_s: tuple[float, float] | None = None,
 ) -> Figure:
-    """Height and fore-aft position of the four feet: what was wanted, and what the robot did.
+    """Height and fore-aft position of the four feet: wanted and realised.
 
     Args:
         time_s: (t,) s.
         demonstration: (t, 4, 3) foot centres in the body frame that the robot is scored against, m.
-        before: (t, 4, 3) realised feet with the motion as retargeted, body frame, m; NaN from a fall on.
-        after: (t, 4, 3) realised feet with the optimised motion, body frame, m; NaN from a fall on.
+        before: (t, 4, 3) realised feet with the motion as retargeted, body frame, m; NaN after a fall.
+        after: (t, 4, 3) realised feet with the optimised motion, in the same way.
         contact: (t, 4) bool, the demonstration's stance, drawn as shading.
-        title: heading of the figure.
+        title: heading.
         window_s: the times to draw, such as two cycles; the errors in the titles are over all samples.
-
-    Returns:
-        The figure; `save` writes it.
     """
     time = np.asarray(time_s, dtype=np.float64)
     wanted, *realised = (np.asarray(a, dtype=np.float64) for a in (demonstration, before, after))
@@ -161,7 +155,7 @@ def tracking_figure(
 
 
 def _same_span(row: NDArray[np.object_], drawn: list[Array], shown: NDArray[np.bool_]) -> None:
-    """Gives the four panels one scale, each about its own leg: rear feet are behind, front feet ahead."""
+    """Gives the four panels one scale, each centred on its own leg."""
     values = np.concatenate([feet[shown] for feet in drawn])
     low, high = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
     half = 0.54 * max(float(np.max(high - low)), 0.01)
@@ -189,7 +183,7 @@ def rmse(values: Array, reference: Array) -> float:
 
 
 def shade(axes: Axes, time_s: Array, stance: NDArray[np.bool_]) -> None:
-    """Shades the times at which `stance` (t,) holds; each sample lasts until the next one."""
+    """Shades the times at which `stance` (t,) holds; each sample lasts until the next."""
     edges = np.diff(np.concatenate([[0], stance.astype(np.int8), [0]]))
     dt = time_s[1] - time_s[0] if len(time_s) > 1 else 0.0
     ends = np.append(time_s, time_s[-1] + dt)

@@ -1,4 +1,4 @@
-"""The report of a folder: one HTML file that holds everything it shows and loads nothing."""
+"""The report of a folder: one self-contained HTML file."""
 
 import dataclasses
 import importlib.util
@@ -21,28 +21,19 @@ REPORT: Final = "report.html"
 
 @dataclass(frozen=True)
 class HtmlReport:
-    """A finished page.
-
-    Attributes:
-        html: the whole page.
-        missing: a sentence for each thing that the folder lacks, and what the page lacks therefore.
-    """
+    """A finished page: its HTML, and a sentence for each thing missing in the folder and thus in the page."""
 
     html: str
     missing: tuple[str, ...]
 
     def save(self, path: str | Path) -> None:
-        """Writes the page in place of an earlier one; raises `OutputError`."""
+        """Writes the page, replacing an earlier one; raises `OutputError`."""
         write_text(path, self.html)
 
 
 def kind_of(folder: str | Path) -> str:
-    """What a folder holds: "run" for one of `imitate` or `stitch`, "comparison" for one of `compare`, "results" for one
-    of `stress` or `transfer`, "deployment" for one of `deploy`.
-
-    Raises:
-        ConfigError: none of these.
-    """
+    """The kind of a folder: "run" (`imitate`, `stitch`), "comparison" (`compare`), "results" (`stress`, `transfer`) or
+    "deployment" (`deploy`); raises `ConfigError` for others."""
     path = Path(folder)
     if (path / METRICS).is_file():
         return "run"
@@ -65,12 +56,12 @@ def kind_of(folder: str | Path) -> str:
 
 
 def make_report(folder: str | Path, replay: "Callable[[RerunEpisodes], str] | None" = None) -> HtmlReport:
-    """Makes the page of a folder. A run's two episodes are run again for it.
+    """Makes the page of a folder. For a run, its two episodes are simulated again.
 
     Args:
-        folder: as `kind_of` knows them.
-        replay: makes an HTML page that plays the episodes of a run in 3D, needing nothing but itself, or raises
-            `FastMimicError`; None to go without.
+        folder: of a kind that `kind_of` knows.
+        replay: makes a self-contained HTML page that plays a run's episodes in 3D, or raises `FastMimicError`; None for
+            no replay.
 
     Raises:
         ConfigError: not such a folder, its figures cannot be read, or Jinja2 or Plotly is not installed.
@@ -108,7 +99,7 @@ def _run_report(path: Path, replay: "Callable[[RerunEpisodes], str] | None") -> 
 
 
 def _results_page(path: Path, environment: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
-    """The page of an experiment that is a table and its figures, as `stress` and `transfer` write them."""
+    """The page of an experiment with a table and figures, `stress` or `transfer`."""
     from fastmimic.report.html_page import render
 
     missing = []

@@ -1,4 +1,4 @@
-"""The page of a comparison: its plots, its tables, and what it was made with."""
+"""The page of a comparison."""
 
 import csv
 from pathlib import Path
@@ -43,10 +43,9 @@ _PICTURES: Final = {
 
 
 def comparison_page(path: Path) -> tuple[str, tuple[str, ...]]:
-    """The page of a comparison's folder, and a sentence for each thing that the folder lacks.
+    """The page of a comparison's folder, and a sentence for each thing missing in it.
 
-    Raises:
-        ConfigError: `environment.json` or `results.csv` cannot be read, or Plotly is not installed.
+    Raises `ConfigError` if `environment.json` or `results.csv` cannot be read, or Plotly is not installed.
     """
     environment = read_json(path / ENVIRONMENT)
     try:
@@ -82,7 +81,7 @@ def comparison_page(path: Path) -> tuple[str, tuple[str, ...]]:
 
 
 def _methods(path: Path, rows: list[Row], missing: list[str]) -> dict[str, Any]:
-    """Plots of the methods, or their picture where no run has finished, pictures of the tracking, and the table."""
+    """Plots of the methods, or their picture if no run has finished, pictures of the tracking, and the table."""
     figures, pictures = [], []
     if rows:
         found = summaries(rows)
@@ -101,7 +100,7 @@ def _ablations(path: Path, rows: list[Row], missing: list[str]) -> dict[str, Any
 
 
 def _part(path: Path, figures: list[Figure], names: list[str], table: str, missing: list[str]) -> dict[str, Any]:
-    """One part of the page: its plots, those of its pictures that are there, and its table in Markdown."""
+    """A part of the page: its plots, existing pictures, and table in Markdown."""
     there = [name for name in names if (path / name).is_file()]
     missing += [f"{path / name} is missing: without that figure" for name in names if name not in there]
     pictures = [(path / name, _PICTURES[name]) for name in there]
@@ -114,12 +113,7 @@ def _part(path: Path, figures: list[Figure], names: list[str], table: str, missi
 
 
 def read_rows(text: str) -> list[Row]:
-    """The rows of `results.csv`: text, whether it fell, and numbers; None for what is empty.
-
-    Raises:
-        ValueError: a number cannot be read.
-        KeyError: a column is missing.
-    """
+    """The rows of `results.csv`: text, falls and numbers, None if empty; raises `ValueError` and `KeyError`."""
     rows: list[Row] = []
     for line in csv.DictReader(text.splitlines()):
         row: Row = {}
@@ -136,7 +130,7 @@ def read_rows(text: str) -> list[Row]:
 
 
 def _rows(path: Path, missing: list[str]) -> list[Row]:
-    """Of the whole comparison, or of what is finished of it."""
+    """Rows of the whole comparison, or of its finished part."""
     try:
         rows = read_rows((path / RESULTS_CSV).read_text(encoding="utf-8"))
         for row in rows:
@@ -155,7 +149,7 @@ def _rows(path: Path, missing: list[str]) -> list[Row]:
 
 
 def _each(rows: list[Row]) -> tuple[list[str], list[list[Any]], int]:
-    """A line a run, with the values of `results.csv` as data: headings, cells, and how many columns are text."""
+    """A line per run with exact values as data: headings, cells, and the number of text columns."""
     columns = [column for column in _EACH if any(row.get(column[0]) is not None for row in rows)]
     texts = ["motion", "method", *(["variant"] if any(row["variant"] for row in rows) else [])]
     lines = []

@@ -1,4 +1,4 @@
-"""The page of a deployment: how it ended, whether the computer was fast enough, and what it asked of the motors."""
+"""The page of a deployment: how it ended, timing, and load on the motors."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -19,16 +19,11 @@ from fastmimic.report.html_plots import Figure, Key, Plot, curve, greatest, layo
 
 ROBOT: Final = Key("the robot", "var(--after)")
 BINS: Final = 60
-_SHOWN: Final = 99.9
-"""Percentile at which the histograms end; what is beyond is in the last bar."""
+_SHOWN: Final = 99.9  # percentile at which the histograms end; the last bar holds the rest
 
 
 def deployment_page(path: Path) -> tuple[str, tuple[str, ...]]:
-    """The page of a deployment's folder, and a sentence for each thing that it lacks.
-
-    Raises:
-        ConfigError: its figures cannot be read.
-    """
+    """The page of a deployment's folder, and a sentence for each thing missing in it; raises `ConfigError`."""
     about = read_json(path / RESULT)
     try:
         result = about["result"]
@@ -68,7 +63,6 @@ def _lead(result: dict[str, Any]) -> str:
 
 
 def _sections(log: DeploymentLog, result: dict[str, Any]) -> dict[str, list[Figure]]:
-    """The plots by section."""
     rows = log.rows
     time = rows["time_s"]
     timed = bool(result["control_us"]["max"])  # on a virtual clock nothing takes any time

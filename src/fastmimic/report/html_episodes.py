@@ -1,4 +1,4 @@
-"""The plots of what the robot did: its feet, its gait, its reward."""
+"""The plots of an episode: feet, gait, reward."""
 
 from typing import Any
 
@@ -79,7 +79,7 @@ def feet(e: RerunEpisodes) -> list[Figure]:
 
 
 def paths(e: RerunEpisodes) -> Figure:
-    """The feet seen from the side: fore-aft position against height."""
+    """The feet from the side: fore-aft position against height."""
     log = log_of(e.before)
     time = times(log)
     window = first_window(e)
@@ -119,7 +119,7 @@ def paths(e: RerunEpisodes) -> Figure:
 
 
 def gait(e: RerunEpisodes) -> Figure:
-    """What the schedule wants of each leg, what its state machine decided, and whether the foot is loaded."""
+    """Each leg's contact schedule, gait planner state, and measured load."""
     threshold = e.config.gait.release_threshold * e.robot.mass * GRAVITY
     rows = [
         Key("wanted by the motion", "var(--demo)", pattern=""),

@@ -1,4 +1,4 @@
-"""The plots of what the motion takes: torque, speed, friction, and time to plan."""
+"""The plots of torque, speed, friction and planning time."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -33,8 +33,7 @@ from fastmimic.report.html_plots import (
 from fastmimic.report.html_run import RerunEpisodes
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
 
-LOADED: Final = 0.05
-"""Share of the robot's weight above which the plot of friction shows a foot."""
+LOADED: Final = 0.05  # share of the robot's weight above which friction is plotted
 
 
 def limits(e: RerunEpisodes) -> list[Figure]:
@@ -75,14 +74,14 @@ def against_limit(
     hint: str = "",
     shapes: Sequence[dict[str, Any]] = (),
 ) -> Figure:
-    """The greatest value among the four legs, joint by joint, against the motors' limits.
+    """The greatest value of the four legs, joint by joint, against the motors' limits.
 
     Args:
         names: id and title of the figure, and unit of the values.
-        found: of each series the times (t,), s, the values (t, 12), and how it is drawn.
+        found: of each series the times (t,), s, the values (t, 12), and its style.
         limit: (12,).
-        span: times that are shown, s.
-        hint: what else there is to say.
+        span: times shown, s.
+        hint: additional text.
         shapes: drawn in each plot.
     """
     name, title, unit = names
@@ -147,7 +146,7 @@ def friction(e: RerunEpisodes) -> Figure:
 
 
 def solve_times(e: RerunEpisodes) -> Figure | None:
-    """How long the controller planned ahead; None if it never did."""
+    """Duration of planning ahead; None without any."""
     data, legend, medians, worst = [], [], [], []
     for rollout, key in series(e):
         log = log_of(rollout)
@@ -174,12 +173,8 @@ def solve_times(e: RerunEpisodes) -> Figure | None:
 
 
 def motor_torque(log: Log, limit: Array) -> Array:
-    """Torque of the motors at the start of each control step (t, 12), N·m; NaN in the first, whose state is not logged.
-
-    Args:
-        log: of one episode or more; the first counts.
-        limit: (12,) N·m.
-    """
+    """Torque of the motors, limited to (12,) N·m, at the start of each control step of the first episode: (t, 12), N·m;
+    NaN in the first step, where the state is not logged."""
     command, seen = log.command[0], log.observation[0]
     torque = np.full(command["torque"].shape, np.nan)
     torque[1:] = (

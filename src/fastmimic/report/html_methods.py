@@ -1,4 +1,4 @@
-"""The plots of a comparison: methods and ablations, with every seed. The numbers are those of results.csv."""
+"""The plots of a comparison's methods and ablations, with every seed, from the numbers in results.csv."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,12 +11,9 @@ from fastmimic.experiments.tables import Summary
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.report.html_plots import Figure, Key, Plot, bar_marker, layout_of, numbers, points, rows_axis, rule
 
-_THEMED: Final = {"rl", "raibert", "mbc", "lh", "mbc-dmp", "lh-dmp"}
-"""Methods with a colour in the style sheet for each theme."""
-_BAR: Final = 0.84
-"""Share of a group's width that its bars take."""
-_ALIKE: Final = 0.005
-"""Rewards that differ by less are called alike."""
+_THEMED: Final = {"rl", "raibert", "mbc", "lh", "mbc-dmp", "lh-dmp"}  # methods with a colour for each theme
+_BAR: Final = 0.84  # share of a group's width taken by bars
+_ALIKE: Final = 0.005  # rewards closer than this are called alike
 _SEED: Final = Key("each seed", "var(--ink)", symbol="circle-open")
 _ROUGH: Final = Key("from perturbed starts", "var(--ink)", symbol="circle-open")
 _WHOLE: Final = Key(f"{method_named(ABLATED).label} unchanged", "var(--muted)", "dash")
@@ -27,15 +24,15 @@ _INK_BARS: Final = {"color": "var(--ink)", "thickness": 1.2, "width": 3}
 
 @dataclass(frozen=True)
 class Measure:
-    """A column of `results.csv` as it is drawn.
+    """A drawn column of `results.csv`.
 
     Attributes:
         column: its name.
         title: of the panel.
         unit: of the axis.
         scale: from the column's unit to the axis'.
-        top: of the axis; None for what the values need.
-        before: the column of the same before the optimisation; empty for none.
+        top: of the axis; None for automatic.
+        before: the same column before optimisation; empty for none.
     """
 
     column: str
@@ -61,11 +58,7 @@ _HOW: Final = (
 
 
 def rewards(found: Sequence[Summary]) -> Figure:
-    """Reward of every method on every motion, nominal and from perturbed starts.
-
-    Args:
-        found: without variants.
-    """
+    """Reward of every method on every motion, nominal and from perturbed starts; without variants."""
     means = {method_named(m).label: _over_motions(found, m, "reward") for m in _methods(found)}
     best = max(means.values())
     leading = [label for label, mean in means.items() if mean > best - _ALIKE]
@@ -86,11 +79,7 @@ def rewards(found: Sequence[Summary]) -> Figure:
 
 
 def manners(found: Sequence[Summary]) -> Figure:
-    """How the reward was got: is it still the animal's motion, and how well is it tracked?
-
-    Args:
-        found: without variants.
-    """
+    """Similarity to the animal's motion, and tracking; without variants."""
     return Figure(
         "manners",
         "Style and tracking: a reward that is got by shuffling shows here",
@@ -103,11 +92,7 @@ def manners(found: Sequence[Summary]) -> Figure:
 
 
 def cost(found: Sequence[Summary]) -> Figure | None:
-    """Reward against processor time; None if no run has one.
-
-    Args:
-        found: without variants.
-    """
+    """Reward against processor time, without variants; None if no run has one."""
     data = []
     for name in _methods(found):
         rows = [row for s in found if s.method == name for row in s.rows if row.get("cpu_s")]
@@ -133,11 +118,7 @@ def cost(found: Sequence[Summary]) -> Figure | None:
 
 
 def ablations(found: Sequence[Summary]) -> Figure:
-    """Reward of the method and of its variants, a panel a motion.
-
-    Args:
-        found: the method and its variants.
-    """
+    """Reward of the method and of its variants, one panel per motion."""
     variants = sorted(dict.fromkeys(s.variant for s in found), key=bool)
     losses = {v: _change(found, v) for v in variants if v}
     there = {v: loss for v, loss in losses.items() if loss is not None}
@@ -172,7 +153,7 @@ def ablations(found: Sequence[Summary]) -> Figure:
 
 
 def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Plot:
-    """Bars in groups, a group a motion."""
+    """Bars grouped by motion."""
     motions, methods = list(dict.fromkeys(s.motion for s in found)), _methods(found)
     width = _BAR / len(methods)
     data: list[dict[str, Any]] = []
@@ -243,13 +224,13 @@ def _methods(found: Sequence[Summary]) -> list[str]:
 
 
 def _over_motions(found: Sequence[Summary], method: str, column: str) -> float:
-    """Mean over the motions of a method's means; −1 if there is none."""
+    """Mean over the motions of a method's means; −1 without any."""
     values = [s.mean(column) for s in found if s.method == method]
     return float(np.mean([v for v in values if v is not None])) if any(v is not None for v in values) else -1.0
 
 
 def _change(found: Sequence[Summary], variant: str) -> float | None:
-    """Of the reward against the method as it is, mean over the motions that have both."""
+    """Change of the reward against the unchanged method, mean over the motions that have both."""
     whole = {s.motion: s.mean("reward") for s in found if not s.variant}
     changes = [
         float(s.mean("reward") or 0.0) - float(whole[s.motion] or 0.0)

@@ -1,4 +1,4 @@
-"""Pages: templates filled with data, and everything a page shows in the one file."""
+"""Pages: templates filled with data, in one self-contained file."""
 
 import base64
 import gzip
@@ -19,14 +19,14 @@ from fastmimic.report.html_plots import Figure
 
 
 def render(template: str, figures: Iterable[Figure], *, title: str, replay: str = "", **data: Any) -> str:
-    """A page.
+    """Fills a page.
 
     Args:
         template: name of a file in `templates/`.
-        figures: all that the page shows.
+        figures: all figures of the page.
         title: of the document.
         replay: an HTML page to be opened inside this one; empty for none.
-        **data: what the template shows.
+        **data: for the template.
 
     Raises:
         ConfigError: there are figures, and Plotly is not installed.
@@ -41,11 +41,7 @@ def render(template: str, figures: Iterable[Figure], *, title: str, replay: str 
 
 
 def plotly_bundle() -> str:
-    """Plotly's JavaScript out of its Python package.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
+    """Plotly's JavaScript from its Python package; raises `ConfigError` if it is not installed."""
     try:
         from plotly.offline import get_plotlyjs
     except ImportError:
@@ -79,7 +75,7 @@ def _json(value: Any) -> Markup:
 
 
 def compressed(text: str) -> str:
-    """A text as the page keeps it: gzip, in base64."""
+    """A text as stored in the page: gzip, in base64."""
     return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
 
 
@@ -92,8 +88,7 @@ def _embedded(path: Path, mime: str) -> str:
 
 
 def markdown(text: str) -> Markup:
-    """HTML of the Markdown in a comparison's tables: tables that can be sorted, lists, paragraphs, `code`, **bold**
-    and *italics*."""
+    """HTML of Markdown: sortable tables, lists, paragraphs, `code`, **bold** and *italics*."""
     table = _environment().get_template("parts.html").module.table  # type: ignore[attr-defined]
     html = []
     for block in re.split(r"\n\s*\n", text.strip()):

@@ -1,5 +1,4 @@
-"""Plots as plain Plotly: figures, series, lines, axes, and which times are shown. Colours are names of the style
-sheet's."""
+"""Plots as plain Plotly: figures, series, lines, axes and time windows. Colours are names in the style sheet."""
 
 import math
 from collections.abc import Sequence
@@ -16,13 +15,13 @@ from fastmimic.report.html_run import RerunEpisodes
 
 @dataclass(frozen=True)
 class Key:
-    """A series: its name and how it is drawn, in a plot and in the legend.
+    """A series: its name and style, in a plot and in the legend.
 
     Attributes:
         label: its name.
         color: `var(--name)` of the style sheet.
         dash: one of Plotly's dash patterns.
-        symbol: Plotly's name of a marker, for a series of points.
+        symbol: Plotly's name of a marker, for points.
         pattern: Plotly's name of a pattern, for an area or bars; "" for a plain one.
     """
 
@@ -35,14 +34,7 @@ class Key:
 
 @dataclass(frozen=True)
 class Plot:
-    """One plot.
-
-    Attributes:
-        title: a few words.
-        data: Plotly traces.
-        layout: Plotly layout without what the theme gives.
-        note: small print after the title.
-    """
+    """One plot: its title, Plotly traces, Plotly layout without the theme, and a note in small print."""
 
     title: str
     data: list[dict[str, Any]]
@@ -56,11 +48,11 @@ class Figure:
 
     Attributes:
         name: its id in the page.
-        title: what there is to see.
+        title: of the figure.
         hint: how to read it.
         plots: the plots.
         columns: of the plots on a wide page.
-        legend: how the series are drawn.
+        legend: the styles of the series.
     """
 
     name: str
@@ -77,14 +69,13 @@ ONLY: Final = Key("as retargeted, not optimised", "var(--after)", "solid")
 DEMONSTRATION: Final = Key("demonstration", "var(--demo)", "dash")
 STANCE: Final = Key("stance wanted", "var(--stance)", pattern="")
 LIMIT: Final = Key("limit", "var(--limit)", "dashdot")
-POINTS: Final = 1000
-"""Points of a curve at most: a page is to open on a phone."""
+POINTS: Final = 1000  # maximum of a curve: a page must open on a phone
 CYCLES: Final = 2  # shown at first
 TRANSITION_S: Final = 2.0  # of a stitched motion, shown at first
 
 
 def first_window(e: RerunEpisodes) -> tuple[float, float]:
-    """The times that are shown at first, s: the last cycles before the end, or the first transition."""
+    """The times shown at first, s: the last cycles, or the first transition."""
     log = log_of(e.before)
     total = log.wanted.shape[1] / log.rate_hz
     starts = e.motion.target.segment_starts
@@ -125,7 +116,7 @@ def times(log: Log) -> Array:
 
 
 def greatest(values: Array) -> float:
-    """Of those that are finite; NaN if none is, as where a robot fell at once."""
+    """The greatest finite value; NaN without one."""
     found = values[np.isfinite(values)]
     return float(found.max()) if found.size else float("nan")
 
@@ -135,7 +126,7 @@ def arrow(values: Sequence[float], digits: int) -> str:
 
 
 def curve(time: Array, values: Array, key: Key, *, peak: bool = False) -> dict[str, Any]:
-    """A line of at most `POINTS` points: every so many samples, or, with `peak`, the greatest of so many."""
+    """A line of at most `POINTS` points: regular samples or, with `peak`, the greatest in each interval."""
     stride = -(-len(time) // POINTS)
     if stride > 1 and peak:
         whole = np.full(stride * -(-len(values) // stride), np.nan)
@@ -222,7 +213,7 @@ def shades(time: Array, stance: NDArray[np.bool_]) -> list[dict[str, Any]]:
 
 
 def rule(key: Key, *, x: float | None = None, y: float | None = None, width: float = 1.6) -> dict[str, Any]:
-    """A line across the whole plot: upright at `x`, or level at `y`."""
+    """A vertical line at `x`, or a horizontal one at `y`."""
     line = {"color": key.color, "dash": key.dash, "width": width}
     if x is not None:
         return {"type": "line", "xref": "x", "yref": "paper", "x0": x, "x1": x, "y0": 0, "y1": 1, "line": line}
@@ -230,7 +221,7 @@ def rule(key: Key, *, x: float | None = None, y: float | None = None, width: flo
 
 
 def rows_axis(names: Sequence[str]) -> dict[str, Any]:
-    """An axis of words, the first one on top."""
+    """An axis of words, the first on top."""
     return {
         "type": "category",
         "categoryorder": "array",
@@ -242,14 +233,14 @@ def rows_axis(names: Sequence[str]) -> dict[str, Any]:
 
 
 def segment_lines(e: RerunEpisodes) -> list[dict[str, Any]]:
-    """Where a stitched motion passes from one segment to the next."""
+    """Lines between the segments of a stitched motion."""
     rate = log_of(e.before).rate_hz
     border = Key("", "var(--muted)", "dash")
     return [rule(border, x=s / rate, width=1) for s in e.motion.target.segment_starts if s]
 
 
 def numbers(values: Any, digits: int = 5) -> list[float | None]:
-    """A list for JSON: `digits` significant ones, None for what is not a number."""
+    """A list for JSON: `digits` significant digits, None for NaN and infinity."""
     return [
         float(f"{v:.{digits}g}") if math.isfinite(v) else None for v in np.asarray(values, dtype=np.float64).tolist()
     ]

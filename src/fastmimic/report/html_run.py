@@ -1,7 +1,7 @@
-"""What a run's page is made of: its files, and its two nominal episodes, run again.
+"""The data of a run's page: its files, and its two nominal episodes, simulated again.
 
-The episodes are not stored: they follow, bit for bit, from `motion.npz` and `config.json`. Whether they did is
-checked against the rewards in `metrics.json`.
+Episodes are not stored, since they follow exactly from `motion.npz` and `config.json`; the rewards in `metrics.json`
+check this.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from fastmimic.runs.work_folder import CONFIG, METRICS, MOTION
 
 @dataclass(frozen=True, eq=False)
 class SearchHistory:
-    """What the optimiser tried.
+    """The optimiser's candidates.
 
     Attributes:
         scores: (i, p) of each generation's candidates.
@@ -37,12 +37,12 @@ class SearchHistory:
 
 @dataclass(frozen=True, eq=False)
 class RerunEpisodes:
-    """The run's nominal episodes, run again with their logs.
+    """The run's nominal episodes, simulated again with their logs.
 
     Attributes:
         robot, motion, config: what was run.
-        before, after: with the demonstration and with the optimised motion; `after` is None if nothing was optimised.
-        differences: sentences about rewards that are not those of `metrics.json`; empty if all are.
+        before, after: with the demonstration and with the optimised motion; `after` is None without optimisation.
+        differences: sentences about rewards that differ from `metrics.json`.
     """
 
     robot: Robot
@@ -54,22 +54,22 @@ class RerunEpisodes:
 
     @property
     def done_once(self) -> bool:
-        """Whether the motion has no cycle at whose start the reference is synchronised with the robot."""
+        """Whether the motion has no cycle for synchronising the reference with the robot."""
         target = self.motion.target
         return target.cycle is None and len(target.cycle_starts) == 1
 
 
 @dataclass(frozen=True, eq=False)
 class RunData:
-    """A run's folder, as far as it is there.
+    """The contents of a run's folder.
 
     Attributes:
         path: the folder.
         metrics, config: the two JSON files; `config` is empty if it is missing.
-        search: what the optimiser tried; None if nothing was optimised or it is missing.
-        episodes: None if they cannot be run again.
+        search: None if nothing was optimised or it is missing.
+        episodes: None if they cannot be simulated again.
         video: its file; None without one.
-        missing: a sentence for each thing that is not there: what is left out because of it.
+        missing: a sentence for each missing thing and what is left out.
     """
 
     path: Path
@@ -82,16 +82,12 @@ class RunData:
 
     @property
     def optimised(self) -> bool:
-        """Whether there is an after besides the before."""
+        """Whether the run has an optimised motion."""
         return bool(self.metrics["parameters"])
 
 
 def read_run(path: Path) -> RunData:
-    """Reads a run's folder and runs its episodes again.
-
-    Raises:
-        ConfigError: `metrics.json` is missing, cannot be read, or is not a run's.
-    """
+    """Reads a run's folder and simulates its episodes again; raises `ConfigError` if `metrics.json` is unusable."""
     metrics = read_json(path / METRICS)
     lacking = [key for key in ("motion", "robot", "reward", "fell", "parameters", "duration_s") if key not in metrics]
     if lacking:

@@ -34,12 +34,7 @@ _TILES: Final = (  # label, name in metrics.json, digits, scale, unit
 
 
 def run_page(run: RunData, replay: str = "") -> str:
-    """The page of a run.
-
-    Args:
-        run: its folder.
-        replay: an HTML page that plays its episodes; empty for none.
-    """
+    """The page of a run; `replay` is an HTML page that plays its episodes, empty for none."""
     m, e = run.metrics, run.episodes
     shown = _Metrics(m)
     sections = _sections(run)
@@ -73,13 +68,13 @@ def run_page(run: RunData, replay: str = "") -> str:
 
 
 class _Metrics:
-    """The figures of `metrics.json` as the page shows them: each with its name and its exact value as data."""
+    """The figures of `metrics.json` for the page, with name and exact value as data."""
 
     def __init__(self, metrics: Mapping[str, Any]) -> None:
         self._metrics = metrics
 
     def value(self, key: str) -> Any:
-        """By its path, such as `reward.before` or `swing_clearance_m.after.2`; None if it is not there."""
+        """A figure by its path, such as `reward.before` or `swing_clearance_m.after.2`; None if missing."""
         found: Any = self._metrics
         for name in key.split("."):
             if isinstance(found, list):
@@ -97,14 +92,13 @@ class _Metrics:
         return Markup('<data data-metric="{}" value="{}">{}</data>').format(key, repr(value), text)
 
     def least_clearance(self, when: str) -> str:
-        """The smallest share of the demonstration's swing clearance among the legs that swing."""
+        """The smallest share of the demonstration's swing clearance among the swinging legs."""
         wanted, got = self.value("swing_clearance_m.demonstration"), self.value(f"swing_clearance_m.{when}")
         shares = [g / w for g, w in zip(got or [], wanted or [], strict=False) if g is not None and w]
         return Markup("{:.0f} <small>%</small>").format(100 * min(shares)) if shares else NONE
 
 
 def _sections(run: RunData) -> dict[str, list[Figure]]:
-    """The plots by section."""
     m, e, optimisation = run.metrics, run.episodes, []
     if run.search is not None:
         optimisation.append(
@@ -141,7 +135,7 @@ def _lead(m: Mapping[str, Any]) -> str:
 
 
 def _verified(run: RunData) -> str:
-    """What is said if the episodes that were run again have the recorded rewards; empty otherwise."""
+    """A sentence if the simulated episodes have the recorded rewards; else empty."""
     e = run.episodes
     if e is None or e.differences:
         return ""
@@ -158,7 +152,7 @@ def _differences(run: RunData) -> Iterable[str]:
 
 
 def _tiles(run: RunData, shown: _Metrics) -> list[dict[str, str]]:
-    """The figures that matter most, large."""
+    """The most important figures."""
     now = "after" if run.optimised else "before"
 
     def tile(label: str, value: str, before: str, unit: str = "", prefix: str = "") -> dict[str, str]:
@@ -176,7 +170,7 @@ def _tiles(run: RunData, shown: _Metrics) -> list[dict[str, str]]:
 
 
 def _numbers(shown: _Metrics, columns: tuple[str, ...]) -> tuple[list[Any], list[Any]]:
-    """The rows of two tables, before and after: rewards, and everything else."""
+    """The rows of two tables, before and after: rewards, and the rest."""
 
     def row(label: Any, key: str, digits: int, scale: float = 1.0, *, sub: bool = False) -> dict[str, Any]:
         key = key if "{}" in key else f"{key}.{{}}"
@@ -200,7 +194,7 @@ def _numbers(shown: _Metrics, columns: tuple[str, ...]) -> tuple[list[Any], list
 
 
 def _segments(shown: _Metrics) -> list[list[str]]:
-    """Of a stitched motion: its segments."""
+    """The segments of a stitched motion."""
     return [
         [
             str(segment["motion"]),
@@ -227,7 +221,7 @@ def _parameters(shown: _Metrics) -> list[list[str]]:
 
 
 def _arguments(given: Mapping[str, Any]) -> dict[str, Any]:
-    """The arguments that were given, as on the command line."""
+    """The arguments as on the command line."""
     arguments = {k.replace("_", "-"): v for k, v in given.items() if v is not False and v not in (None, "", [])}
     for name in ("motions", "cycles"):
         if name in arguments:

@@ -24,13 +24,13 @@ _CHOICE_OVER_ROBOTS: Final = (
 def convergence(
     search: SearchHistory, before: float, after: float, *, unchanged: bool = False, randomized: bool = False
 ) -> Figure:
-    """Scores of the candidates by generation, and how far apart they still are.
+    """Scores of the candidates by generation, and their spread.
 
     Args:
-        search: what the optimiser tried.
+        search: the optimiser's candidates.
         before, after: rewards of the run.
         unchanged: whether the motion as fitted is the result.
-        randomized: whether each iteration scored on robots of its own.
+        randomized: whether each iteration scored on other robots.
     """
     scores = search.scores
     k = np.arange(1, len(scores) + 1)
@@ -80,11 +80,7 @@ def as_fitted(found: Sequence[Mapping[str, Any]]) -> bool:
 
 
 def parameters(found: Sequence[dict[str, Any]]) -> Figure:
-    """Baselines and amplitudes between their bounds.
-
-    Args:
-        found: of `metrics.json`.
-    """
+    """Baselines and amplitudes between their bounds, from the parameters of `metrics.json`."""
     plots = []
     for kind, measured, title, axis, unit, scale in (
         ("goal", "m", "Baseline g", "change of the baseline (mm)", "mm", 1e3),

@@ -1,4 +1,4 @@
-"""The picture of one motion: its gait diagram, its trunk, and its joints against their limits."""
+"""The picture of a motion: gait diagram, trunk, and joints against their limits."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,15 +14,9 @@ from fastmimic.robot import Robot
 
 
 def motion_figure(motion: Motion, robot: Robot, title: str | None = None) -> Figure:
-    """What a motion asks of the robot, over its samples (one cycle if it is periodic).
+    """A motion's gait, trunk and joints with the robot's limits, over its samples (one cycle if it is periodic).
 
-    Args:
-        motion: the motion to draw.
-        robot: whose joint limits are drawn.
-        title: heading; by default the motion's name with its period, speed and yaw a cycle.
-
-    Returns:
-        The figure; `style.save` writes it.
+    The default title has the motion's name with its period, speed and yaw a cycle.
     """
     figure = new_figure(15.0, 7.6, title if title is not None else _heading(motion, robot))
     grid = figure.subplots(3, 3, sharex=True)
@@ -57,7 +51,7 @@ def _heading(motion: Motion, robot: Robot) -> str:
 
 
 def _draw_gait(axes: Axes, time: Array, dt: float, contact: NDArray[np.bool_]) -> None:
-    """One row a leg, FR at the top: a bar while the foot is in stance."""
+    """One row per leg, FR at the top: a bar while the foot is in stance."""
     rows = range(len(LEGS))[::-1]
     for leg, row in enumerate(rows):
         edges = np.diff(np.concatenate([[0], contact[:, leg].astype(np.int8), [0]]))
@@ -88,14 +82,14 @@ def _draw_tilt(axes: Axes, time: Array, root_quat_wxyz: Array) -> None:
 
 
 def _widen(axes: Axes, least: float) -> None:
-    """Shows at least this span of values: what hardly varies should look so."""
+    """Widens the axis to at least this span of values."""
     low, high = axes.get_ylim()
     half = max(high - low, least) / 2
     axes.set_ylim((low + high) / 2 - half, (low + high) / 2 + half)
 
 
 def _draw_joint(axes: Axes, time: Array, values: Array, lower: float, upper: float) -> None:
-    """The four legs' `values` (t, 4) with the limits, which always stay in view."""
+    """The four legs' `values` (t, 4) with the limits, which stay in view."""
     for leg, name in enumerate(LEGS):
         axes.plot(time, values[:, leg], **LEG_LINES[leg].kwargs(), label=name)
     for limit, label in ((lower, "limit"), (upper, None)):

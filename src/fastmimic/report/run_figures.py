@@ -14,10 +14,8 @@ from fastmimic.render.tracks import Track, realised_feet, rollout_track
 from fastmimic.report.figures import convergence_figure, tracking_figure
 from fastmimic.runs.run_folder import CONVERGENCE, TRACKING, VIDEO, RunFolder
 
-TRACKING_CYCLES: Final = 2
-"""Cycles in the tracking figure."""
-TRANSITION_S: Final = 2.0
-"""Length of the tracking figure of a stitched motion, which shows a transition, s."""
+TRACKING_CYCLES: Final = 2  # in the tracking figure
+TRANSITION_S: Final = 2.0  # length of a stitched motion's tracking figure
 
 
 def draw_run(result: Imitation, folder: RunFolder) -> None:
@@ -69,7 +67,7 @@ def write_video(
 
 
 def _tracks(result: Imitation) -> list[Track]:
-    """What the video shows: the episode before and, if something was optimised, the one after."""
+    """The episodes before and, if something was optimised, after."""
 
     def track(rollout: Rollout, title: str, method: str) -> Track:
         return rollout_track(rollout, title, note=f"{result.motion.name} · {method_named(method).label}")

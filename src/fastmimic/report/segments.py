@@ -1,4 +1,4 @@
-"""The picture of a take: what repeats in it, with the feet, speed and heading that say why."""
+"""The picture of a take: its segments, with feet, speed and heading."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -28,16 +28,8 @@ _GAIT_COLORS: Final = {
 
 
 def segments_figure(clip: Clip, segments: "list[Segment]", title: str) -> Figure:
-    """A take over time: its segments by name, the toes' fore-aft paths, and the trunk's speed and heading.
-
-    Args:
-        clip: the take.
-        segments: what `fastmimic.clips.segment.find_segments` made of it.
-        title: heading.
-
-    Returns:
-        The figure; `style.save` writes it.
-    """
+    """A take over time: segments by name (of `fastmimic.clips.segment.find_segments`), the toes' fore-aft paths, and
+    the trunk's speed and heading."""
     seconds = clip.n_frames / clip.rate_hz
     figure = new_figure(float(np.clip(0.45 * seconds, 10.0, 40.0)), 6.4, f"{title}: {_summary(segments)}")
     bars, feet, speed, heading = figure.subplots(4, 1, sharex=True, height_ratios=(1.1, 2, 1, 1))

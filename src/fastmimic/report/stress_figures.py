@@ -1,4 +1,4 @@
-"""What `fastmimic stress` writes: tables, and figures of success and reward over the range of each disturbance."""
+"""The tables and figures of `fastmimic stress`: success and reward over the range of each disturbance."""
 
 import math
 from collections.abc import Sequence
@@ -31,16 +31,8 @@ _CURVES: Final = {"success": "episodes without a fall", "reward_mean": "mean rew
 
 
 def write_stress(folder: WorkFolder, settings: StressSettings, planned: Sequence[tuple[str, str]]) -> None:
-    """Writes the tables and figures of all finished sweeps in a folder, and says how many of those planned are missing.
-
-    Args:
-        folder: with the sweeps; nothing is written if there are none.
-        settings: of the sweeps.
-        planned: (method, disturbance) of those that were asked for.
-
-    Raises:
-        OutputError: something cannot be read or written.
-    """
+    """Writes the tables and figures of all finished sweeps in a folder, if any, and counts the missing ones of
+    `planned`, (method, disturbance) each. Raises `OutputError`."""
     rows = all_sweeps(folder.path)
     if not rows:
         return
@@ -53,7 +45,7 @@ def write_stress(folder: WorkFolder, settings: StressSettings, planned: Sequence
 
 
 def stress_figure(rows: Sequence[dict[str, Any]], curve: str, title: str) -> Figure:
-    """One panel a disturbance, one line a method.
+    """One panel per disturbance, one line per method.
 
     Args:
         rows: of the sweeps, see `fastmimic.experiments.stress.COLUMNS`.

@@ -1,4 +1,4 @@
-"""What `fastmimic transfer` writes: the table and the figure of rewards before and after."""
+"""The table and figure of `fastmimic transfer`: rewards before and after."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -28,15 +28,8 @@ _COLORS: Final = (("#0072b2", ""), ("#56b4e9", "//"), ("#e69f00", "\\\\"), ("#d5
 
 
 def write_transfer(folder: WorkFolder, planned: Sequence[tuple[str, str]]) -> None:
-    """Writes the table and the figure of all finished trials in a folder.
-
-    Args:
-        folder: with the trials; nothing is written if there are none.
-        planned: (motion, method) of those that were asked for.
-
-    Raises:
-        OutputError: something cannot be read or written.
-    """
+    """Writes the table and the figure of all finished trials in a folder, if any, and counts the missing ones of
+    `planned`, (motion, method) each. Raises `OutputError`."""
     order = list(dict.fromkeys(motion for motion, _ in planned))
     rows = sorted(
         all_trials(folder.path), key=lambda row: order.index(row["motion"]) if row["motion"] in order else len(order)
@@ -50,10 +43,9 @@ def write_transfer(folder: WorkFolder, planned: Sequence[tuple[str, str]]) -> No
 
 
 def transfer_figure(rows: Sequence[dict[str, Any]]) -> Figure:
-    """One panel a motion, a group of bars a method, and the paper's numbers in a panel of their own.
+    """One panel per motion, one group of bars per method, and a panel of the paper's numbers.
 
-    Args:
-        rows: of the trials, see `fastmimic.experiments.transfer.COLUMNS`.
+    `rows` are of the trials, see `fastmimic.experiments.transfer.COLUMNS`.
     """
     found = transferred(rows)
     motions = list(dict.fromkeys(t.motion for t in found))
