@@ -1,4 +1,4 @@
-"""Getting up after a fall: relax the joints, fold the legs, rise; a robot on its side or back is set upright first."""
+"""Getting up after a fall: relax the joints, fold the legs, rise; a robot on its side or back is first set upright."""
 
 from enum import Enum
 from typing import Any, Final
@@ -17,14 +17,11 @@ LIMP_S: Final = 0.5
 FOLD_S: Final = 0.7
 RISE_S: Final = 1.0
 SETTLE_S: Final = 0.3
-_UPRIGHT: Final = 0.7
-"""The legs can push the trunk up if the cosine of its tilt is at least this."""
+_UPRIGHT: Final = 0.7  # cosine of the largest tilt from which the legs can push up
 _TRIES: Final = 3
 
 
 class GettingUpPhase(Enum):
-    """Phases of getting up."""
-
     LIMP = "fallen"
     FOLD = "folding its legs"
     RISE = "getting up"
@@ -32,14 +29,7 @@ class GettingUpPhase(Enum):
 
 
 class GettingUp:
-    """One attempt after the other until the robot stands in a given posture.
-
-    Args:
-        robot: the robot.
-        simulation: of one robot.
-        stand: (12,) joints in which it is to stand, rad.
-        height: of its base then, m.
-    """
+    """Attempts to get up, until the robot stands with joints `stand`, (12,) rad, and base `height`, m."""
 
     def __init__(self, robot: Robot, simulation: MujocoSimulation, stand: Array, height: float, dt: float) -> None:
         self._simulation, self._dt = simulation, dt
@@ -53,7 +43,7 @@ class GettingUp:
         self.was_set_up = False
 
     def begin(self) -> None:
-        """The robot has fallen."""
+        """Starts after a fall."""
         self.phase, self._time, self._tries, self.was_set_up = GettingUpPhase.LIMP, 0.0, 0, False
 
     def step(self, observation: NDArray[Any]) -> NDArray[Any]:
@@ -92,7 +82,7 @@ class GettingUp:
         self.phase, self._time, self._from = phase, 0.0, np.array(obs["joint_pos"])
 
     def _set_on_belly(self, xy: Array, yaw: float) -> None:
-        """Where it lies and facing the same way, on folded legs."""
+        """Places the robot on its belly with folded legs, in the same place and heading."""
         position = np.array([[xy[0], xy[1], self._folded_height]])
         zero = np.zeros((1, 3))
         self._simulation.reset(position, quat_from_yaw(np.array([yaw])), self._path[:1], zero, zero, np.zeros((1, 12)))

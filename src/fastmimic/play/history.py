@@ -1,4 +1,4 @@
-"""The last moments of a live session, as the take that the scene and the charts of the viewer show."""
+"""The recent past of a live session, as a take for the viewer's scene and charts."""
 
 from collections import deque
 from typing import TYPE_CHECKING, Any, Final
@@ -26,16 +26,11 @@ _LEASH_M: Final = 0.25
 
 
 class LiveHistory:
-    """Collects snapshots at `RATE_HZ`; not for several threads at once.
-
-    Args:
-        session: what is shown.
-    """
+    """Collects snapshots of a session at `RATE_HZ`; not thread-safe."""
 
     def __init__(self, session: "LiveSession") -> None:
         self._session = session
-        self.every = max(1, round(session.rate_hz / RATE_HZ))
-        """Control steps between two snapshots."""
+        self.every = max(1, round(session.rate_hz / RATE_HZ))  # control steps between two snapshots
         self.rate_hz = session.rate_hz / self.every
         # so that the dashes of the trails, which go by number, lie still: four of their steps at once
         self._drop = 4 * max(1, round(TRAIL_S * self.rate_hz / TRAIL_POINTS))
@@ -44,12 +39,11 @@ class LiveHistory:
         self._plot: deque[tuple[float, ...]] = deque(maxlen=round(PLOT_S * _PLOT_HZ))
         self._plot_every = max(1, round(self.rate_hz / _PLOT_HZ))
         self._count = 0
-        self.followed = np.zeros(2)
-        """What the view follows: the robot's place without the sway of its steps, m."""
+        self.followed = np.zeros(2)  # m, the robot's place without sway, for the view
         self.add()
 
     def add(self) -> None:
-        """Takes the present moment."""
+        """Adds the present moment."""
         now = self._session.snapshot()
         if not self._rows:
             self.followed = now.pose[:2].copy()
@@ -77,7 +71,7 @@ class LiveHistory:
         return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
     def push(self, within_s: float) -> Array | None:
-        """The last force (3,) that pushed in this time, world, N; None if there was none."""
+        """The last pushing force (3,) in this time, world, N; None without one."""
         rows = self._rows[-max(1, round(within_s * self.rate_hz)) :]
         return next((row.push for row in reversed(rows) if row.push.any()), None)
 
@@ -88,7 +82,7 @@ class LiveHistory:
         return float(found[0]), float(found[1]), float(found[2]), float(found[3])
 
     def take(self) -> Take:
-        """The last `KEPT_S`, its last row the present."""
+        """The last `KEPT_S`, with the present in the last row."""
         session, rows = self._session, self._rows
 
         def stacked(name: str) -> Any:

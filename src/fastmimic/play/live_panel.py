@@ -1,4 +1,4 @@
-"""What one steers with, and what the live session says of itself."""
+"""The controls and displays of a live session."""
 
 import html
 from collections.abc import Callable
@@ -32,8 +32,7 @@ _MAX_PAYLOAD_KG: Final = 6.0
 _THERE_RGB: Final = "#1a7f37"
 _ON_THE_WAY_RGB: Final = "#9a6700"
 _TROUBLE_RGB: Final = "#b03060"
-_HIDDEN: Final = ("ghost", "names")
-"""Layers that are not shown at first: where the robot follows well, the ghost is inside it."""
+_HIDDEN: Final = ("ghost", "names")  # at first; the ghost of a good follower is inside the robot
 
 _HELP: Final = """\
 <div style="font-size:12px;line-height:1.6;padding:0 10px">
@@ -46,12 +45,12 @@ Start pause
 
 
 class PlayPanel:
-    """viser's GUI elements, and what they do to the session.
+    """viser's GUI elements and their effects on the session.
 
     Args:
         gui: viser's.
         pacer: runs the session.
-        history: what the session did last.
+        history: of the session.
         scene: the robot.
         cameras: of the browsers.
         heading: first line.
@@ -88,7 +87,7 @@ class PlayPanel:
         return bool(self._follow.value)
 
     def show(self, take: "Take", plot: tuple[Any, ...]) -> None:
-        """Brings texts and charts to the present."""
+        """Updates texts and charts."""
         row = take.rows - 1
         self._state.content = self._status()
         self._figures.content = self._numbers()
@@ -99,7 +98,7 @@ class PlayPanel:
         self.show_limits()
 
     def show_limits(self) -> None:
-        """Tells by the sliders how far the present motion may be modulated."""
+        """Shows the present motion's modulation limits at the sliders."""
         limits = self._session.library.entry(self._session.motion).limits
         if limits == self._limits:
             return
@@ -116,7 +115,7 @@ class PlayPanel:
             )
 
     def show_paused(self) -> None:
-        """Labels the button by what it does next."""
+        """Labels the button by its next effect."""
         self._pause.label = "Go on" if self._pacer.paused else "Pause"
 
     def _status(self) -> str:
@@ -153,7 +152,7 @@ class PlayPanel:
         return f'<table style="width:100%;font-size:12px;font-variant-numeric:tabular-nums">{cells}</table>'
 
     def _do(self, what: Callable[[], None]) -> None:
-        """Something to the session, between its steps."""
+        """Acts on the session between its steps."""
         with self._pacer.lock:
             try:
                 self._mistake = None
@@ -190,7 +189,7 @@ class PlayPanel:
             self._steer()
 
     def _steer(self) -> None:
-        """What sliders, keys and stick ask for together: full deflection is the motion's limit."""
+        """Combines sliders, keys and stick: full deflection is the motion's limit."""
         session = self._session
         left, on = self._steering
 

@@ -1,4 +1,4 @@
-"""What a live robot follows: a motion, modulated, and the way from one motion to another."""
+"""The reference of a live robot: a modulated motion, and the transitions between motions."""
 
 import math
 from dataclasses import replace
@@ -16,13 +16,10 @@ from fastmimic.reference.standing import STAND
 from fastmimic.reference.stream import MODULATION, Stream, make_place
 from fastmimic.robot import Robot
 
-RATES: Final = {"speed": 0.5, "turn": 1.2, "lift": 0.8}
-"""How fast a modulation follows what was asked for: 1/s, rad/s², 1/s."""
-NEUTRAL: Final = {"speed": 1.0, "turn": 0.0, "lift": 1.0}
-"""The modulation that changes nothing."""
+RATES: Final = {"speed": 0.5, "turn": 1.2, "lift": 0.8}  # rates of modulation: 1/s, rad/s², 1/s
+NEUTRAL: Final = {"speed": 1.0, "turn": 0.0, "lift": 1.0}  # leaves the motion unchanged
 _LANDED: Final = 1e-9
-_PACING: Final = 10
-"""Control steps between two changes of the course while the speed changes."""
+_PACING: Final = 10  # control steps between changes of the course while the speed changes
 
 
 class LiveReference:
@@ -35,10 +32,10 @@ class LiveReference:
         start: name of the first motion.
 
     Attributes:
-        goal: the motion that was asked for.
-        trouble: why the robot does not go where it was asked to; None if it does.
-        wanted: the modulation that was asked for.
-        place: where the reference is: one record of `make_place`.
+        goal: the motion requested.
+        trouble: why the robot does not reach the goal; None if it does.
+        wanted: the modulation requested.
+        place: of the reference: one record of `make_place`.
     """
 
     def __init__(self, robot: Robot, library: MotionSet, rate_hz: float, start: str) -> None:
@@ -56,12 +53,12 @@ class LiveReference:
 
     @property
     def motion(self) -> str:
-        """The present motion, or during a transition the one that it left."""
+        """The present motion; during a transition the one before it."""
         return self._entry.name
 
     @property
     def state(self) -> str:
-        """In words."""
+        """The state in words."""
         if self.trouble is not None:
             return self.trouble
         if self._transition is not None:
@@ -72,7 +69,7 @@ class LiveReference:
 
     @property
     def limits(self) -> Limits:
-        """Of the modulation, at present: the motion's, in a transition what both motions allow, at their own speed."""
+        """Present limits of the modulation: in a transition, those that both motions allow, at their own speed."""
         limits = self._entry.limits
         target = self._armed[0] if self._armed is not None else None
         if self._transition is not None:
@@ -85,57 +82,53 @@ class LiveReference:
 
     @property
     def modulation(self) -> dict[str, float]:
-        """What is in force at present: speed, turn (rad/s), lift."""
+        """The present modulation: speed, turn (rad/s), lift."""
         return {name: float(self._modulation[name][0]) for name in self.wanted}
 
     def switch(self, name: str) -> None:
-        """Continues with another motion as soon as feet and phase allow; raises `ConfigError` if there is none."""
+        """Changes to another motion as soon as feet and phase allow; raises `ConfigError` for an unknown one."""
         self._library.entry(name)
         self.goal, self.trouble = name, None
         self._disarm()
 
     def want(self, name: str, value: float) -> None:
-        """Asks for a modulation; what is beyond the limits is cut to them. Raises `ConfigError` for no number."""
+        """Requests a modulation, cut to the limits; raises `ConfigError` if it is not a number."""
         if not math.isfinite(value):
             raise ConfigError(f"{name} must be a number, found {value}")
         self.wanted[name] = float(value)
 
     def put(self, x: float, y: float, yaw: float) -> None:
-        """Begins the present motion here; a transition is given up."""
+        """Starts the present motion here; drops a transition."""
         self.give_up_transition()
         self.place[...] = make_place()
         self.place["pose"][0] = (x, y, yaw)
 
     def stand(self, x: float, y: float, yaw: float) -> None:
-        """Begins to stand here, not modulated."""
+        """Starts standing here, without modulation."""
         self._enter(self._library.entry(STAND))
         self._set_neutral()
         self.put(x, y, yaw)
 
     def give_up_transition(self) -> None:
-        """Leaves a transition, or forgets the next one."""
+        """Leaves a transition, or drops the next one."""
         self._transition = None
         self._disarm()
 
     def update(self, step: int) -> None:
-        """Changes modulation and course for the next control step.
-
-        Args:
-            step: number of the control step.
-        """
+        """Changes modulation and course for the control step of this number."""
         self._modulate(step)
         self._route()
 
     def fill(self, rows: NDArray[Any]) -> None:
-        """Fills rows of `SAMPLE` with what the controller follows, from now on."""
+        """Fills rows of `SAMPLE` with the controller's reference, from now on."""
         self._stream.fill(self._course, self._next_course, self.place, self._modulation, rows)
 
     def fill_demonstration(self, rows: NDArray[Any]) -> None:
-        """Fills rows of `SAMPLE` with what the robot is scored against, modulated in the same way."""
+        """Fills rows of `SAMPLE` with the demonstration for scoring, modulated in the same way."""
         self._stream.fill(self._target, self._next_target, self.place, self._modulation, rows)
 
     def advance(self, base_xy: Array) -> None:
-        """Moves on by a control step after which the base (2,) is there, world, m."""
+        """Advances by a control step that ended with the base at (2,), world, m."""
         self._stream.advance(self._course, self._next_course, self.place, self._modulation, base_xy)
         if self.place["left"][0]:
             self._arrived()
@@ -165,7 +158,7 @@ class LiveReference:
             self._modulation[name] = value
 
     def _modulate(self, step: int) -> None:
-        """Follows what is wanted at a limited rate, within what the motion allows."""
+        """Approaches the wanted modulation at a limited rate, within the motion's limits."""
         limits, now = self.limits, self._modulation
         before = float(now["speed"][0])
         for name, rate in RATES.items():
@@ -180,7 +173,7 @@ class LiveReference:
             self._pace(speed)
 
     def _pace(self, speed: float) -> None:
-        """Takes the motion as it is balanced for a speed."""
+        """Takes the motion as balanced for a speed."""
         tempo = self._library.tempo(self._entry.name) if speed != 1.0 else None
         entry = self._entry
         self._paced = speed
@@ -191,7 +184,7 @@ class LiveReference:
             self._courses = own, target
 
     def _route(self) -> None:
-        """Looks for the way to the goal, and lets the reference leave when the modulation is one that both allow."""
+        """Looks for a path to the goal; starts it when both motions allow the modulation."""
         if self._transition is not None or self.goal == self._entry.name or self.trouble is not None:
             return
         if self._armed is None:
@@ -214,7 +207,7 @@ class LiveReference:
         self._courses = entry.course, entry.demonstration
 
     def _arrived(self) -> None:
-        """The reference has gone from a motion into a transition, or out of it."""
+        """Handles the start or end of a transition."""
         self.place["exit"] = -1
         if self._transition is not None:
             self._transition = None

@@ -1,4 +1,4 @@
-"""The live robot in the scene: the viewer's robot, with what pushes it."""
+"""The live robot in the viewer's scene, with pushes."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -16,20 +16,13 @@ if TYPE_CHECKING:
 
 _GROUND: Final = (24.0, 24.0)
 _PUSH_RGB: Final = (230, 120, 0)
-_PUSH_S: Final = 0.6
-"""For which a push, which is over in a moment, can be seen."""
+_PUSH_S: Final = 0.6  # time that a push is shown
 _LEAST_ARROW: Final = 0.5  # of the leg's length
 _CLEAR_M: Final = 0.14  # the tip's distance from the trunk's middle
 
 
 class LiveScene(RobotScene):
-    """Follows a history instead of a take.
-
-    Args:
-        server: viser's.
-        robot: the robot.
-        history: what it does.
-    """
+    """Follows a history instead of a take."""
 
     def __init__(self, server: "viser.ViserServer", robot: Robot, history: "LiveHistory") -> None:
         self._history = history
@@ -45,14 +38,14 @@ class LiveScene(RobotScene):
         )
 
     def set_take(self, take: "Take") -> None:
-        """Shows another take from now on, at the place that the history follows."""
+        """Shows another take, at the place that the history follows."""
         if not hasattr(self, "take") or take.title != self.take.title:
             self._title.text = take.title
         self.take = take
         self._path = np.broadcast_to(self._history.followed, (take.rows, 2))
 
     def show(self, row: int, *, follow: bool) -> None:
-        """As that of `RobotScene`, and the push."""
+        """As `RobotScene.show`, with the push."""
         super().show(row, follow=follow)
         force = self._history.push(_PUSH_S)
         if force is not None:

@@ -12,21 +12,17 @@ from fastmimic.robot import Robot
 from fastmimic.runs.loading import MotionSource, find_motion
 
 DEFAULTS: Final = (STAND, IN_PLACE, "walk", "trot", "pace", "turn", "side-step", "spin", "backward-trot", "bound")
-"""The motions that are played by default."""
 
 
 def load_motions(
     sources: Sequence[str | MotionSource], robot: Robot, progress: Callable[[int, int], None] | None = None
 ) -> dict[str, Motion]:
-    """Motions by the names under which they are played.
+    """Motions by the names used in a session; raises `FastMimicError` for unknown ones or files that cannot be read.
 
     Args:
-        sources: names, clips, robot motions (.npz) or folders of runs; "stand" and "in-place" besides.
+        sources: names, clips, robot motions (.npz) or folders of runs; also "stand" and "in-place".
         robot: the robot.
-        progress: called with how many are loaded and how many there are.
-
-    Raises:
-        FastMimicError: nothing of that name, or a file that cannot be read.
+        progress: called with (motions loaded, motions in all).
     """
     found: dict[str, Motion] = {}
     for i, given in enumerate(sources):

@@ -1,4 +1,4 @@
-"""Real time: as many control steps as time has passed, and no attempt to make up for what a busy machine missed."""
+"""Real time: control steps for the time passed, without catching up on long delays."""
 
 import threading
 import time
@@ -9,22 +9,19 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from fastmimic.play.session import LiveSession
 
-CHUNK_S: Final = 0.01
-"""Between two looks at the clock; so long the steps of one look take at least to be simulated."""
-MOST_BEHIND_S: Final = 0.05
-"""What it still catches up with; the rest is lost, and the real-time factor says so."""
-WINDOW_S: Final = 1.0
-"""Over which the real-time factor is measured."""
+CHUNK_S: Final = 0.01  # between checks of the clock, at least
+MOST_BEHIND_S: Final = 0.05  # delay that is caught up; the real-time factor shows the rest
+WINDOW_S: Final = 1.0  # of the real-time factor
 
 
 class Pacer:
     """Runs a session in real time in the calling thread.
 
     Attributes:
-        lock: held while the session steps; whoever else touches the session takes it.
-        paused: whether it stands still.
-        pace: simulated time for each second, in (0, 1]: slow motion below 1.
-        realtime_factor: simulated time for each second of the last `WINDOW_S`, as a share of `pace`; 1 if it keeps up.
+        lock: held while the session steps; take it to use the session elsewhere.
+        paused: whether the session pauses.
+        pace: simulated time per second, in (0, 1]: slow motion below 1.
+        realtime_factor: simulated time per second over the last `WINDOW_S`, as a share of `pace`.
     """
 
     def __init__(self, session: "LiveSession", clock: Callable[[], float] = time.monotonic) -> None:
@@ -38,13 +35,9 @@ class Pacer:
         self._window: deque[tuple[float, float, float]] = deque()
 
     def run(self, stop: threading.Event, record: Callable[[], None], every: int, awake: Callable[[], bool]) -> None:
-        """Until `stop` is set.
+        """Runs until `stop` is set, while `awake` returns True.
 
-        Args:
-            stop: ends it.
-            record: called, with the lock held, after each `every` control steps.
-            every: see there.
-            awake: whether anybody looks; nothing moves while nobody does.
+        Calls `record`, with the lock held, after each `every` control steps.
         """
         before = self._clock()
         while not stop.wait(CHUNK_S):
@@ -57,7 +50,7 @@ class Pacer:
                 self.advance(passed, record, every)
 
     def advance(self, passed_s: float, record: Callable[[], None] | None = None, every: int = 1) -> int:
-        """The steps that are due after so much more real time; returns how many there were."""
+        """Takes the steps due after this much more real time; returns their number."""
         dt = self.session.dt
         self._debt_s = min(self._debt_s + passed_s * self.pace, MOST_BEHIND_S)
         steps = int(self._debt_s / dt + 1e-9)

@@ -1,4 +1,4 @@
-"""The page of a live session: simulation in one thread, pictures from another."""
+"""The page of a live session: simulation in one thread, drawing in another."""
 
 import threading
 import time
@@ -18,15 +18,9 @@ _IDLE_S: Final = 0.05
 
 
 class PlayPage(WebPage):
-    """Plays a live session in the browsers of this machine.
+    """Plays a live session in the browsers of this machine, on the first free port from `port` on.
 
-    Args:
-        session: what is played.
-        heading: of the panel.
-        port: the first one to try.
-
-    Raises:
-        ConfigError: viser is not installed, or no port is free.
+    Raises `ConfigError` if viser is not installed or no port is free.
     """
 
     def __init__(self, session: "LiveSession", heading: str, port: int = DEFAULT_PORT) -> None:
@@ -41,7 +35,7 @@ class PlayPage(WebPage):
         self.draw()
 
     def draw(self) -> None:
-        """Brings scene and panel to the present."""
+        """Updates scene and panel."""
         moment = time.monotonic()
         with self.pacer.lock:
             take, plot = self.history.take(), self.history.plot()
@@ -54,7 +48,7 @@ class PlayPage(WebPage):
                 self._charts_at = moment
 
     def run(self, stop: threading.Event) -> None:
-        """Plays until `stop` is set; nothing moves while no browser looks on."""
+        """Plays until `stop` is set; pauses without a browser."""
         failure: list[BaseException] = []
 
         def simulate() -> None:

@@ -1,4 +1,4 @@
-"""The live session: a robot under the controller, steered by what a hand, a script or a test asks for."""
+"""The live session: a robot under the controller, steered by hand, script or test."""
 
 import math
 import time
@@ -31,29 +31,28 @@ from fastmimic.robot import Robot
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
 _TIMINGS: Final = 2000
-_PREPARING: Final = 50
-"""Control steps between two looks at whether something can be made beforehand."""
+_PREPARING: Final = 50  # control steps between two attempts to prepare something
 
 
 def playable_methods() -> list[str]:
-    """Names of the methods whose controllers can be chosen while it runs."""
+    """Names of the methods available in a live session."""
     return [method.name for method in METHODS.values() if method.playable]
 
 
 def check_method(name: str) -> None:
-    """Raises `ConfigError` for a method that cannot be chosen in a live session."""
+    """Raises `ConfigError` for a method that is not available in a live session."""
     names = playable_methods()
     if name not in names:
         raise ConfigError(f"'{name}' cannot be played; there are {', '.join(names)}{did_you_mean(name, names)}")
 
 
 class LiveSession:
-    """One robot that goes on until nobody looks any more. One thread at a time.
+    """One robot in an endless simulation. One thread at a time.
 
     Args:
         robot: the robot.
         motions: cyclic motions by name, or a `MotionSet` of them.
-        start: the motion to begin with; "stand" if None.
+        start: the first motion; "stand" if None.
         method: the controller, one of `playable_methods()`.
         config: its parameters, or the name of a set.
 
@@ -102,19 +101,19 @@ class LiveSession:
     # what is asked for
 
     def switch(self, name: str) -> None:
-        """Continues with another motion as soon as feet and phase allow; raises `ConfigError` if there is none."""
+        """Changes to another motion as soon as feet and phase allow; raises `ConfigError` for an unknown one."""
         self.reference.switch(name)
 
     def set_speed(self, factor: float) -> None:
-        """Asks for a factor on the motion's own speed; what is beyond its limits is cut to them."""
+        """Requests a factor on the motion's own speed, cut to its limits."""
         self.reference.want("speed", factor)
 
     def set_turn(self, rate: float) -> None:
-        """Asks for a turn rate in addition to the motion's own, rad/s, positive to the left, within its limits."""
+        """Requests a turn rate in addition to the motion's own, rad/s, positive to the left, within its limits."""
         self.reference.want("turn", rate)
 
     def set_lift(self, factor: float) -> None:
-        """Asks for a factor on the motion's own swing height, within its limits."""
+        """Requests a factor on the motion's own swing height, within its limits."""
         self.reference.want("lift", factor)
 
     def push(self, impulse: float, direction: float = 0.5 * math.pi) -> None:
@@ -153,47 +152,47 @@ class LiveSession:
 
     @property
     def time_s(self) -> float:
-        """Simulated since the start."""
+        """Simulated time since the start."""
         return self.steps * self.dt
 
     @property
     def motion(self) -> str:
-        """The motion that it does, or the last one that it did while it is in a transition."""
+        """The present motion; during a transition the one before it."""
         return self.reference.motion
 
     @property
     def goal(self) -> str:
-        """The motion that was asked for."""
+        """The motion requested."""
         return self.reference.goal
 
     @property
     def trouble(self) -> str | None:
-        """Why the robot does not go where it was asked to; None if it does."""
+        """Why the robot does not reach the goal; None if it does."""
         return self.reference.trouble
 
     @property
     def limits(self) -> Limits:
-        """Of the modulation, at present."""
+        """Present limits of the modulation."""
         return self.reference.limits
 
     @property
     def modulation(self) -> dict[str, float]:
-        """What is in force at present: speed, turn (rad/s), lift."""
+        """The present modulation: speed, turn (rad/s), lift."""
         return self.reference.modulation
 
     @property
     def fallen(self) -> bool:
-        """Whether it lies or gets up."""
+        """Whether the robot lies or gets up."""
         return self._recovery.phase is not GettingUpPhase.DONE
 
     @property
     def state(self) -> str:
-        """In words."""
+        """The state in words."""
         return self._recovery.phase.value if self.fallen else self.reference.state
 
     @property
     def control_us(self) -> tuple[float, float]:
-        """Median and 99th percentile of the time that a control step takes, of the last few thousand, µs."""
+        """Median and 99th percentile of the last few thousand control steps' durations, µs."""
         if not self._control_s:
             return 0.0, 0.0
         found = np.percentile(np.array(self._control_s), (50, 99)) * 1e6
@@ -219,12 +218,12 @@ class LiveSession:
     # what goes on
 
     def run(self, seconds: float) -> None:
-        """Goes on by that much simulated time, as fast as it can."""
+        """Simulates this much time as fast as possible."""
         for _ in range(round(seconds * self.rate_hz)):
             self.step()
 
     def reset(self) -> None:
-        """Puts the robot where it is now, facing the same way, into its motion; at first into the middle of the
+        """Puts the robot into its motion at its present place and heading; the first time, into the middle of the
         world."""
         obs = self.observation
         known = bool(np.isfinite(obs["root_pos"]).all() and np.abs(obs["root_quat"]).sum() > 0.5)
@@ -259,7 +258,7 @@ class LiveSession:
         self._score(observation)
 
     def _score(self, observation: NDArray[Any]) -> None:
-        """Against the demonstration of this moment, modulated as the reference."""
+        """Scores against the present demonstration, modulated like the reference."""
         self.reference.fill_demonstration(self._truth)
         self._clock["origin"] = self.reference.place["pose"]
         self._clock["jump"] = self.reference.place["jump"]
@@ -268,7 +267,7 @@ class LiveSession:
             self._has_fallen()
 
     def _fill(self) -> None:
-        """The reference now; for planning ahead, when a plan is due, also that of the next moments."""
+        """Fills the reference: the present sample, and when a plan is due also its horizon."""
         rows = self._tables[0] if self.steps % self._every == 0 else self._tables[0, :1]
         self.reference.fill(rows)
 

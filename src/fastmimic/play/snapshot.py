@@ -1,4 +1,4 @@
-"""One moment of a live session, as the history keeps it and the page shows it."""
+"""One moment of a live session, for history and page."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,16 +12,15 @@ from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """The present moment, for whoever shows it. Arrays are copies.
+    """The present moment. Arrays are copies.
 
     Attributes:
         time_s: simulated since the start.
         pose, reference: (19,) of the robot and of what it is scored against: position (world, m), quaternion, joints.
-        force, asked: (4, 3) the ground's force on each foot and what the controller asked for, world, N.
+        force, asked: (4, 3) the ground's and the commanded force on each foot, world, N.
         wanted, measured, stance: (4,) schedule, loaded feet, gait planner.
-        terms: (k,) the reward's terms of this step; 0 while it gets up.
-        reward: of this step.
-        velocity_b: (3,) of the base, heading frame, m/s; turn_rate: about the vertical, rad/s.
+        terms, reward: (k,) the reward's terms of this step, 0 while the robot gets up; the reward of this step.
+        velocity_b, turn_rate: (3,) of the base, heading frame, m/s; about the vertical, rad/s.
         push: (3,) force that pushes, world, N.
     """
 
@@ -66,7 +65,7 @@ def take_snapshot(
         loaded: force above which a foot is loaded, N.
         terms, reward: of this step.
         push: (3,) force that pushes, world, N.
-        up: whether the controller is at work: the robot has not fallen.
+        up: whether the controller is active: the robot has not fallen.
     """
     yaw = float(yaw_from_quat(observation["root_quat"]))
     pose = np.concatenate([observation["root_pos"], observation["root_quat"], observation["joint_pos"]])

@@ -1,17 +1,15 @@
-"""Keys that are held and a gamepad, from the browser to the server.
+"""Held keys and a gamepad, from the browser to the server.
 
-viser knows hotkeys, which say that a key was pressed, but neither that it is still held nor a gamepad. A few lines of
-JavaScript in the page fill that gap with what the page has anyway: they write the state of arrow keys, W A S D and the
-first gamepad's left stick into a text field of the panel, which viser brings to the server like anything that is typed,
-and turn the gamepad's buttons into hotkeys. The same keys would move viser's camera; the mouse does that.
+viser's hotkeys do not tell that a key is still held, and it has no gamepad. A script in the page writes the state of
+arrow keys, W A S D and the first gamepad's left stick into a text field of the panel, which viser sends to the server,
+and turns the gamepad's buttons into hotkeys. It keeps these keys from viser's camera.
 """
 
 import html
 import re
 from typing import Final
 
-FIELD: Final = "steer"
-"""First word of the text, by which the page finds its field."""
+FIELD: Final = "steer"  # first word of the text, which identifies the field
 IDLE: Final = f"{FIELD} +0.00 +0.00"
 _READING: Final = re.compile(rf"{FIELD} ([+-]\d\.\d\d) ([+-]\d\.\d\d)")
 
@@ -71,14 +69,14 @@ _SCRIPT: Final = """
 
 
 def steering_script() -> str:
-    """HTML that starts the script once; viser inserts it as it is, and an inserted script would not run."""
+    """HTML that starts the script once; needed because an inserted script element would not run."""
     pixel = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw=="
     code = html.escape(_SCRIPT.replace("FIELD", FIELD), quote=True)
     return f'<img src="{pixel}" alt="" width="1" height="1" style="position:absolute" onload="{code}">'
 
 
 def read_steering(text: str) -> tuple[float, float] | None:
-    """(to the left, forwards), each in [−1, 1], from the field's text; None if it is not one of ours."""
+    """(to the left, forwards), each in [−1, 1], from the field's text; None for another text."""
     found = _READING.fullmatch(text.strip())
     if found is None:
         return None

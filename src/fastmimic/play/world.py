@@ -1,4 +1,4 @@
-"""What is done to the robot and the ground while it runs: pushes, friction, payload."""
+"""Changes to robot and ground during a session: pushes, friction, payload."""
 
 import math
 from typing import TYPE_CHECKING, Final
@@ -13,8 +13,7 @@ if TYPE_CHECKING:
     from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
 
-PUSH_S: Final = 0.1
-"""Over which a push acts."""
+PUSH_S: Final = 0.1  # duration of a push
 MAX_IMPULSE: Final = 100.0
 FRICTION: Final = (0.2, 1.5)
 MAX_PAYLOAD_KG: Final = 10.0
@@ -25,7 +24,7 @@ class LiveWorld:
 
     Attributes:
         friction: coefficient between every foot and the ground.
-        payload_kg: mass at the trunk's centre of mass that the controller does not know of.
+        payload_kg: mass at the trunk's centre of mass, unknown to the controller.
     """
 
     def __init__(self, simulation: "MujocoSimulation") -> None:
@@ -48,12 +47,9 @@ class LiveWorld:
         """Pushes the trunk's centre of mass horizontally, for `PUSH_S` from now.
 
         Args:
-            impulse: N·s.
-            direction: rad, from the heading, positive to the left.
+            impulse: N·s, in 0 … `MAX_IMPULSE`; raises `ConfigError` for others.
+            direction: rad, from the heading, positive to the left; raises `ConfigError` unless finite.
             yaw: the heading, rad.
-
-        Raises:
-            ConfigError: an impulse that is not within 0 … `MAX_IMPULSE`, or a direction that is not finite.
         """
         if not (math.isfinite(impulse) and 0.0 <= impulse <= MAX_IMPULSE and math.isfinite(direction)):
             raise ConfigError(f"a push has 0 to {MAX_IMPULSE:g} N·s, found {impulse:g} N·s")
@@ -63,23 +59,23 @@ class LiveWorld:
 
     @property
     def force(self) -> Array:
-        """What pushes at present, (3,) world, N."""
+        """The present push, (3,) world, N."""
         return self._push if self._push_steps > 0 else np.zeros(3)
 
     def apply(self) -> None:
-        """Before each control step."""
+        """Applies the push; call before each control step."""
         self._applied[0, self.trunk, :3] = self.force
         self._push_steps = max(0, self._push_steps - 1)
 
     def set_friction(self, coefficient: float) -> None:
-        """Of every contact; raises `ConfigError` outside `FRICTION`."""
+        """Sets the friction of every contact; raises `ConfigError` outside `FRICTION`."""
         if not FRICTION[0] <= coefficient <= FRICTION[1]:
             raise ConfigError(f"friction must be {FRICTION[0]:g} to {FRICTION[1]:g}, found {coefficient:g}")
         self._sliding[0, :, 0] = coefficient  # MuJoCo takes the greater one of two surfaces
         self.friction = coefficient
 
     def set_payload(self, mass_kg: float) -> None:
-        """Of the trunk; raises `ConfigError` outside 0 … `MAX_PAYLOAD_KG`."""
+        """Sets the trunk's payload; raises `ConfigError` outside 0 … `MAX_PAYLOAD_KG`."""
         if not 0.0 <= mass_kg <= MAX_PAYLOAD_KG:
             raise ConfigError(f"the payload must be 0 to {MAX_PAYLOAD_KG:g} kg, found {mass_kg:g}")
         self._mass[0, self.trunk] = self._own_mass + mass_kg

@@ -1,7 +1,4 @@
-"""The robot's shape and where it is: meshes out of its MJCF's geoms, and MuJoCo's kinematics.
-
-The model is that of the videos (`report.scene`), so that robot and ghost look alike in both.
-"""
+"""The robot's meshes and kinematics, from the MuJoCo model of the videos, so that both look alike."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -42,7 +39,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class BodyMesh:
-    """One moving body and what of it is seen."""
+    """A moving body and its visible parts."""
 
     name: str
     parts: tuple[Part, ...]
@@ -50,7 +47,7 @@ class BodyMesh:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Where a robot's bodies are.
+    """The places of a robot's bodies.
 
     Attributes:
         position: (b, 3) world, m.
@@ -64,12 +61,7 @@ class Placed:
 
 
 class Puppet:
-    """A robot and its ghost that can be put into any pose.
-
-    Attributes:
-        bodies: the robot's, in the order of `Placed`.
-        ghost_bodies: the ghost's, likewise.
-    """
+    """A robot and its ghost in any pose; `bodies` and `ghost_bodies` are in the order of `Placed`."""
 
     def __init__(self, robot: Robot) -> None:
         import mujoco
@@ -89,7 +81,7 @@ class Puppet:
         return int(self._model.jnt_bodyid[free])
 
     def place(self, pose: Array, reference: Array | None = None) -> tuple[Placed, Placed | None]:
-        """Where robot and ghost are at a pose (19,) of each: root position, quaternion, joints."""
+        """Places robot and ghost at a pose (19,) each: root position, quaternion, joints."""
         import mujoco
 
         self._data.qpos[self._qpos[0]] = pose
@@ -175,7 +167,7 @@ def surface(model: "mujoco.MjModel", geom: int) -> tuple[Array, NDArray[np.int64
 
 
 def box(a: float, b: float, c: float) -> tuple[Array, NDArray[np.int64]]:
-    """Surface of a box of half sizes a, b, c, m: (24, 3) vertices, so that its edges are sharp, and (12, 3) faces."""
+    """Surface of a box of half sizes a, b, c, m: (24, 3) vertices, for sharp edges, and (12, 3) faces."""
     vertices: list[Array] = []
     faces: list[tuple[int, int, int]] = []
     for axis in range(3):
@@ -192,8 +184,8 @@ def box(a: float, b: float, c: float) -> tuple[Array, NDArray[np.int64]]:
 
 
 def revolved(profile: Array, slices: int = _SLICES) -> tuple[Array, NDArray[np.int64]]:
-    """Surface of revolution about z of a profile (k, 2) of radius and height, m, from bottom to top; two equal points
-    make a sharp edge."""
+    """Surface of revolution about z of a profile (k, 2): radius, height, m, upwards; two equal points make a sharp
+    edge."""
     angle = 2 * np.pi * np.arange(slices) / slices
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     rings = profile[:, None, :1] * circle[None]
@@ -214,7 +206,7 @@ def revolved(profile: Array, slices: int = _SLICES) -> tuple[Array, NDArray[np.i
 
 
 def _arc(radius: float, below: float, above: float) -> Array:
-    """Profile of a sphere cut in two halves that are `below` and `above` the origin, m."""
+    """Profile of a sphere's two halves, `below` and `above` the origin, m."""
     quarter = np.linspace(0.0, np.pi / 2, _ARC)
     upper = quarter if below + above > 0 else quarter[1:]  # a sphere has one equator
     angle = np.concatenate([-quarter[::-1], upper])

@@ -1,4 +1,4 @@
-"""What the panel shows as charts: the reward's course, the gait strip and the table of the legs. No viser in here."""
+"""The panel's charts: reward, gait strip and leg table. Without viser."""
 
 import html
 from typing import TYPE_CHECKING, Any, Final
@@ -45,7 +45,7 @@ def plot_key() -> str:
 
 
 def plot_base(take: "Take", points: int = PLOT_POINTS) -> Array:
-    """The course of an episode for the plot (≤ `points`, 7): time, five terms, reward."""
+    """The reward of an episode for the plot (≤ `points`, 7): time, five terms, reward."""
     assert take.terms is not None
     assert take.reward is not None
     rows = np.unique(np.linspace(0, take.rows - 1, min(points, take.rows)).round().astype(np.int64))
@@ -53,7 +53,7 @@ def plot_base(take: "Take", points: int = PLOT_POINTS) -> Array:
 
 
 def plot_data(base: Array, time_s: float) -> tuple[Array, ...]:
-    """The plot's eight arrays: those of `plot_base` and a cursor, an upright line at `time_s`, s."""
+    """The plot's eight arrays: those of `plot_base` and a cursor at `time_s`, s."""
     now = np.array([np.interp(time_s, base[:, 0], column) for column in base.T])
     now[0] = time_s
     at = int(np.searchsorted(base[:, 0], time_s))
@@ -64,12 +64,9 @@ def plot_data(base: Array, time_s: float) -> tuple[Array, ...]:
 
 
 def gait_strip(take: "Take", row: int, now: float = 0.5) -> str:
-    """An SVG of what was wanted, loaded and in stance around the present: outlined, filled and hatched bars.
+    """An SVG of wanted (outlined), loaded (filled) and planned (hatched) stance about a row of a take.
 
-    Args:
-        take: what is shown.
-        row: the present one.
-        now: where the present is, share of the strip: 1 to show the past only.
+    `now` is the place of the present as a share of the strip: 1 shows the past only.
     """
     samples = round(STRIP_S * take.rate_hz)
     left_row = row - round(now * samples)
@@ -126,7 +123,7 @@ def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def leg_table(take: "Take", row: int) -> str:
-    """An HTML table of the legs: what is wanted, measured and decided, load, and share of the friction pyramid used."""
+    """An HTML table of the legs: wanted, measured and planned contact, load, and use of the friction pyramid."""
     flags, use = contact_flags(take, row), friction_use(take, row)
     head = "".join(f"<th>{h}</th>" for h in ("", "wanted", "loaded", "state", "f<sub>z</sub>", "friction"))
     lines = []

@@ -1,8 +1,7 @@
-"""What is drawn about a robot: contacts on the ground, forces, friction pyramids, paths of the feet; arrays only.
+"""Marks about a robot: contacts on the ground, forces, friction pyramids, paths of the feet; arrays only.
 
-Whatever a colour tells is told by shape as well: on the ground under a foot a ring means that the schedule wants it to
-stand, a disc in it that it is loaded, a square frame around it that the gait planner has it in stance. The
-demonstration's paths are dashed.
+Shapes tell the same as colours. Under a foot, a ring means stance wanted by the contact schedule, a disc in it a loaded
+foot, a square frame around it stance of the gait planner. The demonstration's paths are dashed.
 """
 
 from typing import TYPE_CHECKING, Final
@@ -23,17 +22,13 @@ Mesh = tuple[Array, NDArray[np.int64]]
 
 TRAIL_S: Final = 1.0
 TRAIL_POINTS: Final = 40
-LEAST_FORCE: Final = 0.01
-"""Of the robot's weight: a smaller force has no arrow."""
+LEAST_FORCE: Final = 0.01  # share of the robot's weight below which a force has no arrow
 _GROUND_Z: Final = 0.004  # above the plane, so that the marks do not flicker
 
 
 def contact_meshes(size: float) -> dict[str, Mesh]:
-    """Flat meshes (vertices, faces) of the marks by name: "wanted" a ring, "measured" a disc, "stance" a square frame.
-
-    Args:
-        size: radius of the ring, m.
-    """
+    """Flat meshes (vertices, faces) of the marks: "wanted" a ring of radius `size`, m, "measured" a disc, "stance" a
+    frame."""
     ring = revolved(np.array([[1.0, 0.0], [0.74, 0.0]]))  # from outside to inside: they face up
     disc = revolved(np.array([[0.56, 0.0], [0.0, 0.0]]))
     frame, faces = revolved(np.array([[1.95, 0.0], [1.62, 0.0]]), 4)
@@ -42,14 +37,14 @@ def contact_meshes(size: float) -> dict[str, Mesh]:
 
 
 def contact_places(take: "Take", row: int) -> Array:
-    """Where the marks lie (4, 3): on the ground under the feet, world, m."""
+    """Places of the marks (4, 3): on the ground under the feet, world, m."""
     places = take.feet[row].copy()
     places[:, 2] = _GROUND_Z
     return places
 
 
 def contact_flags(take: "Take", row: int) -> dict[str, NDArray[np.bool_]]:
-    """Which marks are shown (4,) by name; none where nothing is known."""
+    """Visible marks (4,) by name; none if unknown."""
     none = np.zeros(4, dtype=np.bool_)
     return {
         "wanted": take.wanted[row],
@@ -61,17 +56,13 @@ def contact_flags(take: "Take", row: int) -> dict[str, NDArray[np.bool_]]:
 def force_arrows(take: "Take", row: int, foot_radius: float, length: float) -> Array:
     """Ground reaction forces as arrows (k, 2, 3) from the contact points, world, m; only of feet with a force.
 
-    Args:
-        take: what is shown.
-        row: of it.
-        foot_radius: m.
-        length: of an arrow that carries the robot's weight, m.
+    `foot_radius` is in m, `length`, m, that of an arrow of the robot's weight.
     """
     return _arrows(take.force, take, row, foot_radius, length)
 
 
 def asked_segments(take: "Take", row: int, foot_radius: float, length: float) -> Array:
-    """The forces that the controller asked for as lines (k, 2, 3); arguments as for `force_arrows`."""
+    """The commanded ground reaction forces as lines (k, 2, 3); arguments as for `force_arrows`."""
     return _arrows(take.asked, take, row, foot_radius, length)
 
 
@@ -85,11 +76,9 @@ def _arrows(forces: Array | None, take: "Take", row: int, foot_radius: float, le
 
 
 def friction_pyramids(take: "Take", row: int, foot_radius: float, length: float) -> Array:
-    """Edges (8 k, 2, 3) of each loaded foot's friction pyramid, cut at its vertical force: the arrow's tip lies in
-    the pyramid's square as long as the foot's force is within |f_x|, |f_y| ≤ μ f_z (heading frame).
-
-    Arguments as for `force_arrows`.
-    """
+    """Edges (8 k, 2, 3) of each loaded foot's friction pyramid, |f_x|, |f_y| ≤ μ f_z (heading frame), cut at its
+    vertical force. The arrow's tip is in the square while the force is in the pyramid. Arguments as for
+    `force_arrows`."""
     if take.force is None:
         return np.zeros((0, 2, 3))
     height = take.force[row, :, 2] * length / take.weight
@@ -117,15 +106,8 @@ def friction_use(take: "Take", row: int) -> Array:
 
 
 def trails(feet: Array, row: int, rate_hz: float, *, dashed: bool = False) -> Array:
-    """The last `TRAIL_S` of each foot's path as segments (4 · `TRAIL_POINTS`, 2, 3), leg by leg; what is before the
-    first row has no length.
-
-    Args:
-        feet: (t, 4, 3) world, m.
-        row: the present one.
-        rate_hz: rows a second.
-        dashed: whether every other segment is left out.
-    """
+    """The last `TRAIL_S` of each foot's path (t, 4, 3), world, m, up to a row, as segments (4 · `TRAIL_POINTS`, 2, 3),
+    leg by leg. Segments before the first row have no length; if `dashed`, every other one is left out."""
     stride = max(1, round(TRAIL_S * rate_hz / TRAIL_POINTS))
     first = row // stride - TRAIL_POINTS + 1
     number = np.arange(first, first + TRAIL_POINTS + 1)
@@ -139,14 +121,10 @@ def trails(feet: Array, row: int, rate_hz: float, *, dashed: bool = False) -> Ar
 
 
 def animal_beside(animal: "Animal", take: "Take", row: int, aside: float) -> Array:
-    """Keypoints (10, 3) of the animal beside the reference, in its heading, at the same moment, world, m.
+    """Keypoints (10, 3) of the animal beside the reference at the same moment, in its heading, world, m.
 
-    Args:
-        animal: the animal.
-        take: what is shown.
-        row: of it.
-        aside: how far to the left of the reference, m; in its heading at the start, so that in a turn the animal
-            stays on its side of the picture.
+    `aside` is the offset, m, to the left of the reference's initial heading, so that turns keep the animal's side in
+    the picture.
     """
     poses = take.reference if take.reference is not None else take.pose
     points = animal.local(int(take.samples[row]))
@@ -161,7 +139,7 @@ def bone_segments(points: Array) -> Array:
 
 
 def smoothed_path(take: "Take", seconds: float = 0.35) -> Array:
-    """The robot's path (t, 2) on the ground without the sway of its steps: what the view follows, m."""
+    """The robot's path (t, 2) on the ground without sway, for the view, m."""
     from scipy.ndimage import gaussian_filter1d
 
     return np.asarray(gaussian_filter1d(take.pose[:, :2], seconds * take.rate_hz, axis=0, mode="nearest"))

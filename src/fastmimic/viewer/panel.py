@@ -1,4 +1,4 @@
-"""The controls beside the scene: playback, what is shown, and the charts."""
+"""The controls: playback, layers and charts."""
 
 import html
 from collections.abc import Sequence
@@ -45,16 +45,16 @@ reward: {terms}
 
 
 class ViewerPanel:
-    """viser's GUI elements, and what they do to the player.
+    """viser's GUI elements and their effects on the player.
 
     Args:
         gui: viser's.
-        player: what it controls.
+        player: the playback.
         lock: held while the player changes.
-        robots: what the player moves.
-        reset_camera: called with the browser that asks for it.
+        robots: moved by the player.
+        reset_camera: called with the requesting browser.
         heading: first line.
-        episodes: how many there are to choose from.
+        episodes: number of episodes.
         choose: called with the episode that the user chooses.
     """
 
@@ -71,8 +71,7 @@ class ViewerPanel:
     ) -> None:
         self._gui, self._player, self._lock, self._robots = gui, player, lock, robots
         self._reset_camera = reset_camera
-        self.version = 0
-        """Goes up with each change that the scene must follow."""
+        self.version = 0  # counts the changes that the scene must follow
         arrange(gui, heading)
         self._add_playback()
         self._add_episodes(episodes, choose)
@@ -90,7 +89,7 @@ class ViewerPanel:
         return bool(self._follow.value)
 
     def show(self, row: int) -> None:
-        """Brings slider and charts to a row."""
+        """Updates slider and charts."""
         player = self._player
         self._time.value = min(row / player.rate_hz, self._time.max)
         cycles = len(player.cycle_starts)
@@ -100,11 +99,11 @@ class ViewerPanel:
             charts.show(scene.take, scene.take.clamp(row))
 
     def show_playing(self) -> None:
-        """Labels the button by what it does next."""
+        """Labels the button by its next effect."""
         self._play.label = "Pause" if self._player.playing else "Play"
 
     def set_takes(self) -> None:
-        """Takes over the takes that the scenes now show."""
+        """Adopts the takes now in the scenes."""
         self._time.max = max(_last_s(self._player), 0.0)
         for charts, scene in zip(self._charts, self._robots, strict=True):
             charts.set_take(scene.take)
@@ -181,8 +180,6 @@ class ViewerPanel:
 
 
 class _TakeCharts:
-    """The charts of one take."""
-
     def __init__(self, gui: "viser.GuiApi", take: "Take", *, alone: bool) -> None:
         self._status, self._strip = gui.add_html(""), gui.add_html("")
         self._plot: Any = None
@@ -195,11 +192,11 @@ class _TakeCharts:
             self._table = gui.add_html("")
 
     def set_take(self, take: "Take") -> None:
-        """Takes over another take."""
+        """Adopts another take."""
         self._base: Any = None if take.terms is None else plot_base(take)
 
     def show(self, take: "Take", row: int) -> None:
-        """Brings the charts to a row."""
+        """Updates the charts."""
         self._status.content = status_line(take, row)
         self._table.content = leg_table(take, row)
         self._strip.content = gait_strip(take, row)
@@ -226,7 +223,7 @@ def charts_window(gui: "viser.GuiApi", title: str) -> Any:
 def add_layer_boxes(
     gui: "viser.GuiApi", robots: "Sequence[RobotScene]", layers: Sequence[str], hidden: Sequence[str] = ()
 ) -> None:
-    """A box for each of the `LAYERS`, which shows or hides it; the `hidden` ones are hidden at first."""
+    """A check box for each of the `LAYERS`; the `hidden` ones are hidden at first."""
 
     def add(layer: str) -> None:
         box = gui.add_checkbox(LAYERS[layer], layer not in hidden)

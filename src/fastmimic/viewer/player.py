@@ -1,4 +1,4 @@
-"""Playback: which row is shown, and which next."""
+"""Playback: the present row and the next."""
 
 import math
 from dataclasses import dataclass
@@ -13,15 +13,15 @@ REPEATS: Final[tuple[Repeat, ...]] = ("all", "cycle", "off")
 
 @dataclass
 class Player:
-    """A position in the rows of a take that moves on in real time.
+    """A position in the rows of a take that advances in real time.
 
     Attributes:
-        rows: how many there are.
+        rows: their number.
         rate_hz: rows a second of real time.
-        cycle_starts: rows at which a cycle starts, ascending, the first one 0.
-        playing: whether it moves on.
+        cycle_starts: first rows of the cycles, ascending from 0.
+        playing: whether it advances.
         speed: times real time, positive.
-        repeat: at the end begin anew ("all"), stop ("off"), or stay within the present cycle ("cycle").
+        repeat: at the end start again ("all"), stop ("off"), or repeat the present cycle ("cycle").
     """
 
     rows: int
@@ -33,7 +33,7 @@ class Player:
     _position: float = 0.0
 
     def load(self, rows: int, rate_hz: float, cycle_starts: NDArray[np.int64]) -> None:
-        """Begins another take, at the same speed."""
+        """Starts another take, at the same speed."""
         self.rows, self.rate_hz, self.cycle_starts = rows, rate_hz, cycle_starts
         self._position = 0.0
 
@@ -44,7 +44,7 @@ class Player:
 
     @property
     def cycle(self) -> int:
-        """Which cycle that row is in, from 0."""
+        """The cycle of the present row, from 0."""
         return int(np.searchsorted(self.cycle_starts, self.row, side="right")) - 1
 
     def cycle_rows(self, cycle: int) -> tuple[int, int]:
@@ -53,7 +53,7 @@ class Player:
         return int(self.cycle_starts[cycle]), int(ends[cycle])
 
     def advance(self, seconds: float) -> None:
-        """Moves on by that much real time, if it is playing."""
+        """Advances by this much real time, if playing."""
         if not self.playing or seconds <= 0:
             return
         first, end = self.cycle_rows(self.cycle) if self.repeat == "cycle" else (0, self.rows)
@@ -66,7 +66,7 @@ class Player:
         self._position = position
 
     def seek(self, row: int) -> None:
-        """Goes to a row, or to the nearest that there is."""
+        """Goes to the nearest row."""
         self._position = float(min(max(row, 0), self.rows - 1))
 
     def step_cycle(self, by: int) -> None:
@@ -75,7 +75,7 @@ class Player:
         self.seek(int(self.cycle_starts[cycle]))
 
     def toggle(self) -> None:
-        """Plays or pauses; at the end it begins anew."""
+        """Plays or pauses; starts again at the end."""
         if not self.playing and self.row >= self.rows - 1:
             self.seek(0)
         self.playing = not self.playing

@@ -1,4 +1,4 @@
-"""Takes as one HTML page that plays them in 3D: viser's client and a recording of its scene, with nothing to fetch."""
+"""Takes as one HTML page that plays them in 3D: viser's client and a recording of its scene, self-contained."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
@@ -10,21 +10,18 @@ from fastmimic.viewer.web import FRAMES_PER_S, aim_at_first, default_camera, sta
 if TYPE_CHECKING:
     from fastmimic.viewer.take import Take
 
-SHOWN: Final = ("ghost", "contacts", "paths")
-"""Of `LAYERS`, what is seen at first; the others can be switched on in the scene tree."""
+SHOWN: Final = ("ghost", "contacts", "paths")  # layers at first; the scene tree switches others on
 LONGEST_S: Final = 10.0
 
 
 def recorded_page(robot: Robot, takes: Sequence["Take"], names: Sequence[str], longest_s: float = LONGEST_S) -> str:
-    """The page: robots beside each other that do what they did, again and again.
-
-    A server is started on loopback for as long as the recording takes, as viser's scenes belong to one.
+    """A page with robots side by side that repeat their takes. While recording, a server runs on loopback.
 
     Args:
         robot: the robot.
         takes: at one rate; the shorter ones stay at their ends.
         names: of each in the scene tree, without slashes.
-        longest_s: what is later is left out, s.
+        longest_s: limit of the recording, s.
 
     Raises:
         ConfigError: viser is not installed or too old, or no port is free.

@@ -1,5 +1,4 @@
-"""What is seen, as viser's scene nodes: each robot under a frame of its own, which moves against its path if the view
-follows it, so that the camera stays where the user has put it."""
+"""viser's scene nodes. If the view follows a robot, its frame moves against its path, so that the camera can stay."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -43,8 +42,7 @@ LAYERS: Final = {
     "com": "centre of mass",
     "names": "names",
     "animal": "animal",
-}
-"""What can be shown or hidden, with the words for it."""
+}  # names and labels
 
 _CELL_M: Final = 0.25
 _FORCE_RGB: Final = (178, 24, 43)
@@ -56,12 +54,12 @@ _ANIMAL_RGB: Final = (140, 84, 20)
 
 
 def gap(robot: Robot) -> float:
-    """Between robots beside each other, m."""
+    """Distance between robots side by side, m."""
     return 2.4 * robot.leg_length
 
 
 def animal_aside(robot: Robot) -> float:
-    """Where the animal stands, to the left of its robot, m."""
+    """Place of the animal, m to the left of its robot's place."""
     return -0.7 * gap(robot)
 
 
@@ -72,12 +70,12 @@ def line_up(
     animal: "Animal | None" = None,
     names: Sequence[str] | None = None,
 ) -> "list[RobotScene]":
-    """Robots beside each other, seen from the front the first on the left.
+    """Robots side by side, seen from the front the first on the left.
 
     Args:
         server: viser's.
         robot: the robot.
-        takes: what each does first.
+        takes: each one's first take.
         animal: beside the first; None for none.
         names: of their frames in the scene tree.
     """
@@ -100,11 +98,11 @@ def line_up(
 
 
 class RobotScene:
-    """One robot with all that is drawn about it.
+    """One robot with its marks.
 
     Attributes:
-        take: what it does.
-        aside: where it stands, metres to the left of the middle.
+        take: its take.
+        aside: its place, m to the left of the middle.
         root: its frame, which holds everything else.
 
     Args:
@@ -112,8 +110,8 @@ class RobotScene:
         name: of its frame in the scene tree.
         robot: the robot.
         puppet: its geometry; may be shared.
-        take: what it does first.
-        aside: where it stands, metres to the left of the middle.
+        take: its first take.
+        aside: its place, m to the left of the middle.
         ground: length and width of its ground, m.
         animal: shown to the right of it; None for none.
     """
@@ -163,7 +161,7 @@ class RobotScene:
         self.set_take(take)
 
     def set_take(self, take: "Take") -> None:
-        """Shows another take from now on."""
+        """Shows another take."""
         self.take = take
         self._path = smoothed_path(take)
         self._title.text = take.title
@@ -177,7 +175,7 @@ class RobotScene:
             self._groups[layer].visible = visible
 
     def set_opacity(self, opacity: float | None) -> None:
-        """Of the robot; None for opaque."""
+        """Sets the robot's opacity; None for opaque."""
         for _, meshes in self._bodies:
             for mesh in meshes:
                 mesh.opacity = opacity
@@ -217,7 +215,7 @@ class RobotScene:
     def _add_bodies(
         self, name: str, bodies: "tuple[BodyMesh, ...]", opacity: float | None
     ) -> list[tuple["viser.FrameHandle", list["viser.MeshHandle"]]]:
-        """A frame for each body with its meshes in it; translucent ones have no shadow."""
+        """A frame with meshes for each body; translucent ones have no shadow."""
         scene, found = self._server.scene, []
         for body in bodies:
             frame = scene.add_frame(f"{name}/{body.name}", show_axes=False)
@@ -337,13 +335,13 @@ class RobotScene:
 
 
 def leg_colours() -> NDArray[np.uint8]:
-    """Of the legs, (4, 3), 0 to 255, as in the figures."""
+    """The legs' colours in the figures, (4, 3), 0 to 255."""
     return np.array([[int(line.color[i : i + 2], 16) for i in (1, 3, 5)] for line in LEG_LINES], dtype=np.uint8)
 
 
 def linear(rgb: NDArray[Any]) -> NDArray[np.uint8]:
-    """sRGB colours as linear light, 0 to 255: what viser takes for colours of instances, of vertices, and of arrows,
-    where it takes sRGB for those of whole nodes."""
+    """sRGB colours as linear light, 0 to 255; viser needs it for instances, vertices and arrows, but sRGB for whole
+    nodes."""
     c = np.asarray(rgb) / 255.0
     return np.round(255.0 * np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)).astype(np.uint8)
 
@@ -354,14 +352,14 @@ def _move(bodies: list[tuple["viser.FrameHandle", list["viser.MeshHandle"]]], pl
 
 
 def _set_lines(node: Any, points: Array) -> None:
-    """New lines or arrows; a node without any is hidden, as viser cannot draw none."""
+    """Sets lines or arrows; a node without any is hidden, since viser cannot draw none."""
     if len(points):
         node.points = points.astype(np.float32)
     node.visible = len(points) > 0
 
 
 def _drop(com: Array, *, upright: bool) -> Array:
-    """The centre of mass on the ground: a line down to an upright cross, or to a diagonal one (3, 2, 3)."""
+    """The centre of mass on the ground: a line down to an upright or a diagonal cross (3, 2, 3)."""
     foot = np.array([com[0], com[1], 0.003])
     a, b = (
         (np.array([1.0, 0, 0]), np.array([0, 1.0, 0]))

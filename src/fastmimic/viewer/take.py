@@ -26,26 +26,23 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Take:
-    """What is shown, row by row. Row i of an episode is the state after control step i + 1, as in the log.
+    """An episode or motion, row by row. Row i of an episode is the state after control step i + 1, as in the log.
 
     Attributes:
         title: such as "before: as retargeted".
         caption: such as "reward 0.84".
         rate_hz: rows a second.
         pose: (t, 19) the robot's root position (world, m), quaternion and joints (rad); finite.
-        reference: (t, 19) the same of the demonstration; None without one.
+        reference: (t, 19) that of the demonstration; None without one.
         feet: (t, 4, 3) centres of the robot's feet, world, m.
-        reference_feet: (t, 4, 3) of the demonstration's; None without one.
-        wanted: (t, 4) whether the schedule wants the foot on the ground.
-        measured: (t, 4) whether the foot is loaded: by more than what the gait planner takes for free; None without
-            physics.
+        reference_feet: (t, 4, 3) those of the demonstration; None without one.
+        wanted: (t, 4) whether the contact schedule wants the foot on the ground.
+        measured: (t, 4) whether the foot is loaded, above the gait planner's threshold; None without physics.
         stance: (t, 4) the gait planner's leg states; None without physics.
-        force: (t, 4, 3) the ground's force on each foot, world, N; None without physics.
-        asked: (t, 4, 3) what the controller asked for, world, N; None without physics.
-        terms: (t, 5) the reward's terms, in the order of `REWARD_TERMS`; None without physics.
-        reward: (t,) of each step; None without physics.
-        samples: (t,) of the demonstration that are in force.
-        cycle_starts: (k,) rows at which a cycle starts, ascending, the first one 0.
+        force, asked: (t, 4, 3) each foot's ground reaction force and its command, world, N; None without physics.
+        terms, reward: (t, 5) the reward's terms as in `REWARD_TERMS`, and (t,) the reward; None without physics.
+        samples: (t,) the demonstration's sample.
+        cycle_starts: (k,) first rows of the cycles, ascending from 0.
         friction: μ that the controller assumes.
         weight: of the robot, N.
         fell_at: row of the fall; None if the robot stays up.
@@ -82,7 +79,7 @@ class Take:
 
     @cached_property
     def heading(self) -> Array:
-        """(t,) of the robot, rad."""
+        """Heading of the robot (t,), rad."""
         return np.asarray(yaw_from_quat(self.pose[:, 3:7]))
 
     def time_at(self, row: int) -> float:
@@ -90,7 +87,7 @@ class Take:
         return row / self.rate_hz
 
     def clamp(self, row: int) -> int:
-        """The nearest row that there is: of two takes beside each other one may be shorter."""
+        """The nearest existing row, for takes of different length."""
         return min(max(row, 0), self.rows - 1)
 
 
@@ -102,15 +99,15 @@ def rollout_take(
     title: str = "",
     episode: int = 0,
 ) -> Take:
-    """An episode as it happened, falls included.
+    """An episode, falls included.
 
     Args:
         rollout: with its log.
-        motion: that was run.
+        motion: its motion.
         robot: the robot.
         config: the controller's.
         title: of the take.
-        episode: which one.
+        episode: its index.
     """
     log = rollout.log
     assert log is not None, "a take needs a rollout with its log"
@@ -148,14 +145,8 @@ def rollout_take(
 
 
 def motion_take(motion: Motion, robot: Robot, duration_s: float, title: str = "") -> Take:
-    """A motion as it is written, without physics, with its demonstration as the reference if it has one.
-
-    Args:
-        motion: the motion.
-        robot: the robot that it is for.
-        duration_s: how much of it, s; at most the whole of one that does not repeat.
-        title: of the take.
-    """
+    """The first `duration_s` of a motion, or all of one that is not cyclic, without physics. Its demonstration, if any,
+    is the reference."""
     track = motion_track(motion, duration_s, title)
     pose = held(_stacked(track))
     samples = np.arange(len(pose), dtype=np.int64) % motion.n_samples
@@ -185,8 +176,8 @@ def motion_take(motion: Motion, robot: Robot, duration_s: float, title: str = ""
 
 
 def demonstration_samples(demonstration: Motion, joint_pos: Array) -> NDArray[np.int64]:
-    """Samples (t,) of a demonstration that an episode went through, found by the joints (t, 12) of its first row; of
-    repeated cycles the first one is taken."""
+    """Samples (t,) of the demonstration in an episode, from the joints (t, 12) of its first row; the first of equal
+    cycles."""
     found = np.flatnonzero((demonstration.joint_pos == joint_pos[0]).all(axis=1))
     samples = (int(found[0]) if len(found) else 0) + np.arange(len(joint_pos), dtype=np.int64)
     n = demonstration.n_samples
@@ -200,7 +191,7 @@ def cycle_rows(demonstration: Motion, samples: NDArray[np.int64]) -> NDArray[np.
 
 
 def held(pose: Array) -> Array:
-    """Poses (t, 19) in which a row that is not finite, as after a fall that explodes, is the last one before it."""
+    """Poses (t, 19) in which a row that is not finite, as after a fall, repeats the last finite one."""
     finite = np.isfinite(pose).all(axis=1)
     last = np.maximum.accumulate(np.where(finite, np.arange(len(pose)), 0))
     return pose[last]

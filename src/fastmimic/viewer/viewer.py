@@ -27,7 +27,7 @@ class Viewer(WebPage):
 
     Args:
         robot: the robot.
-        shown: for each robot beside the others, left to right in the picture, its takes, of which one is shown.
+        shown: each robot's takes, left to right in the picture; one take is shown at a time.
         heading: of the panel, such as "trot on a1".
         port: the first one to try.
         animal: beside the first robot; None for none.
@@ -79,7 +79,7 @@ class Viewer(WebPage):
             self.draw(force=True)
 
     def draw(self, *, force: bool = False) -> None:
-        """Brings scene and panel to the present row, if they are not there."""
+        """Updates scene and panel if the row has changed."""
         with self.lock:
             row = self.player.row
             if not force and self._drawn == (row, self.panel.version):
@@ -95,7 +95,7 @@ class Viewer(WebPage):
             self._drawn = (row, self.panel.version)
 
     def run(self, stop: threading.Event) -> None:
-        """Plays until `stop` is set; nothing moves while no browser looks on."""
+        """Plays until `stop` is set; pauses without a browser."""
         before = time.monotonic()
         while not stop.wait(_IDLE_S if not self.watched() else 0.2 / FRAMES_PER_S):
             now = time.monotonic()

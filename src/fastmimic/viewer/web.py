@@ -1,4 +1,4 @@
-"""The viewer's web server: its port, and the cameras of the browsers."""
+"""The viewer's web server: its port, and the browsers' cameras."""
 
 import contextlib
 import errno
@@ -28,11 +28,8 @@ _PORTRAIT: Final = 0.7  # width over height of a picture that a phone shows
 
 
 def free_port(port: int, tries: int = PORTS_TRIED) -> int:
-    """The first port from `port` on that nobody listens on, on loopback.
-
-    Raises:
-        ConfigError: no such port number, or all that were tried are taken.
-    """
+    """The first free port from `port` on, on loopback; raises `ConfigError` for no such port, or if all tried are
+    taken."""
     if not 1 <= port <= 65535:
         raise ConfigError(f"--port takes 1 to 65535, found {port}")
     for candidate in range(port, min(port + tries, 65536)):
@@ -49,7 +46,7 @@ def free_port(port: int, tries: int = PORTS_TRIED) -> int:
 
 
 def require_viser() -> None:
-    """Raises `ConfigError` with what to do if viser is not installed, or too old."""
+    """Raises `ConfigError` with advice if viser is not installed, or too old."""
     try:
         import viser
     except ImportError:
@@ -59,14 +56,7 @@ def require_viser() -> None:
 
 
 def start_server(port: int = DEFAULT_PORT) -> "viser.ViserServer":
-    """viser's server, silent, on loopback.
-
-    Args:
-        port: the first one to try.
-
-    Raises:
-        ConfigError: viser is not installed, or no port is free.
-    """
+    """viser's server, silent, on loopback, at the first free port from `port` on; raises `ConfigError`."""
     require_viser()
     import viser
 
@@ -77,26 +67,25 @@ def start_server(port: int = DEFAULT_PORT) -> "viser.ViserServer":
 
 
 def stop_server(server: "viser.ViserServer") -> None:
-    """Ends it, silently."""
+    """Stops the server, silently."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Where a camera stands and what it looks at, scene coordinates, m."""
+    """A camera's place and target, scene coordinates, m."""
 
     position: tuple[float, float, float]
     look_at: tuple[float, float, float]
 
 
 def default_camera(robot: Robot, beside: Sequence[float], yaw: float, aspect: float = 1.6) -> Camera:
-    """From the robot's front right, high enough to see the ground under its feet, with all that is beside each other in
-    the picture.
+    """From the robot's front right, high enough to see the ground under its feet, with everything in the picture.
 
     Args:
         robot: its size sets the distance.
-        beside: where robots and animal stand, metres to the left of the middle.
+        beside: places of robots and animal, m to the left of the middle.
         yaw: heading at the start, rad.
         aspect: width over height of the picture.
     """
@@ -120,18 +109,13 @@ def default_camera(robot: Robot, beside: Sequence[float], yaw: float, aspect: fl
 
 
 def aim_at_first(server: "viser.ViserServer", camera: Camera) -> None:
-    """Where the camera of each browser is to begin."""
+    """Sets the initial camera of each browser."""
     initial = server.initial_camera
     initial.position, initial.look_at, initial.fov = camera.position, camera.look_at, _FOV_RAD
 
 
 class Cameras:
-    """Those of all browsers: where they begin, and where they go back to.
-
-    Args:
-        server: viser's.
-        robot, beside, yaw: as for `default_camera`.
-    """
+    """The cameras of all browsers, and their initial place; arguments as for `default_camera`."""
 
     def __init__(self, server: "viser.ViserServer", robot: Robot, beside: Sequence[float], yaw: float) -> None:
         self._server, self._robot, self._beside, self._yaw = server, robot, tuple(beside), yaw
@@ -139,12 +123,12 @@ class Cameras:
         server.on_client_connect(self._welcome)
 
     def reset(self, client: "viser.ClientHandle | None") -> None:
-        """Puts the camera of one browser, or of all, where it was at first."""
+        """Resets the camera of one browser, or of all."""
         for each in self._server.get_clients().values() if client is None else (client,):
             self._aim(each)
 
     def _welcome(self, client: "viser.ClientHandle") -> None:
-        """Aims, and aims anew when the panels have taken their places beside the picture."""
+        """Aims, and again when the panels are in place."""
         self._aim(client)
         began, aimed = time.monotonic(), float(client.camera.aspect)
 
@@ -157,7 +141,7 @@ class Cameras:
                 self._aim(client)
 
     def _aim(self, client: "viser.ClientHandle") -> None:
-        """A narrow window, as a phone's, needs a camera further away."""
+        """Aims; a narrow window, as a phone's, needs a camera further away."""
         camera = default_camera(self._robot, self._beside, self._yaw, float(client.camera.aspect))
         client.camera.position, client.camera.look_at = camera.position, camera.look_at
         client.camera.up_direction = (0.0, 0.0, 1.0)
@@ -165,11 +149,7 @@ class Cameras:
 
 
 class WebPage:
-    """A page that this machine serves to its own browsers. Use it as a context manager, or `close` it.
-
-    Attributes:
-        server: viser's.
-    """
+    """A page served to this machine's browsers by viser's `server`. A context manager; otherwise `close` it."""
 
     def __init__(self, port: int) -> None:
         self.server = start_server(port)
