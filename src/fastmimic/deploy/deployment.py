@@ -130,9 +130,7 @@ def deploy(
 
     Args:
         motion: a cyclic motion, or a stitched one, which runs once.
-        robot: its model.
         driver: not yet open; it is closed at the end.
-        options: see `DeployOptions`.
         sequence: of this motion and controller, if already made.
         clock: the computer's if None. A simulated robot must have the same.
         switch: the operator's stop; keys and signals if None.

@@ -70,7 +70,6 @@ class RobotDriver:
     ) -> None:
         """
         Args:
-            robot: the robot expected.
             release: whether opening may release the motors from the robot's own software; otherwise it only listens.
             say: takes lines on progress while it opens.
             timeout_s: timeout of the first state, s.

@@ -85,7 +85,6 @@ class DeploymentLog:
 
     Attributes:
         rows: (t,) of `ROW`.
-        motion: the motion deployed.
         meta: `rate_hz`, `robot`, `motion`, `driver`, `method`, `result` and more, JSON-serialisable.
         truth: (t,) of `OBSERVATION`, a simulated robot's true states at the states used; None of a real robot.
     """

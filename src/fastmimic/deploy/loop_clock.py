@@ -80,8 +80,7 @@ def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
 
 
 def _ask_for_real_time(refused: list[str]) -> dict[int, tuple[int, int]]:
-    """Requests real-time scheduling of all threads and locked memory; returns each thread's former scheduler and
-    priority."""
+    """Requests real-time scheduling and locked memory; returns each thread's former scheduler and priority."""
     if not hasattr(os, "sched_setscheduler"):
         refused.append("this system has no real-time scheduler")
         return {}

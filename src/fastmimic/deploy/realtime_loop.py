@@ -23,8 +23,7 @@ class CalledOffError(DriverError):
 
 @dataclass(frozen=True)
 class EndCondition:
-    """When the motion ends: after a number of complete cycles, or of control steps in the motion; None for no such
-    end."""
+    """When the motion ends: after complete cycles, or control steps in the motion; None for no such end."""
 
     cycles: int | None = None
     steps: int | None = None

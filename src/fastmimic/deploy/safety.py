@@ -97,8 +97,7 @@ def _tilt(quat: Any, reference: Any) -> float:
 
 @kernel
 def _check_state(limits: Any, readings: Any, table: Any, clock: Any, strained: Any) -> tuple[int, int, float, float]:
-    """A state's violation as (check, joint, value, limit); `strained` (12,), s near the limit of each motor, is
-    changed."""
+    """A state's violation (check, joint, value, limit); updates `strained` (12,), s near the limit of each motor."""
     limit, reading = limits[0], readings[0]
     if not _finite(reading):
         return _NOT_FINITE, 0, 0.0, 0.0

@@ -37,7 +37,6 @@ def score_log(
     The reference starts as the controller's did and is then synchronised to the states scored.
 
     Args:
-        robot: the robot.
         log: of the deployment.
         config: of its controller.
         observation: (t,) of `OBSERVATION`, the state in each row of the log; the estimate if None.

@@ -63,8 +63,7 @@ class SequencePart:
 
 @dataclass(frozen=True, eq=False)
 class MotionSequence:
-    """The sequence from standing to standing: the motion, its three parts, and `stand`, (12,) standing joints in
-    rad."""
+    """From standing to standing: the motion, its three parts, and `stand`, (12,) standing joints in rad."""
 
     motion: Motion
     blend_in: SequencePart
@@ -86,7 +85,6 @@ class Follower:
     """The position in a sequence, advanced by control steps.
 
     Attributes:
-        part: the current part.
         table: (t,) of `SAMPLE`, its samples.
         clock: (1,) of `CLOCK`, its position.
         steps: control steps in the motion itself so far.

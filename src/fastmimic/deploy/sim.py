@@ -42,7 +42,6 @@ class SimDriver(RobotDriver):
     ) -> None:
         """
         Args:
-            robot: the robot.
             clock: a virtual one if None.
             rate_hz: of its states.
             conditions: its sensors, world and seed.

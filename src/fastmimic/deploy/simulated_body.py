@@ -76,7 +76,6 @@ class SimulatedBody:
     ) -> None:
         """
         Args:
-            robot: the robot.
             simulation: of this one robot, stepped at `rate_hz`.
             sensors: of this one robot.
             rate_hz: of `step`.

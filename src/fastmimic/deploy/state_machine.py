@@ -68,7 +68,6 @@ class StateMachine:
     """Commands for one robot, step by step.
 
     Attributes:
-        phase: the current phase.
         follower: the position in the motion sequence, in phase `FOLLOW`.
         guard: checks states and commands.
         dt: the control period, s.
@@ -89,8 +88,6 @@ class StateMachine:
     ) -> None:
         """
         Args:
-            robot: the robot.
-            sequence: the motion sequence.
             guard: checks states and commands.
             config: of the controller.
             estimator: of the estimator.

@@ -48,12 +48,9 @@ class PlayPanel:
     """viser's GUI elements and their effects on the session.
 
     Args:
-        gui: viser's.
         pacer: runs the session.
         history: of the session.
-        scene: the robot.
         cameras: of the browsers.
-        heading: first line.
     """
 
     def __init__(

@@ -26,8 +26,6 @@ class LiveReference:
     """The reference motion of a live session.
 
     Args:
-        robot: the robot.
-        library: the motions.
         rate_hz: control steps a second.
         start: name of the first motion.
 

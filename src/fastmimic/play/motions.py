@@ -21,7 +21,6 @@ def load_motions(
 
     Args:
         sources: names, clips, robot motions (.npz) or folders of runs; also "stand" and "in-place".
-        robot: the robot.
         progress: called with (motions loaded, motions in all).
     """
     found: dict[str, Motion] = {}

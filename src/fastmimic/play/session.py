@@ -50,7 +50,6 @@ class LiveSession:
     """One robot in an endless simulation. One thread at a time.
 
     Args:
-        robot: the robot.
         motions: cyclic motions by name, or a `MotionSet` of them.
         start: the first motion; "stand" if None.
         method: the controller, one of `playable_methods()`.
@@ -98,7 +97,7 @@ class LiveSession:
         self._loaded = self._given.gait.release_threshold * robot.mass * GRAVITY
         self.reset()
 
-    # what is asked for
+    # requests
 
     def switch(self, name: str) -> None:
         """Changes to another motion as soon as feet and phase allow; raises `ConfigError` for an unknown one."""
@@ -143,7 +142,7 @@ class LiveSession:
         if self._recovery.phase is GettingUpPhase.DONE:
             self._has_fallen()
 
-    # what is the case
+    # state
 
     @property
     def observation(self) -> Any:
@@ -215,7 +214,7 @@ class LiveSession:
             up=up,
         )
 
-    # what goes on
+    # simulation
 
     def run(self, seconds: float) -> None:
         """Simulates this much time as fast as possible."""
@@ -223,8 +222,7 @@ class LiveSession:
             self.step()
 
     def reset(self) -> None:
-        """Puts the robot into its motion at its present place and heading; the first time, into the middle of the
-        world."""
+        """Puts the robot into its motion at its present place and heading; at first in the middle of the world."""
         obs = self.observation
         known = bool(np.isfinite(obs["root_pos"]).all() and np.abs(obs["root_quat"]).sum() > 0.5)
         yaw = float(yaw_from_quat(obs["root_quat"])) if known else 0.0

@@ -63,8 +63,7 @@ class Animal:
 def animal_track(
     clip: Clip, robot: Robot, motion: Motion, duration_s: float, title: str = "", caption: str = ""
 ) -> AnimalTrack:
-    """The first `duration_s` of a clip's animal, at the robot's size, along the path and at the rate of `motion`, made
-    of it."""
+    """The first `duration_s` of a clip's animal, at the robot's size, on the path and at the rate of `motion`."""
     animal = Animal(clip, robot, motion)
     path = motion_track(motion.target, duration_s)
     heading = yaw_from_quat(path.root_quat_wxyz)

@@ -28,7 +28,7 @@ _PALETTE: Final = (
 )  # 256 colours from all frames, which the encoder holds until the end
 
 
-_PIPE: Final = 2**20  # bytes, the most that Linux allows anyone: a frame in two pieces instead of in twenty-four
+_PIPE: Final = 2**20  # bytes, the most that Linux allows
 
 
 class VideoFile:
@@ -39,7 +39,6 @@ class VideoFile:
         source_size: width and height of the frames that will be written, pixels.
         size: width and height of the video, pixels; even but for a GIF. Frames of another size are scaled.
         fps: frames a second.
-        quality: of the encoder.
         frames: their number, if known.
 
     Raises:

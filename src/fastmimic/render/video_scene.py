@@ -55,11 +55,9 @@ class VideoScene:
     """A model with the robot and perhaps its ghost, and their coordinates in `qpos`.
 
     Attributes:
-        model: the compiled model.
         robot_qpos: (19,) indices of the robot's root position, quaternion and joints in the common order.
         ghost_qpos: (19,) those of the ghost; None without one.
         casts_shadow: (ngeom,) geoms with a shadow: the robot's main ones.
-        quality: of the drawing.
         tiles: geoms of the ground's pattern, which follow the camera; none with a texture.
         tile: edge of a tile, m.
     """
@@ -86,11 +84,9 @@ def build_video_scene(
     """Puts a robot, and a ghost of it if wanted, on a checkered ground.
 
     Args:
-        robot: the robot to show.
         ghost: whether a second, translucent robot is shown.
         width, height: of the whole picture, pixels.
         floor: (2, 2) lowest and highest x and y that the robots reach, m.
-        quality: of the drawing.
         tile: edge of a tile of the ground, m.
     """
     import mujoco
@@ -131,8 +127,7 @@ def _set_visual(spec: "mujoco.MjSpec", width: int, height: int, quality: Quality
 
 
 def _add_ground(spec: "mujoco.MjSpec", floor: Array, quality: Quality, tile: float) -> None:
-    """A textured plane, or tiles of two colours side by side: nothing is drawn twice, which saves time on a
-    processor."""
+    """A textured plane, or tiles of two colours side by side, faster on a processor: nothing is drawn twice."""
     import mujoco
 
     if quality.textured:

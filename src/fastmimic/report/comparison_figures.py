@@ -91,7 +91,6 @@ def tracking_bars(
         courses: `demonstration`, `before` and `after`, (t, 4, 3) feet in the body frame, m; NaN after a fall.
         rate_hz: of the courses.
         start_s: time of their first sample in the episode, s.
-        title: heading.
     """
     figure = new_figure(12.0, 6.4, title)
     grid = figure.subplots(2, 2, width_ratios=(3, 2))

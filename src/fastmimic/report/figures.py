@@ -35,7 +35,6 @@ def convergence_figure(
         std: its standard deviation, drawn as a band about the mean.
         sigma: CMA-ES's step size, relative to the parameters' scaled ranges.
         baseline: mean per-step reward of the unoptimised motion, in [0, 1].
-        title: heading.
         randomized: whether each iteration scores on other robots: each iteration's best is drawn then, since the best
             so far would be that of the easiest robots.
     """
@@ -128,7 +127,6 @@ def tracking_figure(
         before: (t, 4, 3) realised feet with the motion as retargeted, body frame, m; NaN after a fall.
         after: (t, 4, 3) realised feet with the optimised motion, in the same way.
         contact: (t, 4) bool, the demonstration's stance, drawn as shading.
-        title: heading.
         window_s: the times to draw, such as two cycles; the errors in the titles are over all samples.
     """
     time = np.asarray(time_s, dtype=np.float64)

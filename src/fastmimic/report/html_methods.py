@@ -27,8 +27,6 @@ class Measure:
     """A drawn column of `results.csv`.
 
     Attributes:
-        column: its name.
-        title: of the panel.
         unit: of the axis.
         scale: from the column's unit to the axis'.
         top: of the axis; None for automatic.

@@ -24,7 +24,6 @@ def render(template: str, figures: Iterable[Figure], *, title: str, replay: str 
     Args:
         template: name of a file in `templates/`.
         figures: all figures of the page.
-        title: of the document.
         replay: an HTML page to be opened inside this one; empty for none.
         **data: for the template.
 

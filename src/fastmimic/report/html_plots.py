@@ -18,7 +18,6 @@ class Key:
     """A series: its name and style, in a plot and in the legend.
 
     Attributes:
-        label: its name.
         color: `var(--name)` of the style sheet.
         dash: one of Plotly's dash patterns.
         symbol: Plotly's name of a marker, for points.
@@ -48,9 +47,7 @@ class Figure:
 
     Attributes:
         name: its id in the page.
-        title: of the figure.
         hint: how to read it.
-        plots: the plots.
         columns: of the plots on a wide page.
         legend: the styles of the series.
     """

@@ -64,11 +64,8 @@ class RunData:
     """The contents of a run's folder.
 
     Attributes:
-        path: the folder.
-        metrics, config: the two JSON files; `config` is empty if it is missing.
         search: None if nothing was optimised or it is missing.
         episodes: None if they cannot be simulated again.
-        video: its file; None without one.
         missing: a sentence for each missing thing and what is left out.
     """
 

@@ -50,7 +50,6 @@ def stress_figure(rows: Sequence[dict[str, Any]], curve: str, title: str) -> Fig
     Args:
         rows: of the sweeps, see `fastmimic.experiments.stress.COLUMNS`.
         curve: "success" or "reward_mean".
-        title: heading.
     """
     names = list(dict.fromkeys(row["disturbance"] for row in rows))
     methods = [name for name in METHODS if any(row["method"] == name for row in rows)]

@@ -184,8 +184,7 @@ def box(a: float, b: float, c: float) -> tuple[Array, NDArray[np.int64]]:
 
 
 def revolved(profile: Array, slices: int = _SLICES) -> tuple[Array, NDArray[np.int64]]:
-    """Surface of revolution about z of a profile (k, 2): radius, height, m, upwards; two equal points make a sharp
-    edge."""
+    """Surface of revolution about z of a profile (k, 2): radius, height, m, upwards; equal points make a sharp edge."""
     angle = 2 * np.pi * np.arange(slices) / slices
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     rings = profile[:, None, :1] * circle[None]

@@ -27,8 +27,7 @@ _GROUND_Z: Final = 0.004  # above the plane, so that the marks do not flicker
 
 
 def contact_meshes(size: float) -> dict[str, Mesh]:
-    """Flat meshes (vertices, faces) of the marks: "wanted" a ring of radius `size`, m, "measured" a disc, "stance" a
-    frame."""
+    """Flat meshes (vertices, faces): "wanted" a ring of radius `size`, m, "measured" a disc, "stance" a frame."""
     ring = revolved(np.array([[1.0, 0.0], [0.74, 0.0]]))  # from outside to inside: they face up
     disc = revolved(np.array([[0.56, 0.0], [0.0, 0.0]]))
     frame, faces = revolved(np.array([[1.95, 0.0], [1.62, 0.0]]), 4)

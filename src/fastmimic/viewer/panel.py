@@ -48,12 +48,9 @@ class ViewerPanel:
     """viser's GUI elements and their effects on the player.
 
     Args:
-        gui: viser's.
-        player: the playback.
         lock: held while the player changes.
         robots: moved by the player.
         reset_camera: called with the requesting browser.
-        heading: first line.
         episodes: number of episodes.
         choose: called with the episode that the user chooses.
     """

@@ -18,7 +18,6 @@ def recorded_page(robot: Robot, takes: Sequence["Take"], names: Sequence[str], l
     """A page with robots side by side that repeat their takes. While recording, a server runs on loopback.
 
     Args:
-        robot: the robot.
         takes: at one rate; the shorter ones stay at their ends.
         names: of each in the scene tree, without slashes.
         longest_s: limit of the recording, s.

@@ -73,8 +73,6 @@ def line_up(
     """Robots side by side, seen from the front the first on the left.
 
     Args:
-        server: viser's.
-        robot: the robot.
         takes: each one's first take.
         animal: beside the first; None for none.
         names: of their frames in the scene tree.
@@ -101,14 +99,11 @@ class RobotScene:
     """One robot with its marks.
 
     Attributes:
-        take: its take.
         aside: its place, m to the left of the middle.
         root: its frame, which holds everything else.
 
     Args:
-        server: viser's.
         name: of its frame in the scene tree.
-        robot: the robot.
         puppet: its geometry; may be shared.
         take: its first take.
         aside: its place, m to the left of the middle.
@@ -340,8 +335,7 @@ def leg_colours() -> NDArray[np.uint8]:
 
 
 def linear(rgb: NDArray[Any]) -> NDArray[np.uint8]:
-    """sRGB colours as linear light, 0 to 255; viser needs it for instances, vertices and arrows, but sRGB for whole
-    nodes."""
+    """sRGB colours as linear light, 0 to 255: for viser's instances, vertices and arrows; whole nodes take sRGB."""
     c = np.asarray(rgb) / 255.0
     return np.round(255.0 * np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)).astype(np.uint8)
 

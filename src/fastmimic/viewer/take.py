@@ -103,10 +103,7 @@ def rollout_take(
 
     Args:
         rollout: with its log.
-        motion: its motion.
-        robot: the robot.
         config: the controller's.
-        title: of the take.
         episode: its index.
     """
     log = rollout.log
@@ -176,8 +173,7 @@ def motion_take(motion: Motion, robot: Robot, duration_s: float, title: str = ""
 
 
 def demonstration_samples(demonstration: Motion, joint_pos: Array) -> NDArray[np.int64]:
-    """Samples (t,) of the demonstration in an episode, from the joints (t, 12) of its first row; the first of equal
-    cycles."""
+    """Samples (t,) of the demonstration in an episode, from the joints (t, 12) of row 0; the first of equal cycles."""
     found = np.flatnonzero((demonstration.joint_pos == joint_pos[0]).all(axis=1))
     samples = (int(found[0]) if len(found) else 0) + np.arange(len(joint_pos), dtype=np.int64)
     n = demonstration.n_samples

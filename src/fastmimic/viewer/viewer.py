@@ -26,7 +26,6 @@ class Viewer(WebPage):
     """Plays takes in the browsers of this machine.
 
     Args:
-        robot: the robot.
         shown: each robot's takes, left to right in the picture; one take is shown at a time.
         heading: of the panel, such as "trot on a1".
         port: the first one to try.

@@ -28,8 +28,7 @@ _PORTRAIT: Final = 0.7  # width over height of a picture that a phone shows
 
 
 def free_port(port: int, tries: int = PORTS_TRIED) -> int:
-    """The first free port from `port` on, on loopback; raises `ConfigError` for no such port, or if all tried are
-    taken."""
+    """The first free port from `port` on, on loopback; raises `ConfigError` if there is none."""
     if not 1 <= port <= 65535:
         raise ConfigError(f"--port takes 1 to 65535, found {port}")
     for candidate in range(port, min(port + tries, 65536)):

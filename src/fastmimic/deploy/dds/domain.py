@@ -31,8 +31,7 @@ class _Endpoint(ctypes.Structure):
 
 
 def configuration(interface: str) -> str:
-    """CycloneDDS's configuration for a network interface: peers are found by their ports on loopback, else by
-    multicast."""
+    """CycloneDDS's configuration for a network interface: peers are found by port on loopback, else by multicast."""
     general, discovery = f'<Interfaces><NetworkInterface name="{interface}"/></Interfaces>', ""
     if interface == LOOPBACK:
         general += "<AllowMulticast>false</AllowMulticast>"

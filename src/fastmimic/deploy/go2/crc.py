@@ -33,6 +33,5 @@ def checksum(words: NDArray[np.uint32], count: int, table: NDArray[np.int64]) ->
 
 
 def crc32(words: NDArray[np.uint32]) -> int:
-    """The checksum of a message (n,) in C's layout, as little-endian words; the last word, its own place, is left
-    out."""
+    """The checksum of a message (n,) in C's layout, as little-endian words, without the last, which holds it."""
     return int(checksum(words, len(words) - 1, TABLE))

@@ -37,7 +37,6 @@ class Go2Driver(RobotDriver):
     def __init__(self, robot: Robot, *, domain: int = 0, interface: str = LOOPBACK, **options: Any) -> None:
         """
         Args:
-            robot: the robot expected.
             domain: DDS domain; 0 for robots.
             interface: network interface to the robot; `lo` for a simulated one.
             options: see `RobotDriver`.

@@ -147,7 +147,7 @@ class Received(NamedTuple):
 
 
 def _state_words() -> NDArray[np.int64]:
-    """Word offsets: quaternion, gyroscope, accelerometer; first motor's q, dq, tau_est; motor stride; foot forces;
+    """Word offsets: quaternion, gyroscope, accelerometer; q, dq, tau_est of motor 0; motor stride; foot forces;
     tick."""
     state = np.dtype(LowState)
     imu, motors = state["imu_state"], state["motor_state"].base

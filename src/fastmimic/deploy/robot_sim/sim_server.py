@@ -94,14 +94,12 @@ class SimServer:
     """A simulated robot with a Go2's DDS interface. A context manager.
 
     Attributes:
-        body: see `SimulatedBody`.
-        counts: see `SimCounts`.
         realtime_factor: simulated time per second, in (0, 1].
     """
 
     def __init__(self, robot: Robot, settings: SimSettings | None = None, log: GroundTruthLog | None = None) -> None:
-        """The ground truth goes into `log`. Raises `DriverError` as `Participant`, or if the domain has another
-        robot."""
+        """`log` takes the ground truth. Raises `DriverError` like `Participant`, and for another robot in the
+        domain."""
         self.settings = settings if settings is not None else SimSettings()
         self.counts, self.realtime_factor = SimCounts(), 1.0
         self._log = log
@@ -153,8 +151,7 @@ class SimServer:
         report: Callable[["SimServer"], None] = lambda sim: None,
         every_s: float = 1.0,
     ) -> None:
-        """Runs in real time until `stop` is set or for `duration_s` of simulated time; calls `report` every
-        `every_s`."""
+        """Runs in real time until `stop` is set or for `duration_s` simulated; calls `report` every `every_s`."""
         dt = 1.0 / PHYSICS_RATE_HZ
         begin = due = time.perf_counter()
         next_report, reported = every_s, (begin, self.body.time)
