@@ -1,1 +1,1 @@
-"""The running reference: tables and clocks for the controller, and transitions between motions."""
+"""The reference motion of the controller: tables, clocks, and transitions between motions."""

@@ -1,8 +1,8 @@
 """A motion in its own moving frame, so that it can be modulated while it runs.
 
-Every sample is in the heading frame of the reference's root, and the root's path is the step to the next sample. This
-form is periodic for any cycle and continuous from a motion into a transition. Phase, speed, turn and swing height can
-therefore change at any moment without a jump.
+Each sample is in the heading frame of the reference's root, and the root's path is the step to the next sample. A cycle
+is then periodic and a motion continuous into a transition, so phase, speed, turn and swing height can change at any
+moment without a jump.
 """
 
 from itertools import pairwise
@@ -50,22 +50,15 @@ COURSE: Final = record_dtype(
     ]
 )
 """One sample, heading frame of the root, SI units: `step` and `turn` of the root to the next sample; `tilt` heading →
-body; velocities, accelerations and what the legs take (`SAMPLE`); `foot` from the root on the ground, z of its centre;
-`lift` of the foot above where it stands; `contact` and `remaining` as in `SAMPLE`; `since_middle` the time since the
-middle of the foot's stance, s, which in swing goes back smoothly to that before the next one; `travel` the mean
-velocity of the root over a stride, m/s, m/s, rad/s; `sync` where a cycle starts."""
+body; velocities and accelerations, also those of the legs (`SAMPLE`); `foot` from the root on the ground, z of its
+centre; `lift` of the foot above its foothold; `contact` and `remaining` as in `SAMPLE`; `since_middle` as returned by
+that function; `travel` the mean velocity of the root over a stride, m/s, m/s, rad/s; `sync` where a cycle starts."""
 
-_STRIDE_S: Final = 0.5
-"""Averaging time of the velocity of a motion that does not repeat."""
+_STRIDE_S: Final = 0.5  # averaging time of the velocity of a motion that does not repeat
 
 
 def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
-    """A motion as an array (t,) of `COURSE`, periodic if the motion is.
-
-    Args:
-        motion: a cycle, or a stitched motion; its samples at the controller's rate.
-        robot: the robot.
-    """
+    """A cycle or stitched motion, at the controller's rate, as an array (t,) of `COURSE`."""
     table = reference_table(motion, robot)
     periodic = motion.cycle is not None
     course = np.zeros(motion.n_samples, COURSE)
@@ -88,7 +81,7 @@ def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
 
 
 def _lift(motion: Motion, height: Array, foot_radius: float) -> Array:
-    """Height (t, 4) of the demonstration's feet above their footholds, m, which the swing height multiplies."""
+    """Height (t, 4) of the demonstration's feet above their footholds, m; the swing height multiplies it."""
     feet = motion.foot_pos_w
     return np.where(motion.contact, 0.0, np.maximum(feet[..., 2] - foot_radius, 0.0)) * np.ones_like(height)
 
@@ -105,10 +98,11 @@ def _travel(motion: Motion) -> Array:
 
 
 def since_middle(contact: NDArray[np.bool_], rate_hz: float, periodic: bool) -> Array:
-    """Time (t,) since the middle of the stance, s; in swing back to the next stance's beginning, twice differentiable.
+    """Time (t,) since the middle of the stance, s; in swing a twice differentiable return to the next touch-down's
+    value.
 
-    A foot that stands in a turning frame moves on an arc about its place at mid-stance; this is its position on it. It
-    is 0 for a foot that never lifts off.
+    A standing foot in a turning frame moves on an arc about its position at mid-stance; this is its position on the
+    arc. It is 0 for a foot that never lifts off.
     """
     n = len(contact)
     out = np.zeros(n)

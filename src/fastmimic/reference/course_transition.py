@@ -1,4 +1,4 @@
-"""Transitions between motions while the robot runs: those of stitching, as courses."""
+"""Stitching's transitions between motions, as courses for a running robot."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -13,25 +13,22 @@ from fastmimic.robot import Robot
 from fastmimic.stitching.join import stitch_motions
 from fastmimic.stitching.layout import Layout
 
-_MARGIN: Final = 4
-"""Rows before and after a transition that belong to the motions, for interpolation."""
+_MARGIN: Final = 4  # rows of the motions before and after a transition, for interpolation
 _JOINT_SPEED_SHARE: Final = 1.15
 _SLIP_M: Final = 0.02
-_UNREACHABLE: Final = 0.02
-"""Share of the transition's samples with a foot out of reach."""
+_UNREACHABLE: Final = 0.02  # share of the transition's samples with a foot out of reach
 _MODULATED: Final = ("root_z", "lin_vel", "ang_vel", "foot")
 
 
 @dataclass(frozen=True, eq=False)
 class CourseTransition:
-    """A course between two cyclic motions.
+    """A transition between two cyclic motions.
 
     Attributes:
-        course: (t,) of `COURSE` for the controller, with `_MARGIN` rows of the motions at either end.
-        demonstration: (t,) of `COURSE` for the score.
-        first, last: rows of it that are the transition; `last` exclusive.
-        leave: row ≥ 1 of the first motion before which it begins.
-        arrive: row of the second motion that follows.
+        course, demonstration: (t,) of `COURSE` for the controller, with `_MARGIN` rows of the motions at either end,
+            and for the score.
+        first, last: rows of the transition itself; `last` exclusive.
+        leave, arrive: row ≥ 1 of the first motion before which it begins, and row of the second motion that follows.
         measured: figures of the transition, as in a stitched motion's `meta`.
     """
 
@@ -57,7 +54,7 @@ class CourseTransition:
 def make_course_transition(robot: Robot, before: Motion, after: Motion) -> CourseTransition | None:
     """The transition between two cyclic motions, optimised or not; None if stitching finds none.
 
-    It joins their demonstrations. The difference of an optimised motion from its own is blended with the same weights.
+    It joins their demonstrations. An optimised motion's difference from its own is blended with the same weights.
     """
     try:
         stitched = stitch_motions(robot, [before.target, after.target], [_cycles(before), _cycles(after)])

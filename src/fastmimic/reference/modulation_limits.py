@@ -1,6 +1,6 @@
-"""Limits of a motion's modulation, by one rule for all motions.
+"""One rule for the limits of a motion's modulation.
 
-With the constants the motions stayed upright in `benchmarks/play.py`, with a margin; see docs/viewer.md.
+With these constants the motions stayed upright in `benchmarks/play.py`, with a margin; see docs/viewer.md.
 """
 
 from dataclasses import dataclass
@@ -11,18 +11,12 @@ from numpy.typing import NDArray
 
 from fastmimic.robot import Robot
 
-SPEED: Final = (0.9, 1.25)
-"""Factors on the phase's rate."""
-JOINT_SPEED_SHARE: Final = 1.1
-"""Largest share of the joints' speed limit in a sped-up or higher reference."""
-TURN: Final = 1.0
-"""Added turn rate at most, rad/s."""
-TURN_ACCELERATION: Final = 0.6
-"""Centripetal acceleration at most that is added, at the highest speed, m/s²."""
-TURN_ANGLE: Final = 0.3
-"""Largest turn of the body over a foot from the middle of its stance to the end, rad."""
-LIFT: Final = (0.5, 1.5)
-"""Factors on the swing height."""
+SPEED: Final = (0.9, 1.25)  # factors on the phase's rate
+JOINT_SPEED_SHARE: Final = 1.1  # largest share of the joints' speed limit in a faster or higher reference
+TURN: Final = 1.0  # largest added turn rate, rad/s
+TURN_ACCELERATION: Final = 0.6  # largest added centripetal acceleration, at the highest speed, m/s²
+TURN_ANGLE: Final = 0.3  # largest turn of the body over a foot from mid-stance to lift-off, rad
+LIFT: Final = (0.5, 1.5)  # factors on the swing height
 
 
 @dataclass(frozen=True)
@@ -50,15 +44,10 @@ def _common(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, floa
 
 
 def limits_of(course: NDArray[Any], joint_vel: NDArray[np.float64], robot: Robot) -> Limits:
-    """Ranges of a cyclic motion.
+    """Limits of a cyclic motion from its `COURSE` (t,) and joint velocities (t, 12), rad/s.
 
-    A motion in which a foot never lifts off is not modulated. The joints' speeds limit speed and swing height. The turn
-    of a foot under the body and the centripetal acceleration limit the turn rate.
-
-    Args:
-        course: (t,) of `COURSE`.
-        joint_vel: (t, 12) of the motion, rad/s.
-        robot: its joints' speed limits.
+    The joints' speeds limit speed and swing height. The turn of a foot under the body and the centripetal acceleration
+    limit the turn rate. A motion in which a foot never lifts off is not modulated.
     """
     if course["contact"].all(axis=0).any():
         return Limits()

@@ -1,4 +1,4 @@
-"""Motions by name with their transitions and tempos, which are made in the background."""
+"""Motions by name; their transitions and tempos are made in the background."""
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future
@@ -25,14 +25,8 @@ IN_PLACE: Final = "in-place"
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A motion of the set.
-
-    Attributes:
-        name: its name in the set.
-        motion: the motion.
-        course, demonstration: (t,) of `COURSE`, for the controller and for the score.
-        limits: of its modulation.
-    """
+    """A motion of the set: its course (t,) of `COURSE` for the controller, its demonstration for the score, and its
+    limits."""
 
     name: str
     motion: Motion
@@ -47,8 +41,8 @@ class Entry:
 
 
 class MotionSet:
-    """Motions by name. "stand" and "in-place" are always there: getting up ends in the first, and motions without a
-    direct transition pass through the second.
+    """Motions by name. Getting up ends in "stand", and motions without a direct transition pass through "in-place";
+    both are always there.
 
     Args:
         robot: the robot.
@@ -100,13 +94,13 @@ class MotionSet:
         return self.entries[name]
 
     def next_hop(self, now: str, goal: str) -> tuple[str, CourseTransition] | None:
-        """The next motion on the way from one to another, and the transition to it; None while that is being made.
+        """The next motion on the way from `now` to `goal` and the transition to it; None while that is being made.
 
         Raises:
             MotionError: no sequence of transitions leads there.
         """
         near = IN_PLACE in (now, goal)
-        if near or not (self._stands(now) or self._stands(goal)):  # from standing one first steps in place
+        if near or not (self._stands(now) or self._stands(goal)):  # from standing, step in place first
             direct = self._future(now, goal)
             if not direct.done():
                 return None
@@ -124,7 +118,7 @@ class MotionSet:
         raise MotionError(f"no transitions lead from '{now}' to '{goal}'")
 
     def tempo(self, name: str) -> Tempo | None:
-        """A motion's demonstration at the speeds within its limits; None while it is being made."""
+        """A motion's demonstration at speeds within its limits; None while it is being made."""
         if name not in self._tempos or _broke(self._tempos[name]):
             entry = self.entry(name)
             speeds = tuple(speed for speed in entry.limits.speed if speed != 1.0)
@@ -133,11 +127,11 @@ class MotionSet:
         return found.result() if found.done() else None
 
     def forget_tempos(self) -> None:
-        """Forgets the tempos, after limits were changed."""
+        """Forgets the tempos after a change of limits."""
         self._tempos.clear()
 
     def prepare(self, now: str) -> None:
-        """Starts making one more transition or tempo that a motion may need next, unless one is still being made."""
+        """Starts making a transition or tempo that may be needed next, unless one is still being made."""
         if self._executor is None or (self._busy is not None and not self._busy.done()):
             return
         hub = [] if now == IN_PLACE else [(now, IN_PLACE), *((IN_PLACE, other) for other in self.names)]
@@ -161,7 +155,7 @@ class MotionSet:
         return self._transitions[key]
 
     def _made(self, there: Callable[..., _Result], here: Callable[..., _Result], *given: Any) -> "Future[_Result]":
-        """Computed in another process, or in this one if there is none any more."""
+        """Computed in another process, or in this one if there is none."""
         if self._executor is not None:
             try:
                 return self._executor.submit(there, self._source, *given)
@@ -199,17 +193,15 @@ def warm_up(source: str) -> None:
 
 
 def _made(source: str, before: Motion, after: Motion) -> CourseTransition | None:
-    """`make_course_transition` in another process."""
     warm_up(source)
     return make_course_transition(_ROBOTS[source], before, after)
 
 
 def _made_tempo(source: str, motion: Motion, speeds: tuple[float, ...]) -> Tempo:
-    """`make_tempo` in another process."""
     warm_up(source)
     return make_tempo(_ROBOTS[source], motion, speeds)
 
 
 def _broke(future: Future[Any]) -> bool:
-    """Whether the process ended before the result."""
+    """Whether the process ended before it had a result."""
     return future.done() and isinstance(future.exception(), BrokenExecutor)

@@ -1,8 +1,7 @@
-"""Re-synchronises the controller's clock with a robot that was pushed (`RecoveryConfig`).
+"""Re-synchronises the controller's clock after a push (`RecoveryConfig`).
 
-After a push, position and velocity differ from the reference. While the velocity differs, the reference's origin moves
-to the robot, so that swing feet are placed for balance. The clock may also run slower or faster, and then returns to
-the demonstration's time.
+While the robot's velocity differs from the reference, the reference's origin moves to the robot, so that swing feet are
+placed for balance. The clock may run slower or faster, and then returns to the demonstration's time.
 """
 
 from typing import Any
@@ -15,7 +14,7 @@ from fastmimic.reference.table import advance_clock
 
 @kernel
 def advance_recovering(config: Any, clocks: Any, tables: Any, observations: Any) -> None:
-    """One control step of the controllers' clocks; for robots that are not in recovery the same as `advance_clocks`.
+    """One control step of the controllers' clocks; same as `advance_clocks` for robots that are not in recovery.
 
     Args:
         config: (1,) packed controller configuration.

@@ -1,4 +1,4 @@
-"""Standing: the motion of a robot that stands, the joint path up to it, and the gains that carry it."""
+"""Standing: the motion, the joint path up to it, and its joint gains."""
 
 from typing import Final
 
@@ -13,8 +13,7 @@ from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 
 STAND: Final = "stand"
 _STILL: Final = GaitSpec(about="stand", lift=0.0, bob=0.0, pitch=0.0, yaw=0.0)
-_FOLDED: Final = 0.3
-"""Height of the hips above the feet with folded legs, as a share of the leg length."""
+_FOLDED: Final = 0.3  # height of the hips above the feet with folded legs, as a share of the leg length
 _STIFFNESS: Final = 120.0  # N·m/rad for a robot of `_MASS_KG`; scaled with the mass
 _DAMPING: Final = 3.0  # N·m·s/rad
 _MASS_KG: Final = 12.5
@@ -22,21 +21,14 @@ _PATH_ROWS: Final = 33
 
 
 def standing(robot: Robot) -> Motion:
-    """An animal that stands still, retargeted like any other motion."""
+    """A standing animal, retargeted like any other motion."""
     motion, _ = retarget(keypoints(_STILL, {"name": STAND}), robot)
     return motion
 
 
 def rising_path(robot: Robot, stand: Array) -> tuple[Array, float]:
-    """From folded legs under the body straight up to a posture.
-
-    Args:
-        robot: the robot.
-        stand: (12,) joints of the posture, rad.
-
-    Returns:
-        Joints (33, 12) on the way, rad, and the height of the base over the ground on folded legs, m.
-    """
+    """Joints (33, 12), rad, from folded legs under the body straight up to the posture `stand` (12,), and the base
+    height on folded legs, m."""
     feet = foot_positions(robot, stand[None])[0]
     folded = np.array(feet)
     folded[:, 2] = robot.hip_pos_b[:, 2] - _FOLDED * robot.leg_length
@@ -57,12 +49,12 @@ def along(path: Array, share: float) -> Array:
 
 
 def standing_gains(robot: Robot) -> tuple[float, float]:
-    """Stiffness and damping with which the joints carry the robot, N·m/rad and N·m·s/rad."""
+    """Stiffness, N·m/rad, and damping, N·m·s/rad, with which the joints carry the robot."""
     gain = robot.mass / _MASS_KG
     return _STIFFNESS * gain, _DAMPING * gain
 
 
 def smooth(u: float) -> float:
-    """From 0 to 1 with a smooth start and end."""
+    """A smooth step from 0 to 1."""
     u = min(max(u, 0.0), 1.0)
     return u * u * (3 - 2 * u)

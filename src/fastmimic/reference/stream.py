@@ -1,10 +1,9 @@
-"""A modulated course as the table that the controller reads.
+"""Turns a modulated course into the table that the controller reads.
 
 Speed scales the rate of the phase, φ̇ = s/τ, velocities with s, and accelerations with s². Turning bends the path: the
-frame turns by ω, and each foot keeps its place on the ground by an arc about the middle of its stance. The swing height
-is the amplitude a of the feet's z over the ground, z = z₀ + a (z − z₀). In a tighter or faster curve than the motion's
-own the body leans inwards, so that weight and centripetal force meet between the feet. Without modulation the reference
-is the motion's own.
+frame turns by ω, and each foot keeps its place on the ground by an arc about mid-stance. The swing height is the
+amplitude a of the feet's z over the ground, z = z₀ + a (z − z₀). In a curve other than the motion's own the body leans,
+so that weight and centripetal force meet between the feet. Without modulation the reference is the motion itself.
 """
 
 from typing import Any, Final
@@ -29,13 +28,12 @@ PLACE: Final = record_dtype(
         ("jump", "f8"),
     ]
 )
-"""The reference's place in a course: row `position` and (x, y, yaw) of its root in the world. Before row `exit` ≥ 1 it
-continues in the next course at row `entry`; −1 for never. `left` and `synced` say whether the last step did so or
-started a cycle. `jump` is the sum of the distances moved by synchronisation, m."""
+"""Position in a course: row `position` and (x, y, yaw) of its root in the world. Before row `exit` ≥ 1 it continues in
+the next course at row `entry`; −1 for never. `left` and `synced` say whether the last step did so or started a cycle.
+`jump` is the sum of the distances moved by synchronisation, m."""
 
 MODULATION: Final = record_dtype([("speed", "f8"), ("turn", "f8"), ("lift", "f8"), ("speed_rate", "f8")])
-"""Factor on the rate of the phase, added turn rate, rad/s, factor on the swing height, and the rate at which the first
-one changes, 1/s."""
+"""Factor on the phase's rate, added turn rate, rad/s, factor on the swing height, rate of change of the first, 1/s."""
 
 _WORK: Final = record_dtype([("feet", "f8", (3, 4, 3)), ("joints", "f8", (3, 12)), ("tilt", "f8", (4,))])
 
@@ -48,7 +46,7 @@ def make_place() -> NDArray[Any]:
 
 
 class Stream:
-    """Fills tables of one robot's reference. Not for several threads at once."""
+    """Fills tables of one robot's reference. Not thread-safe."""
 
     def __init__(self, robot: Robot, rate_hz: float) -> None:
         self._geometry = robot.geometry.rows
@@ -65,11 +63,10 @@ class Stream:
         modulation: NDArray[Any],
         root_xy: Array,
     ) -> None:
-        """One control step on.
+        """Advances by one control step.
 
         Args:
-            course: (t,) of `COURSE`.
-            following: the next course, or None.
+            course, following: (t,) of `COURSE`, and the next course or None.
             place: (1,) of `PLACE`, changed.
             modulation: (1,) of `MODULATION`.
             root_xy: (2,) position of the robot, m; x and y are synchronised to it at the start of a cycle.
@@ -85,9 +82,8 @@ class Stream:
         modulation: NDArray[Any],
         table: NDArray[Any],
     ) -> None:
-        """Writes the reference from now on, with a constant modulation, into a table (t,) of `SAMPLE`.
-
-        It is relative to the present heading frame of the root."""
+        """Writes the reference from now on, with a constant modulation, into a table (t,) of `SAMPLE`, in the present
+        heading frame of the root."""
         other = course if following is None else following
         self._scratch[0] = place[0]
         _fill(
@@ -107,7 +103,7 @@ class Stream:
 def _advance(
     course: Any, following: Any, place: Any, modulation: Any, dt: float, follow: bool, x: float, y: float
 ) -> None:
-    """One control step on, sample by sample, so that exits and starts of cycles are met exactly."""
+    """Advances by one control step, sample by sample, so that exits and starts of cycles are met exactly."""
     place.left, place.synced = 0, 0
     remaining = modulation.speed
     pose = place.pose
@@ -164,7 +160,7 @@ def _fill(
         here = following if beyond else course
         exit_row = -1 if beyond or place.position > place.exit else place.exit
         _sample(here, following, exit_row, place.entry, place.position, modulation, dt, k == 0, work, table[k])
-        if k == 0:  # planning ahead is about forces and feet
+        if k == 0:  # planning ahead needs only forces and feet
             _joints(geometry, limits, dt, work, table[k])
         _place(co * dx + so * dy, -so * dx + co * dy, place.pose[2] - yaw0, table[k])
         table[k].sync = place.synced if k > 0 else 0
@@ -172,7 +168,7 @@ def _fill(
 
 @inlined
 def _row(course: Any, following: Any, exit_row: int, entry: int, i: int) -> Any:
-    """Row i of a course that repeats, or of the next one beyond the exit."""
+    """Row i of a course that repeats, or of the next course after the exit."""
     if exit_row >= 0 and i >= exit_row and i - exit_row < 8:
         return following[(entry + i - exit_row) % following.shape[0]]
     return course[i % course.shape[0]]
@@ -180,7 +176,7 @@ def _row(course: Any, following: Any, exit_row: int, entry: int, i: int) -> Any:
 
 @kernel
 def _feet(course: Any, following: Any, exit_row: int, entry: int, position: float, modulation: Any, out: Array) -> None:
-    """Modulated feet (4, 3) at a position, heading frame of the root; cubic between the samples."""
+    """Modulated feet (4, 3) at a position, heading frame of the root; cubic interpolation."""
     i = int(np.floor(position))
     u = position - i
     a = _row(course, following, exit_row, entry, i - 1)
@@ -227,8 +223,8 @@ def _sample(
     work: Any,
     out: Any,
 ) -> None:
-    """One row of the table without joints and place, in the heading frame of its root. Its feet are in `work`; with
-    `neighbours` also those one control step before and after."""
+    """One row of the table without joints and pose, in its root's heading frame; feet in `work`, with `neighbours` also
+    those one control step before and after."""
     i = int(np.floor(position))
     u = position - i
     b = _row(course, following, exit_row, entry, i)
@@ -298,7 +294,7 @@ def _to_body(tilt: Array, later: Array, share: float, z: float, q: Array, foot: 
 
 @kernel
 def _joints(geometry: Array, limits: Array, dt: float, work: Any, out: Any) -> None:
-    """Joints by inverse kinematics, and their velocity and acceleration by central differences."""
+    """Joints by inverse kinematics; their velocity and acceleration by central differences."""
     for k in range(3):
         for leg in range(4):
             foot = work.feet[k, leg]

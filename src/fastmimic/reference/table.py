@@ -1,9 +1,9 @@
 """The reference for the compiled loop: a table of samples, and a clock for each robot.
 
-A table holds one period, relative to the heading frame of its sample 0. A robot's clock has the present sample and the
+A table holds one period, relative to the heading frame of its sample 0. A clock holds the present sample and the
 period's origin in the world (x, y, yaw). At each wrap the origin moves by the period's displacement. At each start of a
-cycle its x and y are re-synchronised to the robot, never its yaw. Cycles start at the wrap of a cyclic motion, and at
-the samples with `sync` of a stitched one.
+cycle (the wrap of a cyclic motion, or a sample with `sync` of a stitched one) its x and y are re-synchronised to the
+robot, never its yaw.
 """
 
 from collections.abc import Sequence
@@ -49,9 +49,9 @@ SAMPLE: Final = record_dtype(
         ("sync", "i8"),
     ]
 )
-"""One instant of a reference, relative to the heading frame of the period's first sample. `remaining` is the time until
-a standing foot lifts off, s, 0 in swing. `leg_lin_acc` and `leg_ang_acc` are the accelerations that the motion needs
-from the ground beyond those of its body (`ground_acceleration`). `sync` is 1 where a cycle starts."""
+"""One sample of a reference, in the heading frame of the period's first sample. `remaining` is the time until a
+standing foot lifts off, s, 0 in swing. `leg_lin_acc` and `leg_ang_acc` are the accelerations that the ground must give
+beyond those of the body (`ground_acceleration`). `sync` is 1 where a cycle starts."""
 
 CLOCK: Final = record_dtype(
     [
@@ -66,16 +66,16 @@ CLOCK: Final = record_dtype(
         ("fraction", "f8"),
     ]
 )
-"""A robot's place in its reference: sample, period, whether the motion repeats, (x, y, yaw) of the period's origin, one
-period's displacement, and the sum of the distances by which synchronisation has moved the origin, m. After a push
-(`fastmimic.reference.resync`): whether the robot is in recovery, by how many samples the clock is ahead of the
-demonstration's, and the fraction of the next sample."""
+"""A robot's progress in its reference: sample, period, whether the motion repeats, (x, y, yaw) of the period's origin,
+one period's displacement, and the distance by which synchronisation has moved the origin so far, m. After a push
+(`fastmimic.reference.resync`): whether the robot is in recovery, the clock's lead over the demonstration, samples, and
+the fraction of the next sample."""
 
 
 def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
-    """Packs a motion into an array of `SAMPLE`, shape (t,), in the frame of its demonstration's first sample.
+    """Packs a motion into an array (t,) of `SAMPLE`, in the frame of its demonstration's first sample.
 
-    Accelerations are central differences of the motion's velocities, periodic if the motion is.
+    Accelerations are central differences of the velocities, periodic if the motion is.
     """
     origin = motion.target  # a reference and its demonstration share one frame
     yaw0 = float(yaw_from_quat(origin.root_quat_wxyz[0]))
@@ -92,7 +92,7 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
     table["contact"] = motion.contact
     table["remaining"] = remaining_stance(motion.contact, dt, periodic)
     if motion.demonstration is not None:
-        # the demonstration's: a modulation moves the feet by little, and search and saved motion must agree
+        # of the demonstration: a modulation moves the feet little, and search and saved motion must agree
         demonstration = reference_table(motion.demonstration, robot)
         for name in ("leg_lin_acc", "leg_ang_acc"):
             table[name] = demonstration[name]
@@ -107,15 +107,13 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
 def put_root(
     table: NDArray[Any], demonstration: Motion, position: Array, quat: Array, lin_vel: Array, ang_vel: Array
 ) -> None:
-    """Puts a root's course into a table (t,) of `SAMPLE`, in the frame of the demonstration's first sample.
+    """Puts a root's path into a table (t,) of `SAMPLE`, in the frame of the demonstration's first sample.
 
     Args:
         table: of a motion with the demonstration's cycle.
         demonstration: gives frame, rate and cycle.
-        position: (t, 3) m, world frame.
-        quat: (t, 4) body to world, wxyz.
-        lin_vel: (t, 3) m/s, world frame.
-        ang_vel: (t, 3) rad/s, world frame.
+        position, quat: (t, 3) m, world frame, and (t, 4) body to world, wxyz.
+        lin_vel, ang_vel: (t, 3) m/s and rad/s, world frame.
     """
     yaw0 = float(yaw_from_quat(demonstration.root_quat_wxyz[0]))
     turn = None if demonstration.cycle is None else float(demonstration.cycle[2])
@@ -127,14 +125,11 @@ def put_root(
 
 
 def ground_acceleration(motion: Motion, robot: Robot) -> tuple[Array, Array]:
-    """The ground wrench of a motion, by inverse dynamics of the whole robot, as acceleration of a single rigid body.
+    """Linear (t, 3), m/s², and angular (t, 3), rad/s², world: a motion's ground wrench as rigid-body acceleration.
 
-    It is F/m − g and I⁻¹τ about the centre of mass. It differs from the trunk's acceleration by the momentum of the
-    legs, the position of the centre of mass and the gyroscopic moment. Without that the stance QP would give a robot
-    with heavy legs some newtons too much or too little at each swing, and the body would sway at every step.
-
-    Returns:
-        Linear (t, 3), m/s², and angular (t, 3), rad/s², world frame.
+    It is F/m − g and I⁻¹τ about the centre of mass, by inverse dynamics of the whole robot. It differs from the trunk's
+    acceleration by the momentum of the legs, the position of the centre of mass and the gyroscopic moment; without
+    these, the stance QP's forces would be wrong by some newtons at each swing, and a robot with heavy legs would sway.
     """
     demand = ground_demand(robot, motion, np.arange(motion.n_samples))
     yaw = yaw_from_quat(motion.root_quat_wxyz)
@@ -175,7 +170,7 @@ def make_clocks(motion: Motion, n: int) -> NDArray[Any]:
 
 
 def place_clocks(clocks: NDArray[Any], sample: NDArray[np.int64], table: NDArray[Any], pose: Array) -> None:
-    """Sets each clock to a sample and its origin so that the reference root there has the given (x, y, yaw).
+    """Sets each clock to a sample, with the reference root there at the given pose.
 
     Args:
         clocks: (n,) of `CLOCK`, changed in place.
@@ -196,8 +191,7 @@ def place_clocks(clocks: NDArray[Any], sample: NDArray[np.int64], table: NDArray
 
 @inlined
 def advance_clock(clock: Any, n_samples: int, x: float, y: float, table: Any) -> None:
-    """One control step on. At a wrap the origin moves by one period; where a cycle starts it is re-synchronised to the
-    robot at (x, y)."""
+    """Advances by one control step; at a start of a cycle the origin is re-synchronised to the robot at (x, y)."""
     clock.sample += 1
     moved_x, moved_y = clock.origin[0], clock.origin[1]
     if clock.sample >= n_samples:
@@ -218,12 +212,9 @@ def advance_clock(clock: Any, n_samples: int, x: float, y: float, table: Any) ->
 
 @kernel
 def advance_clocks(clocks: Any, tables: Any, root_xy: Array) -> None:
-    """Advances all clocks by one control step.
+    """Advances clocks (n,) by one control step; robot i follows table min(i, k − 1) of `tables` (k, t) of `SAMPLE`.
 
-    Args:
-        clocks: (n,) of `CLOCK`.
-        tables: (k, t) of `SAMPLE`; robot i follows table min(i, k − 1).
-        root_xy: (n, ≥2) where the robots are now, world, m.
+    `root_xy` (n, ≥2) are the present positions of the robots, world, m.
     """
     for i in range(clocks.shape[0]):
         k = min(i, tables.shape[0] - 1)
@@ -231,11 +222,7 @@ def advance_clocks(clocks: Any, tables: Any, root_xy: Array) -> None:
 
 
 def stack_tables(motions: Sequence[Motion], robot: Robot) -> NDArray[Any]:
-    """Tables of several references with one period, (k, t) of `SAMPLE`.
-
-    Raises:
-        MotionError: their lengths differ.
-    """
+    """Tables (k, t) of `SAMPLE` of several references; `MotionError` if their lengths differ."""
     lengths = {m.n_samples for m in motions}
     if len(lengths) != 1:
         raise MotionError(f"references of one batch must have the same number of samples, found {sorted(lengths)}")
@@ -243,7 +230,7 @@ def stack_tables(motions: Sequence[Motion], robot: Robot) -> NDArray[Any]:
 
 
 def world_root(table: NDArray[Any], sample: NDArray[np.int64], origin: Array) -> tuple[Array, Array]:
-    """Root position (…, 3) and quaternion (…, 4) in the world of samples seen from origins (…, 3) (x, y, yaw)."""
+    """Root position (…, 3) and quaternion (…, 4) in the world at samples, for origins (…, 3) (x, y, yaw)."""
     position = np.array(table["root_pos"][sample])
     position[..., :2] = rotate_planar(origin[..., 2], position[..., :2]) + origin[..., :2]
     return position, quat_multiply(quat_from_yaw(origin[..., 2]), table["root_quat"][sample])

@@ -1,7 +1,7 @@
-"""A motion at another speed: the same poses in another time, with the trunk balanced for that.
+"""A motion at another speed: the same poses in another time, with the trunk balanced for that speed.
 
-Accelerations grow with the square of the speed and the weight does not, so that a balanced trunk is not balanced at
-another speed. The cycle is balanced as in retargeting for some speeds, and interpolated between them.
+Accelerations grow with the square of the speed and the weight does not. The cycle is therefore balanced, as in
+retargeting, for some speeds, and interpolated between them.
 """
 
 from dataclasses import dataclass
@@ -37,14 +37,14 @@ class Tempo:
 
     Attributes:
         speeds: factors, ascending, 1 among them.
-        courses: for each of them, (t,) of `COURSE`, in the time of the motion itself, which the stream scales.
+        courses: for each of them, (t,) of `COURSE`, in the motion's own time, which the stream scales.
     """
 
     speeds: tuple[float, ...]
     courses: tuple[NDArray[Any], ...]
 
     def changed(self, speed: float, own: NDArray[Any]) -> NDArray[Any]:
-        """An optimised motion at another speed: `own` (t,), with its difference from this demonstration unchanged."""
+        """An optimised motion at another speed: `own` (t,) keeps its difference from this demonstration."""
         demonstration = self.at(1.0)
         out = self.at(speed).copy()
         for name in _BLENDED:
@@ -52,7 +52,7 @@ class Tempo:
         return out
 
     def at(self, speed: float) -> NDArray[Any]:
-        """The course for a speed, the one of the motion itself at 1."""
+        """The course for a speed; at 1 that of the motion itself."""
         if speed in self.speeds:
             return self.courses[self.speeds.index(speed)]
         speed = min(max(speed, self.speeds[0]), self.speeds[-1])
@@ -63,13 +63,7 @@ class Tempo:
 
 
 def make_tempo(robot: Robot, motion: Motion, speeds: tuple[float, ...]) -> Tempo:
-    """A cyclic demonstration at its own speed and at others.
-
-    Args:
-        robot: the robot.
-        motion: with a cycle, not optimised.
-        speeds: factors other than 1.
-    """
+    """Balances a cyclic demonstration, not an optimised motion, for `speeds` other than 1."""
     found = {1.0: course_of(motion, robot)}
     for speed in speeds:
         course = course_of(at_speed(robot, motion, speed), robot)
@@ -83,7 +77,7 @@ def make_tempo(robot: Robot, motion: Motion, speeds: tuple[float, ...]) -> Tempo
 
 
 def at_speed(robot: Robot, motion: Motion, speed: float, config: RetargetConfig | None = None) -> Motion:
-    """The same cycle `speed` times as fast, in as many samples, its trunk balanced for that.
+    """The cycle `speed` times as fast, in as many samples, with its trunk balanced for that speed.
 
     The foot paths stay. The motion's rate is no longer the robot's.
     """
