@@ -1,1 +1,1 @@
-"""Keypoint clips: the formats they come in, the catalogue of names, the built-in gaits, cutting."""
+"""Keypoint clips: file formats, the catalogue of motions, built-in gaits, and segmentation."""

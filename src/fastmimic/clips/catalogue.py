@@ -1,4 +1,4 @@
-"""Motions by name: built-in synthetic gaits, and cuts of the public data."""
+"""Motions by name: built-in synthetic gaits, and excerpts of the public data."""
 
 import os
 from collections.abc import Mapping
@@ -24,7 +24,7 @@ class RecordedMotion:
     Attributes:
         about: in a few words.
         speed: about, at the source's size.
-        dataset, file: where it is (see `fastmimic.clips.data`).
+        dataset, file: its location (see `fastmimic.clips.data`).
         frames: (first, end) of the cycle, 0-based, end exclusive; None for the whole file.
     """
 
@@ -72,7 +72,7 @@ RECORDED: Final = {
 
 @dataclass(frozen=True)
 class MotionRow:
-    """A line of the list of motions; `available` says whether its data is there."""
+    """A row of the list of motions; `available` says whether its data has been fetched."""
 
     name: str
     about: str
@@ -122,12 +122,12 @@ def open_clip(
     point_map: str | Path | PointMap | None = None,
     discrete: bool = False,
 ) -> Clip:
-    """Opens a motion by its name, or reads a file. A name goes before a file of the same name (use ./NAME).
+    """Opens a motion by name, or reads a file. A name takes precedence over a file of the same name (use ./NAME).
 
     Args:
         name_or_path: one of `motion_names()`, or the path of a clip.
         robot, fps, up, scale, point_map: see `fastmimic.clips.formats.ReadOptions`.
-        frames: (first, end) 0-based, end exclusive; of the named clip, if it is a name.
+        frames: (first, end) 0-based, end exclusive; relative to the named clip.
         speed, yaw_rate, duty: of a built-in gait, m/s, rad/s and share of stance; its own if None.
         folder: the data folder (see `data_folder`).
         discrete: whether the clip is a movement that does not repeat, whatever its source says.
@@ -136,8 +136,8 @@ def open_clip(
         The clip, with `name`, `source`, `licence` and `credit` in its `meta`.
 
     Raises:
-        ClipError: unknown name (lists the closest), data not fetched, unreadable file, or an option that does
-            not apply to this motion.
+        ClipError: unknown name (lists the closest), data not fetched, unreadable file, or an option that does not
+            apply.
     """
     name, options = str(name_or_path), ReadOptions(robot, fps, up, scale, frames, point_map)
     gait_options = {"speed": speed, "yaw_rate": yaw_rate, "duty": duty}
@@ -153,10 +153,10 @@ def open_clip(
 
 
 def check_name(name: str, folder: str | Path | None = None) -> None:
-    """Checks that `open_clip` knows a motion of that name and has its recording; reads nothing.
+    """Checks, without reading it, that a motion of that name exists and its recording has been fetched.
 
     Raises:
-        ClipError: it does not (lists the closest), or the data is not fetched.
+        ClipError: unknown name (lists the closest), or data not fetched.
     """
     if name not in motion_names():
         raise _unknown(name)

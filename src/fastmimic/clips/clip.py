@@ -15,8 +15,7 @@ POINT_NAMES: Final = (
     "neck",
     *(f"{leg}_hip" for leg in LEGS),
     *(f"{leg}_toe" for leg in LEGS),
-)
-"""The points that retargeting needs; `hip` stands for the shoulder in the front legs."""
+)  # `hip` is the shoulder of a front leg
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,15 +25,13 @@ class Clip:
     Attributes:
         points_w: (t, 10, 3) keypoints in the order of `POINT_NAMES`, world frame, m.
         rate_hz: frames a second.
-        root_quat_wxyz: (t, 4) trunk orientation where the source knows it (a robot's motion), else None:
-            retargeting then derives it from the keypoints.
-        is_cycle: whether the clip is one period (a loop); None if the source does not say.
-        leg_length_m: upper plus lower leg of the source's body where it is known, for scaling, else None.
-        scale: factor from the source's size to the robot's where the source fixes it (1.0 for a robot's own motion),
-            else None.
+        root_quat_wxyz: (t, 4) trunk orientation of a source that has it (a robot's motion); if None, retargeting
+            derives it from the keypoints.
+        is_cycle: whether the clip is one period; None if the source does not say.
+        leg_length_m: upper plus lower leg of the source's body, for scaling; None if unknown.
+        scale: factor from the source's size to the robot's if the source fixes it (1.0 for a robot's own motion).
         meta: provenance: `source`, `format`, `assumed` (list of sentences for the user), `licence`.
-        body_w: (t, k, 3) all points of the source's skeleton if it has more than those ten, else None; only for
-            drawing.
+        body_w: (t, k, 3) all points of the source's skeleton if it has more than the ten; only for drawing.
         skeleton: the bones between the drawn points.
     """
 

@@ -1,6 +1,6 @@
 """Public motion capture of a dog: the datasets, their folder, and verified downloads.
 
-The data is not part of this package. Its licence (CC BY-NC 4.0) is kept with every clip.
+The data is not part of this package. Each clip keeps its licence (CC BY-NC 4.0).
 """
 
 import os
@@ -24,8 +24,7 @@ CREDIT: Final = (
 )
 TIMEOUT_S: Final = 30.0
 
-Progress = Callable[[str, int, int], None]
-"""Called with a file's name, the bytes received so far, and all its bytes (0 if the server does not say)."""
+Progress = Callable[[str, int, int], None]  # file name, bytes received, and total bytes (0 if unknown)
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class Dataset:
 
 @dataclass(frozen=True)
 class DatasetStatus:
-    """A dataset and which of its files lie in `folder`."""
+    """A dataset and which of its files are in `folder`."""
 
     dataset: Dataset
     folder: Path
@@ -94,7 +93,7 @@ DATASETS: Final = (
 
 
 def data_folder(folder: str | Path | None = None) -> Path:
-    """The folder of the data: `folder`, else $FASTMIMIC_DATA, else the user's cache folder."""
+    """The data folder: `folder`, else $FASTMIMIC_DATA, else the user's cache folder."""
     chosen = folder or os.environ.get(FOLDER_VARIABLE)
     if chosen:
         return Path(chosen).expanduser()
@@ -104,7 +103,7 @@ def data_folder(folder: str | Path | None = None) -> Path:
 
 
 def list_datasets(folder: str | Path | None = None) -> list[DatasetStatus]:
-    """All datasets, and which of their files are there (by name; `fetch` checks the content)."""
+    """All datasets and which of their files are there, by name; `fetch` checks the content."""
     root = data_folder(folder)
     return [
         DatasetStatus(d, root, tuple(name for name in d.files if os.path.isfile(root / d.name / name)))
@@ -119,21 +118,22 @@ def fetch(
     base_url: str | None = None,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Downloads datasets to the data folder. A file with the right content is not fetched again.
+    """Downloads datasets (all if `names` is None) to the data folder, except files that are there with the right
+    content.
 
     Args:
-        names: of datasets; all if None.
+        names: of datasets.
         folder: see `data_folder`.
-        base_url: a server with the original's folders, or with those of the data folder; if None,
-            $FASTMIMIC_DATA_URL or the original.
+        base_url: a server with the original's folders or those of the data folder; if None, $FASTMIMIC_DATA_URL or the
+            original.
         progress: called while each file is downloaded.
 
     Returns:
         The files' paths, all verified.
 
     Raises:
-        DataError: unknown dataset, server not reached, download broken off, wrong content, or a folder that
-            cannot be written. Existing files stay unchanged, and no partial file is left.
+        DataError: unknown dataset, server not reached, download incomplete, wrong content, or a folder that cannot be
+            written. Existing files stay unchanged, and no partial file is left.
     """
     root = data_folder(folder)
     url = (base_url or os.environ.get(URL_VARIABLE) or DEFAULT_BASE_URL).rstrip("/")
@@ -147,7 +147,7 @@ def find_file(dataset: str, name: str, folder: str | Path | None = None) -> Path
 
 
 def dataset_of(path: str | Path) -> Dataset | None:
-    """The public dataset that contains a copy of a file, by its content, or None."""
+    """The public dataset that contains the same file content, or None."""
     try:
         digest = sha256(Path(path).read_bytes()).hexdigest()
     except OSError:
@@ -178,17 +178,17 @@ def _fetch_file(root: Path, dataset: Dataset, name: str, base_url: str, progress
 
 
 def _download(root: Path, local: str, digest: str, url: str, progress: Progress | None) -> Path | None:
-    """The verified file, or None if the server does not have it under this address."""
+    """The verified file, or None if the URL does not exist on the server."""
     import pooch
     import requests
 
-    # Uncompressed, so that the length that the server announces is the file's.
+    # Uncompressed, so that the announced length is the file's.
     downloader = pooch.HTTPDownloader(
         progressbar=_ProgressBar(local, progress) if progress else False,
         timeout=TIMEOUT_S,
         headers={"Accept-Encoding": "identity"},
     )
-    # `progress` and the exceptions say what pooch would log
+    # `progress` and the exceptions report what pooch would log.
     logger = pooch.get_logger()
     level = logger.level
     logger.setLevel("WARNING")

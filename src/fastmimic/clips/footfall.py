@@ -1,7 +1,7 @@
-"""The gait of four legs from their phases (Hildebrand 1965).
+"""Names the gait of four legs from their phases (Hildebrand 1965).
 
-In a symmetrical gait left and right are half a cycle apart. The part of a cycle by which a fore foot follows the hind
-foot of its side then tells pace (0), walk (1/4) and trot (1/2) apart.
+In a symmetrical gait left and right are half a cycle apart. The fore foot's lag behind the hind foot of its side, in
+cycles, then distinguishes pace (0), walk (1/4) and trot (1/2).
 """
 
 from typing import Final
@@ -9,11 +9,11 @@ from typing import Final
 from fastmimic.base.arrays import Array
 
 FOOTFALLS: Final = ("walk", "trot", "pace", "canter", "gallop", "bound")
-_SQUARE: Final = 0.125  # of a cycle: half way between pace, walk and trot
+_SQUARE: Final = 0.125  # cycles: half way between pace, walk and trot
 
 
 def footfall_of(phases: Array) -> str:
-    """The gait of legs whose paths have these phases (4,), cycles, in the common order; one of `FOOTFALLS`."""
+    """The gait of legs with phases (4,), cycles, in the common order; one of `FOOTFALLS`."""
 
     def apart(a: int, b: int) -> float:
         return float(abs((phases[a] - phases[b] + 0.5) % 1.0 - 0.5))

@@ -1,12 +1,12 @@
-"""How strongly a take repeats at each moment and lag, and with which lag it repeats over time.
+"""Measures how strongly a take repeats at each moment and lag, and finds its period over time.
 
-The measure is the difference function of the pitch detector YIN (de Cheveigné and Kawahara 2002), over the toes' paths
-under the hips instead of a sound. At frame t and lag L it compares the cycle before t with the one after it,
+The measure is the difference function of the pitch detector YIN (de Cheveigné and Kawahara 2002), with the toes' paths
+under the hips instead of a sound. At frame t and lag L it compares the cycle before t with the next one,
 
     d(t, L) = mean over s in [t - L, t) of |x(s + L) - x(s)|²,
 
 relative to its mean over all shorter lags, d'(t, L): near 0 where x repeats after L, near 1 where it does not. The lag
-over time, with stretches where nothing repeats, is the cheapest path through d' (Viterbi), as pitch trackers find it.
+over time, with stretches where nothing repeats, is the cheapest path through d' (Viterbi).
 """
 
 import math
@@ -51,7 +51,7 @@ class SegmentConfig:
 
 
 def aperiodicity_of(toes: Array, rate_hz: float, config: SegmentConfig) -> tuple[NDArray[np.int64], Array]:
-    """The lags (k,), frames, and d' (t, k); NaN where the take holds less than half of a cycle on one side."""
+    """The lags (k,), frames, and d' (t, k); NaN where the take holds less than half a cycle on one side."""
     x = toes.reshape(len(toes), -1)
     n, first = len(x), math.ceil(config.shortest_s * rate_hz)
     lags = np.arange(1, min(math.floor(config.longest_s * rate_hz), 2 * n // 3) + 1)
@@ -74,11 +74,11 @@ def cheapest_track(lags: NDArray[np.int64], aperiodicity: Array, config: Segment
     n, k = aperiodicity.shape
     cost = np.where(np.isfinite(aperiodicity), aperiodicity, np.inf)
     step = np.array([-2, -1, 0, 1, 2])
-    at = np.arange(k)[:, None] + step  # (k, 5) where a lag can have come from
+    at = np.arange(k)[:, None] + step  # (k, 5) possible previous lags
     inside = (at >= 0) & (at < k)
     at = np.clip(at, 0, k - 1)
     change = np.where(inside, config.drift * np.abs(np.log(lags[at] / lags[:, None])), np.inf)
-    came = np.zeros((n, k + 1), np.int64)  # the state before: index of a lag, or k where nothing repeats
+    came = np.zeros((n, k + 1), np.int64)  # previous state: index of a lag, or k where nothing repeats
     best, silent = cost[0], config.aperiodic
     for t in range(1, n):
         ways = best[at] + change

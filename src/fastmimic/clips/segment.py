@@ -1,7 +1,7 @@
 """Cuts an animal's take into locomotion cycles, standing and movement that does not repeat, and names the gaits.
 
-`periodicity` finds where the take repeats and with which period. Neighbouring cycles that are alike in tempo, speed,
-turning and footfall are a segment; `footfall` names its gait.
+`periodicity` finds the repetitions and their period. Neighbouring cycles with similar tempo, speed, turning and
+footfall form a segment; `footfall` names its gait.
 """
 
 import math
@@ -22,7 +22,7 @@ STAND: Final = "stand"
 DISCRETE: Final = "discrete"
 TURN: Final = "turn"
 GAITS: Final = (*FOOTFALLS, TURN, STAND, DISCRETE)
-"""What a segment can be: `discrete` does not repeat, `turn` is any footfall that turns enough."""
+"""Kinds of segment: `discrete` does not repeat, `turn` is any footfall that turns enough."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,12 @@ class Segment:
         start, end: frames, 0-based, end exclusive.
         gait: one of `GAITS`.
         footfall: one of `FOOTFALLS`, of a turn as well; None where nothing repeats.
-        period_frames: of a cycle; None where nothing repeats.
-        cycle: first frame and end of the cycle that repeats best; None where nothing repeats.
-        confidence: 1 where it repeats exactly, 0 where d' is no better than chance; of standing and discrete pieces,
-            how clearly nothing repeats.
-        speed_m_s: of the trunk over the ground, mean, in the animal's size.
-        yaw_rate_rad_s: of its heading, mean, positive to the left.
+        period_frames, cycle: period, and first frame and end of the cycle that repeats best; None where nothing
+            repeats.
+        confidence: from 0, where d' is no better than chance, to 1, an exact repetition; for standing and discrete
+            parts, how clearly nothing repeats.
+        speed_m_s: mean over the ground, of the trunk, in the animal's size.
+        yaw_rate_rad_s: mean of its heading, positive to the left.
     """
 
     start: int
@@ -63,11 +63,8 @@ class _Take:
 
 
 def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segment]:
-    """Cuts a take into cycles, standing and other movement, in order, without overlap.
-
-    Args:
-        clip: a take of at least two of the shortest cycles, or one cycle if its source says so.
-        config: thresholds.
+    """Cuts a take of at least two cycles into ordered segments without overlap; keeps a clip that its source calls one
+    cycle.
 
     Raises:
         ClipError: the clip is too short, or its frame rate too low.
@@ -92,7 +89,7 @@ def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segme
 
 
 def as_one_cycle(clip: Clip, config: SegmentConfig | None = None) -> Segment:
-    """A clip taken as one cycle: its gait, speed and turning, and how well it closes."""
+    """A clip as one cycle: its gait, speed and turning, and how well it closes."""
     config = config if config is not None else SegmentConfig()
     take = _take(clip)
     n = len(take.heading)
@@ -125,7 +122,7 @@ def _still(take: _Take, config: SegmentConfig) -> NDArray[np.bool_]:
 @dataclass(eq=False)
 class _Piece:
     """One or more cycles: frames [start, end), period in frames, speed in m/s, yaw in rad a cycle, and the fundamentals
-    (4,) of the toes' paths, whose phases are the legs'."""
+    (4,) of the toes' paths, with the legs' phases."""
 
     start: int
     end: int
@@ -159,7 +156,7 @@ def _periodic(
     runs = _runs(period > 0)
     found = []
     for i, (start, end) in enumerate(runs):
-        # at the start of a gait, the next cycle resembles the last one only after half a cycle
+        # at the start of a gait, cycles become alike only after half a cycle
         before = (runs[i - 1][1] + start) // 2 if i else 0
         after = (end + runs[i + 1][0]) // 2 if i + 1 < len(runs) else len(period)
         first = max(before, start - int(period[start]) // 2)
@@ -172,7 +169,7 @@ def _periodic(
 
 
 def _cycles(take: _Take, first: int, track: Array) -> list[_Piece]:
-    """The cycles from frame `first` on, by the period (t,) at each frame; the last one takes the rest."""
+    """The cycles from frame `first` to the end, by the period (t,) at each frame; the last one takes the rest."""
     count = max(1, int(np.sum(1.0 / track)))
     done = np.concatenate([[0.0], np.cumsum(1.0 / track)])
     edges = first + np.searchsorted(done, np.arange(count) * (1.0 - 1e-9))
@@ -212,7 +209,7 @@ def _joined(a: _Piece, b: _Piece) -> _Piece:
     def mean(x: float, y: float) -> float:
         return w * x + (1 - w) * y
 
-    # phases relative to the first leg do not drift with a slightly wrong period
+    # phases relative to the first leg do not drift if the period is slightly wrong
     legs = a.legs * np.conj(a.legs[0]) / abs(a.legs[0]) + b.legs * np.conj(b.legs[0]) / abs(b.legs[0])
     return _Piece(
         a.start, b.end, mean(a.period, b.period), mean(a.speed, b.speed), mean(a.yaw, b.yaw), np.asarray(legs)
@@ -247,7 +244,7 @@ def _named(
 
 
 def _motion(take: _Take, start: int, end: int) -> tuple[float, float]:
-    """Mean speed of the trunk over the ground, m/s, along its smoothed path, and of its turning, rad/s."""
+    """Mean ground speed of the trunk, m/s, along its smoothed path, and mean turn rate, rad/s."""
     seconds = (end - start - 1) / take.rate_hz
     if seconds <= 0:
         return 0.0, 0.0

@@ -9,7 +9,7 @@ class Skeleton:
     """Bones between points.
 
     Attributes:
-        points: how many points there are.
+        points: number of points.
         bones: pairs of them.
         radii: of each bone with its flesh, m, at the animal's own size.
     """
@@ -26,11 +26,11 @@ KEYPOINTS: Final = Skeleton(
     ((0, 1), (1, 2), (1, 3), (0, 4), (0, 5), (2, 6), (3, 7), (4, 8), (5, 9)),
     (_SPINE, *4 * (_SHOULDER,), *4 * (_LIMB,)),
 )
-"""Of the points of `fastmimic.clips.clip.POINT_NAMES`: trunk, girdles, and a straight line for each leg."""
+"""Of the ten points of `POINT_NAMES`: trunk, girdles, and a straight line for each leg."""
 
 
 def _chain(first: int, *radii: float) -> list[tuple[int, int, float]]:
-    """Bones from each point to the next, from `first` on."""
+    """Bones from each point to the next, starting at `first`."""
     return [(first + i, first + i + 1, radius) for i, radius in enumerate(radii)]
 
 

@@ -1,9 +1,8 @@
 """Built-in animal-like gaits: keypoints of a dog-sized animal, made by formula.
 
-They replace recordings that cannot be shipped, and are retargeted like them. The animal has a dog's proportions. Its
-trunk bobs, sways, rolls and pitches with its steps. Its paws roll over the toes before lift-off, swing in an asymmetric
-arc, front higher than hind, and reach back a little before touch-down. All paths are twice continuously differentiable
-in time.
+They replace recordings that cannot be shipped. The trunk bobs, sways, rolls and pitches with its steps. The paws roll
+over the toes before lift-off, swing in an asymmetric arc, front higher than hind, and reach back a little before
+touch-down. All paths are twice continuously differentiable in time.
 """
 
 from dataclasses import dataclass, replace
@@ -19,8 +18,7 @@ from fastmimic.base.rotations import quat_from_rotvec, quat_from_yaw, quat_multi
 from fastmimic.clips.clip import Clip
 
 RATE_HZ: Final = 120.0
-ROBOT_SCALE: Final = 0.825
-"""Speeds and lifts are given at the A1's size; the animal is larger by the published scale."""
+ROBOT_SCALE: Final = 0.825  # speeds and lifts are given at the A1's size; the animal is larger by the published scale
 
 # A dog, m: means over the public recordings (points against the middle of the neck–pelvis line).
 _ROOT_HEIGHT: Final = 0.443
@@ -38,17 +36,14 @@ class GaitSpec:
 
     Attributes:
         about: in a few words.
-        speed: forwards, m/s.
-        lateral_speed: to the left, m/s.
+        speed, lateral_speed: forwards and to the left, m/s.
         yaw_rate: to the left, rad/s.
         period: s.
         duty: share of the period in stance.
         phase: (4,) when each leg touches down.
-        lift: height of the front feet's swing, m; the hind feet lift `hind_lift` of it.
-        hind_lift: see above.
+        lift, hind_lift: height of the front feet's swing, m, and the hind feet's share of it.
         half_width: lateral distance of the footholds from the midline, m.
-        bob: amplitude of the trunk's vertical motion, m, and `bob_harmonic` times a period.
-        bob_harmonic: see above.
+        bob, bob_harmonic: amplitude of the trunk's vertical motion, m, and how often it repeats in a period.
         sway: amplitude towards the standing side, once a period, m.
         roll, pitch, yaw: amplitudes, rad; roll and yaw once a period, pitch with the bob.
     """
@@ -234,7 +229,7 @@ def _trunk(spec: GaitSpec, share: Array, twist: Array, animal: float) -> tuple[A
 
 
 def _middle_of_stance(spec: GaitSpec, left: bool) -> float:
-    """Phase of mid-stance of the left hind leg (on the side that carries the trunk), or of the right front leg."""
+    """Phase of mid-stance of the left hind leg (on the loaded side), or of the right front leg."""
     return spec.phase[3 if left else 0] + spec.duty / 2
 
 
@@ -255,15 +250,14 @@ def _toe(spec: GaitSpec, leg: int, share: Array, twist: Array, animal: float) ->
 
 
 def _foothold(spec: GaitSpec, leg: int, middle: Array, twist: Array, animal: float) -> Array:
-    """Where the foot stands (t, 2): under its hip at mid-stance (t,), at the gait's half width."""
+    """Foothold (t, 2): under the hip at mid-stance (t,), at the gait's half width."""
     xy, heading = planar_exp(twist, middle)
     under = np.array([_HIP[leg, 0], _SIDE[leg] * spec.half_width * animal])
     return xy + rotate_planar(heading, np.broadcast_to(under, xy.shape))
 
 
 def _forward(u: Array) -> Array:
-    """Progress of a swing from rest to rest with continuous acceleration: a quick start, a steady middle, and a slight
-    overshoot, so that the paw reaches back before touch-down."""
+    """Progress of a swing from rest to rest with continuous acceleration: quick start, slight overshoot."""
     ramp = 0.15
     start, end = np.minimum(u / ramp, 1.0), np.minimum((1.0 - u) / ramp, 1.0)
 
@@ -277,8 +271,7 @@ def _forward(u: Array) -> Array:
 
 
 def _arc(u: Array, top: float) -> Array:
-    """Height of a swing, 1 at its top at `top` of its time; position, velocity and acceleration vanish at both
-    ends."""
+    """Height of a swing, 1 at share `top` of its time; position, velocity and acceleration vanish at both ends."""
     rise = 3.0 * top / (1.0 - top)
     peak = top**rise * (1 - top) ** 3.0
     return np.where((u > 0) & (u < 1), u**rise * (1 - u) ** 3.0 / peak, 0.0)

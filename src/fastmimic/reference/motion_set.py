@@ -25,8 +25,7 @@ IN_PLACE: Final = "in-place"
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A motion of the set: its course (t,) of `COURSE` for the controller, its demonstration for the score, and its
-    limits."""
+    """A motion of the set; `course` and `demonstration` (t,) of `COURSE` are for the controller and the score."""
 
     name: str
     motion: Motion

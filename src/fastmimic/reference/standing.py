@@ -27,8 +27,7 @@ def standing(robot: Robot) -> Motion:
 
 
 def rising_path(robot: Robot, stand: Array) -> tuple[Array, float]:
-    """Joints (33, 12), rad, from folded legs under the body straight up to the posture `stand` (12,), and the base
-    height on folded legs, m."""
+    """Joints (33, 12), rad, from folded legs straight up to the posture `stand` (12,); base height when folded, m."""
     feet = foot_positions(robot, stand[None])[0]
     folded = np.array(feet)
     folded[:, 2] = robot.hip_pos_b[:, 2] - _FOLDED * robot.leg_length

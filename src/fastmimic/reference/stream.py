@@ -82,8 +82,7 @@ class Stream:
         modulation: NDArray[Any],
         table: NDArray[Any],
     ) -> None:
-        """Writes the reference from now on, with a constant modulation, into a table (t,) of `SAMPLE`, in the present
-        heading frame of the root."""
+        """Writes the coming reference into a table (t,) of `SAMPLE`, in the root's present heading frame."""
         other = course if following is None else following
         self._scratch[0] = place[0]
         _fill(

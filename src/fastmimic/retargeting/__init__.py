@@ -1,1 +1,1 @@
-"""From a clip to a motion of the robot."""
+"""Turns a clip into a motion of the robot."""

@@ -1,17 +1,15 @@
-"""Changes the trunk's motion by the least that lets the standing feet produce it.
+"""Changes the trunk's motion as little as possible until the standing feet can produce it.
 
-An animal's trunk motion suits its mass, its light legs and its narrow stance. On a robot with heavier legs and a wider
-stance it needs forces that the standing feet cannot give: two feet give no moment about the line between them, and no
-foot gives nothing. The robot would then deviate from its reference, more and more. The size of a change is measured
-like the imitation reward measures a deviation.
+An animal's trunk motion suits its mass, light legs and narrow stance. On a robot it can need forces that the standing
+feet cannot give: two feet give no moment about the line between them, and there is none in flight. The robot would
+then deviate from its reference more and more. A change is measured like a deviation in the imitation reward.
 
 The problem is least squares in the deviation d and in pushes x ≥ 0 along the edges of the feet's friction pyramids:
 
     min Σ ρ(r) + dᵀC d + ε‖x‖²,    r = r₀ + B d − G x
 
-r₀ is the demand of the present motion, as acceleration, by inverse dynamics of the whole robot. It is linearised again
-at each step (Levenberg–Marquardt). ADMM solves the convex problem in between; the pushes are eliminated sample by
-sample.
+r₀ is the demand of the present motion, as acceleration, by inverse dynamics of the whole robot, linearised at each step
+(Levenberg–Marquardt). ADMM solves the convex problem in between; the pushes are eliminated sample by sample.
 """
 
 from collections.abc import Callable
@@ -56,28 +54,20 @@ class BalanceConfig:
 _POSITION_COST: Final = np.array([20.0, 20.0, 500.0, 10.0, 10.0, 10.0])
 _VELOCITY_COST: Final = np.array([2.0, 2.0, 50.0, 1.0, 1.0, 1.0])
 """Exponents of the imitation reward for root position and angle, linear and angular velocity. Height counts much more,
-because a trunk could avoid most infeasible forces by hopping, unlike the animal."""
+because a trunk could otherwise avoid most infeasible forces by hopping, unlike the animal."""
 _ADMM_STEP: Final = 3.0
 _ADMM_RELAXATION: Final = 1.6
 _ADMM_ROUNDS: Final = 200
-_ENOUGH: Final = 0.01
-"""Relative gain at which the solver stops."""
+_ENOUGH: Final = 0.01  # relative gain at which the solver stops
 
 
 def balance(
     robot: Robot, spline: TrunkSpline, demand_of: Callable[[Array], GroundDemand], config: BalanceConfig
 ) -> Array:
-    """The least deviation of the trunk that makes a motion feasible.
+    """The least deviation of the trunk that makes a motion feasible, as coefficients (size, 6) of `spline`.
 
-    Args:
-        robot: mass and inertia.
-        spline: of the deviation.
-        demand_of: the ground wrench of the motion with the trunk deviated by coefficients (size, 6), at the same
-            samples each time.
-        config: weights.
-
-    Returns:
-        Coefficients (size, 6): x, y, z in the heading frame, m; roll, pitch, yaw, rad.
+    They are x, y, z in the heading frame, m; roll, pitch, yaw, rad. `demand_of` gives the ground wrench of the motion
+    for such coefficients, always at the same samples.
     """
     best = np.zeros((spline.size, 6))
     if config.rounds == 0:
@@ -117,7 +107,7 @@ class _Problem:
         self._can = can
         self._pushes = unit * np.swapaxes(wrench * scale, 1, 2) * can[:, None, :]
         even = np.maximum(demand.wrench[:, 2], 0.0) / np.maximum(demand.stands.sum(axis=1), 1)
-        least = (config.min_load * even / (4 * unit))[:, None] * can  # the same on a foot's four edges
+        least = (config.min_load * even / (4 * unit))[:, None] * can  # equal on a foot's four edges
         self._demand = demand.wrench * scale - np.einsum("kri,ki->kr", self._pushes, least)
         self._start = self._best_pushes()
         residual = self._demand - np.einsum("kri,ki->kr", self._pushes, self._start)
@@ -169,8 +159,7 @@ class _Problem:
         )
 
     def _slope_of(self, basis: Array, ground_force: Array, scale: Array) -> Array:
-        """B (k, 6, 24): by the trunk's acceleration, and by the ground's moment about the displaced centre of
-        mass."""
+        """B (k, 6, 24): by the trunk's acceleration, and by the ground's moment about the displaced centre of mass."""
         lever = np.zeros((self._k, 6, 6))
         for axis in range(3):
             lever[:, 3:, axis] = np.cross(np.eye(3)[axis], ground_force) * scale[3:]
@@ -179,7 +168,7 @@ class _Problem:
         return np.asarray(slope.reshape(self._k, 6, 24))
 
     def _change_cost(self, basis: Array) -> Any:
-        """C (sparse): the cost of deviating from the animal, quadratic in the coefficients."""
+        """C (sparse): the quadratic cost of deviating from the animal."""
         per_sample = np.zeros((self._k, 24, 24))
         for c in range(6):
             own = slice(4 * c, 4 * c + 4)

@@ -1,6 +1,6 @@
-"""Making a motion consistent: a trunk that the standing feet can carry, and joints within their limits.
+"""Makes a motion consistent: a trunk that the standing feet can carry, and joints within their limits.
 
-Retargeting, stitching and changes of tempo all use these two steps. They differ in where the feet are.
+Retargeting, stitching and changes of tempo share these steps and differ in the position of the feet.
 """
 
 from collections.abc import Callable, Iterator
@@ -27,15 +27,7 @@ swing of steady speed also reaches less far ahead before it lands."""
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
-    """What stays the same while a motion is made consistent.
-
-    Attributes:
-        robot: geometry, limits, inertia.
-        track: the trunk to start from.
-        contact: (n, 4) stance of each foot.
-        rate_hz: sample rate.
-        config: settings.
-    """
+    """The constants of making a motion consistent: the trunk to start from, and the contacts (n, 4)."""
 
     robot: Robot
     track: TrunkTrack
@@ -44,13 +36,12 @@ class Consistency:
     config: RetargetConfig
 
     def balanced(self, moved: Callable[[Array], tuple[TrunkTrack, Array]], height: float) -> Array:
-        """The deviation (n, 6) of the trunk that the standing feet can carry, with the least change.
+        """The least deviation (n, 6) of the trunk that the standing feet can carry.
 
-        Without a cycle it vanishes at both ends: a trunk that is free to move there falls.
+        Without a cycle it vanishes at both ends, because a trunk that is free to move there falls.
 
-        Args:
-            moved: the trunk, and the feet (n, 4, 3) under it (world, m), for a deviation of `track`.
-            height: nominal height of the base, m.
+        `moved` gives the trunk and the feet (n, 4, 3), world, m, for a deviation of `track`; `height` is the nominal
+        base height, m.
         """
         n, hz = len(self.contact), self.config.balance.hz
         periodic = self.track.cycle is not None
@@ -65,21 +56,18 @@ class Consistency:
         return spline.values(balance(self.robot, spline, demand_of, self.config.balance))
 
     def balanced_over(self, feet_w: Array) -> TrunkTrack:
-        """The balanced trunk over feet (n, 4, 3) that stay where they are, world, m."""
+        """The balanced trunk over fixed feet (n, 4, 3), world, m."""
         deviation = self.balanced(lambda d: (self.track.deviated(d), feet_w), float(self.track.root_z.mean()))
         return self.track.deviated(deviation)
 
     def attempts(
         self, solve: Callable[[Array], Pose], beyond: Callable[[Pose], NDArray[np.int_]]
     ) -> Iterator[tuple[Pose, NDArray[np.int_]]]:
-        """Poses with ever more even swings of the legs that are beyond a limit, until none is.
+        """Yields poses, with ever more even swings of legs beyond a limit, and each leg's samples (4,) beyond one.
 
         Args:
             solve: the pose for an evenness (4,) of each leg's swings.
-            beyond: how many samples (4,) of each leg are beyond a limit.
-
-        Yields:
-            Each pose and its samples beyond a limit.
+            beyond: number of samples (4,) of each leg beyond a limit.
         """
         evenness = np.full(4, self.config.swing.evenness)
         for more in (*EVENNESS, None):

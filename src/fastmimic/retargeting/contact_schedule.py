@@ -1,4 +1,4 @@
-"""A contact schedule that a robot can follow, from contacts that thresholds and soft paws have blurred."""
+"""Turns contacts blurred by thresholds and soft paws into a contact schedule that a robot can follow."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -35,14 +35,13 @@ class ContactScheduleConfig:
 
 @dataclass(frozen=True)
 class ScheduleChanges:
-    """What was changed to make the contacts consistent.
+    """The changes that made the contacts consistent.
 
     Attributes:
         pairing: the pairs of legs that were given common times, or None.
         common_duty: whether left and right were given one duty factor.
-        closed_flights: short flights that were closed.
-        widened_swings: short swings that were made longer.
-        steps: legs that stood for a whole cycle that travels, and were given a step.
+        closed_flights, widened_swings: numbers of short flights that were closed, and of short swings made longer.
+        steps: number of legs that stood for a whole cycle that travels, and were given a step.
     """
 
     pairing: str | None = None
@@ -75,15 +74,13 @@ def make_consistent(
     """Cleans detected contacts by one rule for every gait.
 
     1. Legs that land and lift off together (a trot's diagonals, a pace's sides) get their mean times. A hind foot rolls
-       over its toes, so that thresholds make it land later and leave earlier than the front foot of its pair.
+    over its toes, so that thresholds detect later landings and earlier lift-offs than the front foot's.
     2. In a straight cycle with one stance a leg, left and right get one duty factor about the middle of each stance. In
-       a paired gait all four legs do.
+    a paired gait all four legs do.
     3. Very short swings are widened. Short flights are closed half way from both sides.
 
     Args:
-        stances: as detected.
-        n: samples.
-        rate_hz: of the samples.
+        stances, n, rate_hz: as detected, on n samples.
         periodic: whether sample n repeats sample 0.
         straight: whether the motion is a gait straight ahead.
         longest_s: longest stance after an extension, s: a leg's reach over the speed of travel.
@@ -103,7 +100,9 @@ def make_consistent(
 def with_steps(
     stances: Stances, travel: Array, activity: Array, rate_hz: float, config: ContactScheduleConfig
 ) -> tuple[Stances, int]:
-    """Gives a step to every leg that stands for a whole cycle that travels, since it would have to slide.
+    """Gives a step to every leg that stands for a whole travelling cycle and would slide; returns how many.
+
+    The step is where most of the other feet stand, and among such moments where the animal's foot moved most.
 
     Args:
         stances: of each leg of a cycle.
@@ -111,10 +110,6 @@ def with_steps(
         activity: (n, 4) of the animal's feet.
         rate_hz: of the samples.
         config: thresholds.
-
-    Returns:
-        The stances, and the number of legs with a new step. It is where most of the other feet stand, and among such
-        moments where the animal's foot moved most.
     """
     n, result, added = len(activity), [list(leg) for leg in stances], 0
     length = min(round(config.step_s * rate_hz), n // 2)
@@ -131,7 +126,7 @@ def with_steps(
 
 
 def _overlap(a: Stance, b: Stance, n: int) -> tuple[float, int]:
-    """Largest common share of the union of two stances, with `b` shifted by whole cycles, and that shift."""
+    """Largest share that two stances have in common, with `b` shifted by whole cycles, and that shift."""
     best = (0.0, 0)
     for shift in (-n, 0, n):
         start, end = b.touch_down + shift, b.lift_off + shift
@@ -142,7 +137,7 @@ def _overlap(a: Stance, b: Stance, n: int) -> tuple[float, int]:
 
 
 def _partners(a: list[Stance], b: list[Stance], n: int, least: float) -> list[tuple[int, int, int, float]]:
-    """Stances that agree up to noise, one to one: index in `a`, index in `b`, shift of b, share in common."""
+    """Matching stances, one to one: index in `a`, index in `b`, shift of b, share in common."""
     pairs = []
     for i, stance in enumerate(a):
         (share, shift), j = max((_overlap(stance, other, n), j) for j, other in enumerate(b))
@@ -153,7 +148,7 @@ def _partners(a: list[Stance], b: list[Stance], n: int, least: float) -> list[tu
 
 
 def _find_pairing(stances: Stances, n: int, least: float) -> str | None:
-    """The pairing of at least four in five stances, or None; None for a leg that stands throughout."""
+    """The pairing of at least four in five stances, or None; None if a leg stands throughout."""
     if any(not leg or leg[0].duration >= n for leg in stances):
         return None
     total = sum(len(leg) for leg in stances) / 2
@@ -205,8 +200,7 @@ def _common_duty(stances: Stances, n: int, paired: bool) -> Stances:
 
 
 def _widen_swings(stances: Stances, n: int, shortest: int, periodic: bool) -> tuple[Stances, int]:
-    """Lengthens short swings at the cost of the stances on both sides. A short rest of a swing that the recording's end
-    cuts off becomes stance."""
+    """Lengthens short swings at the cost of the stances on both sides; one cut off by the end becomes stance."""
     widened = 0
     result = [list(leg) for leg in stances]
     for leg, spans in enumerate(stances):
@@ -226,7 +220,7 @@ def _widen_swings(stances: Stances, n: int, shortest: int, periodic: bool) -> tu
 
 
 def _close_flights(stances: Stances, n: int, shortest: int, longest: float, periodic: bool) -> tuple[Stances, int]:
-    """Closes flights shorter than `shortest` from both sides, as far as no stance gets longer than `longest`."""
+    """Closes flights shorter than `shortest` from both sides, unless a stance becomes longer than `longest`."""
     supported = np.asarray(contact_mask(stances, n).any(axis=1))
     if supported.all() or not supported.any():
         return stances, 0

@@ -1,4 +1,4 @@
-"""A recording as a continuous motion, closed about its constant-twist motion if it is a cycle."""
+"""A recording as a continuous motion; a cycle is closed about its constant-twist motion."""
 
 from dataclasses import dataclass, replace
 
@@ -20,8 +20,7 @@ class TrunkTrack:
     """Trunk and animal's foot paths on the output grid; the samples of a cycle repeat, moved by `cycle`.
 
     Attributes:
-        root_xy: (t, 2) world, m.
-        root_z: (t,) m.
+        root_xy, root_z: (t, 2) and (t,) world, m.
         heading: (t,) rad, continuous.
         tilt: (t, 2) roll and pitch, rad.
         toe_from_hip: (t, 4, 2) in the heading frame, m.
@@ -39,7 +38,7 @@ class TrunkTrack:
 
     @classmethod
     def of(cls, motion: Motion) -> "TrunkTrack":
-        """Trunk and feet of a robot's motion; `toe_from_hip` from the root, `toe_height` of the feet's centres."""
+        """Of a robot's motion: `toe_from_hip` is from the root, `toe_height` of the feet's centres."""
         heading, feet = np.unwrap(yaw_from_quat(motion.root_quat_wxyz)), motion.foot_pos_w
         return cls(
             root_xy=np.array(motion.root_pos_w[:, :2]),
@@ -69,14 +68,14 @@ class TrunkTrack:
         )
 
     def heading_at(self, sample: Indices) -> Array:
-        """Heading (k,) at samples (k,), which may lie outside [0, n) of a cycle."""
+        """Heading (k,) at samples (k,), also outside [0, n) of a cycle."""
         if self.cycle is None:
             return self.heading[sample]
         n = len(self.heading)
         return np.asarray(self.heading[sample % n] + (sample // n) * self.cycle[2])
 
     def moved(self, points_w: Array, cycles: int) -> Array:
-        """Points (..., 2) of the world moved by so many cycles, backwards if negative."""
+        """World points (..., 2) moved by a number of cycles, backwards if negative."""
         if self.cycle is None:
             raise ValueError("a motion without a cycle does not repeat")
         origin, angle = self.root_xy[0], self.cycle[2]
@@ -92,7 +91,7 @@ class TrunkTrack:
 def steps(xy: Array, heading: Array, cycle: Array | None) -> tuple[Array, Array]:
     """To the next sample: the root's step (t, 2) in the heading frame, m, and the heading's turn (t,), rad.
 
-    The last ones lead to the first sample of the next cycle; without a cycle they repeat the ones before.
+    The last ones lead to the first sample of the next cycle; without a cycle they repeat the previous ones.
     """
     if cycle is not None:
         end = xy[0] + rotate_planar(float(heading[0]), cycle[:2])
@@ -114,7 +113,7 @@ class WorldPath:
         self.periodic = track.cycle is not None
 
     def read(self, index: Indices) -> Array:
-        """Points (k, 3) at samples (k,), which may lie outside [0, n) of a cycle."""
+        """Points (k, 3) at samples (k,), also outside [0, n) of a cycle."""
         if not self.periodic:
             return self.samples[index]
         points = self.samples[index % self.n].copy()
@@ -159,7 +158,7 @@ def pose_mismatch(source: ScaledClip) -> float:
 def track_cycle(source: ScaledClip, n_out: int, trunk_hz: float, foot_hz: float, travels: bool = True) -> TrunkTrack:
     """A cycle on `n_out` samples, closed and low-passed; without `travels` it ends where it began.
 
-    Planar motion is taken in the moving frame of the constant-twist motion exp(share · log(dx, dy, dyaw)). There a
+    Planar motion is taken in the moving frame of the constant-twist motion exp(share · log(dx, dy, dyaw)), where a
     cycle is periodic whether it turns or not. The closing error is spread evenly over the cycle, and the Fourier series
     closes position, velocity and acceleration.
     """

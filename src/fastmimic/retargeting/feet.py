@@ -10,12 +10,9 @@ from fastmimic.motion.contacts import Stance, Stances, swings_of
 from fastmimic.retargeting.cycle import TrunkTrack, WorldPath
 
 _DEGREE = 3
-_AT_REST = 3
-"""Coefficients of a cubic B-spline that fix position, velocity and acceleration at an end."""
-_VERTICAL_SHARE = 100.0
-"""Stiffness added to the vertical motion for each unit of evenness."""
-_FLAT = 0.1
-"""A swing with less than this share of its clearance gets a plain sin² shape."""
+_AT_REST = 3  # coefficients of a cubic B-spline that fix position, velocity and acceleration at an end
+_VERTICAL_SHARE = 100.0  # stiffness added to the vertical motion for each unit of evenness
+_FLAT = 0.1  # a swing with less than this share of its clearance gets a plain sin² shape
 _CLEARANCE_ROUNDS = 4
 
 
@@ -52,7 +49,10 @@ def plant_feet(
     config: SwingPathConfig,
     evenness: Array | None = None,
 ) -> Array:
-    """Consistent foot paths: fixed in the world in stance, the animal's path between footholds in swing.
+    """Consistent foot paths (n, 4, 3), world, m: fixed in stance, the animal's path between footholds in swing.
+
+    Position, velocity and acceleration are continuous. Each foot rests on the ground at touch-down and lift-off and is
+    never below it.
 
     Args:
         raw_w: (n, 4, 3) the animal's foot paths, world, m; z is the height above the ground.
@@ -64,10 +64,6 @@ def plant_feet(
         rate_hz: of the samples.
         config: of the swings.
         evenness: of each leg's swings, in place of the configured one.
-
-    Returns:
-        (n, 4, 3) centres of the feet, world, m. Position, velocity and acceleration are continuous. Each foot rests on
-        the ground at every touch-down and lift-off and is never below it.
     """
     feet = np.empty_like(raw_w)
     for leg in range(4):

@@ -1,4 +1,4 @@
-"""From a track of the animal to a motion of the robot: balance the trunk, plant the feet, keep the joint limits."""
+"""Turns a track of the animal into a motion: balances the trunk, plants the feet, keeps the joint limits."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,7 +28,7 @@ class Fitted:
         track: the trunk after balancing.
         raw_w: (t, 4, 3) the animal's foot paths under that trunk, world; z is the height above the ground.
         pose: clamps and base height.
-        smoothed: how often each leg's swings were made more even to keep joint speeds.
+        smoothed: number of times each leg's swings were made more even to keep joint speeds.
     """
 
     motion: Motion
@@ -40,7 +40,7 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Fitter:
-    """What stays the same while a motion is fitted.
+    """The constants of a fit.
 
     Attributes:
         robot: geometry, limits, inertia.
@@ -60,7 +60,7 @@ class Fitter:
 
     @cached_property
     def consistency(self) -> Consistency:
-        """The steps that are shared with stitching."""
+        """The steps shared with stitching."""
         contact = contact_mask(self.stances, len(self.track.root_z))
         return Consistency(self.robot, self.track, contact, self.rate_hz, self.config)
 
@@ -71,7 +71,6 @@ class Fitter:
 
     @property
     def periodic(self) -> bool:
-        """Whether the track is a cycle."""
         return self.track.cycle is not None
 
     def fit(self, offset: Array) -> Fitted:
@@ -129,7 +128,7 @@ class Fitter:
         """The trunk as the standing feet can move it, and the foot paths shifted under it."""
 
         def applied(deviation: Array) -> tuple[TrunkTrack, Array]:
-            # a constant shift of the trunk over its feet is given to the feet: it would change a turning robot's speed
+            # the feet take a constant shift of the trunk over them, which would change a turning robot's speed
             shift = deviation[:, :2].mean(axis=0)
             deviation[:, :2] -= shift
             moved_w = raw_w.copy()

@@ -30,7 +30,7 @@ class Closure:
 
 
 def slip(feet_w: Array, track: TrunkTrack, stances: Stances) -> Array:
-    """Largest horizontal distance (4,) of each foot from where it touched down, within a stance, m."""
+    """Largest horizontal distance (4,), m, of each foot from its touch-down, within a stance."""
     worst = np.zeros(4)
     for leg, spans in enumerate(stances):
         path = WorldPath(feet_w[:, leg], track)

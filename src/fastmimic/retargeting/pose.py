@@ -1,4 +1,4 @@
-"""From trunk and foot paths to the joints: base height, inverse kinematics, limits, velocities."""
+"""Computes the joints from trunk and foot paths: base height, inverse kinematics, limits, velocities."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -24,8 +24,7 @@ from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 
 _STEP_M: Final = 0.005
-_RISE_S: Final = 0.1
-"""Time in which the base rises for folded legs, and for which it stays up before and after."""
+_RISE_S: Final = 0.1  # the base rises for folded legs within this time, and stays up as long before and after
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +32,11 @@ class Pose:
     """The robot's configuration, sample by sample, within its joint limits.
 
     Attributes:
-        root_pos_w: (t, 3) m.
-        root_quat_wxyz: (t, 4).
-        joint_pos: (t, 12) rad.
-        foot_pos_b: (t, 4, 3) m, of those joints.
+        root_pos_w, root_quat_wxyz: (t, 3) m, and (t, 4).
+        joint_pos, foot_pos_b: (t, 12) rad, and the feet of those joints, (t, 4, 3) m.
         unreachable: (t, 4) samples in which a leg was too short or too long.
         limited: (t, 12) samples in which a joint was held at its limit.
-        lowered_m: how far the base was lowered for reach.
+        lowered_m: distance by which the base was lowered for reach.
     """
 
     root_pos_w: Array
@@ -52,8 +49,7 @@ class Pose:
 
 
 def trunk_quaternion(heading: Array, tilt: Array) -> Array:
-    """Orientation (t, 4) from heading (t,), then pitch, then roll about the body's x; `tilt` (t, 2) is roll,
-    pitch."""
+    """Orientation (t, 4) from heading (t,), then pitch, then roll about the body's x; `tilt` (t, 2) is roll, pitch."""
     zero = np.zeros_like(heading)
     roll = quat_from_rotvec(np.stack([tilt[:, 0], zero, zero], axis=-1))
     pitch = quat_from_rotvec(np.stack([zero, tilt[:, 1], zero], axis=-1))
@@ -70,13 +66,13 @@ def solve_pose(
     max_lowering: float = 0.0,
     max_raising: float = 0.0,
 ) -> Pose:
-    """Inverse kinematics with the base moved, by a constant, as far as the legs need.
+    """Inverse kinematics with the base moved by a constant.
 
-    It goes down until every foothold is in reach, or up until folded legs keep their limits and knees their clearance.
+    It is lowered until every foothold is in reach, or raised until folded legs keep their limits and knees their
+    clearance.
 
     Args:
-        robot: limits and geometry.
-        track: the trunk.
+        robot, track: limits and geometry, and the trunk.
         feet_w: (t, 4, 3) centres of the feet, world, m.
         height: mean height of the base, m.
         config: margin to the joint limits and clearance of the knees.
@@ -144,7 +140,7 @@ def _limits(robot: Robot, config: RetargetConfig) -> tuple[Array, Array]:
 
 
 def _folding(robot: Robot, quat: Array, q: Array, base_z: Array, config: RetargetConfig) -> tuple[Array, Array]:
-    """How far (t, 4) each knee is folded beyond its limit, rad, and lacks clearance, share of the calf's length."""
+    """Excess (t, 4) of each knee's fold over its limit, rad, and missing clearance, share of the calf's length."""
     lower, upper = _limits(robot, config)
     beyond, below = np.maximum(q - upper, 0)[:, 2::3], np.maximum(lower - q, 0)[:, 2::3]
     height = _knee_height(robot, quat, q) + base_z[:, None]

@@ -1,8 +1,8 @@
-"""The postures of a recording that does not repeat, as far as a robot can take them.
+"""Limits the postures of a recording that does not repeat to those that a robot can take.
 
-A cycle has one posture. A recording of sitting down or getting up has two or more. The tallest of them counts as level.
-Shoulders and hips go no lower than folded legs allow at each moment: an animal sits on its rump, a robot on its feet.
-The trunk keeps its pitch as far as its upper end then stays below standing height.
+A cycle has one posture; a recording of sitting down or getting up has two or more, and the tallest counts as level.
+Shoulders and hips go no lower than folded legs allow: an animal sits on its rump, a robot on its feet. The trunk keeps
+its pitch as long as its upper end stays below standing height.
 """
 
 from dataclasses import replace
@@ -19,29 +19,27 @@ from fastmimic.robot import Robot
 from fastmimic.robot.scaling import length_ratio
 
 # m, at the A1's size
-_TALL_M: Final = 0.03
-"""Frames that are so much lower than the tallest have 1/e of its weight."""
+_TALL_M: Final = 0.03  # frames this much lower than the tallest have 1/e of its weight
 _ROOM_M: Final = 0.05
 """Added to the shortest leg: a folded leg's foot stands ahead of the hip or behind it, and its knee off the ground."""
-_SOFT_M: Final = 0.02
-"""Range of the smooth passage to the lowest height."""
+_SOFT_M: Final = 0.02  # range of the smooth blend to the lowest height
 
 
 def levelled(source: ScaledClip, robot: Robot) -> ScaledClip:
-    """The clip with its attitude at its tallest as level; before, the mean attitude was level."""
+    """The clip with its attitude at its tallest as level, instead of the mean attitude."""
     weight = np.exp((source.root_z - source.root_z.max()) / (_TALL_M * length_ratio(robot)))
     return replace(source, tilt=source.tilt - weight @ source.tilt / weight.sum())
 
 
 def within_folded_legs(source: ScaledClip, robot: Robot, lowered_m: float, config: RetargetConfig) -> ScaledClip:
-    """The clip with shoulders and hips no lower than folded legs need that are lifted as the animal's.
+    """The clip with shoulders and hips no lower than folded legs allow, with feet lifted as high as the animal's.
 
     The trunk is raised as a whole, and levelled as far as its other end would be higher than it stands.
 
     Args:
         source: at the robot's size, level.
         robot: legs and hips.
-        lowered_m: by how much the base will be below the animal's.
+        lowered_m: distance of the base below the animal's.
         config: margins, and the least clearance of a swing.
     """
     mean = float(source.root_z.mean())
@@ -70,7 +68,7 @@ def within_folded_legs(source: ScaledClip, robot: Robot, lowered_m: float, confi
 
 
 def _no_lower(value: Array, least: Array, soft: float) -> Array:
-    """The greater of the two, with a smooth passage of ± `soft` m between them."""
+    """The greater of the two, with a smooth blend of ± `soft` m between them."""
     above = value - least
     passage = least + (above + soft) ** 2 / (4 * soft)
     return np.where(above >= soft, value, np.where(above <= -soft, least, passage))

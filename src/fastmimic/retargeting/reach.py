@@ -12,8 +12,7 @@ from fastmimic.motion.contacts import Stances, contact_mask
 from fastmimic.retargeting.cycle import TrunkTrack, WorldPath
 from fastmimic.robot import Robot
 
-_STEP = 5
-"""Samples between two checks of reach."""
+_STEP = 5  # samples between two checks of reach
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,23 +52,22 @@ class Reach:
 
     @property
     def clearance(self) -> float:
-        """How high a foot can be lifted under its hip, m."""
+        """Largest height of a foot under its hip, m."""
         return self.hip_height - self.shortest
 
     def forward(self, leg: int, lateral: Array, drop: Array) -> Array:
-        """How far ahead of its hip a foot can stand (k,), `lateral` (k,) beside the abduction axis and `drop` (k,)
-        below it, m."""
+        """Largest distance (k,) of a foot ahead of its hip, at `lateral` and `drop` (k,) from the abduction axis, m."""
         square = self.longest**2 - drop**2 - lateral**2 + self.lateral_offset[leg] ** 2
         return np.sqrt(np.maximum(square, 0.0))
 
     def inward(self, leg: int, drop: Array) -> Array:
-        """How far on the inner side of its abduction axis a foot can stand (k,), `drop` (k,) below it, m."""
+        """Largest distance (k,), m, of a foot inwards of its abduction axis, `drop` (k,) below it, m."""
         a, d = self.abduction, abs(float(self.lateral_offset[leg]))
         along = (drop - d * np.sin(a)) / np.cos(a)
         return np.asarray(along * np.sin(a) - d * np.cos(a))
 
     def longest_stance(self, speed: float, linger_s: float) -> float:
-        """How long a foot can stand at a speed of travel, m/s, before its leg is at the end of its reach, s."""
+        """Longest stance, s, within the leg's reach at a speed of travel, m/s."""
         drop = np.array([self.hip_height])
         sweep = 2 * min(float(self.forward(leg, self.lateral_offset[[leg]], drop)[0]) for leg in range(4))
         return sweep / max(speed, 1e-3) - 2 * linger_s
@@ -78,9 +76,9 @@ class Reach:
 def foot_offsets(robot: Robot, track: TrunkTrack, stances: Stances, stance_width: float) -> Array:
     """Constant shifts (4, 2) of the feet against the robot's hips, m.
 
-    The places of shoulder, hip and toe markers belong to the animal's build, not to its motion. The mean footholds are
-    shifted fore-aft under the centre of mass, and laterally to `stance_width` of the lateral link outside the abduction
-    axis. Left and right move alike.
+    The positions of shoulder, hip and toe markers belong to the animal's build, not to its motion. The mean footholds
+    are shifted fore-aft under the centre of mass, and laterally to `stance_width` outside the abduction axis (a share
+    of the lateral link). Left and right shift alike.
     """
     side = np.where(LEFT, 1.0, -1.0)
     stands = contact_mask(stances, len(track.root_z))
@@ -95,17 +93,11 @@ def foot_offsets(robot: Robot, track: TrunkTrack, stances: Stances, stance_width
 
 
 def footholds(raw_w: Array, track: TrunkTrack, stances: Stances, reach: Reach, linger: int) -> list[list[Array]]:
-    """The foothold (2,) of each stance of each foot, world, m.
+    """The foothold (2,), world, m, of each stance of each foot.
 
-    It is the mean of the animal's path in stance, weighted towards mid-stance, moved into reach from touch-down to
-    lift-off.
-
-    Args:
-        raw_w: (n, 4, 3) the animal's foot paths, world, m.
-        track: the trunk.
-        stances: of each leg.
-        reach: of the robot's legs.
-        linger: samples before touch-down and after lift-off in which the foot must be in reach, too.
+    It is the mean of the animal's path in stance, weighted towards mid-stance, and moved into reach from touch-down to
+    lift-off. `raw_w` (n, 4, 3) are the animal's foot paths, world, m. The foot must also be in reach for `linger`
+    samples before and after the stance.
     """
     sway = np.concatenate([track.root_xy, track.root_z[:, None] - track.root_z.mean()], axis=1)
     trunk = WorldPath(sway, track)

@@ -1,4 +1,4 @@
-"""What retargeting changed: the figures that show whether the result is still the animal's motion."""
+"""What retargeting changed: figures that show whether the result is still the animal's motion."""
 
 import math
 from dataclasses import asdict, dataclass, replace
@@ -13,8 +13,7 @@ Ints = tuple[int, ...]
 
 _ANGLES: Final = ("roll", "pitch", "yaw")
 MAX_SPEED_CHANGE: Final = 0.03
-SLOW_M_PER_S: Final = 0.4
-"""The change of a slower animal's speed is a share of this."""
+SLOW_M_PER_S: Final = 0.4  # the change of a slower animal's speed is a share of this
 MAX_YAW_CHANGE_DEG: Final = 2.0
 MIN_CLEARANCE_SHARE: Final = 0.8
 MAX_DUTY_CHANGE: Final = 0.1
@@ -25,7 +24,7 @@ MAX_CLOSURE_DEG: Final = 0.1
 
 @dataclass(frozen=True)
 class Bound:
-    """One of the bounds within which the result counts as the animal's motion.
+    """A bound within which the result counts as the animal's motion.
 
     Attributes:
         name: what is bounded.
@@ -48,7 +47,7 @@ class MotionFigures:
     Attributes:
         period_s: duration; that of the robot is a whole number of control steps.
         slip_m: largest horizontal motion of each foot within a stance.
-        closure_m: largest distance of a foot or the root from where the cycle ends; 0 without a cycle.
+        closure_m: largest distance of a foot or the root from its position at the end of the cycle; 0 without a cycle.
         closure_deg: the same for the trunk's orientation.
         duty: share of the time in stance.
         speed_m_per_s: length of the mean velocity as seen from the trunk.
@@ -73,23 +72,22 @@ class RetargetReport:
     Attributes:
         before, after: the animal at the robot's size, and the robot's motion.
         scale: animal's to robot's size.
-        is_cycle: whether the motion repeats, and `cycle_reason` why.
+        is_cycle, cycle_reason: whether the motion repeats, and why.
         changes: of the contacts.
         stances: number of stances of each leg.
         support_share: share of the time with 0, 1, 2, 3 and 4 feet on the ground.
         foot_path_rms_m: change of each foot's path in the world by planting.
         foot_offset_m: constant shift of the feet against the hips: front and rear along x, front and rear outwards.
-        trunk_change_m, trunk_change_deg: RMS change by balancing of x, y, z and of roll, pitch, yaw about their
-            means.
-        base_height_m, lowered_m: mean height of the base, and how far it was lowered for reach; negative where it was
-            raised for folded knees.
+        trunk_change_m, trunk_change_deg: RMS change by balancing of x, y, z and of roll, pitch, yaw about their means.
+        base_height_m, lowered_m: mean height of the base, and its lowering for reach; negative if raised for folded
+            knees.
         unreachable: samples in which a leg could not reach, of `samples`.
         joint_limited: samples in which a joint was held at its limit, for abduction, hip and knee.
         samples: of the motion.
         joint_speed_peak, joint_speed_limit: abduction, hip, knee, rad/s.
-        smoothed_legs: how often each leg's swings were made more even to keep joint speeds.
+        smoothed_legs: number of times each leg's swings were made more even to keep joint speeds.
         heading_aligned_deg: angle by which the trunk was turned into the direction of travel.
-        bounds: the bounds that the result is held to.
+        bounds: see `with_bounds`.
     """
 
     before: MotionFigures
@@ -116,7 +114,6 @@ class RetargetReport:
     bounds: tuple[Bound, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """The report as plain JSON types."""
         found: dict[str, Any] = plain(asdict(self))
         return found
 
@@ -156,12 +153,7 @@ class RetargetReport:
 
 
 def with_bounds(report: RetargetReport, turning_radius_m: float) -> RetargetReport:
-    """The report with its bounds; a bound that is not met says why.
-
-    Args:
-        report: without bounds.
-        turning_radius_m: see `RetargetConfig`.
-    """
+    """Adds the bounds, with a reason for each that is not met; `turning_radius_m` is that of `RetargetConfig`."""
     before, after = report.before, report.after
     # a turn on the spot has no speed to compare with, but its feet walk on a circle
     turning = turning_radius_m * math.radians(abs(before.yaw_deg)) / before.period_s

@@ -30,8 +30,7 @@ from fastmimic.robot import Robot
 
 __all__ = ["RetargetConfig", "RetargetReport", "choose_scale", "retarget"]
 
-DOG_LEG_LENGTH_M: Final = 0.4 / DOG_SCALE
-"""The leg length of an animal that does not say it, so that other robots scale by theirs."""
+DOG_LEG_LENGTH_M: Final = 0.4 / DOG_SCALE  # of an animal of unknown size, so that other robots scale by their own
 MIN_FRAMES: Final = 8
 
 
@@ -44,11 +43,10 @@ def retarget(
     cycle: bool | None = None,
     config: RetargetConfig | None = None,
 ) -> tuple[Motion, RetargetReport]:
-    """Turns an animal's clip into a reference motion of a robot.
+    """Turns an animal's clip into a reference motion of a robot; returns it with a report of the changes.
 
     Args:
-        clip: the animal's keypoints.
-        robot: the robot.
+        clip, robot: the animal's keypoints, and the robot.
         rate_hz: of the motion; a cycle's period becomes a whole number of samples.
         scale: animal's to robot's size; if None the clip's own, else the ratio of leg lengths (0.825 for a dog on the
             A1).
@@ -56,8 +54,7 @@ def retarget(
         config: settings at the A1's size, `RetargetConfig()` if None.
 
     Returns:
-        The motion and what was changed. `motion.meta` holds `name`, `robot`, `source`, `licence` and `retarget` (the
-        report).
+        The motion, with `name`, `robot`, `source`, `licence` and `retarget` (the report) in its `meta`; and the report.
 
     Raises:
         ConfigError: rate or scale not positive.
@@ -88,8 +85,7 @@ def retarget(
 
 
 def choose_scale(clip: Clip, robot: Robot) -> float:
-    """The clip's own scale, else the ratio of leg lengths; an animal of unknown legs counts as the dog of
-    `DOG_SCALE`."""
+    """The clip's own scale, else the ratio of leg lengths, with those of the dog of `DOG_SCALE` if unknown."""
     if clip.scale is not None:
         return float(clip.scale)
     return robot.leg_length / (clip.leg_length_m if clip.leg_length_m is not None else DOG_LEG_LENGTH_M)
@@ -105,6 +101,6 @@ def _check(clip: Clip, rate_hz: float, scale: float | None) -> None:
 
 
 def is_one_cycle(clip: Clip, config: RetargetConfig | None = None) -> bool:
-    """Whether `retarget` takes a clip for one cycle by default: if it says so, or if its ends meet."""
+    """Whether `retarget` takes a clip for one cycle by default: if the clip says so, or if its ends meet."""
     config = config or RetargetConfig()
     return whether_cycle(clip, extract(clip, clip.scale or 1.0, config.roll_share), None, config)[0]

@@ -36,7 +36,7 @@ class ScaledClip:
     toe_speed: Array
 
     def held(self, frames: int) -> "ScaledClip":
-        """The same recording with its last frame repeated so many times, at rest."""
+        """The recording with its last frame repeated `frames` times, at rest."""
 
         def more(values: Array) -> Array:
             return np.concatenate([values, np.repeat(values[-1:], frames, axis=0)])
@@ -53,21 +53,16 @@ class ScaledClip:
         )
 
     def turned(self, angle: float) -> "ScaledClip":
-        """The same motion with the trunk's heading turned by `angle` rad; its path and toes stay."""
+        """The motion with the trunk's heading turned by `angle` rad; its path and toes stay."""
         return replace(self, heading=self.heading + angle, toe_from_hip=rotate_planar(-angle, self.toe_from_hip))
 
 
 def extract(clip: Clip, scale: float, roll_share: float) -> ScaledClip:
-    """Trunk pose and toe targets of a clip, scaled.
+    """Trunk pose and toe targets of a clip, scaled from the animal's to the robot's size.
 
-    Heading and pitch are those of the line from pelvis to neck. Roll is that of the mean of the lines between left and
-    right shoulders and hips. The mean roll and pitch are removed, because they depend on the places of the markers. If
-    the clip has its trunk's orientation, that is used instead.
-
-    Args:
-        clip: the animal.
-        scale: animal's to robot's size.
-        roll_share: share of the girdles' roll that the trunk takes (see `RetargetConfig`).
+    Heading and pitch are those of the line from pelvis to neck. Roll is `roll_share` (`RetargetConfig`) of that of the
+    mean line between left and right shoulders and hips. Mean roll and pitch are removed, because they depend on the
+    marker positions. If the clip has its trunk's orientation, that is used instead.
     """
     neck, pelvis = clip.point("neck"), clip.point("pelvis")
     if clip.root_quat_wxyz is not None:

@@ -1,7 +1,7 @@
 """Low-pass filter and resampling of recordings to the control rate.
 
 Both use the Fourier series of one period, so that a cycle closes in position, velocity and acceleration. A recording
-that is not a cycle, less its end-to-end line, counts as half of an odd periodic signal (a sine series). That keeps
+that is not a cycle, less its end-to-end line, counts as half of an odd periodic signal (a sine series), which keeps
 value and slope at both ends.
 """
 
@@ -13,23 +13,20 @@ _FILTER_ORDER = 4
 
 
 def resample_periodic(samples: Array, rate_hz: float, n_out: int, cutoff_hz: float) -> Array:
-    """Low-passed samples of one period on a new grid.
+    """Low-passed samples (n_out, ...) of one period on a new grid, evenly over the period.
 
     Args:
         samples: (n, ...) at times i / rate_hz, covering one period n / rate_hz.
         rate_hz: of the samples.
-        n_out: number of samples of the result, evenly over the period.
+        n_out: number of samples of the result.
         cutoff_hz: half-power frequency of the zero-phase filter (Butterworth, fourth order, forwards and backwards).
-
-    Returns:
-        (n_out, ...).
     """
     n = len(samples)
     spectrum = np.fft.rfft(samples, axis=0)
     frequency = np.fft.rfftfreq(n, 1.0 / rate_hz)
     gain = 1.0 / (1.0 + (frequency / cutoff_hz) ** (2 * _FILTER_ORDER))
     if n % 2 == 0:
-        gain[-1] = 0.0  # the phase of the Nyquist component is not known
+        gain[-1] = 0.0  # the phase of the Nyquist component is unknown
     spectrum = spectrum * gain.reshape(-1, *[1] * (samples.ndim - 1))
     return np.fft.irfft(spectrum[: n_out // 2 + 1], n=n_out, axis=0) * (n_out / n)
 
@@ -51,5 +48,5 @@ def extrapolate_next(samples: Array) -> Array:
 
 
 def closing_error(samples: Array) -> Array:
-    """How far the frame after the last one of (n, ...) is from frame 0, (...)."""
+    """Difference (...) between the frame after the last one of (n, ...) and frame 0."""
     return extrapolate_next(samples) - samples[0]

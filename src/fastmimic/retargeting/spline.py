@@ -7,25 +7,14 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 
-_AT_REST: Final = 3
-"""Coefficients of a cubic B-spline that fix position, velocity and acceleration at an end."""
+_AT_REST: Final = 3  # coefficients of a cubic B-spline that fix position, velocity and acceleration at an end
 
 
 class TrunkSpline:
-    """Six coordinates (x, y, z, roll, pitch, yaw) as splines with common knots.
-
-    Attributes:
-        size: number of coefficients of one coordinate.
-    """
+    """Six coordinates (x, y, z, roll, pitch, yaw) as splines with common knots, `size` coefficients each."""
 
     def __init__(self, n: int, rate_hz: float, periodic: bool, hz: float) -> None:
-        """
-        Args:
-            n: samples of the motion.
-            rate_hz: of the samples.
-            periodic: whether sample n repeats sample 0.
-            hz: highest frequency that the spline can follow, with two knots a period.
-        """
+        """`hz` is the highest frequency, with two knots a period, over the `n` samples of a motion."""
         duration = n / rate_hz
         self._pieces = max(4, round(2 * hz * duration))
         self._periodic = periodic
@@ -61,7 +50,7 @@ class InnerSpline(TrunkSpline):
         self.size = max(1, self._all - 2 * _AT_REST)
 
     def basis(self, sample: NDArray[np.int_]) -> tuple[NDArray[np.int_], Array]:
-        """As that of `TrunkSpline`, without the coefficients at the ends."""
+        """As in `TrunkSpline`, without the coefficients at the ends."""
         index, weight = super().basis(sample)
         inside = (index >= _AT_REST) & (index < self._all - _AT_REST)
         return np.where(inside, index - _AT_REST, 0), weight * inside

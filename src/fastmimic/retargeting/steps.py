@@ -19,26 +19,24 @@ from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE
 from fastmimic.retargeting.scaled_clip import ScaledClip, extract
 from fastmimic.robot import Robot
 
-DOG_SCALE: Final = 0.825
-"""The A1's size over the dog's (Peng et al. 2020)."""
-_END_S: Final = 0.1
-"""The end of a recording that shows whether it comes to rest."""
+DOG_SCALE: Final = 0.825  # the A1's size over the dog's (Peng et al. 2020)
+_END_S: Final = 0.1  # final part that shows whether a recording comes to rest
 _SAME_BODY_M: Final = 2e-3
 _EXACT_FEET: Final = 0.2
 
 
 class Retargeting:
-    """One clip on its way to a motion. Each method is a step and relies on those before it.
+    """State of one clip's retargeting. Each method is a step and relies on the previous ones.
 
     Attributes:
-        source: the animal at the robot's size, as far as it is prepared.
-        periodic: whether the clip is a cycle, and `cycle_reason` why.
-        straight: whether the gait is straight ahead; `aligned`: by how much the heading was turned, rad.
+        source: the animal at the robot's size, as prepared so far.
+        periodic, cycle_reason: whether the clip is a cycle, and why.
+        straight, aligned: whether the gait is straight ahead, and the angle by which the heading was turned, rad.
         own_body: whether the clip is this robot's own motion.
         lowered, raised: of the base against the animal's height, m.
         held: frames for which the last pose is held.
-        n: samples of the motion; duration: of the clip, s.
-        activity: (n, 4) of the feet; detected: their contacts.
+        n, duration: samples of the motion, and duration of the clip, s.
+        activity, detected: (n, 4) of the feet, and their contacts.
         track: trunk and toes on the motion's grid.
         height: of the base, m.
         stances, changes: the contact schedule and its changes.
@@ -78,7 +76,7 @@ class Retargeting:
             self.cycle_reason += f"; ends standing, and is held for {self.held / self.clip.rate_hz:.2g} s"
 
     def make_track(self) -> None:
-        """The recording as a continuous motion, and its contacts."""
+        """Makes the continuous motion, and detects its contacts."""
         config = self.config
         frames = self.clip.n_frames if self.periodic else self.clip.n_frames + self.held - 1
         self.duration = frames / self.clip.rate_hz
@@ -92,7 +90,7 @@ class Retargeting:
             self.track = track_open(self.source, self.n, config.trunk_hz, config.foot_hz)
 
     def _activity(self) -> Array:
-        """The feet's activity (n, 4); between frames it is linear."""
+        """The feet's activity (n, 4), linear between frames."""
         source = self.source
         frames = foot_activity(source.toe_height, source.toe_speed, source.rate_hz, self.periodic, self.config.contact)
         if self.periodic:
@@ -101,7 +99,7 @@ class Retargeting:
         return np.stack([np.interp(at, np.arange(len(frames)), leg) for leg in frames.T], axis=-1)
 
     def choose_height(self) -> None:
-        """The base's nominal height. A cycle is raised as a whole for folded legs: an animal crouches lower."""
+        """Sets the base's nominal height. A cycle is raised as a whole for folded legs."""
         config = self.config
         self.height = self.source.hip_height + self.robot.foot_radius - self.lowered
         self.raised = 0.0
@@ -114,7 +112,7 @@ class Retargeting:
         return Reach.of_robot(self.robot, self.height, self.config.reach_margin_rad)
 
     def schedule_contacts(self) -> None:
-        """A contact schedule that a robot can follow."""
+        """Makes the contact schedule that a robot can follow."""
         self.stances, self.changes = self.detected, ScheduleChanges()
         if not self.config.consistent:
             return
@@ -152,7 +150,7 @@ def whether_cycle(clip: Clip, source: ScaledClip, cycle: bool | None, config: Re
 
 
 def _held_frames(source: ScaledClip, config: RetargetConfig) -> int:
-    """For how many frames the last pose is held: 0 unless the recording ends standing on all feet, at rest."""
+    """Number of frames for which the last pose is held: 0 unless the recording ends at rest on all feet."""
     end = slice(-1 - max(1, round(_END_S * source.rate_hz)), None)
     seconds = (len(source.heading[end]) - 1) / source.rate_hz
     moved = np.linalg.norm(source.root_xy[end][-1] - source.root_xy[end][0]) / seconds
@@ -171,8 +169,7 @@ def _held_frames(source: ScaledClip, config: RetargetConfig) -> int:
 
 
 def _travel_angle(source: ScaledClip, config: RetargetConfig) -> float | None:
-    """The angle, rad, from the mean heading of a straight gait to its direction of travel, or to the opposite one if
-    it goes backwards; None if the gait is not straight."""
+    """Angle, rad, from the mean heading to the direction of travel, or its opposite; None if not straight."""
     dx, dy, dyaw = cycle_displacement(source)
     speed = np.hypot(dx, dy) * source.rate_hz / len(source.heading)
     if abs(dyaw) >= np.radians(config.straight_yaw_deg) or speed < config.min_travel_m_per_s:
@@ -189,13 +186,13 @@ def _stands(stances: Stances, n: int) -> bool:
 
 
 def _travel(robot: Robot, track: TrunkTrack) -> Array:
-    """How far each hip (4,) moves in a cycle, m."""
+    """Travel of each hip (4,) in a cycle, m."""
     hips = track.root_xy[0] + rotate_planar(track.heading[0], robot.hip_pos_b[:, :2])
     return np.asarray(np.linalg.norm(track.moved(hips, 1) - hips, axis=-1))
 
 
 def _is_own_body(clip: Clip, robot: Robot, scale: float) -> bool:
-    """Whether the clip is this robot's own motion: its hips are where the robot's are."""
+    """Whether the clip is this robot's own motion: its hips are at the robot's hip positions."""
     if clip.root_quat_wxyz is None:
         return False
     centre = clip.hips_w.mean(axis=1, keepdims=True)

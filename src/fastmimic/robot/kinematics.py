@@ -128,8 +128,7 @@ def foot_positions(robot: "Robot", joint_pos: Array) -> Array:
 
 
 def foot_jacobians(robot: "Robot", joint_pos: Array) -> Array:
-    """Jacobians (..., 4, 3, 3), m/rad, of the feet (body frame) by the joints of their own leg, at angles (..., 12),
-    rad."""
+    """Jacobians (..., 4, 3, 3), m/rad, of each foot (body frame) by its leg's joints, at angles (..., 12), rad."""
     q = np.ascontiguousarray(joint_pos, dtype=np.float64)
     out = np.empty((q.size // 12, 4, 3, 3))
     _jacobians(robot.geometry.rows, q.reshape(-1, 12), out)

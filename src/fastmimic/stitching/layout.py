@@ -58,8 +58,7 @@ class Layout:
 
     @classmethod
     def of(cls, motion: Motion) -> "Layout":
-        """The layout in a motion's `meta`; `MotionError` if the motion is not stitched or the layout does not fit
-        it."""
+        """The layout in a motion's `meta`; `MotionError` if the motion is not stitched or does not fit."""
         found = motion.meta.get("stitch")
         if found is None:
             raise MotionError(f"motion '{motion.name}' is not a stitched one")

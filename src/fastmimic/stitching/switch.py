@@ -76,8 +76,7 @@ class Cycle:
         return cls(n, stances, motion.contact, smooth, stride)
 
     def around(self, leg: int, phase: int, reach: int) -> list[Stance]:
-        """Stances of a leg within `reach` samples of a phase, relative to it; one very long stance if it never lifts
-        off."""
+        """Stances of a leg within `reach` samples of a phase, relative to it; a very long one if it never lifts off."""
         if not self.stances[leg]:
             return [Stance(-_FOREVER * reach, _FOREVER * reach)]
         found = []

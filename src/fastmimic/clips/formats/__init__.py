@@ -1,7 +1,7 @@
-"""Animal and robot motion files, recognised by their content, never by their name.
+"""Animal and robot motion files, recognised by content, never by name.
 
-A format is a `Format` in `FORMATS`. To add one here: write its module, and name it below. A user's own script
-registers one with `FORMATS.register(Format(…))`, see `examples/extend/motion_format.py`.
+To add a format here, write its `Format` in a module and name it below. A user's script registers one with
+`FORMATS.register(Format(…))`, see `examples/extend/motion_format.py`.
 """
 
 from dataclasses import replace
@@ -54,7 +54,7 @@ def read_clip(
     frames: tuple[int, int] | None = None,
     point_map: str | Path | PointMap | None = None,
 ) -> Clip:
-    """Reads a clip in any of `FORMATS`. `clip.meta` has the `format` and what was `assumed`.
+    """Reads a clip in any of `FORMATS`; `clip.meta` holds its `format` and what was `assumed`.
 
     Args:
         path: the file. For a FastMimic `.npz` use `Motion.load`.
@@ -67,7 +67,7 @@ def read_clip(
 
 
 def read_with(path: str | Path, options: ReadOptions) -> Clip:
-    """`read_clip` with its options as one value."""
+    """Same as `read_clip`, with the options as one value."""
     try:
         if options.up not in (None, "y", "z"):
             raise ClipError(f"the vertical axis must be 'y' or 'z', found '{options.up}'")
@@ -87,10 +87,6 @@ def read_with(path: str | Path, options: ReadOptions) -> Clip:
 
 
 def with_scale(clip: Clip, scale: float) -> Clip:
-    """The clip with a given factor from its size to the robot's.
-
-    Raises:
-        ClipError: the factor is not positive.
-    """
+    """The clip with a given positive factor from its size to the robot's; raises `ClipError`."""
     check_positive(scale, "the scale")
     return replace(clip, scale=float(scale), meta=clip.meta | {"scale_given": float(scale)})

@@ -1,8 +1,7 @@
 """Biovision hierarchies (BVH): a skeleton of joints with their offsets, and the angles of each frame.
 
-A joint's transform is its offset, or its position channels if it has some, followed by its rotations in the order of
-its channels, each about the axis turned by those before. Points are named after joints; `NAME.end` is the end site of
-the joint NAME.
+A joint's transform is its offset, or its position channels if it has any, followed by its rotations in channel order,
+each about the axis turned by the previous ones. Points are named after joints; `NAME.end` is a joint's end site.
 """
 
 from collections.abc import Iterator
@@ -21,13 +20,13 @@ from fastmimic.clips.skeleton import Skeleton
 
 KEYWORD: Final = "HIERARCHY"
 _CHANNELS: Final = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
-_RADIUS: Final = 0.02  # m, of bones, for drawing
+_RADIUS: Final = 0.02  # m, of drawn bones
 _DEEPEST: Final = 500
 
 
 @dataclass
 class _Joint:
-    """A joint or an end site; `parent` is an index, -1 of a root; `columns` begin at `first`."""
+    """A joint or an end site; `parent` is an index, -1 for a root; its columns begin at `first`."""
 
     name: str
     parent: int
@@ -42,8 +41,8 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None, point_m
     Args:
         text: the file's content.
         fps: frames a second; the file's if None.
-        up: 'y' or 'z'; if None, the one along which the hips lie above the toes.
-        point_map: which joints the ten points are; if None, those of AI4Animation's dog.
+        up: 'y' or 'z'; if None, the axis along which the hips are above the toes.
+        point_map: the joints of the ten points; if None, those of AI4Animation's dog.
 
     Raises:
         ClipError: malformed (says which line), no such joints, or not an upright, right-handed animal.
@@ -68,7 +67,7 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None, point_m
 
 
 def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Number and words of each line that has some; braces stand alone."""
+    """Number and words of each line that is not blank; braces become lines of their own."""
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.replace("{", " { ").replace("}", " } ").split()
         if words:
@@ -76,10 +75,10 @@ def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _hierarchy(lines: Iterator[tuple[int, list[str]]]) -> list[_Joint]:
-    """The joints in the order of the file, up to the line MOTION."""
+    """The joints in file order, up to the line MOTION."""
     joints: list[_Joint] = []
     above: list[int] = []  # open joints
-    opening: int | None = None  # a joint whose brace is still to come
+    opening: int | None = None  # a joint before its brace
     columns = 0
     for number, words in lines:
         while words:
@@ -124,7 +123,7 @@ def _hierarchy(lines: Iterator[tuple[int, list[str]]]) -> list[_Joint]:
 
 
 def _rate(lines: Iterator[tuple[int, list[str]]]) -> tuple[int, float]:
-    """The number of frames that the file announces, and the time of one, s."""
+    """Number of frames and duration of one frame, s, from the header of MOTION."""
     number, words = next(lines, (0, []))
     if words[:1] != ["Frames:"] or len(words) != 2 or not words[1].isdecimal():
         raise ClipError(f"line {number}: expected 'Frames: N' after MOTION, found '{' '.join(words)[:40]}'")
@@ -141,7 +140,7 @@ def _column_name(joints: list[_Joint], column: int) -> str:
 
 
 def _positions(joints: list[_Joint], values: Array) -> Array:
-    """Where all joints are (t, k, 3), in the file's axes and unit."""
+    """Positions of all joints (t, k, 3), in the file's axes and unit."""
     from scipy.spatial.transform import Rotation
 
     n = len(values)

@@ -1,7 +1,7 @@
-"""Retargeted robot motion as CSV: root position, root quaternion x, y, z, w and 12 joint angles.
+"""Retargeted robot motion as CSV: root position, root quaternion x, y, z, w and 12 joint angles, one frame a line.
 
-One frame a line. With a header, columns are found by name in any order. Without one they are taken as x, y,
-z, qx, qy, qz, qw and the joints in the order FR, FL, RR, RL, each abduction, hip, knee, and the clip says so.
+With a header, columns are found by name in any order. Without one they are taken as x, y, z, qx, qy, qz, qw and the
+joints in the order FR, FL, RR, RL, each abduction, hip, knee, and the clip says so.
 """
 
 import re
@@ -26,8 +26,7 @@ COLUMN_NAMES: Final = (
     *JOINT_NAMES,
 )
 COLUMNS: Final = len(COLUMN_NAMES)
-DEFAULT_RATE_HZ: Final = 30.0
-"""Of the retargeted CSV data sets of the field (Unitree's, and the readers made for them)."""
+DEFAULT_RATE_HZ: Final = 30.0  # of the common retargeted CSV data sets (Unitree's and others)
 
 JOINT_SPELLINGS: Final = (
     ("abduction", "hip", "knee"),
@@ -38,7 +37,7 @@ JOINT_SPELLINGS: Final = (
     ("abad", "hip", "knee"),
     ("hip_x", "hip_y", "knee"),
 )
-"""A file uses one row: FR_hip is the abduction beside FR_thigh, and the hip beside FR_abduction."""
+"""A file uses one row: FR_hip is the abduction next to FR_thigh, and the hip next to FR_abduction."""
 
 _LEG_SPELLINGS: Final = {
     "FR": ("fr", "rf"),
@@ -52,12 +51,7 @@ _MIN_UPRIGHT: Final = 0.5
 
 
 def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
-    """Reads the text of a retargeted motion.
-
-    Args:
-        text: the file's content.
-        robot: the robot of the joints.
-        fps: frames a second, in place of the file's time column or the default.
+    """Reads the text of a retargeted motion of `robot`; `fps` replaces the file's time column or the default.
 
     Raises:
         ClipError: malformed (says which line and column), a joint without a column, or not upright.
@@ -100,7 +94,7 @@ def names_joints(header: list[str]) -> bool:
 
 
 def _columns(table: Table, header: list[str] | None) -> tuple[list[int], list[str]]:
-    """Indices of `COLUMN_NAMES` in the file, and the file's names for all its columns."""
+    """Indices of `COLUMN_NAMES` in the file, and the file's names of all its columns."""
     if header is None:
         return list(range(COLUMNS)), list(COLUMN_NAMES)
     plain = [_plain(name) for name in header]
@@ -121,7 +115,7 @@ def _columns(table: Table, header: list[str] | None) -> tuple[list[int], list[st
 def _plain(name: str) -> str:
     """A column's name in lower case without quotes, SI units and filler words."""
     name = name.strip().strip("\"'").lower()
-    name = re.sub(r"\s*[\[(]\s*(m|s|rad|-|1)?\s*[\])]$", "", name)  # other units stay: such a column is not meant
+    name = re.sub(r"\s*[\[(]\s*(m|s|rad|-|1)?\s*[\])]$", "", name)  # columns in other units must not match
     name = re.sub(r"[\s.\-/:]+", "_", name)
     return re.sub(r"(_(joint|pos|position|angle|rad))+$", "", name)
 
@@ -172,7 +166,7 @@ def _rate(table: Table, names: list[str], values: Array, fps: float | None) -> t
 
 
 def _check_upright(quat: Array) -> None:
-    """Catches a file with w first: a level trunk then reads as one on its back."""
+    """Detects a file with w first: a level trunk then appears to lie on its back."""
     tilt = float(np.median(quat_rotate(quat, np.array([0.0, 0.0, 1.0]))[:, 2]))
     if tilt < _MIN_UPRIGHT:
         raise ClipError(

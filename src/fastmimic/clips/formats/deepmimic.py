@@ -1,8 +1,8 @@
 """DeepMimic-style JSON of the Laikago: 19 numbers a frame, as distributed with Peng et al. (2020).
 
-The joint angles belong to the Laikago's model, so the clip that comes out holds the points of a Laikago: its
-abduction joint origins as hips and its foot centres as toes. The formulas agree with that model in a
-simulator to 1e-5 m. A file that names another `Robot`, as `fastmimic.motion.export` writes it, holds that robot's.
+The joint angles belong to the Laikago's model, so the clip holds that robot's points: abduction joint origins as hips
+and foot centres as toes. The formulas agree with the simulated model to 1e-5 m. A file that names another `Robot`
+(`fastmimic.motion.export`) holds that robot's points.
 """
 
 import json
@@ -28,10 +28,8 @@ FRAME_NAMES: Final = (
     *JOINT_NAMES,
 )
 LOOP_MODES: Final = ("Wrap", "Clamp")
-_LOOP_KEYS: Final = ("LoopMode", "EnableCycleOffsetPosition", "EnableCycleOffsetRotation")
-"""Kept as provenance; the displacement of a cycle is measured on the motion."""
-_ROBOT_KEY: Final = "Robot"
-"""In files of `fastmimic.motion.export`: the robot of the joints, in place of the Laikago."""
+_LOOP_KEYS: Final = ("LoopMode", "EnableCycleOffsetPosition", "EnableCycleOffsetRotation")  # kept in `meta`
+_ROBOT_KEY: Final = "Robot"  # in files of `fastmimic.motion.export`: the robot of the joints, in place of the Laikago
 
 # The Laikago's model, m. Rows are FR, FL, RR, RL.
 _SIDE: Final = np.where(LEFT, 1.0, -1.0)
@@ -40,18 +38,13 @@ _HIP_OFFSET: Final = _SIDE * np.where(LEFT, 0.055855, 0.053565)
 _THIGH: Final = np.stack([np.full(4, -0.1422), -0.02069 * _SIDE, np.full(4, -0.20833)], axis=-1)
 _CALF: Final = np.array([-0.022, 0.0, -0.25])
 _MODEL_TO_BODY_WXYZ: Final = np.array([0.5, 0.5, 0.5, 0.5])
-"""Orientation that the file gives to a Laikago that stands with x forward and z up."""
-LEG_LENGTH_M: Final = float(np.hypot(0.1422, 0.20833) + np.hypot(0.022, 0.25))
-"""Thigh plus calf in the leg's plane."""
+"""Orientation in the file of a Laikago that stands with x forward and z up."""
+LEG_LENGTH_M: Final = float(np.hypot(0.1422, 0.20833) + np.hypot(0.022, 0.25))  # thigh plus calf in the leg's plane
 
 
 def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) -> Clip:
-    """Reads the text of a motion file.
-
-    Args:
-        text: the file's content.
-        robot: the one that the file must name as its `Robot`, if it names one.
-        fps: frames a second, in place of 1/FrameDuration.
+    """Reads the text of a motion file; `robot` must be the file's `Robot` if it names one, and `fps` replaces
+    1/FrameDuration.
 
     Raises:
         ClipError: malformed; says where.
@@ -64,7 +57,7 @@ def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) ->
     check_rate(rate)
     quat_file = unit_wxyz_from_xyzw(frames[:, 3:7], lambda i: f"line {_frame_line(text, i)} (frame {i})")
     joints = frames[:, 7:]
-    if loop == "Wrap":  # the last frame is the first again
+    if loop == "Wrap":  # the last frame repeats the first
         gap = float(np.max(np.abs(joints[-1] - joints[0])))
         if gap > 0.01:
             assumed.append(f"the loop does not close exactly: joints of first and last frame differ by {gap:.2f} rad")
@@ -97,13 +90,9 @@ def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) ->
 
 
 def laikago_feet(joint_pos: Array) -> Array:
-    """Foot centres of the Laikago in its base frame (x forward, z up).
+    """Foot centres (..., 4, 3), m, of the Laikago in its base frame (x forward, z up).
 
-    Args:
-        joint_pos: (..., 12) rad, legs in the common order, signs as in the Laikago's model.
-
-    Returns:
-        (..., 4, 3) m.
+    `joint_pos` (..., 12), rad, has the legs in the common order and the signs of the Laikago's model.
     """
     angles = np.reshape(joint_pos, (*np.shape(joint_pos)[:-1], 4, 3))
     abduction, hip, knee = angles[..., 0], angles[..., 1], angles[..., 2]

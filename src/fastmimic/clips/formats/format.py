@@ -1,4 +1,4 @@
-"""`Format`: a kind of motion file, how its content is recognised and read, and the registry of all formats."""
+"""`Format`: a kind of motion file, with detection and parsing, and the registry of all formats."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -14,8 +14,7 @@ from fastmimic.clips.formats.points import PointMap
 from fastmimic.clips.formats.text_table import Table, read_table
 from fastmimic.robot.robot import Robot
 
-_LINES_READ: Final = 2000
-"""Lines in which a table is looked for: enough for any comment at the top."""
+_LINES_READ: Final = 2000  # within which a table is looked for, after any comment
 _ROWS_COUNTED: Final = 20
 
 
@@ -39,7 +38,7 @@ class Content:
 
     @cached_property
     def text(self) -> str:
-        """The file as UTF-8 text, with or without a byte-order mark; empty for a binary file."""
+        """The file as UTF-8 text without byte-order mark; empty for a binary file."""
         try:
             text = self.data.decode("utf-8-sig")
         except UnicodeDecodeError:
@@ -48,7 +47,7 @@ class Content:
 
     @cached_property
     def start(self) -> str:
-        """The text from its first character that is no white space."""
+        """The text from its first non-blank character."""
         return self.text.lstrip()
 
     @cached_property
@@ -58,13 +57,13 @@ class Content:
 
     @property
     def columns(self) -> Counter[int]:
-        """How many of the first rows have so many columns; empty if the table has a header of its own."""
+        """Number of first rows for each number of columns; empty if the table has a header."""
         if self.table.header is not None and not self.table.header_is_comment:
             return Counter()
         return Counter(len(row.fields) for row in self.table.rows[:_ROWS_COUNTED])
 
     def problem(self) -> str:
-        """What the content is, if no format recognises it."""
+        """Describes content that no format recognises."""
         if not self.text:
             return "the file is empty" if not self.data else _binary(self.data)
         if not self.start:
@@ -80,7 +79,7 @@ class Content:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a user says about a clip file in place of what the file says.
+    """A user's options for reading a clip; they replace what the file says.
 
     Attributes:
         robot: the robot of a file of joint angles.
@@ -88,7 +87,7 @@ class ReadOptions:
         up: the vertical axis, "y" or "z".
         scale: factor from the size in the file to the robot's.
         frames: (first, end) 0-based, end exclusive.
-        point_map: which of the file's points the ten of `POINT_NAMES` are, or a JSON file that says so.
+        point_map: the file's point for each of the ten of `POINT_NAMES`, or a JSON file of them.
     """
 
     robot: Robot | None = None
@@ -106,10 +105,10 @@ class Format:
     Attributes:
         name: in `clip.meta["format"]`.
         about: one line for users.
-        suffixes: of its files' names; only for listing folders, since the content decides.
+        suffixes: of file names; only for listing folders.
         detect: whether a file is of this format.
-        parse: the clip of a text (of the bytes, if `binary`), called with the options named in `takes`. It raises
-            `ClipError` that says where in the file.
+        parse: the clip of a text (of the bytes, if `binary`), called with the options named in `takes`. Raises
+            `ClipError` with the position in the file.
         takes: those of `ReadOptions` that `parse` has parameters for: "fps", "up", "point_map", "robot".
         binary: whether its files are not text.
     """
@@ -136,11 +135,11 @@ class Format:
 
 
 FORMATS: Final[Registry[Format]] = Registry("motion format", error=ClipError)
-"""All formats. The one registered last is asked first, so that a user's own goes before the built-in ones."""
+"""All formats. The one registered last is tried first, so a user's own takes precedence."""
 
 
 def suffixes() -> tuple[str, ...]:
-    """The endings of motion files' names, in the order of the formats."""
+    """The suffixes of motion files, in the order of the formats."""
     return tuple(dict.fromkeys(suffix for form in FORMATS.values() for suffix in form.suffixes))
 
 

@@ -1,7 +1,6 @@
 """Dog motion capture as text: 81 columns, 27 points × (x, y, z) in metres, one frame a line.
 
-The form in which Peng et al. (2020) distribute the dog motions of Zhang et al. (2018): y up, right-handed,
-60 frames a second.
+Peng et al. (2020) distribute the dog motions of Zhang et al. (2018) like this: y up, right-handed, 60 frames a second.
 """
 
 from typing import Final
@@ -27,7 +26,7 @@ _POINT_INDEX: Final = {
     "RR_toe": 23,
     "RL_toe": 19,
 }
-"""Which of the 27 points is which; left and right as the points lie (up × forward)."""
+"""Indices among the 27 points; left and right follow from the points' positions (up × forward)."""
 
 
 def parse(text: str, *, fps: float | None = None, up: str | None = None) -> Clip:
@@ -36,7 +35,7 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None) -> Clip
     Args:
         text: the file's content.
         fps: frames a second; 60 if None.
-        up: 'y' or 'z'; if None, the one along which the hips lie above the toes.
+        up: 'y' or 'z'; if None, the axis along which the hips are above the toes.
 
     Raises:
         ClipError: malformed (says which line and column), or not an upright, right-handed animal.

@@ -18,16 +18,17 @@ from fastmimic.clips.formats.text_table import check_frames, check_rate, read_ta
 
 _COLUMN: Final = re.compile(r"(.+?)[\s._:/\-]([xyz])", re.IGNORECASE)
 _TIMES: Final = ("time", "time_s", "t")
-_UNEVEN: Final = 0.02  # of the time of a frame
+_UNEVEN: Final = 0.02  # share of a frame's duration
 
 
 def parse(text: str, *, fps: float | None = None, up: str | None = None, point_map: PointMap | None = None) -> Clip:
     """Reads the text of such a table.
 
     Args:
-        fps: frames a second; by the column `time` if None.
-        up: 'y' or 'z'; if None, the one along which the hips lie above the toes.
-        point_map: which points the ten are; if None, those of the same names, or of AI4Animation's dog.
+        text: the file's content.
+        fps: frames a second; from the column `time` if None.
+        up: 'y' or 'z'; if None, the axis along which the hips are above the toes.
+        point_map: names of the ten points; if None, the common names, or those of AI4Animation's dog.
 
     Raises:
         ClipError: malformed (says which line and column), no rate, no such points, or not an upright, right-handed
@@ -48,7 +49,7 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None, point_m
 
 
 def _points(header: Sequence[str]) -> dict[str, list[int]]:
-    """Each point's columns, x, y and z, in the order of the file; only whole points."""
+    """Columns x, y and z of each complete point, in file order."""
     found: dict[str, dict[str, int]] = {}
     for column, name in enumerate(header):
         match = _COLUMN.fullmatch(name.strip().strip('"'))

@@ -1,4 +1,4 @@
-"""FastMimic's own robot motions, which are recognised here and read by `Motion.load`."""
+"""Recognises FastMimic's own robot motions, which `Motion.load` reads."""
 
 import io
 import zipfile
@@ -12,7 +12,7 @@ _ZIP_MAGIC: Final = (b"PK\x03\x04", b"PK\x05\x06")
 
 
 def is_robot_motion(path: str | Path) -> bool:
-    """Whether a file is an `.npz`, or a damaged one. False if there is no such file."""
+    """Whether a file is an `.npz`, or a damaged one; False if there is none."""
     try:
         with open(path, "rb") as file:
             return _detect(file)
@@ -27,7 +27,7 @@ def _detect(file: BinaryIO) -> bool:
         with zipfile.ZipFile(file) as archive:
             return any(name.endswith(".npy") for name in archive.namelist())
     except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError):
-        return True  # damaged: `Motion.load` says how
+        return True  # damaged: `Motion.load` reports how
 
 
 def _parse(data: bytes) -> NoReturn:

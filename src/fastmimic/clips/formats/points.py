@@ -29,23 +29,22 @@ AI4ANIMATION_DOG: Final[PointMap] = {
     "RR_toe": "RightFoot.end",
     "RL_toe": "LeftFoot.end",
 }
-"""Of the dog of Zhang et al. (2018); `.end` is a joint's end site."""
+"""The dog of Zhang et al. (2018); `.end` is a joint's end site."""
 OWN_NAMES: Final[PointMap] = {name: name for name in POINT_NAMES}
 BUILT_IN: Final = {"AI4Animation's dog": AI4ANIMATION_DOG, "the common names": OWN_NAMES}
 """Default maps, tried in this order."""
 
 _TO_Z_UP: Final = {"y": (2, 0, 1), "z": (0, 1, 2)}
-_MIN_UPRIGHT: Final = 0.5
-"""Least share of the mean toe → hip vector that is vertical: 0.95 in takes in which the dog also sits."""
+_MIN_UPRIGHT: Final = 0.5  # least vertical share of the mean toe → hip vector; 0.95 in takes in which the dog also sits
 _UNITS: Final = ((300.0, 1e-3, "millimetres"), (3.0, 1e-2, "centimetres"))
-"""Least distance from toes to hips, in the file's numbers, for a unit other than metres: no animal's legs are 3 m."""
+"""Units other than metres, with the least distance from toes to hips in the file's numbers (no leg is 3 m)."""
 
 
 def read_point_map(path: str | Path) -> dict[str, str]:
     """Reads a point map.
 
     Raises:
-        ClipError: not a JSON object that gives each of the ten points a name; the message names the file.
+        ClipError: not a JSON object that gives each of the ten points a name.
     """
     try:
         found = json.loads(Path(path).read_text(encoding="utf-8"))
@@ -98,11 +97,11 @@ def clip_of(
 
     Args:
         body: (t, k, 3) in the file's axes and unit.
-        chosen: (10,) which of them are the ten.
+        chosen: (10,) indices of the ten points.
         rate_hz: frames a second.
-        up: 'y' or 'z'; if None, the one along which the hips lie above the toes.
+        up: 'y' or 'z'; if None, the axis along which the hips are above the toes.
         assumed: assumptions so far.
-        skeleton: between the k points; the ten alone are kept if None.
+        skeleton: between the k points; only the ten are kept if None.
 
     Raises:
         ClipError: not an upright, right-handed animal.
@@ -161,7 +160,7 @@ def _check_upright(points: Array, up: str) -> None:
 
 
 def _check_right_handed(points: Array) -> None:
-    """A mirrored file would swap the turns."""
+    """Raises `ClipError` for a mirrored file, which would swap left and right turns."""
     forward = points[:, 1] - points[:, 0]
     left = np.cross([0.0, 0.0, 1.0], forward)
     width = points[:, [3, 5]].sum(axis=1) - points[:, [2, 4]].sum(axis=1)

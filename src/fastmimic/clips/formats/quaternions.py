@@ -1,4 +1,4 @@
-"""Quaternions as motion files give them: x, y, z, w."""
+"""Quaternions of motion files, in the order x, y, z, w."""
 
 from collections.abc import Callable
 from typing import Final
@@ -9,19 +9,13 @@ from numpy.typing import NDArray
 from fastmimic.base.errors import ClipError
 from fastmimic.base.rotations import quat_continuous
 
-NORM_TOLERANCE: Final = 2e-3
-"""Of a unit quaternion written with three decimals the norm is off by up to 1e-3."""
+NORM_TOLERANCE: Final = 2e-3  # rounding to three decimals changes a unit quaternion's norm by up to 1e-3
 
 
 def unit_wxyz_from_xyzw(xyzw: NDArray[np.float64], where: Callable[[int], str]) -> NDArray[np.float64]:
-    """Unit quaternions (t, 4) in the order w, x, y, z, without sign flips from frame to frame.
+    """Unit quaternions (t, 4) in the order w, x, y, z, without sign flips, from `xyzw` (t, 4).
 
-    Args:
-        xyzw: (t, 4) as in the file.
-        where: frame → its place in the file, for messages.
-
-    Raises:
-        ClipError: not a unit quaternion; says in which frame.
+    `where` gives a frame's position in the file, for messages. Raises `ClipError` for a norm that is not 1.
     """
     norm = np.linalg.norm(xyzw, axis=1)
     wrong = np.flatnonzero(np.abs(norm - 1) > NORM_TOLERANCE)

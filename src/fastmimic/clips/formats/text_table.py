@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.errors import ClipError
 
-LARGEST: Final = 1e6
-"""No coordinate in metres and no angle in radians is larger; a larger number is damage."""
+LARGEST: Final = 1e6  # in metres and radians; a larger number means a damaged file
 RATE_RANGE_HZ: Final = (1.0, 10_000.0)
 
 
@@ -21,10 +20,10 @@ class Row(NamedTuple):
 
 
 class Table(NamedTuple):
-    """The rows of a text, and the names of its columns if the text gives them.
+    """The rows of a text, and the names of its columns if it has a header.
 
-    Blank lines and lines that start with `#` are left out. A header is a first line without numbers, or the last
-    comment before the first row if it has as many fields (as `numpy.savetxt` writes it).
+    Blank lines and lines that start with `#` are left out. The header is a first line without numbers, or the last
+    comment before the first row if it has as many fields (as in `numpy.savetxt`).
     """
 
     header: list[str] | None
@@ -33,7 +32,7 @@ class Table(NamedTuple):
 
 
 def read_table(text: str) -> Table:
-    """Splits a text into header and rows without looking at the values."""
+    """Splits a text into header and rows without checking the values."""
     header: list[str] | None = None
     comment: list[str] = []
     rows: list[Row] = []
@@ -61,7 +60,7 @@ def _split(line: str) -> list[str]:
 
 
 def is_number(field: str) -> bool:
-    """Whether a field is a number (NaN and infinity included)."""
+    """Whether a field is a number, NaN and infinity included."""
     try:
         float(field)
     except ValueError:
@@ -80,14 +79,14 @@ def to_array(
 
     Args:
         rows: of the file.
-        columns: how many each must have.
+        columns: required number.
         column_name: name of a 0-based column, for messages.
         what: the format, for messages.
         largest: magnitude allowed, in all columns or in each.
 
     Raises:
-        ClipError: wrong number of columns, or a value that is not a finite, sensible number; says which line
-            and column.
+        ClipError: wrong number of columns, or a value that is not a finite, sensible number; says which line and
+            column.
     """
     values = np.empty((len(rows), columns))
     for i, (number, fields) in enumerate(rows):
@@ -119,13 +118,13 @@ def check_positive(value: float, what: str, unit: str = "") -> None:
 
 
 def check_rate(rate_hz: float) -> None:
-    """Raises `ClipError` unless a frame rate is one that a motion can have."""
+    """Raises `ClipError` unless a motion can have this frame rate."""
     check_positive(rate_hz, "the frame rate", "Hz")
     if not RATE_RANGE_HZ[0] <= rate_hz <= RATE_RANGE_HZ[1]:
         raise ClipError(f"the frame rate is {rate_hz:g} Hz; expected {RATE_RANGE_HZ[0]:g} to {RATE_RANGE_HZ[1]:g}")
 
 
 def check_frames(count: int) -> None:
-    """Raises `ClipError` unless there are enough frames to move."""
+    """Raises `ClipError` if there are too few frames."""
     if count < 2:
         raise ClipError(f"a clip needs at least 2 frames, found {count}")
