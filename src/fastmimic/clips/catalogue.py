@@ -153,11 +153,8 @@ def open_clip(
 
 
 def check_name(name: str, folder: str | Path | None = None) -> None:
-    """Checks, without reading it, that a motion of that name exists and its recording has been fetched.
-
-    Raises:
-        ClipError: unknown name (lists the closest), or data not fetched.
-    """
+    """Checks, without reading it, that a motion of that name exists and its recording has been fetched. Raises
+    `ClipError`: unknown name (lists the closest), or data not fetched."""
     if name not in motion_names():
         raise _unknown(name)
     if name in RECORDED:

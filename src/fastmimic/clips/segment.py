@@ -64,11 +64,7 @@ class _Take:
 
 def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segment]:
     """Cuts a take of at least two cycles into ordered segments without overlap; keeps a clip that its source calls one
-    cycle.
-
-    Raises:
-        ClipError: the clip is too short, or its frame rate too low.
-    """
+    cycle. Raises `ClipError`: the clip is too short, or its frame rate too low."""
     config = config if config is not None else SegmentConfig()
     if clip.is_cycle and clip.n_frames <= config.longest_s * clip.rate_hz:
         return [as_one_cycle(clip, config)]

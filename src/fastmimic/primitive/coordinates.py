@@ -51,7 +51,7 @@ def twist_of(motion: Motion) -> PlanarTwist:
 
 
 def to_coordinates(motion: Motion, twist: PlanarTwist) -> Array:
-    """The coordinates (t, 24) of a motion, in the order of `NAMES`; `MotionError` if the trunk points nearly up or down."""
+    """Coordinates (t, 24) of a motion, in the order of `NAMES`; `MotionError` if the trunk points nearly up or down."""
     phase = phases(motion.n_samples)
     origin, heading = twist.pose(phase)
     (roll, pitch), yaw = roll_pitch_from_quat(motion.root_quat_wxyz), yaw_from_quat(motion.root_quat_wxyz)

@@ -48,11 +48,8 @@ class MotionDmp:
 
     @classmethod
     def fit(cls, motion: Motion, robot: Robot, n_basis: int = N_BASIS) -> "MotionDmp":
-        """Fits the DMPs of a motion.
-
-        Raises:
-            MotionError: its trunk points straight up or down, or it does not repeat and is longer than `MAX_S`.
-        """
+        """Fits the DMPs of a motion. Raises `MotionError`: its trunk points straight up or down, or it does not repeat
+        and is longer than `MAX_S`."""
         twist = twist_of(motion)
         samples = to_coordinates(motion, twist)
         primitive: RhythmicDmp | DiscreteDmp
@@ -90,10 +87,8 @@ class MotionDmp:
         """The motion with baselines or goals g (24,) and amplitudes a (24,); None keeps the fitted g or a = 1.
 
         Joints come from inverse kinematics, contacts and demonstration from the fitted motion. Feet out of reach are
-        brought back and counted in `meta["dmp"]`.
-
-        Raises:
-            MotionError: a parameter array of another shape, or with a value that is not finite.
+        brought back and counted in `meta["dmp"]`. Raises `MotionError`: a parameter array of another shape, or with a
+        value that is not finite.
         """
         goal = _parameters("goal", self.goal if goal is None else goal, (len(NAMES),))
         amplitude = _parameters("amplitude", self.amplitude if amplitude is None else amplitude, (len(NAMES),))
@@ -117,10 +112,7 @@ class MotionDmp:
 
     def foot_table(self, goal: Array, amplitude: Array) -> FootTable:
         """Feet and joints of n candidates with baselines g (n, 24) and amplitudes a (n, 24), as `motion` computes them.
-
-        Raises:
-            MotionError: arrays of another shape, or with a value that is not finite.
-        """
+        Raises `MotionError`: arrays of another shape, or with a value that is not finite."""
         n = len(np.atleast_2d(goal))
         goal = _parameters("goal", goal, (n, len(NAMES)))[:, None, FEET]
         amplitude = _parameters("amplitude", amplitude, (n, len(NAMES)))[:, None, FEET]
@@ -128,11 +120,7 @@ class MotionDmp:
 
     def root(self, goal: Array, amplitude: Array) -> tuple[Array, Array, Array, Array]:
         """Root of a candidate with g (24,) and a (24,): world position (t, 3), quaternion (t, 4), linear and angular
-        velocity (t, 3), SI units.
-
-        Raises:
-            MotionError: arrays of another shape, or with a value that is not finite.
-        """
+        velocity (t, 3), SI units. Raises `MotionError`: arrays of another shape, or with a value that is not finite."""
         goal = _parameters("goal", goal, (len(NAMES),))
         amplitude = _parameters("amplitude", amplitude, (len(NAMES),))
         return self._root(self._course(goal, amplitude))

@@ -94,10 +94,7 @@ class MotionSet:
 
     def next_hop(self, now: str, goal: str) -> tuple[str, CourseTransition] | None:
         """The next motion on the way from `now` to `goal` and the transition to it; None while that is being made.
-
-        Raises:
-            MotionError: no sequence of transitions leads there.
-        """
+        Raises `MotionError`: no sequence of transitions leads there."""
         near = IN_PLACE in (now, goal)
         if near or not (self._stands(now) or self._stands(goal)):  # from standing, step in place first
             direct = self._future(now, goal)

@@ -12,11 +12,8 @@ ROBOT_CHOICES: Final = f"{', '.join(ROBOT_NAMES)}, or the MJCF of your own"  # f
 
 
 def load_robot(robot: str | Path | Robot) -> Robot:
-    """Returns a built-in robot by name or reads the user's own MJCF; a `Robot` is returned unchanged.
-
-    Raises:
-        RobotError: no such robot or file, not an MJCF, or not a quadruped with abduction, hip and knee joints.
-    """
+    """Returns a built-in robot by name or reads the user's own MJCF; a `Robot` is returned unchanged. Raises
+    `RobotError`: no such robot or file, not an MJCF, or not a quadruped with abduction, hip and knee joints."""
     import mujoco
 
     from fastmimic.robot.mjcf import one_line, robot_from_spec

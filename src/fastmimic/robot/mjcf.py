@@ -22,11 +22,8 @@ _AXIS_TOLERANCE: Final = 1e-6
 
 
 def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
-    """Reads a `Robot` from a MuJoCo specification; `where` names it in messages.
-
-    Raises:
-        RobotError: the model does not compile or is not a twelve-joint quadruped.
-    """
+    """Reads a `Robot` from a MuJoCo specification; `where` names it in messages. Raises `RobotError`: the model does
+    not compile or is not a twelve-joint quadruped."""
     import mujoco
 
     try:

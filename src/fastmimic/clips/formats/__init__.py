@@ -33,11 +33,8 @@ for _module in (npz, csv_motion, keypoints, named_points, bvh, deepmimic):
 
 
 def detect_format(path: str | Path) -> str:
-    """The name of a file's format, by its content.
-
-    Raises:
-        ClipError: the file is missing or of none of the formats; says what was found.
-    """
+    """The name of a file's format, by its content. Raises `ClipError`: the file is missing or of none of the formats;
+    says what was found."""
     try:
         return format_of(Content.of(path)).name
     except ClipError as error:

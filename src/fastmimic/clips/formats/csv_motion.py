@@ -51,11 +51,8 @@ _MIN_UPRIGHT: Final = 0.5
 
 
 def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
-    """Reads the text of a retargeted motion of `robot`; `fps` replaces the file's time column or the default.
-
-    Raises:
-        ClipError: malformed (says which line and column), a joint without a column, or not upright.
-    """
+    """Reads the text of a retargeted motion of `robot`; `fps` replaces the file's time column or the default. Raises
+    `ClipError`: malformed (says which line and column), a joint without a column, or not upright."""
     from fastmimic.robot.kinematics import foot_positions
 
     if robot is None:

@@ -44,11 +44,7 @@ LEG_LENGTH_M: Final = float(np.hypot(0.1422, 0.20833) + np.hypot(0.022, 0.25))  
 
 def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) -> Clip:
     """Reads the text of a motion file; `robot` must be the file's `Robot` if it names one, and `fps` replaces
-    1/FrameDuration.
-
-    Raises:
-        ClipError: malformed; says where.
-    """
+    1/FrameDuration. Raises `ClipError`: malformed; says where."""
     document = _load(text)
     frames = _frames(document, text)
     check_frames(len(frames))

@@ -41,11 +41,7 @@ _UNITS: Final = ((300.0, 1e-3, "millimetres"), (3.0, 1e-2, "centimetres"))
 
 
 def read_point_map(path: str | Path) -> dict[str, str]:
-    """Reads a point map.
-
-    Raises:
-        ClipError: not a JSON object that gives each of the ten points a name.
-    """
+    """Reads a point map. Raises `ClipError`: not a JSON object that gives each of the ten points a name."""
     try:
         found = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -63,11 +59,8 @@ def read_point_map(path: str | Path) -> dict[str, str]:
 
 
 def choose(names: Sequence[str], given: PointMap | None) -> tuple[list[int], str | None]:
-    """Indices (10,) of the ten points among a file's `names`, and the name of the built-in map that fits.
-
-    Raises:
-        ClipError: no map fits; the message lists the names.
-    """
+    """Indices (10,) of the ten points among a file's `names`, and the name of the built-in map that fits. Raises
+    `ClipError`: no map fits; the message lists the names."""
     maps = BUILT_IN if given is None else {"": given}
     for title, points in maps.items():
         if all(source in names for source in points.values()):
