@@ -1,8 +1,7 @@
-"""Checkpoints of an optimisation: what was asked and what was answered, without pickles.
+"""Checkpoints of an optimisation, without pickles.
 
-CMA-ES is deterministic given its seed and the scores it was told, so the history is its state: resuming replays it
-without running a single episode, checks that the replayed candidates are the recorded ones, bit for bit, and goes
-on from there.
+CMA-ES is deterministic given its seed and the scores, so the history is its state: resuming replays the history without
+running an episode and checks that the replayed candidates equal the recorded ones, bit for bit.
 """
 
 import zipfile
@@ -24,7 +23,6 @@ _UNREADABLE: Final = (
     RuntimeError,  # zipfile: encrypted, or compressed in a way that it does not know
     TypeError,  # a lone .npy
 )
-"""What NumPy and zipfile raise for a damaged archive."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +33,6 @@ class Checkpoint:
         identity: digest of the problem and the optimiser's settings.
         candidates: (i, p, k) parameters, scaled to [0, 1] within their bounds.
         scores: (i, p) greater is better.
-        elapsed_s: time spent, s.
     """
 
     identity: str
@@ -44,7 +41,7 @@ class Checkpoint:
     elapsed_s: float
 
     def save(self, path: str | Path) -> None:
-        """Writes the checkpoint in place of an earlier one; raises `OutputError` if it cannot."""
+        """Writes the checkpoint and replaces an earlier one; raises `OutputError` if it cannot."""
         replace_file(
             path,
             lambda file: np.savez(
@@ -59,12 +56,12 @@ class Checkpoint:
 
     @staticmethod
     def iterations(path: str | Path) -> int:
-        """How many iterations a checkpoint holds, of whatever problem; raises `CheckpointError` if it is damaged."""
+        """Number of iterations in any problem's checkpoint; raises `CheckpointError` if it is damaged."""
         return len(Checkpoint.scores_of(path))
 
     @staticmethod
     def scores_of(path: str | Path) -> Array:
-        """The scores (i, p) in a checkpoint, of whatever problem; raises `CheckpointError` if it is damaged."""
+        """Scores (i, p) in any problem's checkpoint; raises `CheckpointError` if it is damaged."""
         try:
             with np.load(path, allow_pickle=False) as file:
                 return np.asarray(file["scores"], np.float64)
@@ -73,11 +70,7 @@ class Checkpoint:
 
     @classmethod
     def load(cls, path: str | Path, identity: str) -> "Checkpoint":
-        """Reads a checkpoint of the problem with that identity.
-
-        Raises:
-            CheckpointError: the file is missing, damaged, or of another problem.
-        """
+        """Reads a checkpoint; raises `CheckpointError` if it is missing, damaged, or of another problem."""
         try:
             with np.load(path, allow_pickle=False) as file:
                 version = int(file["version"])

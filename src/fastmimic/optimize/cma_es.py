@@ -1,4 +1,4 @@
-"""CMA-ES over a problem's parameters (Hansen 2006), with pycma, by the method's author."""
+"""CMA-ES over a problem's parameters (Hansen 2006), with the author's library pycma."""
 
 import hashlib
 import time
@@ -20,9 +20,9 @@ from fastmimic.optimize.problem import Problem
 from fastmimic.simulation.disturbances import Disturbance
 
 CHECKPOINT_EVERY: Final = 5  # iterations
-VALIDATED: Final = 8  # candidates that compete for being the result
+VALIDATED: Final = 8  # candidates that are validated
 VALIDATION_EPISODES: Final = 4  # each: one from the start, the others perturbed
-VALIDATION_ROBOTS: Final = 8  # where candidates are scored over several robots: an episode with each instead
+VALIDATION_ROBOTS: Final = 8  # instead, with several robots: one episode with each
 VALIDATION_S: Final = 10.0
 
 
@@ -32,8 +32,7 @@ class CmaSettings:
 
     Attributes:
         iterations: number of generations.
-        population: candidates in each.
-        seed: of the random generator.
+        population: candidates in each generation.
         step_size: initial standard deviation, as a share of each parameter's range.
     """
 
@@ -55,15 +54,15 @@ class CmaSettings:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The course of an optimisation, one entry an iteration.
+    """The course of an optimisation, one entry per iteration.
 
     Attributes:
         best, mean, std: (i,) of the scores in each generation.
-        sigma: (i,) the overall step size, share of the parameters' ranges.
+        sigma: (i,) overall step size, share of the parameters' ranges.
         baseline: score of the unmodulated motion.
-        start: best score among what the search was given: the unmodulated motion, and where it begins.
-        randomized: whether each iteration's scores are over robots of its own; they can be compared with each other,
-            those of two iterations only roughly. `baseline` and `start` are with those of the first.
+        start: best score among the given candidates: the unmodulated motion and the start of the search.
+        randomized: whether each iteration draws its own robots; scores of two iterations then compare only roughly.
+            `baseline` and `start` use the robots of the first.
     """
 
     best: Array
@@ -77,17 +76,16 @@ class History:
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """What came out.
+    """Result of an optimisation.
 
     Attributes:
         x: (k,) the parameters, physical units.
-        score: its objective in the optimisation's episode; with the robots of the first iteration, if several.
-        validation: its mean objective over the validation episodes, or with several robots the criterion's over them;
-            NaN if Ctrl-C came before them.
-        history: how it came about.
-        evaluations: number of episodes run for it, those before a resume included.
-        simulated_s: their length in all, s.
-        elapsed_s: time spent, that before a resume included, s.
+        score: objective in the optimisation's episode; with the first iteration's robots, if several.
+        validation: mean objective over the validation episodes, or the criterion over several robots; NaN if
+            interrupted before.
+        history: the course of the search.
+        evaluations, simulated_s, elapsed_s: episodes run, their total length and the time spent, before a resume
+            included.
         interrupted: whether it was stopped early.
     """
 
@@ -103,7 +101,7 @@ class Optimum:
 
 @dataclass(frozen=True)
 class Progress:
-    """Passed to the callback after each iteration."""
+    """Argument of the callback after each iteration."""
 
     iteration: int
     iterations: int
@@ -122,25 +120,24 @@ def optimize(
 ) -> Optimum:
     """Maximises the problem's objective.
 
-    The result is chosen among the best candidates of all iterations, and the unmodulated motion, by longer episodes
-    from perturbed starts, so that it does not owe its score to one lucky episode. Ctrl-C ends the search early and
-    leaves what was found until then.
+    Longer episodes from perturbed starts choose the result among the best candidates of all iterations and the
+    unmodulated motion, so that one lucky episode does not decide. Ctrl-C ends the search early and keeps its results so
+    far.
 
-    Where candidates are scored over several robots, others in each iteration, the best scores are those of the
-    iterations with the easiest robots. So those that compete are the best of each of the last iterations, and the means
-    of the search's distribution then, which have averaged over the robots of many; by longer episodes with robots that
-    the search has not met.
+    With several robots, different in each iteration, the best scores come from the iterations with the easiest robots.
+    The choice is then among the best candidates and the distribution's means of the last iterations, by longer episodes
+    with robots that the search has not met.
 
     Args:
-        problem: what to score.
+        problem: scores the candidates.
         settings: of the optimiser.
-        checkpoint: file to keep the course in, written every few iterations.
+        checkpoint: file for the course, written every few iterations.
         resume: continue from that file; the result is bit for bit that of an uninterrupted run.
         progress: called after each iteration.
 
     Raises:
-        CheckpointError: nothing to resume from, damaged, or of another problem.
-        ConfigError: an episode is too short for what is to happen in it.
+        CheckpointError: the checkpoint to resume from is missing, damaged, or of another problem.
+        ConfigError: an episode is too short for its disturbances.
         OutputError: the checkpoint cannot be written.
     """
     return _Search(problem, settings, Path(checkpoint) if checkpoint is not None else None).run(resume, progress)
@@ -157,7 +154,7 @@ class _Search:
         self.candidates: list[Array] = []
         self.scores: list[Array] = []
         self.sigma: list[float] = []
-        self.means: list[Array] = []  # of the distribution after each iteration, where robots differ
+        self.means: list[Array] = []  # of the distribution after each iteration, with several robots
         self.randomization = problem.randomization
         self.robots = 1 if self.randomization is None else self.randomization.robots
         if self.randomization is not None:
@@ -192,7 +189,7 @@ class _Search:
                     progress(Progress(done, self.settings.iterations, best, rate, remaining))
         except KeyboardInterrupt:
             interrupted = True
-            whole = len(self.sigma)  # it may have come while an iteration was being noted down
+            whole = len(self.sigma)  # an interrupt may come while an iteration is being recorded
             del self.candidates[whole:], self.scores[whole:], self.means[whole:]
         if self.checkpoint is not None and self.scores:
             self._save(before + time.perf_counter() - began)
@@ -247,21 +244,20 @@ class _Search:
         return saved.elapsed_s
 
     def _save(self, elapsed: float) -> None:
-        """Keeps the course so far; a longer one, where fewer iterations are asked for than before, stays as it is."""
+        """Saves the course; never replaces a longer one."""
         assert self.checkpoint is not None
         if len(self.scores) < self.recorded:
             return
         Checkpoint(self.identity, np.array(self.candidates), np.array(self.scores), elapsed).save(self.checkpoint)
 
     def _choose(self, given: Array) -> tuple[Array, float, float, bool]:
-        """Of those that compete the candidate with the best objective over the validation episodes; with its score, its
-        validation, and whether Ctrl-C left it at those that were validated by then, if any."""
+        """The candidate with the best validation: x, score, validation, and whether Ctrl-C cut the validation short."""
         best, own = self._best(float(given[0])) if self.randomization is None else self._last()
         x, scores = np.concatenate([self.given, best]), np.concatenate([given, own])
         rng = np.random.default_rng([self.settings.seed, 1])
         start, steps = self.problem.validation(self.validation_episodes, VALIDATION_S, rng)
         robots: tuple[Disturbance, ...] = ()
-        if self.randomization is not None:  # it is they that differ from episode to episode
+        if self.randomization is not None:  # the robots differ from episode to episode
             start = nominal_start(self.validation_episodes)
             robots = self.randomization.of_choice(self.settings.seed, self.validation_episodes)
         self.validation_steps = steps
@@ -280,7 +276,7 @@ class _Search:
         return x[chosen], float(scores[chosen]), float(validation[chosen]), hurried
 
     def _best(self, baseline: float) -> tuple[Array, Array]:
-        """The best candidates of all iterations, of those no worse than the unmodulated one, and their scores."""
+        """The best candidates of all iterations that score at least the baseline, and their scores."""
         if not self.scores:
             return np.zeros((0, len(self.lower))), np.zeros(0)
         flat, u = np.concatenate(self.scores), np.concatenate(self.candidates)
@@ -289,8 +285,7 @@ class _Search:
         return self._physical(u[best]), flat[best]
 
     def _last(self) -> tuple[Array, Array]:
-        """Of the last iterations, from the last backwards, the distribution's mean and the best candidate. Their
-        scores, until they are scored on the same robots, are the latter's for both."""
+        """Means and best candidates of the last iterations, newest first, both with the best candidate's score."""
         rows: list[Array] = []
         scores: list[float] = []
         done = len(self.scores)

@@ -1,7 +1,4 @@
-"""Which numbers of a motion's DMPs can be optimised, in groups: the paper's eight (§III-C), and more.
-
-To open others, add them to `PARAMETER_GROUPS`; each group holds all of those before it.
-"""
+"""Which parameters of a motion's DMPs can be optimised, in groups: the paper's eight (§III-C), and more."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,12 +18,11 @@ _GOAL, _AMPLITUDE = "goal", "amplitude"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that the optimiser moves, in physical units.
+    """One number that the optimiser varies, in physical units.
 
     Attributes:
         name: such as `FR_foot_z.goal` or `FR_foot_z.amplitude`.
         unit: "m", "rad" or "1".
-        lower, upper: bounds.
         initial: value of the unmodulated motion.
     """
 
@@ -43,12 +39,11 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Opened:
-    """A number that a group opens, of whatever motion.
+    """A parameter of a group, for any motion.
 
     Attributes:
         dimension: of the DMP.
-        kind: "goal", whose bounds are relative to the fitted baseline, or "amplitude".
-        unit, lower, upper: see `Parameter`.
+        kind: "goal", with bounds relative to the fitted baseline, or "amplitude".
     """
 
     dimension: str
@@ -62,7 +57,7 @@ class Opened:
         return f"{self.dimension}.{self.kind}"
 
     def of(self, dmp: MotionDmp) -> Parameter:
-        """That number of a motion."""
+        """The parameter for this motion."""
         if self.kind == _AMPLITUDE:
             return Parameter(self.name, self.unit, self.lower, self.upper, 1.0)
         g = float(dmp.goal[dmp.index(self.dimension)])
@@ -88,15 +83,11 @@ PARAMETER_GROUPS: Final = {
     FOOT_PATH: _PATHS,  # 24: g and a of all dimensions of the feet
     FEET_AND_TRUNK: (*_PATHS, *_TRUNK),  # 26: and g of the trunk's height and pitch
 }
-"""What of a motion's DMPs can be optimised, by name; each holds all of those before it."""
+"""Parameters by group; each group holds all of those before it. Add an entry to open others."""
 
 
 def parameters_of_group(group: str, dmp: MotionDmp) -> tuple[Parameter, ...]:
-    """What is optimised in a group.
-
-    Raises:
-        ConfigError: no such group.
-    """
+    """The parameters of a group; raises `ConfigError` if there is no such group."""
     _check_group(group)
     return tuple(opened.of(dmp) for opened in PARAMETER_GROUPS[group])
 
@@ -104,9 +95,7 @@ def parameters_of_group(group: str, dmp: MotionDmp) -> tuple[Parameter, ...]:
 def needed_group(group: str, *started: Iterable[str]) -> str:
     """The group itself, or the first one after it that holds all parameters of these names.
 
-    Raises:
-        ConfigError: no such group.
-        MotionError: no group does.
+    Raises `ConfigError` if there is no such group, `MotionError` if no group holds them all.
     """
     _check_group(group)
     wanted = set().union(*started)
@@ -127,11 +116,9 @@ def _check_group(group: str) -> None:
 
 
 def moved_by(motion: Motion) -> dict[str, float]:
-    """How an optimised cyclic motion was modulated, by parameter: baselines by how far they are from the fitted ones,
-    amplitudes as they are. Another motion can begin there.
+    """The modulation of an optimised cyclic motion by parameter: baselines relative to the fitted ones, and amplitudes.
 
-    Raises:
-        MotionError: the motion was not optimised, or its `meta` cannot be read.
+    Raises `MotionError` if the motion was not optimised, or its `meta` cannot be read.
     """
     dmp = motion.meta.get("dmp")
     if motion.demonstration is None or dmp is None:
@@ -149,12 +136,8 @@ def moved_by(motion: Motion) -> dict[str, float]:
 
 
 def begun_at(parameters: Sequence[Parameter], moved: Mapping[str, float]) -> list[float]:
-    """Values of parameters that are modulated as another motion is, within their bounds.
-
-    Args:
-        parameters: of a motion.
-        moved: of the other one, see `moved_by`; parameters that it does not name stay as they are.
-    """
+    """Values, within their bounds, that modulate `parameters` like another motion (`moved`, see `moved_by`); the
+    initial values where `moved` has none."""
     found = []
     for parameter in parameters:
         value = parameter.initial

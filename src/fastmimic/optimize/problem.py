@@ -1,9 +1,8 @@
-"""What is optimised: DMP parameters of a motion, scored by running the robot with its controller.
+"""The optimisation problem: DMP parameters of a motion, scored by running the robot with its controller.
 
-Paper, §III-C: the baselines g and amplitudes a of the four feet's z move, the weights w (the style) stay. More of the
-24 dimensions can be opened (`fastmimic.optimize.parameters`). Left to itself an optimiser lowers the feet, because
-short lifts disturb the body less; so a candidate whose swing clearance falls below a share of the demonstration's is
-penalised.
+Paper, §III-C: the baselines g and amplitudes a of the four feet's z vary, the weights w (the style) stay fixed.
+`fastmimic.optimize.parameters` can open more of the 24 dimensions. An unconstrained optimiser lowers the feet, because
+short lifts disturb the body less; so swing clearance below a share of the demonstration's is penalised.
 """
 
 import hashlib
@@ -41,7 +40,7 @@ from fastmimic.simulation.disturbances import Disturbance
 from fastmimic.simulation.ranges import part as part_of
 from fastmimic.simulation.ranges import repeated
 
-_CYCLES: Final = 1.5  # cycles in an episode, for a motion whose cycle is longer than the episode asked for
+_CYCLES: Final = 1.5  # cycles in an episode, if the requested length does not hold one cycle
 
 
 @dataclass(frozen=True)
@@ -49,12 +48,12 @@ class Objective:
     """How a candidate is scored: mean reward of an episode minus the penalty for lost swing clearance.
 
     Attributes:
-        duration_s: length of the episode, s; one and a half cycles if it would not hold one, and the whole of a motion
-            that does not repeat.
-        clearance_floor: share of the demonstration's clearance below which a foot is penalised. Above the share
-            that a result must reach, because the clearance realised varies from step to step.
-        clearance_weight: penalty for each foot and each unit of the share missing.
-        randomization: over which robots a candidate's score is taken; None for the robot as it is.
+        duration_s: length of the episode, s; at least one and a half cycles, and the whole of a motion that does not
+            repeat.
+        clearance_floor: share of the demonstration's clearance below which a foot is penalised; above the share that a
+            result must reach, because the realised clearance varies from step to step.
+        clearance_weight: penalty per foot and per unit of the missing share.
+        randomization: the robots that score a candidate; None for the nominal robot.
     """
 
     duration_s: float = 5.0
@@ -67,7 +66,7 @@ class Objective:
             raise ConfigError(f"the duration must be positive, found {self.duration_s}")
 
     def as_dict(self) -> dict[str, Any]:
-        """What determines scores; without randomisation the same as before there was any, and so are digests of it."""
+        """The settings that determine scores; without `randomization` if None, so that digests stay the same."""
         found = asdict(self)
         if self.randomization is None:
             del found["randomization"]
@@ -75,9 +74,9 @@ class Objective:
 
 
 class Problem(ABC):
-    """Scores vectors of parameters in closed loop, in parallel, the same bits at any number of workers.
+    """Scores parameter vectors in closed loop, in parallel, with the same bits for any number of workers.
 
-    What a vector stands for, `tables` and `motion`, is the subclass's.
+    Subclasses define what a vector means: `tables` and `motion`.
     """
 
     def __init__(
@@ -90,18 +89,8 @@ class Problem(ABC):
         config: ControllerConfig | None = None,
         workers: int | None = None,
     ) -> None:
-        """
-        Args:
-            robot: the robot.
-            demonstration: what candidates are scored against.
-            parameters: what the entries of a vector are.
-            objective: how candidates are scored.
-            config: the controller's.
-            workers: threads; one for each core if None.
-
-        Raises:
-            ConfigError: fewer than one worker.
-        """
+        """Arguments as attributes; `workers` is the number of threads (None: one per core). Raises `ConfigError` below
+        one."""
         if workers is not None and workers < 1:
             raise ConfigError(f"workers must be at least 1, found {workers}")
         self.robot = robot
@@ -110,7 +99,7 @@ class Problem(ABC):
         self.objective = objective
         self.config = config if config is not None else default_config()
         self.workers = workers if workers is not None else available_cores()
-        self.divisions: tuple[int, ...] = ()  # control steps at which episodes are divided into parts
+        self.divisions: tuple[int, ...] = ()  # control steps that divide episodes into parts
         self._loops: dict[tuple[int, int], ClosedLoop] = {}
         self._disturbed: dict[tuple[int, int], ClosedLoop] = {}
 
@@ -121,11 +110,11 @@ class Problem(ABC):
 
     @abstractmethod
     def motion(self, x: Array) -> Motion:
-        """The reference of one candidate (k,), carrying the demonstration."""
+        """The reference motion of one candidate (k,), with its demonstration."""
 
     @abstractmethod
     def tables(self, x: Array) -> NDArray[Any]:
-        """References of n candidates (n, k) for the controller, (n, t) of `SAMPLE`."""
+        """Reference motions of n candidates (n, k) for the controller, (n, t) of `SAMPLE`."""
 
     @abstractmethod
     def score(self, rollout: Rollout) -> Array:
@@ -133,12 +122,11 @@ class Problem(ABC):
 
     @abstractmethod
     def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
-        """How the episodes begin that the best candidates are compared by, the first unperturbed, and their control
-        steps."""
+        """Starts of the validation episodes, the first unperturbed, and their control steps."""
 
     @property
     def randomization(self) -> Randomization | None:
-        """Over which robots candidates are scored; None for the robot as it is."""
+        """The robots that score candidates; None for the nominal robot."""
         return self.objective.randomization
 
     @property
@@ -158,7 +146,7 @@ class Problem(ABC):
 
     @cached_property
     def identity(self) -> str:
-        """A digest of all that determines a candidate's score, to recognise checkpoints by."""
+        """A digest of all that determines scores; identifies checkpoints."""
         digest = hashlib.sha256()
         digest.update(self.tables(self.initial[None]).tobytes())
         digest.update(reference_table(self.demonstration, self.robot).tobytes())
@@ -177,13 +165,13 @@ class Problem(ABC):
     def rollout(
         self, tables: NDArray[Any], start: Start, steps: int, robots: Sequence[Disturbance] = ()
     ) -> list[Rollout]:
-        """Runs one episode for each table, spread over the workers; a result for each part, in order.
+        """Runs one episode per table on the workers; returns a result for each part, in order.
 
         Args:
             tables: (n, t) of `SAMPLE`.
             start: of n episodes.
             steps: control steps.
-            robots: what makes the n robots others than the robot, each with n values.
+            robots: differences of the n robots from the nominal one, n values each.
         """
         bounds = np.linspace(0, len(tables), min(self.workers, len(tables)) + 1).astype(int)
         parts = [slice(a, b) for a, b in pairwise(bounds)]
@@ -195,7 +183,7 @@ class Problem(ABC):
 
         if len(parts) == 1:
             return [run(0)]
-        for worker, part in enumerate(parts):  # compiled and built before the threads start
+        for worker, part in enumerate(parts):  # compiles and builds before the threads start
             self._loop(worker, part.stop - part.start, part_of(robots, part))
         with ThreadPoolExecutor(len(parts)) as pool:
             return list(pool.map(run, range(len(parts))))
@@ -206,12 +194,7 @@ class Problem(ABC):
         return np.concatenate([self.score(r) for r in rollouts])
 
     def evaluate_over(self, x: Array, robots: Sequence[Disturbance]) -> Array:
-        """Scores of n candidates (n, k) by the criterion over m robots, the same for all of them, (n,).
-
-        Args:
-            x: the candidates.
-            robots: in what they differ from the robot, each with m values.
-        """
+        """Scores of n candidates (n, k) by the criterion, (n,), each over the same m robots (m values per disturbance)."""
         assert self.randomization is not None
         m = len(robots[0].values)
         tables = np.repeat(self.tables(x), m, axis=0)
@@ -221,7 +204,7 @@ class Problem(ABC):
 
     def _loop(self, worker: int, n: int, robots: tuple[Disturbance, ...] = ()) -> ClosedLoop:
         key = (worker, n)
-        if robots:  # others in each iteration, so only the last ones are kept
+        if robots:  # each iteration has other robots, so keep only the last ones
             loop = self._disturbed.get(key)
             if loop is None or loop.conditions.disturbances != robots:
                 conditions = Conditions(disturbances=robots)
@@ -234,8 +217,7 @@ class Problem(ABC):
 
 
 class ImitationProblem(Problem):
-    """Parameters of a motion's DMPs, scored in episodes of its repeated cycle, or of the whole of what does not
-    repeat."""
+    """DMP parameters of one motion, scored over its repeated cycle, or over the whole of a motion that does not repeat."""
 
     def __init__(
         self,
@@ -249,19 +231,17 @@ class ImitationProblem(Problem):
         workers: int | None = None,
         moved: Mapping[str, float] | None = None,
     ) -> None:
-        """
-        Args:
+        """Args:
             robot: the robot.
-            demonstration: what candidates are scored against.
+            demonstration: the motion to compare with.
             dmp: fitted to it.
-            group: what is optimised, one of `PARAMETER_GROUPS`.
+            group: one of `PARAMETER_GROUPS`.
             objective: how candidates are scored.
             config: the controller's.
-            moved: modulated like which motion the search begins, see `moved_by`; unmodulated if None.
-            workers: threads; one for each core if None.
+            workers: threads; None for one per core.
+            moved: modulation at the start of the search (see `moved_by`); None for the unmodulated motion.
 
-        Raises:
-            ConfigError: fewer than one worker, or no such group.
+        Raises `ConfigError` for fewer than one worker, or no such group.
         """
         objective = objective if objective is not None else Objective()
         self._repeats = demonstration.cycle is not None
@@ -272,7 +252,7 @@ class ImitationProblem(Problem):
         self._start = np.array(begun_at(parameters, moved or {}))
         self.dmp = dmp
         self._steps = episode_steps(self.objective.duration_s, self.config.rate_hz)
-        if self._repeats and self._steps < demonstration.n_samples:  # what no episode reaches is optimised blindly
+        if self._repeats and self._steps < demonstration.n_samples:  # each parameter must act within an episode
             self._steps = math.ceil(_CYCLES * demonstration.n_samples)
         self._clearance = swing_clearance(demonstration, robot.foot_radius)
         self._base = reference_table(dmp.motion(), robot)
@@ -282,21 +262,17 @@ class ImitationProblem(Problem):
 
     @property
     def start(self) -> Array:
-        """(k,) where the search begins: usually the unmodulated motion."""
         return self._start
 
     @property
     def steps(self) -> int:
-        """Control steps in an episode."""
         return self._steps
 
     def motion(self, x: Array) -> Motion:
-        """The reference of one candidate (k,), carrying the demonstration."""
         goal, amplitude = self._modulation(x[None])
         return self.dmp.motion(goal[0], amplitude[0])
 
     def tables(self, x: Array) -> NDArray[Any]:
-        """References of n candidates (n, k) for the controller, (n, t) of `SAMPLE`."""
         goal, amplitude = self._modulation(x)
         feet = self.dmp.foot_table(goal, amplitude)
         tables = np.repeat(self._base[None], len(x), axis=0)
@@ -315,19 +291,17 @@ class ImitationProblem(Problem):
         return tables
 
     def score(self, rollout: Rollout) -> Array:
-        """Objective of each episode of a rollout, (n,)."""
         return rollout.reward - clearance_penalty(self.objective, rollout, self._clearance)
 
     def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
-        """The first episode from the start, the others perturbed and at a random phase; all of them from the start,
-        and whole, where the motion ends."""
+        """The first episode nominal, the others perturbed at random phases; for a motion that ends, all whole."""
         if not self._repeats:
             return perturbed_start(episodes, 1, rng), self.steps
         steps = round(duration_s * self.config.rate_hz)
         return perturbed_start(episodes, self.demonstration.n_samples, rng), steps
 
     def _moved(self, kind: str) -> list[tuple[int, str]]:
-        """Positions among the parameters and dimensions of all goals, or all amplitudes."""
+        """Positions in the vector and dimensions of all goals, or all amplitudes."""
         names = [parameter.name.split(".") for parameter in self.parameters]
         return [(i, dimension) for i, (dimension, of) in enumerate(names) if of == kind]
 
@@ -341,13 +315,8 @@ class ImitationProblem(Problem):
 
 
 def clearance_penalty(objective: Objective, rollout: Rollout, wanted: Array) -> Array:
-    """What lost swing clearance costs each episode of a rollout, (n,).
-
-    Args:
-        objective: floor and weight.
-        rollout: n episodes.
-        wanted: (4,) the demonstration's clearance, m; NaN without swings.
-    """
+    """Penalty for lost swing clearance in each of n episodes, (n,); `wanted`: (4,) demonstration's clearance, m, NaN
+    without swings."""
     share = rollout.clearance / wanted
     # a foot that never swung because the robot fell has no clearance
     share = np.where(np.isnan(share) & rollout.fell[:, None] & np.isfinite(wanted), 0.0, share)

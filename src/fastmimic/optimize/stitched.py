@@ -1,9 +1,8 @@
-"""Stitched motions: the DMP parameters of all segments at once, scored over the whole episode (paper, "Motion
-stitching").
+"""Stitched motions: DMP parameters of all segments together, scored over the whole episode (paper, "Motion stitching").
 
-Each occurrence of a motion has its own parameters. A candidate differs from the demonstration by what its cycles
-differ from the retargeted ones, repeated as they are; a foot passes from one segment's modulation to the next's in the
-stance in which it passes to that segment, the trunk over the transition.
+Each occurrence of a motion has its own parameters. A candidate adds its cycles' difference from the retargeted cycles
+to the demonstration. A foot changes to the next segment's modulation in the stance in which it changes segment, the
+trunk over the transition.
 """
 
 from collections.abc import Mapping, Sequence
@@ -44,7 +43,7 @@ _PLANAR = ("lin_vel", "ang_vel")
 
 
 class StitchedProblem(Problem):
-    """All parameters of a stitched motion's segments, scored in episodes of the whole."""
+    """All parameters of a stitched motion's segments, scored in episodes of the whole motion."""
 
     def __init__(
         self,
@@ -58,21 +57,19 @@ class StitchedProblem(Problem):
         workers: int | None = None,
         n_basis: int = N_BASIS,
     ) -> None:
-        """
-        Args:
+        """Args:
             robot: the robot.
             demonstration: from `stitch_motions`.
-            start: where the search begins, by parameter, or by each segment's own, brought within the bounds; what it
-                does not name, or None, is as in the unmodulated motion.
-            objective: how candidates are scored; each segment has the same clearance rule. An episode is the whole
-                motion, whatever the objective's duration.
+            start: start of the search by parameter, or per segment, clipped to the bounds; unmodulated where it has no
+                value.
+            objective: how candidates are scored; the clearance rule holds per segment, the duration is ignored.
             config: the controller's.
-            group: what is optimised of each segment, one of `PARAMETER_GROUPS`.
-            workers: threads; one for each core if None.
+            group: of each segment, one of `PARAMETER_GROUPS`.
+            workers: threads; None for one per core.
             n_basis: basis functions of each DMP.
 
         Raises:
-            ConfigError: fewer than one worker, no such group, or a start of other parameters.
+            ConfigError: fewer than one worker, no such group, or a start with other parameters.
             MotionError: the motion is not a stitched one.
         """
         self.layout = Layout.of(demonstration)
@@ -108,21 +105,20 @@ class StitchedProblem(Problem):
 
     @property
     def steps(self) -> int:
-        """Control steps in an episode: from the first sample to the last."""
         return self.demonstration.n_samples - 1
 
     @property
     def start(self) -> Array:
-        """(k,) where the search begins: usually the segments' own optima."""
+        """(k,) start of the search: usually the segments' own optima."""
         return self._start
 
     def of_segments(self, x: Array) -> list[Array]:
-        """Parameters (..., k) as those of each segment, (..., k_i)."""
+        """Parameters (..., k) split by segment, (..., k_i)."""
         ends = np.cumsum([0, *(len(p.parameters) for p in self.segments)])
         return [x[..., a:b] for a, b in pairwise(ends)]
 
     def motion(self, x: Array) -> Motion:
-        """The reference of one candidate (k,), carrying the demonstration; `meta["stitch"]` holds its parameters."""
+        """The reference motion of one candidate (k,); `meta["stitch"]` holds its parameters."""
         table, demo = self.tables(x[None])[0], self.demonstration
         yaw = float(yaw_from_quat(demo.root_quat_wxyz[0]))
         stitch = dict(demo.meta["stitch"])
@@ -146,7 +142,6 @@ class StitchedProblem(Problem):
         )
 
     def tables(self, x: Array) -> NDArray[Any]:
-        """References of n candidates (n, k) for the controller, (n, t) of `SAMPLE`."""
         tables = np.repeat(self._table[None], len(x), axis=0)
         feet = np.array(tables["foot_pos"])
         heading = yaw_from_quat(self._table["root_quat"])
@@ -174,16 +169,16 @@ class StitchedProblem(Problem):
         return tables
 
     def score(self, rollout: Rollout) -> Array:
-        """Objective of each episode of a rollout, (n,): the mean over the segments by their length."""
+        """Objective of each episode, (n,): mean over the segments, weighted by length."""
         total = np.zeros(len(rollout.reward))
         for part, share, wanted in zip(rollout.parts, self._share, self._clearance, strict=True):
-            # who fell earlier has no clearance either
+            # an earlier fall leaves no clearance either
             fallen = replace(part, fell=part.fell | (rollout.fell & (part.steps == 0)))
             total += share * (part.reward - clearance_penalty(self.objective, fallen, wanted))
         return total
 
     def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
-        """Whole episodes, since the motion ends; all but the first perturbed."""
+        """Whole episodes; all but the first perturbed."""
         return perturbed_start(episodes, 1, rng), self.steps
 
 
@@ -198,11 +193,11 @@ def make_problem(
     n_basis: int = N_BASIS,
     moved: Mapping[str, float] | None = None,
 ) -> Problem:
-    """The problem of optimising a motion: of its cycle, of the whole of what does not repeat or, if it is stitched, of
-    its segments from where they are.
+    """The problem for a motion: its cycle, the whole of a motion that does not repeat, or all segments of a stitched
+    one.
 
     Raises:
-        ConfigError: no such group of parameters, or a stitched motion is to begin like another one.
+        ConfigError: no such group of parameters, or `moved` with a stitched motion.
         MotionError: DMPs cannot be fitted to the motion.
     """
     demonstration = motion.target
@@ -228,10 +223,9 @@ def make_problem(
 
 
 def parameters_of(motion: Motion) -> dict[str, float]:
-    """An optimised cyclic motion's parameters by name, as far as they differ from the fitted ones; none of others.
+    """Changed parameters of an optimised cyclic motion by name; empty for others.
 
-    Raises:
-        MotionError: the motion's `meta` cannot be read, or it modulates what no method optimises.
+    Raises `MotionError` if `meta` cannot be read, or modulates what no method optimises.
     """
     dmp = motion.meta.get("dmp")
     if motion.demonstration is None or dmp is None:
@@ -248,10 +242,8 @@ def parameters_of(motion: Motion) -> dict[str, float]:
 
 
 def segment_clearance(motion: Motion, foot_radius: float, layout: Layout) -> Array:
-    """Mean swing clearance (s, 4) of each segment of a stitched motion, m; NaN without swings.
-
-    A swing counts where it ends, as in the rollout's own count.
-    """
+    """Mean swing clearance (s, 4) per segment of a stitched motion, m; NaN without swings. A swing belongs to the
+    segment where it ends."""
     height = motion.foot_pos_w[..., 2] - foot_radius
     bounds = [s.last for s in layout.segments]
     total, count = np.zeros((len(bounds), 4)), np.zeros((len(bounds), 4))
