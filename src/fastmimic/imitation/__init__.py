@@ -1,1 +1,1 @@
-"""The main jobs: `imitate`, `evaluate` and `stitch`, and the methods by name."""
+"""The main functions `imitate`, `evaluate` and `stitch`, and the methods by name."""

@@ -21,21 +21,20 @@ from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
 
-EVALUATION_S: Final = 10.0
-"""Length of an episode of a motion that repeats, if nothing is said."""
+EVALUATION_S: Final = 10.0  # s, default for a motion that repeats
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """A motion's worth over several episodes.
+    """Results of a motion over several episodes.
 
     Attributes:
-        motion: what was run.
+        motion: the motion that was run.
         rollout: its episodes.
-        method: one of `fastmimic.imitation.methods.METHODS`: whose controller ran it.
-        config: the controller's parameters, as the method has them.
+        method: one of `fastmimic.imitation.methods.METHODS`, which gave the controller.
+        config: the controller's parameters with the method's changes.
         robot: the robot's name.
-        conditions: under which it ran.
+        conditions: of the episodes.
     """
 
     motion: Motion
@@ -46,10 +45,10 @@ class Evaluation:
     conditions: Conditions
 
     def run_log(self, episode: int = 0) -> RunLog:
-        """What the robot's own computer knew of an episode, for `fastmimic.identification.identify.identify`.
+        """The log of an episode with what the robot's own computer knew, for
+        `fastmimic.identification.identify.identify`.
 
-        Raises:
-            ConfigError: the evaluation kept no log, or its controller was told the truth.
+        Raises `ConfigError` if the evaluation kept no log, or its controller saw the true state.
         """
         if self.rollout.log is None:
             raise ConfigError("the evaluation kept no log; call evaluate(…, log=True)")
@@ -57,7 +56,7 @@ class Evaluation:
         return run_log(self.rollout.log, episode, robot=self.robot, motion=self.motion.name, latency_s=latency)
 
     def as_dict(self) -> dict[str, Any]:
-        """Figures over all episodes; means over legs and episodes where there are several."""
+        """Metrics over all episodes; means over legs and episodes."""
         return {
             "motion": self.motion.name,
             "method": self.method,
@@ -82,23 +81,22 @@ def evaluate(
 ) -> Evaluation:
     """Runs episodes of a motion and scores them against its demonstration.
 
-    Episode 0 starts at the motion's start, unperturbed; the others at a random phase with joints ± 0.05 rad and
-    base velocity ± 0.1 m/s. An episode of a motion that does not repeat ends with it at the latest, and its random
-    phases leave room for the whole episode.
+    Episode 0 starts at the motion's start, unperturbed; the others at a random phase with joints ± 0.05 rad and base
+    velocity ± 0.1 m/s. An episode ends at the latest with a motion that does not repeat; the random phases then leave
+    room for the whole episode.
 
     Args:
         source, robot, overrides: as in `load_motion`.
-        episodes: how many.
-        duration_s: of each, s; if None 10 s, or the whole of a motion that does not repeat.
+        episodes: number of episodes.
+        duration_s: of each, s; None for 10 s, or the whole of a motion that does not repeat.
         seed: of the perturbations.
-        method, config: whose controller, and its parameters; if None those with which the motion was optimised, or mbc
-            and "default" for others. Of the `method` only its controller counts: the motion is run as it is.
-        log: whether to keep the whole course.
-        conditions: what the robot meets and what its controller sees.
-        controller: of a trained policy (`controlled_by` of `fastmimic.learning`), which makes the method rl.
+        method, config: the controller and its parameters; None for those that optimised the motion, else mbc and
+            "default". The method does not change the motion.
+        log: whether to keep all states.
+        conditions: disturbances, simulator and observations.
+        controller: of a trained policy (`controlled_by` of `fastmimic.learning`), with the method rl.
 
-    Raises:
-        FastMimicError: something is wrong with what was given.
+    Raises `FastMimicError`: an argument is wrong.
     """
     if episodes < 1:
         raise ConfigError(f"episodes must be at least 1, found {episodes}")
@@ -111,7 +109,7 @@ def evaluate(
     chosen, config = controller_for(motion, RL if method is None and controller is not None else method, config)
     check_controller(chosen, controller is not None)
     controller = controller or chosen.controller
-    if chosen.learned:  # a policy imitates the demonstration, whatever was optimised for another controller
+    if chosen.learned:  # a policy imitates the demonstration, not a motion that was optimised for another controller
         motion = motion.target
     duration_s = duration_s if duration_s is not None else default_duration(motion, EVALUATION_S)
     start = perturbed_start(episodes, start_room(motion, duration_s), np.random.default_rng(seed))

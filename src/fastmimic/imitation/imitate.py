@@ -1,4 +1,4 @@
-"""The main job: turns a motion into an optimised motion that the robot can execute."""
+"""`imitate`: turns a motion into an optimised motion that the robot can execute."""
 
 import time
 from collections.abc import Callable
@@ -47,25 +47,23 @@ def imitate(
     """Turns a motion into one that the robot can execute: retarget, fit DMPs, optimise with the robot in the loop.
 
     Args:
-        source: whatever `load_motion` takes. An optimised motion is optimised anew, against its demonstration; a
-            stitched one is optimised further.
+        source: as in `load_motion`. The search for an optimised motion starts again from its demonstration; a stitched
+            motion is optimised further.
         robot: the robot, its name, or the path of its MJCF.
         method: one of `fastmimic.imitation.methods.METHODS`.
         config: the controller's parameters, or the name of a set.
-        duration_s: length of the episodes, s; those of a motion that does not repeat are the whole of it.
+        duration_s: length of the episodes, s; a motion that does not repeat always runs whole.
         iterations, population, seed: of CMA-ES.
-        workers: threads; one for each core if None. The result does not depend on it.
+        workers: threads; None for one per core. The result does not depend on it.
         checkpoint, resume: as in `optimize`.
         progress: called after each iteration.
         n_basis: basis functions of each DMP.
         controller: of a trained policy, as in `evaluate`; for the method rl, which optimises nothing.
-        randomize: over which robots each candidate is scored, or just over how many; None for the robot as it is.
-        warm_start: an optimised motion, or its file, modulated like which the search begins; None for the unmodulated
-            motion.
+        randomize: the robots that score each candidate, or their number; None for the nominal robot.
+        warm_start: an optimised motion, or its file, with the modulation that the search begins from.
         overrides: as in `load_motion`.
 
-    Raises:
-        FastMimicError: something is wrong with what was given; the message says what.
+    Raises `FastMimicError`: an argument is wrong; the message says which.
     """
     chosen = method_named(method)
     check_controller(chosen, controller is not None)
@@ -136,7 +134,7 @@ def imitate(
 
 
 def _warm(given: str | Path | Motion | None, method: Method) -> dict[str, float] | None:
-    """How the motion is modulated that a search begins from."""
+    """Modulation of the warm start."""
     if given is None:
         return None
     if not method.optimises:
@@ -147,7 +145,7 @@ def _warm(given: str | Path | Motion | None, method: Method) -> dict[str, float]
 def _held_out(
     over: Randomization, motion: Motion, robot: Robot, duration_s: float, config: ControllerConfig
 ) -> HeldOut:
-    """A motion and its demonstration on the robots that nothing was optimised or chosen on."""
+    """Runs a motion and its demonstration on the held-out robots."""
     conditions = Conditions(disturbances=over.held_out(HELD_OUT_ROBOTS))
     start = nominal_start(HELD_OUT_ROBOTS)
     before, after = (

@@ -1,4 +1,4 @@
-"""An optimised motion, its rollouts and its figures."""
+"""The result of `imitate`: the optimised motion, its rollouts and its metrics."""
 
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -22,12 +22,11 @@ _BEFORE_AND_AFTER: Final = ("early_contacts_per_s", "stance_slip_m", "foot_z_rms
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """How the motion of a search over several robots does on other robots.
+    """Rollouts of a randomised search's result on held-out robots.
 
     Attributes:
         randomization: of the search.
-        before, after: an episode with each of the held-out robots, from the motion's start, with the demonstration and
-            with the optimised motion.
+        before, after: one episode per robot from the motion's start, with the demonstration and the optimised motion.
     """
 
     randomization: Randomization
@@ -35,7 +34,7 @@ class HeldOut:
     after: Rollout
 
     def as_dict(self) -> dict[str, Any]:
-        """What was asked for, and what came of it, JSON-serialisable."""
+        """Settings and results, JSON-serialisable."""
         return {
             **self.randomization.as_dict(),
             "held_out": {
@@ -53,24 +52,21 @@ def _over_robots(rollout: Rollout) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Imitation:
-    """An optimised motion and how it came about.
+    """An optimised motion and the course of its optimisation.
 
     Attributes:
-        motion: the optimised motion; it carries its demonstration.
-        robot: the robot.
+        motion: the optimised motion, with its demonstration.
         method: one of `fastmimic.imitation.methods.METHODS`.
-        config: the controller's, as the method has it.
+        config: the controller's, with the method's changes.
         before, after: one nominal episode of `duration_s` with the demonstration and with the optimised motion, logged.
-        parameters: what was optimised, with bounds.
-        values: (k,) the values found, physical units.
+        parameters: the optimised parameters, with bounds.
+        values: (k,) their values, physical units.
         history: the course of the optimisation; None without one.
-        seed: of the optimiser.
         evaluations: episodes run by the optimisation.
         simulated_s: simulated time in all, s.
-        iterations: generations.
-        wall_s: time for all this, s; after a resume, with the time before it.
+        wall_s: total time, s; includes the time before a resume.
         interrupted: whether the optimisation was stopped early.
-        held_out: how it fares on other robots; None if candidates met only the robot as it is.
+        held_out: results on other robots; None without randomisation.
     """
 
     motion: Motion
@@ -93,11 +89,11 @@ class Imitation:
 
     @property
     def demonstration(self) -> Motion:
-        """What the robot is scored against."""
+        """The demonstration that scores the robot."""
         return self.motion.target
 
     def metrics(self) -> dict[str, Any]:
-        """All figures of the run, JSON-serialisable; numbers that do not exist (no swing, no step) are None."""
+        """All metrics of the run, JSON-serialisable; undefined ones (no swing, no step) are None."""
         before, after = Metrics.of(self.before), Metrics.of(self.after)
 
         def both(name: str) -> dict[str, Any]:
@@ -146,7 +142,7 @@ class Imitation:
         return plain(found)
 
     def _segments(self) -> list[dict[str, Any]]:
-        """Figures of each segment of a stitched motion; empty for others."""
+        """Metrics of each segment of a stitched motion; empty for others."""
         rate, found = self.demonstration.rate_hz, []
         segments = self.demonstration.meta.get("stitch", {}).get("segments", [])
         for segment, *parts in zip(segments, self.before.parts, self.after.parts, strict=True):

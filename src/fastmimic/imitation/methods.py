@@ -1,8 +1,8 @@
-"""The methods that can be compared: which controller follows the motion, and what of the motion is optimised.
+"""The methods to compare: which controller follows the motion, and which parameters of the motion are optimised.
 
-Each differs from its neighbour only in what its name claims; the gains, the gait planner, the online adaptation and the
-demonstration are the same for all (paper, §IV-B). Whether the controller has the paper's form is another question:
-see `fastmimic.control.config.CONFIGS`.
+A method differs from its neighbour only in the feature that its name gives; gains, gait planner, online adaptation and
+demonstration are the same for all (paper, §IV-B). `fastmimic.control.config.CONFIGS` decides separately whether the
+controller has the paper's form.
 """
 
 import dataclasses
@@ -18,8 +18,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FEET_AND_TRUNK, FOOT_HEIGHT, FOOT_PATH, PARAMETER_GROUPS
 from fastmimic.optimize.randomization import Randomization
 
-NOTHING: Final = "none"
-"""What a method without a search optimises."""
+NOTHING: Final = "none"  # `Method.parameters` of a method without a search
 ConfigChange = Callable[[ControllerConfig], ControllerConfig]
 
 
@@ -35,14 +34,14 @@ class Method:
         name: as on the command line.
         label: as in figures.
         summary: one line.
-        parameters: what is optimised: `NOTHING`, or one of `fastmimic.optimize.parameters.PARAMETER_GROUPS`.
-        change: what it changes in the controller's configuration.
-        controller: makes a controller that takes the place of the model-based one; None for that one.
+        parameters: `NOTHING`, or one of `fastmimic.optimize.parameters.PARAMETER_GROUPS`.
+        change: its change of the controller's configuration.
+        controller: makes a controller in place of the model-based one; None for that one.
         own_feet: whether the swing feet follow the method's own path instead of the motion's.
         learned: whether it needs a trained policy.
         base: name of the method that runs the motion before it is optimised; empty for the method itself.
-        playable: whether it can be chosen in a live session.
-        color, hatch, symbol: of its bars and points; hatches as Matplotlib has them, symbols as Plotly has them.
+        playable: whether a live session offers it.
+        color, hatch, symbol: of its bars (Matplotlib's hatches) and points (Plotly's symbols).
     """
 
     name: str
@@ -70,7 +69,7 @@ class Method:
 
     @property
     def optimises(self) -> bool:
-        """Whether anything is optimised; without it the method is deterministic."""
+        """Whether it optimises anything; otherwise it is deterministic."""
         return self.parameters != NOTHING
 
     @property
@@ -79,12 +78,12 @@ class Method:
         return METHODS[self.base or self.name]
 
     def configure(self, config: ControllerConfig | str) -> ControllerConfig:
-        """The method's controller parameters, made of the given ones or of the set of that name."""
+        """The controller parameters, given or by name, with the method's changes."""
         return self.change(controller_config(config) if isinstance(config, str) else config)
 
 
 def _raibert(config: ControllerConfig) -> ControllerConfig:
-    # what the animal's legs take from the ground is not what these take
+    # the robot's legs do not receive the animal's ground reaction forces
     stance = dataclasses.replace(config.stance, leg_momentum=False)
     return dataclasses.replace(config, stance=stance, swing=dataclasses.replace(config.swing, foothold="raibert"))
 
@@ -178,18 +177,18 @@ METHODS: Final = Registry(
         ),
     ),
 )
-"""All methods, and those that a user adds: `METHODS.register(Method(…))`."""
+"""All methods. `METHODS.register(Method(…))` adds one."""
 PAPER_METHODS: Final = ("raibert", "mbc", "lh", "mbc-dmp", "lh-dmp")
-"""Those that need nothing but the motion, in the order of the paper's figure."""
+"""Methods that need only the motion, in the order of the paper's figure."""
 
 
 def method_named(name: str) -> Method:
-    """The method of that name; raises `ConfigError`, which lists them, if there is none."""
+    """The method of that name; otherwise raises `ConfigError` with the list of names."""
     return METHODS[name]
 
 
 def check_controller(method: Method, given: bool) -> None:
-    """Raises `ConfigError` if a policy is `given` to a method that has none, or none to one that needs one."""
+    """Raises `ConfigError` if a policy is given to a method without one, or missing for a method that needs one."""
     if method.learned and not given:
         raise ConfigError(
             f"method '{method.name}' needs a trained policy: give one to 'fastmimic evaluate' or 'fastmimic compare'"
@@ -200,8 +199,7 @@ def check_controller(method: Method, given: bool) -> None:
 
 
 MADE_WITH: Final = "made_with"
-"""In an optimised motion's `meta`: the `method` and the name of the `config` that it was optimised with, and the
-`randomization`, if any."""
+"""Key in an optimised motion's `meta` for the `method`, the name of its `config`, and the `randomization`, if any."""
 DEFAULT_METHOD: Final = "mbc"
 DEFAULT_CONFIG: Final = "default"
 
@@ -209,13 +207,13 @@ DEFAULT_CONFIG: Final = "default"
 def made_with(
     motion: Motion, method: str, config: ControllerConfig, randomization: Randomization | None = None
 ) -> Motion:
-    """The motion with what it was made with in its `meta`.
+    """The motion with its method and settings in `meta`.
 
     Args:
         motion: an optimised motion; a demonstration records no method.
         method: one of `METHODS`.
-        config: as the method has it. Only the name of a set is kept, and None if it is not as the set of that name.
-        randomization: over which robots it was optimised; None for the robot as it is.
+        config: with the method's changes. Only the name of its set is kept; None if it equals no set.
+        randomization: of the search.
     """
     same = config.name in CONFIGS and method_named(method).configure(CONFIGS[config.name]()) == config
     record: dict[str, Any] = {"method": method, "config": config.name if same else None}
@@ -227,19 +225,18 @@ def made_with(
 def controller_for(
     motion: Motion, method: str | None = None, config: ControllerConfig | str | None = None
 ) -> tuple[Method, ControllerConfig]:
-    """The method and the controller that a motion is run with.
+    """The method and controller parameters for running a motion.
 
     Args:
-        motion: what will be run.
-        method: one of `METHODS`; if None that with which the motion was made, or mbc where it does not say.
-        config: the controller's parameters, or the name of a set; if None those with which the motion was made, or the
-            default ones where it does not say.
+        motion: the motion to run.
+        method: one of `METHODS`; None for the motion's own, or mbc if it records none.
+        config: the controller's parameters, or the name of a set; None for the motion's own, or the default ones.
 
     Returns:
-        The method, and the parameters as it has them.
+        The method, and the parameters with its changes.
 
     Raises:
-        ConfigError: an unknown name, or a motion that was made with parameters that are not a set's, and none given.
+        ConfigError: an unknown name, or no parameters given for a motion that was made with parameters of no set.
         MotionError: the motion's record is damaged.
     """
     record = motion.meta.get(MADE_WITH)

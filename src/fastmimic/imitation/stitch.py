@@ -1,4 +1,4 @@
-"""Stitching: from several motions to one that the robot can execute (paper, "Motion stitching")."""
+"""`stitch`: joins several motions into one that the robot can execute (paper, "Motion stitching")."""
 
 import shutil
 import time
@@ -36,18 +36,17 @@ PART_POPULATION: Final = 10
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stitching(Imitation):
-    """A stitched, optimised motion and how it came about.
+    """A stitched, optimised motion and the course of its optimisation.
 
     Attributes:
-        individual: one nominal episode with the segments' own optima, from which the search began. Without a search it
-            is all that there is: `before` and `after` too.
+        individual: one nominal episode with the segments' own optima, where the search began. Without a search,
+            `before` and `after` are the same episode.
     """
 
     individual: Rollout
 
     def metrics(self) -> dict[str, Any]:
-        """As `Imitation.metrics`, with `segments`, `transitions`, and what the individual optima are worth as they
-        stand."""
+        """`Imitation.metrics`, with `segments`, `transitions`, and the metrics of the individual optima."""
         found, individual = super().metrics(), self.individual
         found["individual_optima"] = {
             "reward": float(individual.reward[0]),
@@ -76,43 +75,39 @@ def stitch(
     stage: Callable[[str], None] | None = None,
     randomize: int | Randomization | None = None,
 ) -> Stitching:
-    """Stitches motions and optimises all their DMPs together, from each one's own optimum.
+    """Stitches motions and optimises all their DMPs together, from each motion's own optimum.
 
-    Each motion that is not optimised yet is optimised by itself first, as `imitate` does. Then the parameters of all
-    segments, each occurrence its own, are optimised over the whole episode.
+    `imitate` first optimises each motion that is not optimised yet. Then the parameters of all segments, separate for
+    each occurrence of a motion, are optimised over the whole episode.
 
     Args:
-        sources: two or more of what `load_motion` takes. An optimised motion is taken with its parameters.
+        sources: two or more, as in `load_motion`. Optimised motions keep their parameters.
         robot: the robot, its name, or the path of its MJCF.
-        cycles: how often each motion is repeated: one number for all, or one for each; about 3 s each if None. The
-            whole lasts 600 s at most.
-        method: one of `fastmimic.imitation.methods.METHODS`; if it optimises nothing, the motion is stitched and run,
-            with the parameters of those that are optimised already.
+        cycles: repetitions of each motion: one number for all, or one for each; None for about 3 s each. The whole
+            lasts 600 s at most.
+        method: one of `fastmimic.imitation.methods.METHODS`; without a search, the stitched motion is only run.
         config: the controller's parameters, or the name of a set.
         iterations: of CMA-ES on the whole.
-        population: candidates in each; 4 + 3 ln k for k parameters, CMA-ES's usual size, if None.
-        part_iterations: of CMA-ES on a motion by itself; if None as `iterations`, or as many as it was given before
-            the whole was begun.
-        seed: of all of them.
-        workers: threads; one for each core if None. The result does not depend on it.
-        folder: where the checkpoints are kept, the motions' own as well; none if None. Those of an earlier run are
-            removed unless it is resumed.
-        resume: go on from the checkpoints in the folder; what has none there is begun anew. Once the whole is begun,
-            the motions' own are only read.
+        population: candidates in each; None for 4 + 3 ln k with k parameters, CMA-ES's default.
+        part_iterations: of CMA-ES on each motion; None for `iterations`, or after a resume for the earlier number.
+        seed: of all searches.
+        workers: threads; None for one per core. The result does not depend on it.
+        folder: for all checkpoints; None to keep none. Removes those of an earlier run unless `resume`.
+        resume: continue from the checkpoints in the folder. Once the whole has begun, the motions' own are only read.
         progress: called after each iteration.
-        stage: called with what begins.
-        randomize: as in `imitate`, of the motions by themselves and of the whole.
+        stage: called with the name of each stage as it begins.
+        randomize: as in `imitate`, for each motion and for the whole.
 
     Raises:
-        FastMimicError: something is wrong with what was given; the message says what.
-        KeyboardInterrupt: stopped before the whole was optimised; the checkpoints are there.
+        FastMimicError: an argument is wrong; the message says which.
+        KeyboardInterrupt: stopped before the whole was optimised; the checkpoints are kept.
     """
     began = time.perf_counter()
     chosen = method_named(method)
     check_controller(chosen, False)
     robot = load_robot(robot)
     config = chosen.configure(config)
-    for generations in (iterations, part_iterations):  # refuses what cannot be, before anything takes long
+    for generations in (iterations, part_iterations):  # checks before any long work
         if generations is not None:
             CmaSettings(generations, population if population is not None else PART_POPULATION, seed)
     over = randomization(randomize)
@@ -186,18 +181,18 @@ def stitch(
             own |= {"parameters": whole.parameters, "values": whole.start}
     own["evaluations"] += parts.evaluations
     own["simulated_s"] += parts.simulated_s
-    # what was optimised knows of the time before a resume
+    # the optimiser's result includes the time before a resume
     own["wall_s"] += parts.wall_s + time.perf_counter() - began - elsewhere
     return Stitching(**own, individual=individual)
 
 
 def usual_population(parameters: int) -> int:
-    """CMA-ES's usual number of candidates, 4 + 3 ln k (Hansen 2006)."""
+    """CMA-ES's default population, 4 + 3 ln k (Hansen 2006)."""
     return 4 + int(3 * np.log(parameters))
 
 
 def _keys(sources: Sequence[str | Path | Clip | Motion | MotionSource]) -> list[object]:
-    """What tells the sources apart: the same name or object is the same motion."""
+    """Keys that identify the sources: the same name or object is the same motion."""
     return [str(s) if isinstance(s, str | Path) else id(s) for s in sources]
 
 
@@ -213,13 +208,8 @@ def _load(sources: Sequence[str | Path | Clip | Motion | MotionSource], robot: R
 
 @dataclass
 class _Parts:
-    """What came of the motions by themselves.
-
-    Attributes:
-        values: each motion's parameters by name, by its id.
-        evaluations, simulated_s, wall_s: summed, as in `Imitation`.
-        passed_s: time that passed meanwhile, s.
-    """
+    """Results of the single motions: `values` by motion id and parameter name, summed costs, and the time that passed,
+    s."""
 
     values: dict[int, dict[str, float]]
     evaluations: int
@@ -237,7 +227,7 @@ def _optimised_parts(
     settings: Mapping[str, Any],
     say: Callable[[str], None],
 ) -> _Parts:
-    """Optimises by itself each motion that is not optimised yet."""
+    """Optimises each motion that is not optimised yet."""
     began = time.perf_counter()
     begun = resume and folder is not None and (folder / CHECKPOINT).is_file()
     out = _Parts({}, 0, 0.0, 0.0, 0.0)
@@ -270,7 +260,7 @@ def _optimised_parts(
 
 
 def _iterations_before(motion: Motion, checkpoint: Path, wanted: int | None) -> int:
-    """Those of a motion by itself from which the whole was begun."""
+    """Iterations of a single motion's search when the search on the whole began."""
     had = Checkpoint.iterations(checkpoint)
     if wanted is not None and wanted != had:
         raise CheckpointError(
@@ -282,7 +272,7 @@ def _iterations_before(motion: Motion, checkpoint: Path, wanted: int | None) -> 
 
 @contextmanager
 def _part_checkpoints(folder: Path | None, copied: bool) -> Iterator[Path | None]:
-    """The folder of the parts' checkpoints, or, for as long as they are needed, one of copies."""
+    """The folder of the parts' checkpoints, or a temporary one with copies."""
     if folder is None or not copied:
         yield folder
         return
@@ -299,7 +289,7 @@ def _part_checkpoints(folder: Path | None, copied: bool) -> Iterator[Path | None
 
 
 def _remove_checkpoints(folder: Path) -> None:
-    """Those of an earlier run, which would be mistaken for this one's."""
+    """Removes an earlier run's checkpoints, which this run would otherwise take for its own."""
     for path in folder.glob(CHECKPOINTS):
         try:
             path.unlink()
@@ -308,4 +298,4 @@ def _remove_checkpoints(folder: Path) -> None:
 
 
 def _ignore(text: str) -> None:
-    """Where nobody listens."""
+    """Default callback."""

@@ -194,7 +194,7 @@ class Problem(ABC):
         return np.concatenate([self.score(r) for r in rollouts])
 
     def evaluate_over(self, x: Array, robots: Sequence[Disturbance]) -> Array:
-        """Scores of n candidates (n, k) by the criterion, (n,), each over the same m robots (m values per disturbance)."""
+        """Scores of n candidates (n, k) by the criterion over the same m robots (m values per disturbance), (n,)."""
         assert self.randomization is not None
         m = len(robots[0].values)
         tables = np.repeat(self.tables(x), m, axis=0)
@@ -217,7 +217,7 @@ class Problem(ABC):
 
 
 class ImitationProblem(Problem):
-    """DMP parameters of one motion, scored over its repeated cycle, or over the whole of a motion that does not repeat."""
+    """DMP parameters of one motion, scored over its repeated cycle or, if it does not repeat, over the whole."""
 
     def __init__(
         self,

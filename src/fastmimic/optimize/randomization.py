@@ -18,7 +18,7 @@ from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S
 from fastmimic.simulation.disturbances import Disturbance
 from fastmimic.simulation.ranges import PUSH_WINDOW_S, Range, check_once, draw, parse_range, usual_range
 
-ROBOTS: Final = 4
+ROBOTS: Final = 4  # per candidate by default; the cost of a search is in proportion
 _WORST: Final = "worst"
 CRITERIA: Final[dict[str, Callable[[Array], Array]]] = {
     "mean": lambda scores: np.mean(scores, axis=-1),
@@ -33,7 +33,7 @@ _SEARCH, _CHOICE, _HELD_OUT = 2, 3, 4
 
 
 def usual_randomization() -> tuple[Range, ...]:
-    """The default ranges: ground, load and motors, which never match their model; slopes and pushes are separate tasks."""
+    """The default ranges: ground, load and motors, which never match their model. Slopes and pushes are other tasks."""
     return tuple(usual_range(name) for name, kind in DISTURBANCES.items() if kind.randomized)
 
 
