@@ -1,1 +1,1 @@
-"""The learned baseline: a policy's observation and action, its file, its training, and the environments."""
+"""The learned baseline: observation, action, policy file, training and Gymnasium environments."""

@@ -1,4 +1,4 @@
-"""How a policy sees and acts: observation, action, rates and gains, as in Peng et al. 2020."""
+"""Settings of a policy's observation, action, rates and gains, as in Peng et al. 2020."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -11,11 +11,9 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import record_dtype
 from fastmimic.robot import Robot
 
-HISTORY: Final = 3
-"""Policy steps of which sensors and actions are seen, the present one included."""
+HISTORY: Final = 3  # policy steps of sensors and actions in an observation, the present one included
 IMU_SIZE: Final = 4
-FRAMES: Final = (1, 2, 10, 30)
-"""Target frames, policy steps ahead."""
+FRAMES: Final = (1, 2, 10, 30)  # target frames, policy steps ahead
 FRAME_SIZE: Final = 19
 OBSERVATION_SIZE: Final = HISTORY * (IMU_SIZE + 12 + 12) + len(FRAMES) * FRAME_SIZE
 ACTION_SIZE: Final = 12
@@ -23,15 +21,14 @@ ACTION_SIZE: Final = 12
 
 @dataclass(frozen=True)
 class PolicyConfig:
-    """The interface between a policy and the robot. A policy works under the one that it was trained with only.
+    """The interface between a policy and the robot. A policy works only with the one of its training.
 
     Attributes:
-        control_rate_hz: of the loop that sends joint targets to the motors, as the model-based controller's.
-        decimation: control steps of one action; 17 at 500 Hz are 29.4 actions a second.
-        action_scale: rad of joint target for 1 of action.
-        filter_cutoff_hz: of the second-order Butterworth low-pass through which actions go.
-        stiffness: of abduction, hip and knee, N·m/rad.
-        damping: likewise, N·m·s/rad.
+        control_rate_hz: of the loop that sends joint targets to the motors, equal to the model-based controller's.
+        decimation: control steps per action; 17 at 500 Hz are 29.4 actions a second.
+        action_scale: rad of joint target per unit of action.
+        filter_cutoff_hz: of the second-order Butterworth low-pass on actions.
+        stiffness, damping: of abduction, hip and knee, N·m/rad and N·m·s/rad.
     """
 
     control_rate_hz: float = 500.0
@@ -59,16 +56,15 @@ class PolicyConfig:
 
     @property
     def rate_hz(self) -> float:
-        """Actions a second."""
+        """Actions per second."""
         return self.control_rate_hz / self.decimation
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, JSON-serialisable."""
         return dataclasses.asdict(self)
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "PolicyConfig":
-        """What `as_dict` gave; raises `ConfigError` if it is something else."""
+        """Inverse of `as_dict`; raises `ConfigError` for other content."""
         try:
             gains = {name: tuple(float(g) for g in values[name]) for name in ("stiffness", "damping")}
             return cls(**{**values, **gains})
@@ -81,7 +77,7 @@ SETTINGS: Final = record_dtype(
         ("decimation", "i8"),
         ("action_scale", "f8"),
         ("numerator", "f8", (3,)),  # of the filter
-        ("denominator", "f8", (2,)),  # likewise, without the leading 1
+        ("denominator", "f8", (2,)),  # without the leading 1
         ("home", "f8", (12,)),  # rad, the target of a zero action
         ("lower", "f8", (12,)),
         ("upper", "f8", (12,)),
@@ -89,11 +85,10 @@ SETTINGS: Final = record_dtype(
         ("damping", "f8", (12,)),
     ]
 )
-"""`PolicyConfig` and the robot's limits in the form that kernels read."""
+"""`PolicyConfig` and the robot's limits in the kernels' format."""
 
 
 def pack_settings(config: PolicyConfig, robot: Robot) -> NDArray[Any]:
-    """An array of one `SETTINGS` record."""
     numerator, denominator = low_pass(config.filter_cutoff_hz, config.rate_hz)
     record = np.zeros(1, SETTINGS)
     record["decimation"] = config.decimation
@@ -117,7 +112,7 @@ def low_pass(cutoff_hz: float, rate_hz: float) -> tuple[NDArray[np.float64], NDA
 
 
 def action_bounds(config: PolicyConfig, robot: Robot) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Least and greatest action (12,): those whose joint targets are the joints' limits."""
+    """Least and greatest action (12,), for joint targets at the joints' limits."""
     lower = (robot.joint_lower - robot.home_joint_pos) / config.action_scale
     upper = (robot.joint_upper - robot.home_joint_pos) / config.action_scale
     return lower, upper

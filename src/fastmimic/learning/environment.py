@@ -1,4 +1,4 @@
-"""Gymnasium's environments: one robot (`fastmimic/Imitation-v0`), and n of them as one vectorised environment."""
+"""Gymnasium environments: one robot (`fastmimic/Imitation-v0`), and n of them as one vectorised environment."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +22,7 @@ Seen = NDArray[np.float32]
 
 
 def spaces(config: PolicyConfig, robot: Robot) -> tuple[gymnasium.Space[Any], gymnasium.Space[Any]]:
-    """Of one robot's observation and action."""
+    """Spaces of one robot's observation and action."""
     lower, upper = action_bounds(config, robot)
     return (
         gymnasium.spaces.Box(-np.inf, np.inf, (OBSERVATION_SIZE,), np.float32),
@@ -31,12 +31,12 @@ def spaces(config: PolicyConfig, robot: Robot) -> tuple[gymnasium.Space[Any], gy
 
 
 class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
-    """A robot that is to imitate a motion.
+    """A robot that imitates a motion.
 
-    An observation is what `fastmimic.learning.observation` says, an action twelve joint targets relative to the home
-    pose in units of 0.25 rad, a reward the mean of the common reward over the step's control steps. An episode begins
-    at a random phase of the motion, is terminated by a fall and truncated after `duration_s` or at the end of a motion
-    that does not repeat. `info["terms"]` has the reward's terms.
+    `fastmimic.learning.observation` defines the observation. An action is twelve joint targets relative to the home
+    pose in units of 0.25 rad, the reward the mean of the common reward over the step's control steps. An episode begins
+    at a random phase of the motion, terminates with a fall and is truncated after `duration_s` or at the end of a
+    motion that does not repeat. `info["terms"]` has the reward's terms.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
@@ -52,18 +52,16 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
         config: PolicyConfig | None = None,
         render_mode: str | None = None,
     ) -> None:
-        """
-        Args:
-            motion: a motion, its name, or a file; what `fastmimic.load_motion` takes.
+        """Args:
+            motion: as in `fastmimic.load_motion`.
             robot: the robot, its name, or its MJCF.
-            duration_s: of an episode at most, s.
-            perturbed: whether episodes begin off the reference, as in an evaluation.
-            randomize: in what each episode's robot and ground differ, such as `friction=0.4:1.2`.
-            config: how policies see and act.
+            duration_s: greatest length of an episode, s.
+            perturbed: whether episodes begin off the reference motion, as in an evaluation.
+            randomize: ranges for each episode's robot and ground, such as `friction=0.4:1.2`.
+            config: of the policy's interface.
             render_mode: None; `fastmimic render` makes videos.
 
-        Raises:
-            FastMimicError: no such robot, motion or range, or they do not fit together.
+        Raises `FastMimicError` if there is no such robot, motion or range, or they do not fit together.
         """
         self._robot = load_robot(robot)
         self._motion = load_motion(motion, self._robot)
@@ -75,7 +73,7 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
         self.observation_space, self.action_space = spaces(self._config, self._robot)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:
-        """Begins an episode; the observation, and an empty info."""
+        """Begins an episode; returns the observation and an empty info."""
         super().reset(seed=seed)
         if self._ranges:
             self._episodes = self._make(int(self.np_random.integers(2**31)))
@@ -83,7 +81,7 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
         return self._episodes.reset()[0].copy(), {}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Seen, float, bool, bool, dict[str, Any]]:
-        """One policy step: observation, reward, whether the robot fell, whether the episode is over anyway, info."""
+        """One policy step: observation, reward, whether the robot fell, whether the episode was truncated, info."""
         outcome = self._episodes.step(np.asarray(action, np.float64)[None])
         seen = outcome.final[0] if outcome.done[0] else outcome.seen[0].copy()
         terms = dict(zip(REWARD_TERMS, self._episodes.terms[0].tolist(), strict=True))
@@ -96,8 +94,8 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
 class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
     """n robots that imitate the same motion, simulated as one batch; each begins its next episode at once.
 
-    Where an episode ended, `info["final_obs"]` has what was seen last and `info["episode"]` its mean reward over the
-    whole length, steps after a fall counting 0, and its steps, as masks `_final_obs` and `_episode` say.
+    After the end of an episode, `info["final_obs"]` has its last observation and `info["episode"]` its length in steps
+    and its mean reward over the full length (0 after a fall), with masks `_final_obs` and `_episode`.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
@@ -115,15 +113,13 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
         threads: int = 1,
         render_mode: str | None = None,
     ) -> None:
-        """
-        Args:
+        """Args:
             num_envs: number of robots.
             motion, robot, duration_s, perturbed, config, render_mode: as for `ImitationEnv`.
-            randomize: in what the robots and their grounds differ, such as `friction=0.4:1.2`; drawn at a seeded reset.
-            threads: to divide the robots among; the results do not depend on it.
+            randomize: ranges for the robots and their grounds, such as `friction=0.4:1.2`; drawn at a seeded reset.
+            threads: number of threads; the results do not depend on it.
 
-        Raises:
-            FastMimicError: as `ImitationEnv`.
+        Raises `FastMimicError` as `ImitationEnv`.
         """
         self._robot = load_robot(robot)
         self._motion = load_motion(motion, self._robot)
@@ -144,10 +140,8 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Seen, dict[str, Any]]:
-        """Begins an episode with each robot; observations (n, …), and an empty info.
-
-        One seed is that of all robots; of a list the first counts.
-        """
+        """Begins all episodes; returns observations (n, …) and an empty info. Of a list of seeds only the first
+        counts."""
         first = seed[0] if isinstance(seed, list) else seed
         super().reset(seed=first)
         if first is not None:
@@ -159,7 +153,7 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[Seen, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """One policy step of all robots: observations, rewards, falls, other ends (n, …), info."""
+        """One policy step of all robots: observations, rewards, falls, truncations (n, …), info."""
         outcome = self._episodes.step(np.asarray(actions, np.float64))
         return (
             outcome.seen.copy(),

@@ -1,9 +1,8 @@
-"""Episodes of n robots whose joint targets a policy gives: what the environments and the training step.
+"""Episodes of n robots under a policy's joint targets, for the environments and for training.
 
-Observation, reward and reset are batched and compiled; reward and termination are `score_step`'s, those of every other
-method. The robots are divided among threads, each with a MuJoCo batch of its own, so that nothing waits for anything
-within a policy step; every random number is drawn by the one generator in the order of the robots, so the results do
-not depend on the number of threads.
+Observation, reward and reset are batched and compiled; `score_step` gives reward and termination, as for every other
+method. Each thread has its own robots and MuJoCo batch, so that no thread waits within a policy step. One generator
+draws all random numbers in the order of the robots, so the results do not depend on the number of threads.
 """
 
 import math
@@ -29,23 +28,20 @@ from fastmimic.simulation.ranges import part as part_of
 
 Seen = NDArray[np.float32]
 
-EPISODE_S: Final = 10.0
-"""At most, as in an evaluation."""
-_LEAST_STEPS: Final = 30
-"""Policy steps that a motion that ends leaves at least to an episode."""
+EPISODE_S: Final = 10.0  # s, greatest length, as in an evaluation
+_LEAST_STEPS: Final = 30  # policy steps that every start leaves before the end of a motion
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a step of n robots led to. All arrays are overwritten by the next step but `final`.
+    """Result of a step of n robots. The next step overwrites all arrays but `final`.
 
     Attributes:
-        seen: (n, `OBSERVATION_SIZE`) what is seen now; of those whose episode ended, at the start of the next one.
-        reward: (n,) mean over the step's control steps, those after a fall counting 0.
-        fell: (n,) bool, episodes that ended by a fall.
-        ended: (n,) bool, those that reached their length.
-        final: (k, `OBSERVATION_SIZE`) what the k robots whose episode ended (`fell` or `ended`) saw last.
-        score: (k,) mean reward over the whole length of each of these episodes, steps after a fall counting 0.
+        seen: (n, `OBSERVATION_SIZE`) observations; after the end of an episode, those of the next one's start.
+        reward: (n,) mean over the step's control steps, 0 after a fall.
+        fell, ended: (n,) bool, episodes that ended by a fall, or at their full length.
+        final: (k, `OBSERVATION_SIZE`) last observations of the k episodes that ended.
+        score: (k,) mean reward of these over the full length, 0 after a fall.
         steps: (k,) policy steps until their end.
     """
 
@@ -64,10 +60,10 @@ class Outcome:
 
 
 class Episodes:
-    """n robots that imitate one motion, episode after episode. One thread at a time may step it.
+    """n robots that imitate one motion in successive episodes. Only one thread at a time may step it.
 
-    An episode begins at a random phase of the motion (reference-state initialisation), joints and velocity off by as
-    much as in an evaluation, and ends by a fall or at its length; the robot then begins the next one at once.
+    An episode begins at a random phase of the motion (reference-state initialisation), with joints and velocity
+    perturbed as in an evaluation, and ends by a fall or at its length; the robot then begins the next one at once.
     """
 
     def __init__(
@@ -83,21 +79,16 @@ class Episodes:
         perturbed: bool = True,
         randomize: Sequence[Range] = (),
     ) -> None:
-        """
-        Args:
-            robot: the robot.
-            motion: what it imitates; of an optimised motion its demonstration.
+        """Args:
+            motion: the motion; of an optimised motion its demonstration counts.
             n: number of robots.
-            config: how policies see and act.
-            seed: of all that is random.
-            threads: to divide the robots among.
+            seed: of all random numbers.
+            threads: number of threads.
             duration_s: of an episode, s.
-            perturbed: whether episodes begin off the reference.
-            randomize: in what the robots and their grounds differ.
+            perturbed: whether episodes begin off the reference motion.
+            randomize: ranges for the robots and their grounds.
 
-        Raises:
-            MotionError: the motion is for another robot.
-            ConfigError: it is for another rate, or a number is out of its range.
+        Raises `MotionError` for another robot's motion, `ConfigError` for another rate or a number out of range.
         """
         config = config if config is not None else PolicyConfig()
         demonstration = motion.target
@@ -132,19 +123,15 @@ class Episodes:
         self._fell, self._ended = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
 
     def reset(self) -> Seen:
-        """Begins n episodes; what the robots see, overwritten by the next step."""
+        """Begins n episodes; returns the observations, which the next step overwrites."""
         everyone = np.arange(self.n)
         self._begin(everyone)
         return self._seen
 
     def step(self, actions: NDArray[Any]) -> Outcome:
-        """One policy step of all robots.
+        """One policy step; actions (n, 12) in units of `PolicyConfig.action_scale`, clipped to the joints' limits.
 
-        Args:
-            actions: (n, 12), in units of `PolicyConfig.action_scale`; clipped to the joints' limits.
-
-        Raises:
-            ConfigError: actions of another shape.
+        Raises `ConfigError` for actions of another shape.
         """
         if actions.shape != (self.n, ACTION_SIZE):
             raise ConfigError(f"actions of shape {actions.shape}; expected {(self.n, ACTION_SIZE)}")
@@ -163,7 +150,7 @@ class Episodes:
 
     @property
     def terms(self) -> Array:
-        """(n, k) the reward's terms in the order of `REWARD_TERMS`, at the last control step."""
+        """(n, k) the reward's terms at the last control step, in the order of `REWARD_TERMS`."""
         return np.concatenate([shard.scorer.terms for shard in self._shards])
 
     def close(self) -> None:
@@ -173,13 +160,13 @@ class Episodes:
             self._pool = None
 
     def state(self) -> dict[str, Any]:
-        """All that the future depends on besides the arguments: arrays, and the generator's state as `random`."""
+        """The complete state apart from the arguments: arrays, and the generator's state as `random`."""
         parts = [shard.state() for shard in self._shards]
         arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         return {**arrays, "seen": self._seen.copy(), "random": self.random.bit_generator.state}
 
     def restore(self, state: dict[str, Any]) -> Seen:
-        """Goes on from a `state` of episodes with the same arguments; what the robots see."""
+        """Restores a `state` of episodes with the same arguments; returns the observations."""
         self.random.bit_generator.state = state["random"]
         self._seen[...] = state["seen"]
         for shard, part in zip(self._shards, self._parts, strict=True):
@@ -187,7 +174,7 @@ class Episodes:
         return self._seen
 
     def _phases(self) -> int:
-        """Number of samples at which an episode may begin: a motion that ends leaves room for some steps."""
+        """Number of samples where an episode may begin; a motion that ends must leave some steps."""
         n = self.motion.n_samples
         if self.motion.cycle is not None:
             return n

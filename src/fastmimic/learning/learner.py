@@ -1,7 +1,7 @@
-"""PPO on the batch of episodes: one iteration at a time, resumable to the bit.
+"""PPO on the batch of episodes, one iteration at a time, with bit-exact resume.
 
-The algorithm is rsl-rl's (`rsl_rl.algorithms.PPO`), the one of the field's trainers (Isaac Lab, mjlab), stepped here
-instead of by its runner, whose checkpoints hold neither the episodes' state nor the random generators'.
+The algorithm is `rsl_rl.algorithms.PPO`, as in Isaac Lab and mjlab. rsl-rl's own runner is not used, because its
+checkpoints hold neither the episodes' state nor the random generators'.
 """
 
 import tempfile
@@ -23,24 +23,19 @@ from fastmimic.learning.settings import TrainingSettings
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
-_SMALL: Final = 0.01
-"""Of the last layer's first weights: the first actions are those of the home pose."""
+_SMALL: Final = 0.01  # scale of the last layer's initial weights: the first actions hold the home pose
 _ACTIVATION: Final = "elu"
 
 
 def check_installed() -> None:
-    """Raises `ConfigError` where the learning libraries are missing."""
+    """Raises `ConfigError` if a learning library is missing."""
     missing = [name for name in ("torch", "rsl_rl", "tensordict", "tensorboard", "onnx") if find_spec(name) is None]
     if missing:
         raise ConfigError(f"training needs {', '.join(missing)}; install it with: pip install 'fastmimic[rl]'")
 
 
 def choose_device(name: str) -> str:
-    """`auto` as cuda:0 where there is a GPU that PyTorch can use, else cpu; anything else as it is.
-
-    Raises:
-        ConfigError: PyTorch cannot use that device.
-    """
+    """Resolves `auto` to cuda:0 if PyTorch can use a GPU, else cpu; raises `ConfigError` for a device it cannot use."""
     import torch
 
     if name == "auto":
@@ -54,17 +49,17 @@ def choose_device(name: str) -> str:
 
 @dataclass(frozen=True)
 class Iteration:
-    """What an iteration led to.
+    """Result of an iteration.
 
     Attributes:
         reward: mean over all robots and steps.
-        scores: mean rewards of the episodes that ended, over their whole length, steps after a fall counting 0.
+        scores: mean rewards of the ended episodes over their full length, 0 after a fall.
         lengths: their policy steps.
-        falls: how many of them ended by a fall.
+        falls: number of them that ended by a fall.
         losses: of the update, by name.
         deviation: mean standard deviation of the actions.
         learning_rate: after the update.
-        collect_s, update_s: wall time of both halves.
+        collect_s, update_s: wall time of the rollouts and of the update.
     """
 
     reward: float
@@ -79,21 +74,14 @@ class Iteration:
 
 
 class Learner:
-    """A policy under training, and the robots that it learns from."""
+    """A policy under training with its robots."""
 
     def __init__(
         self, robot: Robot, motion: Motion, settings: TrainingSettings, *, device: str = "cpu", threads: int = 1
     ) -> None:
-        """
-        Args:
-            robot: the robot.
-            motion: what it is to imitate.
-            settings: how it learns.
-            device: of PyTorch, as `choose_device` gives it.
-            threads: to divide the robots among; the result does not depend on it.
+        """`device` as from `choose_device`; the result does not depend on `threads`.
 
-        Raises:
-            ConfigError: a missing library, or as `Episodes`.
+        Raises `ConfigError` for a missing library, or as `Episodes`.
         """
         check_installed()
         import torch
@@ -116,7 +104,7 @@ class Learner:
         self._algorithm = self._make(self._seen)
 
     def iterate(self) -> Iteration:
-        """Lets the robots run for the horizon, and learns from it."""
+        """Runs the robots for the horizon, then updates the policy."""
         import torch
 
         began = time.perf_counter()
@@ -155,11 +143,7 @@ class Learner:
         )
 
     def policy(self, about: dict[str, Any] | None = None) -> Policy:
-        """The present policy, acting without exploration.
-
-        Args:
-            about: what its file is to say besides.
-        """
+        """The present policy, without exploration; `about` adds entries to its file."""
         actor = self._algorithm.get_policy()
         weights, biases = [], []
         for layer in actor.mlp:
@@ -182,8 +166,7 @@ class Learner:
         )
 
     def onnx(self) -> bytes:
-        """The actor's plain network as ONNX: `obs` (batch, observation) to `actions` (batch, 12), normalisation
-        included."""
+        """The actor as ONNX, normalisation included: `obs` (batch, observation) to `actions` (batch, 12)."""
         import torch
 
         network = self._algorithm.get_policy().as_onnx(verbose=False).cpu().eval()
@@ -202,7 +185,7 @@ class Learner:
             return path.read_bytes()
 
     def state(self) -> dict[str, Any]:
-        """All that the future depends on besides the arguments: tensors and plain values."""
+        """The complete state apart from the arguments: tensors and plain values."""
         import torch
 
         episodes = self.episodes.state()
@@ -217,7 +200,7 @@ class Learner:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Goes on from what `state` gave, of a learner with the same arguments."""
+        """Restores the `state` of a learner with the same arguments."""
         import torch
 
         self._algorithm.load(state["algorithm"], None, True)
@@ -282,7 +265,7 @@ def _bytes(array: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def _plain(value: Any) -> Any:
-    """A generator's state with its numbers as text: they are longer than a tensor's."""
+    """A generator's state with numbers as text, because they do not fit into a tensor's."""
     if isinstance(value, dict):
         return {name: _plain(v) for name, v in value.items()}
     return value if isinstance(value, str) else f"{int(value)}"

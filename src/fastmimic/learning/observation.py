@@ -1,10 +1,9 @@
-"""What a policy sees, and what becomes of its actions (Peng et al. 2020, §VI): one implementation, batched and
-compiled, for the environments and for the policy as a controller.
+"""The policy's observation and the conversion of its actions (Peng et al. 2020, §VI), batched and compiled, for the
+environments and for the policy as a controller.
 
-Seen are roll, pitch and their rates from the IMU, joint angles and the last actions, each at the last three policy
-steps, newest first, and of the reference the frames 1, 2, 10 and 30 policy steps ahead: root position relative to where
-the reference is now, root orientation, both in the robot's heading frame, and joint angles. All of it a robot has
-without knowing where it is.
+An observation holds roll, pitch and their rates from the IMU, joint angles and the last actions, each at the last three
+policy steps, newest first, and the reference motion 1, 2, 10 and 30 policy steps ahead: root position relative to the
+present reference, root orientation, both in the robot's heading frame, and joint angles. It needs no global position.
 """
 
 from typing import Any, Final
@@ -22,20 +21,20 @@ SENSES: Final = record_dtype(
         ("imu", "f8", (HISTORY, IMU_SIZE)),  # newest first
         ("joints", "f8", (HISTORY, 12)),
         ("actions", "f8", (HISTORY, 12)),
-        ("filter_in", "f8", (2, 12)),  # rad, targets that the last actions asked for
+        ("filter_in", "f8", (2, 12)),  # rad, unfiltered targets of the last actions
         ("filter_out", "f8", (2, 12)),
-        ("before", "f8", (12,)),  # rad, joint targets at the beginning and the end of the action under way
+        ("before", "f8", (12,)),  # rad, joint targets at the beginning and the end of the current action
         ("after", "f8", (12,)),
         ("age", "i8"),  # control steps since the last action; −1 before the first
     ]
 )
-"""What is remembered of one robot between policy steps."""
+"""Memory of one robot between policy steps."""
 
 _FRAMES: Final = np.array(FRAMES, dtype=np.int64)
 
 
 def make_senses(n: int) -> NDArray[Any]:
-    """Of n robots before their first step, (n,) of `SENSES`."""
+    """Records (n,) of `SENSES` for robots before their first step."""
     senses = np.zeros(n, SENSES)
     senses["age"] = -1
     return senses
@@ -45,15 +44,12 @@ def make_senses(n: int) -> NDArray[Any]:
 def observe(
     settings: Any, tables: Any, clocks: Any, observations: Any, senses: Any, rotation: Array, out: NDArray[np.float32]
 ) -> None:
-    """Takes in the robots' present states and writes what their policies see.
-
-    To be called once a policy step, before `act`.
+    """Reads the robots' states and writes the policies' observations. Call it once per policy step, before `act`.
 
     Args:
         settings: (1,) of `SETTINGS`.
         tables: (k, t) of `SAMPLE`; robot i follows table min(i, k − 1).
-        clocks: (n,) of `CLOCK`.
-        observations: (n,) of `OBSERVATION`.
+        clocks, observations: (n,) of `CLOCK` and `OBSERVATION`.
         senses: (n,) of `SENSES`, changed in place.
         rotation: (3, 3) scratch.
         out: (n, `OBSERVATION_SIZE`).
@@ -72,7 +68,8 @@ def act(settings: Any, actions: Array, senses: Any) -> None:
 
 @kernel
 def command(settings: Any, senses: Any, commands: Any) -> None:
-    """Joint commands of the present control step, (n,) of `COMMAND`: targets on the line between two actions'."""
+    """Joint commands of the present control step, (n,) of `COMMAND`, interpolated between the last two actions'
+    targets."""
     for i in range(commands.shape[0]):
         command_robot(settings[0], senses[i], commands[i])
 
@@ -106,7 +103,7 @@ def observe_robot(
 
 @inlined
 def _begin(settings: Any, obs: Any, senses: Any) -> None:
-    """Before the first action it has always been as now, and the actions were those that would have held it so."""
+    """Fills the history with the present state, and with the actions that would hold it."""
     for h in range(HISTORY):
         for j in range(12):
             senses.joints[h, j] = obs.joint_pos[j]
@@ -121,7 +118,7 @@ def _begin(settings: Any, obs: Any, senses: Any) -> None:
 
 @inlined
 def _push(rotation: Array, obs: Any, senses: Any) -> None:
-    """Roll, pitch, their rates and the joint angles into the histories; before the first step all of the former."""
+    """Adds roll, pitch, their rates and the joint angles to the histories; fills them before the first step."""
     first = senses.age < 0
     if first:
         senses.age = 0
@@ -133,7 +130,7 @@ def _push(rotation: Array, obs: Any, senses: Any) -> None:
                 senses.joints[h, j] = senses.joints[h - 1, j]
     senses.imu[0, 0] = np.arctan2(rotation[2, 1], rotation[2, 2])
     senses.imu[0, 1] = np.arcsin(min(max(-rotation[2, 0], -1.0), 1.0))
-    for k in range(2):  # in the body frame, as a gyroscope gives them
+    for k in range(2):  # body frame, as from a gyroscope
         rate = 0.0
         for a in range(3):
             rate += rotation[a, k] * obs.ang_vel[a]
@@ -148,9 +145,9 @@ def _push(rotation: Array, obs: Any, senses: Any) -> None:
 
 @inlined
 def _frame(table: Any, clock: Any, sample: int, yaw: float, out: NDArray[np.float32], at: int) -> int:
-    """Writes the reference at a sample, which may lie beyond the period's end; returns where the next one goes."""
+    """Writes the reference motion at a sample, possibly of a later period; returns the next index of `out`."""
     n = table.shape[0]
-    x = y = turned = 0.0  # of the frame's period from the present one's
+    x = y = turned = 0.0  # of the frame's period relative to the present one
     if clock.repeats == 1:
         while sample >= n:
             c, s = np.cos(turned), np.sin(turned)
@@ -159,7 +156,7 @@ def _frame(table: Any, clock: Any, sample: int, yaw: float, out: NDArray[np.floa
             turned += clock.cycle_step[2]
             sample -= n
     else:
-        sample = min(sample, n - 1)  # it stays where it ends
+        sample = min(sample, n - 1)  # after its end, the motion keeps its last sample
     now, then = table[clock.sample], table[sample]
     c, s = np.cos(turned), np.sin(turned)
     x += c * then.root_pos[0] - s * then.root_pos[1] - now.root_pos[0]
@@ -185,7 +182,7 @@ def _frame(table: Any, clock: Any, sample: int, yaw: float, out: NDArray[np.floa
 
 @inlined
 def act_robot(settings: Any, action: Array, senses: Any) -> None:
-    """`act` of one robot. What is not finite is taken for the last action."""
+    """`act` of one robot. The last action replaces entries that are not finite."""
     for h in range(HISTORY - 1, 0, -1):
         for j in range(12):
             senses.actions[h, j] = senses.actions[h - 1, j]
@@ -207,7 +204,7 @@ def act_robot(settings: Any, action: Array, senses: Any) -> None:
 
 @inlined
 def command_robot(settings: Any, senses: Any, command: Any) -> None:
-    """`command` of one robot; a control step on."""
+    """`command` of one robot; advances it by a control step."""
     senses.age += 1
     share = min(senses.age / settings.decimation, 1.0)
     for j in range(12):

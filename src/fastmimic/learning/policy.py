@@ -1,10 +1,9 @@
-"""A trained policy: a multilayer perceptron, its file, and its answer without any learning library.
+"""A trained policy: a multilayer perceptron, its file, and its inference without a learning library.
 
 The file is an `.npz` without pickles: `format_version`, `meta_json`, `mean` and `deviation` of the observation, and for
-each layer `weight0` (inputs, outputs) and `bias0`, `weight1`, …, all float32. `meta_json` says what the policy is for
-and what it was trained by: `robot`, `motion`, `samples` (of the motion), `observation_size`, `action_size`,
-`activation`, `config` (see `PolicyConfig`), `seed`, `library`, `versions`, `training`, and the motion's `source` and
-`licence`.
+each layer `weight0` (inputs, outputs) and `bias0`, `weight1`, …, all float32. `meta_json` holds `robot`, `motion`,
+`samples` (of the motion), `observation_size`, `action_size`, `activation`, `config` (see `PolicyConfig`), `seed`,
+`library`, `versions`, `training`, and the motion's `source` and `licence`.
 """
 
 import hashlib
@@ -37,15 +36,14 @@ _UNREADABLE: Final = (
     *(OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile, zlib.error),
     RuntimeError,  # zipfile: encrypted, or compressed in a way that it does not know
 )
-"""What NumPy and zipfile raise for a damaged archive."""
 
 
 class Network(NamedTuple):
-    """A policy in the form that kernels read.
+    """A policy in the kernels' format.
 
     Attributes:
         sizes: (layers + 1,) widths, the observation's first.
-        parameters: all weights (inputs, outputs) and biases one after the other.
+        parameters: all weights (inputs, outputs) and biases in sequence.
         activation: index into `ACTIVATIONS`, of all layers but the last.
         mean, deviation: (observation,) of the normalisation.
         work: (2, width) scratch.
@@ -61,18 +59,16 @@ class Network(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """What acts on an observation; see `fastmimic.learning.observation` for what both are.
+    """A trained policy; `fastmimic.learning.observation` defines observation and action.
 
     Attributes:
-        weights: of each layer, (inputs, outputs).
-        biases: of each layer, (outputs,).
-        mean, deviation: (observation,); observations are normalised by them.
-        robot, motion: names of what it was trained on.
+        weights, biases: of each layer, (inputs, outputs) and (outputs,).
+        mean, deviation: (observation,) of the normalisation.
+        robot, motion: names of the training's robot and motion.
         samples: of that motion.
         activation: one of `ACTIVATIONS`.
-        config: how it sees and acts.
         seed: of the training.
-        about: what else its file says: `library`, `versions`, `training` (`steps`, `wall_s`, …).
+        about: further entries of its file: `library`, `versions`, `training` (`steps`, `wall_s`, …).
     """
 
     weights: tuple[Weights, ...]
@@ -114,20 +110,20 @@ class Policy:
 
     @property
     def training(self) -> dict[str, Any]:
-        """What the training took, as far as the file says: `steps`, `wall_s`, `cpu_s`, `simulated_s`."""
+        """Cost of the training, if recorded: `steps`, `wall_s`, `cpu_s`, `simulated_s`."""
         found = self.about.get("training")
         return found if isinstance(found, dict) else {}
 
     @cached_property
     def digest(self) -> str:
-        """16 hexadecimal digits of all that determines what it does."""
+        """16 hexadecimal digits of everything that determines its actions."""
         found = hashlib.sha256(json.dumps(self._meta(), sort_keys=True).encode())
         for array in (*self.weights, *self.biases, self.mean, self.deviation):
             found.update(np.ascontiguousarray(array, np.float32).tobytes())
         return found.hexdigest()[:16]
 
     def network(self) -> Network:
-        """For the kernels, with work memory of its own."""
+        """The policy for the kernels, with its own work memory."""
         parts = [a.astype(np.float64).ravel() for pair in zip(self.weights, self.biases, strict=True) for a in pair]
         return Network(
             np.array(self.sizes, np.int64),
@@ -139,11 +135,7 @@ class Policy:
         )
 
     def act(self, observations: NDArray[Any]) -> Array:
-        """Actions (n, 12) for observations (n, `OBSERVATION_SIZE`).
-
-        Raises:
-            PolicyError: the observations have another size.
-        """
+        """Actions (n, 12) for observations (n, `OBSERVATION_SIZE`); raises `PolicyError` for another size."""
         seen = np.atleast_2d(np.asarray(observations, np.float32))
         if seen.shape[-1] != self.sizes[0]:
             raise PolicyError(f"observations of {seen.shape[-1]} numbers for a policy that takes {self.sizes[0]}")
@@ -167,11 +159,7 @@ class Policy:
             )
 
     def save(self, path: str | Path) -> None:
-        """Writes the file; an existing one is replaced only once the new one is whole.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Writes the file atomically; raises `OutputError` if it cannot."""
         arrays: dict[str, Any] = {"mean": self.mean, "deviation": self.deviation}
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             arrays |= {f"weight{i}": weight, f"bias{i}": bias}
@@ -182,11 +170,7 @@ class Policy:
 
     @classmethod
     def load(cls, path: str | Path) -> "Policy":
-        """Reads what `save` wrote.
-
-        Raises:
-            PolicyError: the file is missing, damaged, or no policy of this release.
-        """
+        """Reads a file of `save`; raises `PolicyError` if it is missing, damaged, or of another release."""
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {key: file[key] for key in file.files}
@@ -244,7 +228,7 @@ class Policy:
 
 @kernel
 def infer(network: Any, observations: NDArray[np.float32], actions: Array) -> None:
-    """Actions (n, 12) for observations (n, k); each robot's depends on its own observation only, to the bit."""
+    """Actions (n, 12) for observations (n, k); each row depends only on its own observation, to the bit."""
     for i in range(observations.shape[0]):
         infer_robot(network, observations[i], actions[i])
 
@@ -264,7 +248,7 @@ def infer_robot(network: Any, observation: NDArray[np.float32], action: Array) -
         for k in range(inputs):
             row = network.parameters[at + k * outputs : at + (k + 1) * outputs]
             x = source[k]
-            for j in range(outputs):  # over the outputs, whose sums are independent, so that it vectorises
+            for j in range(outputs):  # independent sums over the outputs, so that the loop vectorises
                 target[j] += x * row[j]
         if layer < last:
             _activate(network.activation, target, outputs)

@@ -1,4 +1,4 @@
-"""A policy as a controller: what the closed loop steps in place of the model-based one."""
+"""A policy as a controller for the closed loop, in place of the model-based one."""
 
 from functools import partial
 from typing import Any
@@ -38,8 +38,8 @@ def policy_step(
 ) -> None:
     """Computes the commands of all robots; robot i follows table min(i, k − 1) at its clock.
 
-    A policy knows no stance or swing. The gait planner watches the legs all the same, so that what is counted and
-    logged (leg states, early touch-downs) means the same as under the model-based controller.
+    The gait planner runs although the policy does not need it, so that leg states and early touch-downs mean the same
+    as under the model-based controller.
     """
     for i in range(observations.shape[0]):
         table, clock, obs = tables[min(i, tables.shape[0] - 1)], clocks[i], observations[i]
@@ -53,22 +53,17 @@ def policy_step(
 
 
 class PolicyController:
-    """n robots under one policy; steps like `fastmimic.control.controller.Controller`.
-
-    Not to be shared between threads: it owns the kernels' work arrays.
+    """n robots under one policy; steps like `fastmimic.control.controller.Controller`. Not for several threads.
 
     Attributes:
-        config: the model-based controller's; the loop's rate and the thresholds by which contacts are counted.
-        tables: (1 or n, t) of `SAMPLE`, what the robots follow.
-        memory: (n,) of `MEMORY`, leg states as the gait planner sees them.
+        config: the model-based controller's, for the loop's rate and the contact thresholds.
+        tables: (1 or n, t) of `SAMPLE`, the reference motions.
+        memory: (n,) of `MEMORY`, leg states of the gait planner.
         command: (n,) of `COMMAND`, the last ones.
     """
 
     def __init__(self, policy: Policy, robot: Robot, motion: Motion, n: int, config: ControllerConfig) -> None:
-        """
-        Raises:
-            PolicyError: the policy is for another robot, another motion, or another control rate.
-        """
+        """Raises `PolicyError` if the policy is for another robot, another motion, or another control rate."""
         policy.check(robot, motion)
         if abs(policy.config.control_rate_hz - config.rate_hz) > 1e-9:
             raise PolicyError(
@@ -88,7 +83,7 @@ class PolicyController:
         self._action = np.zeros(ACTION_SIZE)
 
     def reset(self, sample: NDArray[np.int64]) -> None:
-        """Forgets the past; each robot's legs are taken to stand and swing as its reference's at `sample` (n,)."""
+        """Clears the memory; leg states become those of the reference motion at `sample` (n,)."""
         self.memory[...] = np.zeros((), MEMORY)
         rows = np.minimum(np.arange(len(self.memory)), len(self.tables) - 1)
         self.memory["stance"] = self.tables["contact"][rows, sample]
@@ -96,11 +91,9 @@ class PolicyController:
         self._senses[...] = make_senses(len(self._senses))
 
     def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
-        """Commands for the next control step, (n,) of `COMMAND`; overwritten by the next call.
+        """Commands for the next control step, (n,) of `COMMAND`, overwritten by the next call.
 
-        Args:
-            observation: (n,) of `OBSERVATION`.
-            clocks: (n,) of `CLOCK`.
+        Takes (n,) records of `OBSERVATION` and of `CLOCK`.
         """
         policy_step(
             self._config,
@@ -120,5 +113,5 @@ class PolicyController:
 
 
 def controlled_by(policy: Policy) -> MakeController:
-    """What makes the closed loop's controllers of a policy."""
+    """A factory of controllers for the closed loop."""
     return partial(PolicyController, policy)

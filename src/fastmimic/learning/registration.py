@@ -6,7 +6,7 @@ ENVIRONMENT_ID: Final = "fastmimic/Imitation-v0"
 
 
 def register() -> None:
-    """Registers `ENVIRONMENT_ID` with Gymnasium, once; `import fastmimic` sees to it."""
+    """Registers `ENVIRONMENT_ID` with Gymnasium, once; `import fastmimic` calls it."""
     import gymnasium
 
     if ENVIRONMENT_ID not in gymnasium.registry:

@@ -1,4 +1,4 @@
-"""The settings of a training: all that its result depends on besides robot, motion and number of steps."""
+"""Settings of a training: they determine its result, with robot, motion and number of steps."""
 
 import dataclasses
 import math
@@ -13,23 +13,22 @@ from fastmimic.simulation.ranges import Range
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """Of PPO and of the episodes it learns from.
+    """Settings of PPO and its episodes.
 
     Attributes:
         seed: of weights, actions and episodes.
         robots: simulated at once.
         horizon: policy steps of each robot between two updates.
-        hidden: widths of the hidden layers, of actor and critic alike.
+        hidden: widths of the hidden layers of actor and critic.
         epochs, minibatches: of an update.
-        learning_rate: the first; it then follows the change of the policy (`desired_kl`).
-        desired_kl: change of the policy in an update that the learning rate aims at.
+        learning_rate: initial value; it then adapts to `desired_kl`.
+        desired_kl: target change of the policy per update.
         discount, trace: γ and λ.
         entropy: weight of the entropy bonus.
         exploration: initial standard deviation of the actions, in units of `PolicyConfig.action_scale`.
         episode_s: length of an episode, s.
-        randomize: in what robots and grounds differ.
-        update_threads: of the library's linear algebra; the bits of the result depend on it.
-        policy: how the policy sees and acts.
+        randomize: ranges for robots and grounds.
+        update_threads: of the linear algebra; the bits of the result depend on it.
     """
 
     seed: int = 0
@@ -74,5 +73,4 @@ class TrainingSettings:
         return self.robots * self.horizon
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, JSON-serialisable."""
         return {**dataclasses.asdict(self), "hidden": list(self.hidden)}

@@ -1,4 +1,4 @@
-"""Some of the robots of a training, with a MuJoCo batch of their own, stepped by one thread."""
+"""A thread's share of the robots of a training, with its own MuJoCo batch."""
 
 from typing import Any
 
@@ -24,7 +24,7 @@ Seen = NDArray[np.float32]
 
 
 class Shard:
-    """Some of the robots, stepped by one thread."""
+    """A share of the robots, stepped by one thread."""
 
     def __init__(
         self,
@@ -48,7 +48,7 @@ class Shard:
         self._senses = make_senses(n)
         self.scorer = Scorer(robot, table, n, default_config(), config.control_rate_hz)
         self.tallies = self.scorer.tallies
-        self._memories = np.zeros(n, MEMORY)  # of a gait planner, which policies have none of
+        self._memories = np.zeros(n, MEMORY)  # of the gait planner, which policies do not use
         self._commands = np.zeros(n, COMMAND)
         self._body = np.zeros(1, BODY)
         self._body["geometry"], self._body["foot_radius"] = robot.geometry.rows, robot.foot_radius
@@ -56,7 +56,7 @@ class Shard:
         self._work = np.zeros((2, 3, 3))
 
     def begin(self, rows: NDArray[np.int64], draws: Array, noise: float, room: int, steps: int, seen: Seen) -> None:
-        """Begins episodes of some robots, and writes what these see."""
+        """Begins episodes of the robots in `rows`, and writes their observations."""
         places = np.zeros(len(rows), PLACE)
         self.scorer.reset(rows)
         begin_episodes(
@@ -93,7 +93,7 @@ class Shard:
         observe(self._settings, tables, clocks, simulation.observation, self._senses, self._work[0], seen)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """All that the future depends on, robot by robot."""
+        """The complete state, robot by robot."""
         found = {
             "physics": self.simulation.batch.state,
             "observation": self.simulation.observation,
@@ -105,7 +105,7 @@ class Shard:
         return {name: array.copy() for name, array in found.items()}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Takes on what `state` gave."""
+        """Restores a `state`."""
         self.simulation.batch.state[...] = state["physics"]
         self.simulation.observation[...] = state["observation"]
         self._clocks[...], self._senses[...] = state["clocks"], state["senses"]
@@ -121,7 +121,7 @@ def pay(
     fell: NDArray[np.bool_],
     ended: NDArray[np.bool_],
 ) -> None:
-    """Counts a policy step of n robots: its reward, and which episodes it ended and how."""
+    """Accounts a policy step of n robots: rewards, falls and ends of episodes."""
     for i in range(reward.shape[0]):
         count = counts[i]
         count.steps += 1
@@ -142,7 +142,7 @@ def observe_rows(
     work: Array,
     seen: Seen,
 ) -> None:
-    """What some robots see."""
+    """Writes the observations of some robots."""
     for k in range(rows.shape[0]):
         i = slice(rows[k], rows[k] + 1)
         observe(settings, tables, clocks[i], observations[i], senses[i], work[0], seen[i])

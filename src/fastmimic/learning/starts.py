@@ -1,4 +1,5 @@
-"""Where episodes begin: on the reference at a random phase (reference-state initialisation), or a little off it."""
+"""Starts of episodes: on the reference motion at a random phase (reference-state initialisation), or slightly off
+it."""
 
 from typing import Any, Final
 
@@ -11,11 +12,10 @@ from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.robot.kinematics import leg_forward
 
-DRAWS: Final = 16
-"""Random numbers of a start: phase, 12 joints, 3 velocities."""
+DRAWS: Final = 16  # random numbers of a start: phase, 12 joints, 3 velocities
 
 COUNT: Final = record_dtype([("steps", "i8"), ("limit", "i8"), ("scored", "f8")])
-"""Of one robot's episode: policy steps so far, at most, and the sum of rewards of control steps that was paid out."""
+"""One robot's episode: policy steps so far, their limit, and the rewards of control steps paid out so far."""
 
 PLACE: Final = record_dtype(
     [
@@ -27,12 +27,12 @@ PLACE: Final = record_dtype(
         ("joint_vel", "f8", (12,)),
     ]
 )
-"""Where one robot begins, world frame but for the angular velocity (body frame)."""
+"""One robot's start, world frame; angular velocity in the body frame."""
 
 BODY: Final = record_dtype(
     [("geometry", "f8", (4, 12)), ("foot_radius", "f8"), ("lower", "f8", (12,)), ("upper", "f8", (12,))]
 )
-"""What of the robot a start depends on."""
+"""The robot's properties that determine a start."""
 
 
 @kernel
@@ -51,15 +51,15 @@ def begin_episodes(
     places: Any,
     work: Array,
 ) -> None:
-    """Sets some robots on the reference at random phases, as `ClosedLoop` sets its perturbed starts.
+    """Places some robots on the reference motion at random phases, like the perturbed starts of `ClosedLoop`.
 
     Args:
         body: (1,) of `BODY`.
         table: (t,) of `SAMPLE`.
-        rows: (k,) which robots of the n.
+        rows: (k,) indices of the robots.
         draws: (k, 16) uniform in [0, 1): phase, joints, velocity.
-        noise: 1 for starts off the reference, 0 for starts on it.
-        room: number of samples at which an episode may begin.
+        noise: 1 for starts off the reference motion, 0 for starts on it.
+        room: number of samples where an episode may begin.
         steps: policy steps of an episode.
         decimation: control steps of a policy step.
         clocks, senses, counts: (n,) records, changed in place.
@@ -79,7 +79,8 @@ def begin_episodes(
 
 @kernel
 def _place(body: Any, ref: Any, clock: Any, draws: Array, noise: float, place: Any, rotation: Array) -> None:
-    """The reference's sample at the world's origin with heading 0, off by as much as drawn, no foot in the ground."""
+    """The reference sample at the world's origin with heading 0, perturbed by `draws`, with all feet above the
+    ground."""
     quat_to_matrix(ref.root_quat, rotation)
     yaw = -np.arctan2(rotation[1, 0], rotation[0, 0])
     c, s = np.cos(yaw), np.sin(yaw)
@@ -98,7 +99,7 @@ def _place(body: Any, ref: Any, clock: Any, draws: Array, noise: float, place: A
     place.lin_vel[2] = ref.lin_vel[2]
     for a in range(3):
         place.lin_vel[a] += noise * VELOCITY_NOISE * (2 * draws[13 + a] - 1)
-        # turning about z changes the world, not what the body feels
+        # a turn about z changes the world, not the body's sensors
         place.ang_vel_b[a] = 0.0
         for b in range(3):
             place.ang_vel_b[a] += rotation[b, a] * ref.ang_vel[b]

@@ -1,4 +1,4 @@
-"""A training from its first step to its last: iterations, evaluations in the common metric, checkpoints, logs."""
+"""A training run: iterations, evaluations in the common metric, checkpoints and logs."""
 
 import csv
 import io
@@ -22,19 +22,17 @@ from fastmimic.learning.training_folder import EVALUATIONS, EVENTS, ONNX, Stopwa
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
-CHECKPOINT_S: Final = 60.0
-"""Wall time between checkpoints; they do not change the course."""
-EVALUATION_STEPS: Final = 500_000
-"""Policy steps between evaluations."""
+CHECKPOINT_S: Final = 60.0  # s of wall time between checkpoints
+EVALUATION_STEPS: Final = 500_000  # policy steps between evaluations
 EVALUATION_S: Final = 10.0
 PERTURBED_EPISODES: Final = 8
-_EVALUATION_SEED: Final = 20230617  # of the perturbed starts: those of a comparison
+_EVALUATION_SEED: Final = 20230617  # of the perturbed starts, as in a comparison
 LIBRARY: Final = "rsl-rl"
 
 
 @dataclass(frozen=True)
 class Evaluated:
-    """An evaluation of a policy under training, as `fastmimic compare` evaluates.
+    """An evaluation of a policy under training, as in `fastmimic compare`.
 
     Attributes:
         steps: policy steps of training so far.
@@ -42,7 +40,7 @@ class Evaluated:
         reward: of a nominal episode.
         reward_perturbed: mean over episodes from perturbed starts.
         fell: whether the nominal episode ended by a fall.
-        fell_perturbed: share of the others that did.
+        fell_perturbed: share of falls among the others.
     """
 
     steps: int
@@ -56,7 +54,7 @@ class Evaluated:
 
 @dataclass(frozen=True)
 class Advance:
-    """How far a training is: `steps` of `total`, at a pace of `steps_per_s`; the last iteration and evaluation."""
+    """Progress: `steps` of `total`, `steps_per_s`, and the last iteration and evaluation."""
 
     steps: int
     total: int
@@ -80,29 +78,23 @@ def train(
 ) -> list[Evaluated]:
     """Trains a policy to imitate a motion, and keeps the best one evaluated as `policy.npz` and `policy.onnx`.
 
-    The folder holds, besides, `evaluations.csv`, TensorBoard's logs and a checkpoint. A training that was stopped goes
-    on from its checkpoint as if it had not been, to the bit on the same machine; one that is finished goes on if more
-    steps are asked for.
+    The folder also holds `evaluations.csv`, TensorBoard's logs and a checkpoint. A resumed training equals an
+    uninterrupted one to the bit on the same machine; a finished one continues if `steps` is greater.
 
     Args:
-        robot: the robot.
-        motion: what to imitate; of an optimised motion its demonstration.
+        motion: the motion; of an optimised motion its demonstration counts.
         steps: policy steps of all robots together, rounded up to whole iterations.
-        folder: where everything goes.
-        settings: how to learn.
+        folder: for all files.
         device: of PyTorch.
-        threads: to divide the robots among; the result does not depend on it.
-        resume: whether to go on from the folder's checkpoint.
-        evaluate_every: policy steps between evaluations; there is always one at the end.
+        threads: number of threads; the result does not depend on it.
+        resume: whether to continue from the folder's checkpoint.
+        evaluate_every: policy steps between evaluations; the last iteration always has one.
         progress: called after each iteration.
-
-    Returns:
-        All evaluations.
 
     Raises:
         ConfigError: a missing library, or as `Learner`.
         CheckpointError: a damaged checkpoint.
-        OutputError: something cannot be written.
+        OutputError: a file cannot be written.
         KeyboardInterrupt: Ctrl-C; the checkpoint is of the last minute.
     """
     learner = Learner(
@@ -161,7 +153,7 @@ class _Training:
         return self._evaluations
 
     def _evaluate(self) -> Evaluated:
-        """Of the present policy; writes it if it is the best so far."""
+        """Evaluates the present policy, and saves it if it is the best so far."""
         policy = self._learner.policy(self._about())
         found = evaluate_policy(
             policy, self._learner.episodes.robot, self._learner.episodes.motion, self._steps, self._watch
@@ -214,7 +206,7 @@ class _Training:
 
 
 def evaluate_policy(policy: Policy, robot: Robot, motion: Motion, steps: int, watch: Stopwatch) -> Evaluated:
-    """One nominal episode and several from perturbed starts, the same ones as in a comparison."""
+    """One nominal episode and several from the perturbed starts of a comparison."""
     wall_s, cpu_s = watch.wall_s, watch.cpu_s
     seconds = episode_duration(motion, EVALUATION_S)
     room = start_room(motion, seconds)
@@ -232,7 +224,7 @@ def evaluate_policy(policy: Policy, robot: Robot, motion: Motion, steps: int, wa
 
 
 def evaluations_csv(evaluations: list[Evaluated]) -> str:
-    """One line an evaluation."""
+    """One line per evaluation."""
     out = io.StringIO()
     writer = csv.DictWriter(out, list(Evaluated.__dataclass_fields__), lineterminator="\n")
     writer.writeheader()

@@ -1,4 +1,4 @@
-"""The folder of a training: what lies in it, what may be written over, and what goes on."""
+"""The folder of a training: its files, and the rules to replace or resume it."""
 
 import io
 import json
@@ -27,7 +27,6 @@ class TrainingFolder(WorkFolder):
 
     @classmethod
     def at(cls, path: Path) -> "TrainingFolder":
-        """The folder at a path."""
         return cls(path, "a training", CONFIG, "training", _FILES)
 
     @property
@@ -40,7 +39,7 @@ class TrainingFolder(WorkFolder):
         self.write(CONFIG, json.dumps(record, indent=1, sort_keys=True) + "\n")
 
     def save(self, state: Mapping[str, Any]) -> None:
-        """Writes the checkpoint in place of an earlier one."""
+        """Writes the checkpoint and replaces an earlier one."""
         import torch
 
         out = io.BytesIO()
@@ -48,11 +47,7 @@ class TrainingFolder(WorkFolder):
         replace_file(self.path / CHECKPOINT, lambda file: file.write(out.getbuffer()))
 
     def load(self) -> dict[str, Any]:
-        """Reads the checkpoint; it holds tensors and plain values, and no code.
-
-        Raises:
-            CheckpointError: it is missing or damaged.
-        """
+        """Reads the checkpoint, without executing code in it; raises `CheckpointError` if it is missing or damaged."""
         import torch
 
         path = self.path / CHECKPOINT
@@ -69,17 +64,15 @@ class TrainingFolder(WorkFolder):
 
 
 def open_training(path: Path, same: Mapping[str, Any], *, resume: bool, overwrite: bool) -> TrainingFolder:
-    """Checks a folder for a training before anything takes long; writes nothing into it.
+    """Checks a folder before a training begins; writes nothing into it.
 
     Args:
-        path: the folder.
-        same: what must be that of the folder's `config.json` to resume, under `training`.
-        resume: whether to go on with the training in the folder.
+        same: settings that must equal `training` in the folder's `config.json` to resume.
+        resume: whether to continue the training in the folder.
         overwrite: whether to replace it.
 
-    Raises:
-        ConfigError: both `resume` and `overwrite`.
-        OutputError: the folder holds another training, or something else, or cannot be written to.
+    Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be
+    written.
     """
     folder = TrainingFolder.at(path)
     folder.check(same, resume=resume, overwrite=overwrite, begun=folder.begun)
@@ -88,7 +81,7 @@ def open_training(path: Path, same: Mapping[str, Any], *, resume: bool, overwrit
 
 
 class Stopwatch:
-    """Wall and processor time of this process, on top of what went before."""
+    """Wall and processor time of this process, added to earlier times."""
 
     def __init__(self, wall_s: float = 0.0, cpu_s: float = 0.0) -> None:
         self._wall_s, self._cpu_s = wall_s - time.perf_counter(), cpu_s - time.process_time()
