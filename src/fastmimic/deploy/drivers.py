@@ -28,10 +28,8 @@ def robot_driven(driver: str) -> str | None:
 
 
 def make_driver(driver: str, robot: Robot, **options: Any) -> RobotDriver:
-    """A driver (one of `WIRED`) of a real robot, not yet open; `options` are those of `RobotDriver` and its own.
-
-    Raises `ConfigError` for an unknown option, `DriverError` for a missing dependency.
-    """
+    """A driver (one of `WIRED`) of a real robot, not yet open; `options` are those of `RobotDriver` and its own. Raises
+    `ConfigError` for an unknown option, `DriverError` for a missing dependency."""
     module, name, own = WIRED[driver]
     unknown = next((option for option in options if option not in (*own, "release", "say", "timeout_s")), None)
     if unknown is not None:

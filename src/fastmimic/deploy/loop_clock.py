@@ -60,10 +60,8 @@ class VirtualClock:
 
 @contextmanager
 def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
-    """Disables Python's garbage collector; `real_time` requests real-time scheduling and locked memory.
-
-    Yields a sentence for each request refused.
-    """
+    """Disables Python's garbage collector; `real_time` requests real-time scheduling and locked memory. Yields a
+    sentence for each request refused."""
     refused: list[str] = []
     gc.collect()
     was_enabled = gc.isenabled()

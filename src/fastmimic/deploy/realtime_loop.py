@@ -42,9 +42,7 @@ class LoopOutcome:
     """How a run of the loop ended.
 
     Attributes:
-        stopped_by: the reason.
         text: a line on what was not planned; else empty.
-        phase: the phase in which it stopped.
         deadline_misses: periods that sent their command too late.
         skipped: periods left out because an earlier one took too long.
         packets: messages since the first period.
@@ -79,8 +77,6 @@ class Loop:
             machine: computes the commands; its guard checks them.
             recorder: takes a row for each period.
             clock: of the deadlines and of the driver's states.
-            ending: when the motion ends.
-            switch: the operator's stop.
             dry: whether nothing is sent.
             watch: called at the end of each period with the machine and the command (1,) of `COMMAND`.
         """

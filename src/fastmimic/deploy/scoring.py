@@ -64,10 +64,8 @@ def score_log(
 
 
 def evaluation_of(robot: Robot, log: DeploymentLog, config: ControllerConfig) -> Evaluation:
-    """The `fastmimic.evaluate` result of a deployment, by the true states if known, else by the estimate.
-
-    Raises `DeploymentError` if the robot did not reach the motion.
-    """
+    """The `fastmimic.evaluate` result of a deployment, by the true states if known, else by the estimate. Raises
+    `DeploymentError` if the robot did not reach the motion."""
     rollout = score_log(robot, log, config, log.truth)
     if rollout is None:
         raise DeploymentError(f"the robot never came to the motion: {log.meta['result']['stopped_because']}")
@@ -84,11 +82,9 @@ def figures(rollout: Rollout | None) -> dict[str, Any]:
 
 
 def true_states(log: DeploymentLog, truth: NDArray[Any], sequence: NDArray[np.int64]) -> NDArray[Any]:
-    """A simulated robot's true states in the log's rows, (t,) of `OBSERVATION`.
-
-    `truth` (k,) of `OBSERVATION` belongs to the ascending message numbers `sequence` (k,). Raises `DeploymentError` if
-    a message of the log is not among them.
-    """
+    """A simulated robot's true states in the log's rows, (t,) of `OBSERVATION`. `truth` (k,) of `OBSERVATION` belongs
+    to the ascending message numbers `sequence` (k,). Raises `DeploymentError` if a message of the log is not among
+    them."""
     wanted = log.rows["sequence"]
     at = np.searchsorted(sequence, wanted)
     found = at < len(sequence)

@@ -108,10 +108,8 @@ class Follower:
         return self.part is self.sequence.main
 
     def advance(self, observation: NDArray[Any]) -> bool:
-        """Advances by one control step; returns whether another part has begun.
-
-        Where a cycle starts, x and y are synchronised to the `observation` (1,) of `OBSERVATION`.
-        """
+        """Advances by one control step; returns whether another part has begun. Where a cycle starts, x and y are
+        synchronised to the `observation` (1,) of `OBSERVATION`."""
         if self.done:
             return False
         way, part = self.sequence, self.part
@@ -139,10 +137,8 @@ class Follower:
 
 
 def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionSequence:
-    """The sequence of a motion that is cyclic or stitched; `config` is the controller's, which may plan ahead.
-
-    Raises `MotionError` for another robot or rate, another kind of motion, or without a transition from or to standing.
-    """
+    """The sequence of a motion that is cyclic or stitched; `config` is the controller's, which may plan ahead. Raises
+    `MotionError` for another robot or rate, another kind of motion, or without a transition from or to standing."""
     first, last = _ends(robot, motion, config.rate_hz)
     if motion.contact.all():
         return _standing(robot, motion, config)

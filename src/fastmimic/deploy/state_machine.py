@@ -172,10 +172,8 @@ class StateMachine:
         self._leave_early = True
 
     def step(self, reading: NDArray[Any]) -> NDArray[Any]:
-        """One control step from the newest state (1,) of `READING`.
-
-        Returns (1,) of `COMMAND`, overwritten by the next call; it must not be sent if `violation` is set.
-        """
+        """One control step from the newest state (1,) of `READING`. Returns (1,) of `COMMAND`, overwritten by the next
+        call; it must not be sent if `violation` is set."""
         following, follower = self.phase is DeploymentPhase.FOLLOW, self.follower
         reference = (follower.table, follower.clock) if following else (None, None)
         self.violation = self.guard.check_state(reading, *reference)

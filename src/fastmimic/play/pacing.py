@@ -35,10 +35,8 @@ class Pacer:
         self._window: deque[tuple[float, float, float]] = deque()
 
     def run(self, stop: threading.Event, record: Callable[[], None], every: int, awake: Callable[[], bool]) -> None:
-        """Runs until `stop` is set, while `awake` returns True.
-
-        Calls `record`, with the lock held, after each `every` control steps.
-        """
+        """Runs until `stop` is set, while `awake` returns True. Calls `record`, with the lock held, after each `every`
+        control steps."""
         before = self._clock()
         while not stop.wait(CHUNK_S):
             now = self._clock()

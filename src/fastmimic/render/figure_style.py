@@ -65,10 +65,8 @@ def tidy(axes: Axes, title: str = "", xlabel: str = "", ylabel: str = "") -> Non
 
 
 def save(figure: Figure, path: str | Path) -> None:
-    """Writes `figure` as PNG, PDF or SVG, by the ending of `path`; replaces a file only by a complete one.
-
-    Raises `OutputError` for another ending or a file that cannot be written.
-    """
+    """Writes `figure` as PNG, PDF or SVG, by the ending of `path`; replaces a file only by a complete one. Raises
+    `OutputError` for another ending or a file that cannot be written."""
     suffix = Path(path).suffix.lower().lstrip(".")
     if suffix not in ("png", "pdf", "svg"):
         raise OutputError(f"{path}: a figure can be saved as .png, .pdf or .svg, not {suffix or 'without ending'!r}")

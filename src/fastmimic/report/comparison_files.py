@@ -31,17 +31,8 @@ SHOWN: Final = "dog:pace"  # the tracking figure's motion, as in the paper; else
 def write_comparison(
     folder: ComparisonFolder, plan: ComparisonPlan, rows: Sequence[Row], kept: Sequence[Row] = ()
 ) -> None:
-    """Writes the tables and figures of all rows, replacing earlier ones; says so if runs are missing.
-
-    Args:
-        folder: of the comparison.
-        plan: what was requested.
-        rows: of its finished runs.
-        kept: of the other finished runs in the folder.
-
-    Raises:
-        OutputError: something cannot be written.
-    """
+    """Writes the tables and figures of all rows, replacing earlier ones; says so if runs are missing. `kept` are rows
+    of the folder's other finished runs. Raises `OutputError`."""
     missing = {*plan.runs} - {run_of(row) for row in rows}
     found = folder.in_order([*kept, *rows])
     written = [RESULTS_CSV]

@@ -31,12 +31,11 @@ def convergence_figure(
         iteration: their numbers.
         best: objective of each iteration's best candidate, or of the search's start where better; the best so far is
             drawn.
-        mean: mean reward of the candidates.
-        std: its standard deviation, drawn as a band about the mean.
+        mean, std: mean reward of the candidates, and its standard deviation, drawn as a band.
         sigma: CMA-ES's step size, relative to the parameters' scaled ranges.
         baseline: mean per-step reward of the unoptimised motion, in [0, 1].
-        randomized: whether each iteration scores on other robots: each iteration's best is drawn then, since the best
-            so far would be that of the easiest robots.
+        randomized: whether each iteration scores on other robots: then the best so far would be that of the easiest
+            robots, and each iteration's best is drawn.
     """
     k, best, mean, std, sigma = (
         np.atleast_1d(np.asarray(a, dtype=np.float64)) for a in (iteration, best, mean, std, sigma)

@@ -43,10 +43,8 @@ _PICTURES: Final = {
 
 
 def comparison_page(path: Path) -> tuple[str, tuple[str, ...]]:
-    """The page of a comparison's folder, and a sentence for each thing missing in it.
-
-    Raises `ConfigError` if `environment.json` or `results.csv` cannot be read, or Plotly is not installed.
-    """
+    """The page of a comparison's folder, and a sentence for each thing missing in it. Raises `ConfigError` if
+    `environment.json` or `results.csv` cannot be read, or Plotly is not installed."""
     environment = read_json(path / ENVIRONMENT)
     try:
         settings = environment["settings"]

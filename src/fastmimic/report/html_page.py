@@ -19,13 +19,12 @@ from fastmimic.report.html_plots import Figure
 
 
 def render(template: str, figures: Iterable[Figure], *, title: str, replay: str = "", **data: Any) -> str:
-    """Fills a page.
+    """Fills a page; `data` is for the template.
 
     Args:
         template: name of a file in `templates/`.
         figures: all figures of the page.
         replay: an HTML page to be opened inside this one; empty for none.
-        **data: for the template.
 
     Raises:
         ConfigError: there are figures, and Plotly is not installed.

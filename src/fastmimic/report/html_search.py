@@ -27,7 +27,6 @@ def convergence(
     """Scores of the candidates by generation, and their spread.
 
     Args:
-        search: the optimiser's candidates.
         before, after: rewards of the run.
         unchanged: whether the motion as fitted is the result.
         randomized: whether each iteration scored on other robots.

@@ -38,17 +38,9 @@ def write_video(
     progress: Callable[[int, int], None] | None = None,
     quality: str = "preview",
 ) -> bool:
-    """Adds the video, and its time to the metrics; False, with a warning in the log, if nothing can draw.
-
-    Args:
-        result: already in the folder.
-        folder: of the run.
-        progress: called with (frames done, frames in all).
-        quality: one of `fastmimic.render.quality.QUALITIES`.
-
-    Raises:
-        OutputError: the video cannot be written.
-    """
+    """Adds the video, and its time to the metrics; False, with a warning in the log, if nothing can draw. `progress` is
+    called with (frames done, frames in all); `quality` is one of `fastmimic.render.quality.QUALITIES`. Raises
+    `OutputError`."""
     from fastmimic.render.video import render_video
 
     began = time.perf_counter()

@@ -43,10 +43,8 @@ def write_transfer(folder: WorkFolder, planned: Sequence[tuple[str, str]]) -> No
 
 
 def transfer_figure(rows: Sequence[dict[str, Any]]) -> Figure:
-    """One panel per motion, one group of bars per method, and a panel of the paper's numbers.
-
-    `rows` are of the trials, see `fastmimic.experiments.transfer.COLUMNS`.
-    """
+    """One panel per motion, one group of bars per method, and a panel of the paper's numbers. `rows` are of the trials,
+    see `fastmimic.experiments.transfer.COLUMNS`."""
     found = transferred(rows)
     motions = list(dict.fromkeys(t.motion for t in found))
     groups = [[t for t in found if t.motion == motion] for motion in motions]

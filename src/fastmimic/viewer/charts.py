@@ -64,10 +64,8 @@ def plot_data(base: Array, time_s: float) -> tuple[Array, ...]:
 
 
 def gait_strip(take: "Take", row: int, now: float = 0.5) -> str:
-    """An SVG of wanted (outlined), loaded (filled) and planned (hatched) stance about a row of a take.
-
-    `now` is the place of the present as a share of the strip: 1 shows the past only.
-    """
+    """An SVG of wanted (outlined), loaded (filled) and planned (hatched) stance about a row of a take. `now` is the
+    place of the present as a share of the strip: 1 shows the past only."""
     samples = round(STRIP_S * take.rate_hz)
     left_row = row - round(now * samples)
     first, end = max(left_row, 0), min(left_row + samples + 1, take.rows)

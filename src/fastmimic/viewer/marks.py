@@ -54,9 +54,7 @@ def contact_flags(take: "Take", row: int) -> dict[str, NDArray[np.bool_]]:
 
 def force_arrows(take: "Take", row: int, foot_radius: float, length: float) -> Array:
     """Ground reaction forces as arrows (k, 2, 3) from the contact points, world, m; only of feet with a force.
-
-    `foot_radius` is in m, `length`, m, that of an arrow of the robot's weight.
-    """
+    `foot_radius` is in m, `length`, m, that of an arrow of the robot's weight."""
     return _arrows(take.force, take, row, foot_radius, length)
 
 
@@ -120,11 +118,8 @@ def trails(feet: Array, row: int, rate_hz: float, *, dashed: bool = False) -> Ar
 
 
 def animal_beside(animal: "Animal", take: "Take", row: int, aside: float) -> Array:
-    """Keypoints (10, 3) of the animal beside the reference at the same moment, in its heading, world, m.
-
-    `aside` is the offset, m, to the left of the reference's initial heading, so that turns keep the animal's side in
-    the picture.
-    """
+    """Keypoints (10, 3) of the animal beside the reference at the same moment, in its heading, world, m. `aside` is the
+    offset, m, to the left of the reference's initial heading, so that turns keep the animal's side in the picture."""
     poses = take.reference if take.reference is not None else take.pose
     points = animal.local(int(take.samples[row]))
     beside = rotate_planar(float(yaw_from_quat(poses[0, 3:7])), np.array([0.0, aside]))

@@ -16,10 +16,8 @@ class Player:
     """A position in the rows of a take that advances in real time.
 
     Attributes:
-        rows: their number.
         rate_hz: rows a second of real time.
         cycle_starts: first rows of the cycles, ascending from 0.
-        playing: whether it advances.
         speed: times real time, positive.
         repeat: at the end start again ("all"), stop ("off"), or repeat the present cycle ("cycle").
     """

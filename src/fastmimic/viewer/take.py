@@ -99,13 +99,7 @@ def rollout_take(
     title: str = "",
     episode: int = 0,
 ) -> Take:
-    """An episode, falls included.
-
-    Args:
-        rollout: with its log.
-        config: the controller's.
-        episode: its index.
-    """
+    """An episode with its log, falls included."""
     log = rollout.log
     assert log is not None, "a take needs a rollout with its log"
     track = rollout_track(rollout, title, episode)

@@ -1,8 +1,7 @@
 """The driver of an A1 through `robot_interface`, the binding of Unitree's SDK that the published A1 code builds.
 
-Its interface, as in fast_and_efficient and motion_imitation: `RobotInterface(0xff)`, `receive_observation()`, and
-`send_command` of 60 numbers, (q, kp, dq, kd, tau) per joint. Order of legs, quaternion, angles and signs are the
-project's.
+Its interface: `RobotInterface(0xff)`, `receive_observation()`, and `send_command` of 60 numbers, (q, kp, dq, kd, tau)
+per joint. Order of legs, quaternion, angles and signs are the project's.
 """
 
 import importlib

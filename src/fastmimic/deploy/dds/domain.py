@@ -114,10 +114,8 @@ def leave_domain(domain: int) -> None:
 
 
 class Participant:
-    """A participant in a DDS domain (0 … `MAX_DOMAIN`; robots are in 0). A context manager; not thread-safe.
-
-    Raises `DriverError` without CycloneDDS, for an unknown interface or domain, or if the domain is full.
-    """
+    """A participant in a DDS domain (0 … `MAX_DOMAIN`; robots are in 0). A context manager; not thread-safe. Raises
+    `DriverError` without CycloneDDS, for an unknown interface or domain, or if the domain is full."""
 
     def __init__(self, domain: int, interface: str = LOOPBACK) -> None:
         if not 0 <= domain <= MAX_DOMAIN:

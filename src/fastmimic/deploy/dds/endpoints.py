@@ -60,7 +60,7 @@ class Writer:
 
 
 class Reader:
-    """Receives messages of one topic and a fixed size, into its own memory; beyond `depth` in the queue the oldest are
+    """Receives messages of one topic and a fixed size, into its own memory; of a queue beyond `depth` the oldest are
     lost.
 
     Attributes:

@@ -91,11 +91,8 @@ def go2_body(robot: Robot, settings: SimSettings) -> SimulatedBody:
 
 
 class SimServer:
-    """A simulated robot with a Go2's DDS interface. A context manager.
-
-    Attributes:
-        realtime_factor: simulated time per second, in (0, 1].
-    """
+    """A simulated robot with a Go2's DDS interface; a context manager. `realtime_factor` is simulated time per second,
+    ≤ 1."""
 
     def __init__(self, robot: Robot, settings: SimSettings | None = None, log: GroundTruthLog | None = None) -> None:
         """`log` takes the ground truth. Raises `DriverError` like `Participant`, and for another robot in the
