@@ -1,9 +1,8 @@
 """What a motion asks of a robot, and why the robot fell, by one rule for every motion.
 
-`demands` looks at the demonstration alone: inverse dynamics of the whole robot, with the ground forces that come
-nearest to what it asks for, within the friction of the ground. `describe_fall` looks at the log of an episode up to
-its fall.
-`reasons` holds both against the robot's limits.
+`demands` looks at the demonstration alone: inverse dynamics of the whole robot, with the ground reaction forces nearest
+to the demand within the friction of the ground. `describe_fall` looks at an episode's log up to its fall. `reasons`
+compares both with the robot's limits.
 """
 
 from dataclasses import asdict, dataclass
@@ -23,21 +22,14 @@ from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 from fastmimic.simulation.mujoco_sim import FLOOR, GROUND_FRICTION, build_model
 
-SAMPLE_S: Final = 0.004
-"""Time between the instants of a motion that are looked at."""
-BEFORE_S: Final = 0.3
-"""Of an episode, what lies so short before the fall counts."""
-SMOOTHING: Final = 1e-3
-"""Weight of the squared ground forces, in weights of the robot, against the squared residual acceleration, in g."""
-HIGH: Final = 95
-"""Percentile that stands for a greatest value; the very greatest belongs to single samples."""
+SAMPLE_S: Final = 0.004  # time between the examined instants of a motion
+BEFORE_S: Final = 0.3  # examined time before a fall
+SMOOTHING: Final = 1e-3  # weight of the squared ground forces (weights) against the squared residual acceleration (g)
+HIGH: Final = 95  # percentile that stands for a greatest value; the very greatest belongs to single samples
 
-MAX_LIMITED: Final = 0.2
-"""Share of the time with a joint at its limit. This and the next are beyond what tracked motions ask."""
-MAX_LACKING: Final = 0.5
-"""Acceleration that the standing feet cannot give, g RMS."""
-MAX_FLIGHT: Final = 0.1
-"""Share of the time without a foot on the ground."""
+MAX_LIMITED: Final = 0.2  # share of the time with a joint at its limit; more than tracked motions ask, as is the next
+MAX_LACKING: Final = 0.5  # acceleration that the standing feet cannot give, g RMS
+MAX_FLIGHT: Final = 0.1  # share of the time without a foot on the ground
 MAX_SLIDE_M: Final = 5e-3
 MAX_SLIP_M: Final = 0.03
 MAX_SATURATED: Final = 0.05
@@ -50,11 +42,11 @@ class Demands:
     Attributes:
         joint_speed: greatest joint speed, share of the limit.
         torque: joint torque, share of the limit, of the most loaded joint at 95 % of the instants.
-        friction: horizontal over vertical force of the ground at 95 % of the instants with a foot down.
+        friction: horizontal over vertical ground reaction force at 95 % of the instants with a foot down.
         flight: share of the time without any foot on the ground.
-        lacking: RMS of the acceleration that the standing feet cannot give, linear, in g. Flights enter with what
-            they differ from a free fall.
-        lacking_angular: the same of the rotation, rad/s², about the centre of mass.
+        lacking: RMS of the linear acceleration that the standing feet cannot give, g. In flight, the difference from
+            free fall counts.
+        lacking_angular: the same of the rotation about the centre of mass, rad/s².
         joint_limited: share of the samples with a joint within 0.03 rad of its limit.
         slide_m: furthest that a foot moves in a stance.
         body_clearance_m: least distance of anything but the feet from the ground; negative below it.
@@ -77,14 +69,13 @@ class Demands:
 
 @dataclass(frozen=True)
 class Fall:
-    """How an episode ended before its time.
+    """An episode's early end.
 
     Attributes:
-        time_s: of the fall.
         touched: bodies other than feet on the ground, by name.
         how: 'touched the ground', 'tipped over', 'left its place' or 'simulation failed'.
-        saturated: share of the motors' commands in the last 0.3 s that exceed their torque limit.
-        slip_m: longest path of a loaded foot's centre in those 0.3 s while it should stand; a few mm of it are rolling.
+        saturated: share of the motor commands in the last 0.3 s that exceed their torque limit.
+        slip_m: longest path of a loaded foot's centre in those 0.3 s in scheduled stance; a few mm of it are rolling.
     """
 
     time_s: float
@@ -100,11 +91,11 @@ class Fall:
 
 @dataclass(frozen=True)
 class Reason:
-    """A limit that is exceeded.
+    """An exceeded limit.
 
     Attributes:
         kind: 'reach', 'joint speed', 'torque', 'friction', 'flight', 'support' or 'feedback'.
-        text: what was found, with figures.
+        text: the finding, with figures.
     """
 
     kind: str
@@ -141,16 +132,7 @@ def demands(robot: Robot, motion: Motion) -> Demands:
 
 
 def describe_fall(robot: Robot, rollout: Rollout, episode: int = 0) -> Fall | None:
-    """How an episode ended; None if the robot did not fall.
-
-    Args:
-        robot: the robot.
-        rollout: with its log.
-        episode: which one.
-
-    Raises:
-        ValueError: the rollout has no log.
-    """
+    """The fall of an episode; None if the robot did not fall. Raises `ValueError` if the rollout has no log."""
     if rollout.log is None:
         raise ValueError("a fall can only be described from a rollout with its log")
     if not rollout.fell[episode]:
@@ -173,11 +155,11 @@ def describe_fall(robot: Robot, rollout: Rollout, episode: int = 0) -> Fall | No
 
 
 def reasons(needs: Demands, fall: Fall | None = None) -> tuple[Reason, ...]:
-    """The limits that a motion exceeds, those of the demonstration first, in the order of cause and effect: a leg that
-    is held at the end of its reach jumps out of it, and what it then asks of motors and ground follows from that.
+    """The limits that a motion exceeds, those of the demonstration first, in the order of cause and effect: a leg at
+    the end of its reach jumps out of it, and what it then asks of motors and ground follows from that.
 
-    A motion whose demonstration keeps every limit and whose robot fell without saturated motors or slipping feet has
-    one reason: feedback. Without a fall nothing is said but what the demonstration exceeds.
+    If the demonstration keeps every limit and the robot fell without saturated motors or slipping feet, the only reason
+    is feedback. Without a fall, only the demonstration's reasons are given.
     """
     found = []
     if needs.body_clearance_m < 0.0:
@@ -206,8 +188,8 @@ def reasons(needs: Demands, fall: Fall | None = None) -> tuple[Reason, ...]:
 
 
 def _ground_forces(robot: Robot, wanted: Array, force: Array, wrench: Array, can: NDArray[np.bool_]) -> Any:
-    """Forces of the feet (k, 4, 3), heading frame, nearest to the wanted wrench (k, 6), and the acceleration (k, 6)
-    that is lacking, m/s² and rad/s²."""
+    """Foot forces (k, 4, 3), heading frame, nearest to the wanted wrench (k, 6), and the lacking acceleration (k, 6),
+    m/s² and rad/s²."""
     from scipy.optimize import nnls
 
     weight = robot.mass * GRAVITY
@@ -224,7 +206,7 @@ def _ground_forces(robot: Robot, wanted: Array, force: Array, wrench: Array, can
 
 
 def _slide(motion: Motion) -> float:
-    """Furthest horizontal motion of a foot within a stance, m; a stance across a cycle's seam is looked at in two."""
+    """Furthest horizontal motion of a foot within a stance, m; a stance across a cycle's seam counts as two."""
     feet, worst = motion.foot_pos_w[..., :2], 0.0
     for leg in range(4):
         edges = np.flatnonzero(np.diff(motion.contact[:, leg].astype(np.int8), prepend=0, append=0))
@@ -235,7 +217,7 @@ def _slide(motion: Motion) -> float:
 
 
 def _body_clearance(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> float:
-    """Least distance from the ground of what collides with it, but for the feet, m; 0.5 if nothing comes nearer."""
+    """Least distance of colliding geoms, except feet, from the ground, m; 0.5 if nothing comes nearer."""
     import mujoco
 
     model = build_model(robot)
@@ -249,7 +231,7 @@ def _body_clearance(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> f
 
 
 def _touching(robot: Robot, state: Any) -> tuple[str, ...]:
-    """Names of the bodies that touch the ground with something else than a foot, sorted."""
+    """Sorted names of the bodies that touch the ground with anything but a foot."""
     import mujoco
 
     if not all(np.isfinite(state[name]).all() for name in ("root_pos", "root_quat", "joint_pos")):
@@ -269,7 +251,7 @@ def _pose(robot: Robot, model: Any, data: Any, position: Array, quat: Array, joi
 
 
 def _how(state: Any, reference: Any) -> str:
-    """Which of the rules that end an episode applied."""
+    """The rule that ended an episode."""
     if not all(np.isfinite(state[name]).all() for name in ("root_pos", "root_quat", "joint_pos", "joint_vel")):
         return "simulation failed"
     if state["other_contact"] > 0.5:
@@ -282,7 +264,7 @@ def _how(state: Any, reference: Any) -> str:
 
 
 def _slip(robot: Robot, states: Any, wanted: NDArray[np.bool_]) -> float:
-    """Longest path of a loaded foot's centre while it should stand, m."""
+    """Longest path of a loaded foot's centre in scheduled stance, m."""
     feet = states["root_pos"][:, None] + quat_rotate(
         states["root_quat"][:, None], foot_positions(robot, states["joint_pos"])
     )

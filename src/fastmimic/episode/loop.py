@@ -33,7 +33,7 @@ class LoopController(Protocol):
     """What the loop needs of a controller; see `fastmimic.control.controller.Controller`.
 
     Attributes:
-        config: its rate, and the thresholds by which contacts are counted.
+        config: its rate, and the contact thresholds.
         tables: (1 or n, t) of `SAMPLE`, what the robots follow.
         memory: (n,) of `MEMORY`.
         command: (n,) of `COMMAND`, the last ones.
@@ -69,11 +69,11 @@ class ClosedLoop:
         conditions: Conditions | None = None,
         controller: MakeController | None = None,
     ) -> None:
-        """
+        """`controller` makes another controller than the model-based one, and may raise any `FastMimicError`.
+
         Raises:
             MotionError: the motion is for another robot.
             ConfigError: it is for another rate.
-            FastMimicError: as `controller`, which makes another controller than the model-based one.
         """
         config = config if config is not None else default_config()
         self.conditions = conditions if conditions is not None else Conditions()
@@ -112,15 +112,14 @@ class ClosedLoop:
         """Runs one episode with each robot.
 
         Args:
-            references: what the controller follows: motions or tables (k, t) of `SAMPLE`, one or n; None for the
-                demonstration.
+            references: one or n motions or tables (k, t) of `SAMPLE` to follow; None for the demonstration.
             start: of n episodes.
             steps: control steps.
             log: whether to keep the whole course.
-            divisions: control steps, ascending, at which one part of the episodes ends and the next begins.
+            divisions: ascending control steps at which a part of the episodes ends and the next begins.
 
         Raises:
-            ConfigError: starts or references are not as many as there are robots, or at another rate.
+            ConfigError: the number of starts or references is not that of the robots, or their rate differs.
             MotionError: the references' period is not the demonstration's.
         """
         self.place(start, references)
@@ -170,7 +169,7 @@ class ClosedLoop:
         return self.controller.step(self._seen, self._followed)
 
     def apply(self, commands: NDArray[Any]) -> None:
-        """Steps the simulation, looks at it as the controller does, and advances the controller's clocks."""
+        """Steps the simulation, observes it for the controller, and advances the controller's clocks."""
         controller, observer = self.controller, self.observer
         if observer is None:
             self._seen = self._truth = self.simulation.step(commands)
@@ -188,9 +187,10 @@ class ClosedLoop:
             self.observer.compare(self._truth, self.scorer.tallies)
 
     def _first_look(self, observer: Observer, start: Start) -> tuple[NDArray[Any], NDArray[Any]]:
-        """What sensors tell of robots that start as the demonstration does, and the controller's own clocks.
+        """First sensor readings, as estimates, of robots that start as the demonstration does, and the controller's own
+        clocks.
 
-        What is added to the start, the controller is not told.
+        The controller is not told of the start's offsets.
         """
         table, clocks = self.table, self.clocks
         position, quat = world_root(table, start.sample, clocks["origin"])
@@ -203,7 +203,7 @@ class ClosedLoop:
         return seen, observer.clocks
 
     def _tables(self, references: Sequence[Motion] | NDArray[Any] | None) -> NDArray[Any]:
-        """What the controller follows, (1 or n, t) of `SAMPLE`, in step with the demonstration."""
+        """The controller's tables, (1 or n, t) of `SAMPLE`, in step with the demonstration."""
         if references is None:
             return self.table[None]
         if isinstance(references, np.ndarray):
@@ -244,17 +244,13 @@ def run_episodes(
     conditions: Conditions | None = None,
     controller: MakeController | None = None,
 ) -> Rollout:
-    """Runs episodes of a motion once; the demonstration it is scored against is `motion.target`.
+    """Runs episodes of a motion once; they are scored against the demonstration `motion.target`.
 
     Args:
-        robot: the robot.
-        motion: what the controller follows, unless `references` are given.
-        references: one reference for each episode.
-        start: of the episodes; one from the motion's start if None.
+        motion: what the controller follows, unless `references` has one for each episode.
+        start: one episode from the motion's start if None.
         duration_s: length of an episode, s; at most to the end of a motion that does not repeat.
-        config: the controller's.
         log: whether to keep the whole course.
-        conditions: what the robot meets and what its controller sees.
         controller: makes another controller than the model-based one, such as a policy.
     """
     start = start if start is not None else nominal_start(1)

@@ -1,4 +1,4 @@
-"""The figures of a rollout: one record, from which files, tables and reports take theirs."""
+"""The figures of a rollout: one record for files, tables and reports."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +15,7 @@ from fastmimic.motion.motion import Motion
 
 @dataclass(frozen=True, kw_only=True)
 class EstimationMetrics:
-    """How far the state estimate was from the truth: root mean squares over the episodes.
+    """Errors of the state estimate: root mean squares over the episodes.
 
     Attributes:
         drift_percent: mean over the episodes that travelled; NaN if none did.
@@ -33,14 +33,13 @@ class Metrics:
     """Figures over the episodes of a rollout; NaN where there is no value (no swing).
 
     Attributes:
-        episodes: how many.
-        duration_s: length of each.
+        duration_s: length of each episode.
         reward_mean, reward_std, reward_worst: over the episodes; steps after a fall count 0.
         components: mean of each term of the reward, by name.
         fell: share of the episodes that ended in a fall, in [0, 1].
         drift_m_per_s: speed that the synchronisation of the reference hides.
         swing_clearance_m: (4,) mean greatest height of each foot in its swings.
-        early_contacts_per_s: touch-downs before their time.
+        early_contacts_per_s: early touch-downs.
         stance_slip_m: mean path that a loaded foot slides in a stance.
         foot_x_rmse_m, foot_z_rmse_m: against the demonstration, body frame.
         qp_failures: steps in which the stance QP failed, in all episodes.
@@ -96,7 +95,7 @@ class Metrics:
         return mean_of_known(np.array(self.swing_clearance_m))
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything by name, as JSON has it: None for NaN, the estimation's figures with the prefix `estimate_`."""
+        """Everything by name, for JSON: None for NaN, the estimation's figures with the prefix `estimate_`."""
         found = plain(self)
         estimate = found.pop("estimate")
         return found | {f"estimate_{name}": value for name, value in (estimate or {}).items()}
@@ -121,24 +120,20 @@ def rms(values: Array) -> float:
 
 
 def mean_of_known(values: Array) -> float:
-    """Mean of the values that are finite; NaN if none is."""
+    """Mean of the finite values; NaN if there are none."""
     known = values[np.isfinite(values)]
     return float(known.mean()) if len(known) else float("nan")
 
 
 def _mean_over_episodes(values: Array) -> Array:
-    """Mean over the first axis of the values that are finite; NaN where none is."""
+    """Mean of the finite values over the first axis; NaN where there are none."""
     present = np.isfinite(values)
     total = np.where(present, values, 0.0).sum(axis=0)
     return np.where(present.any(axis=0), total / np.maximum(present.sum(axis=0), 1), np.nan)
 
 
 def swing_clearance(motion: Motion, foot_radius: float) -> Array:
-    """Each foot's greatest height above the ground in a motion, mean over its swings, m.
-
-    Returns:
-        (4,); NaN without swings. A swing that the motion's end cuts off does not count.
-    """
+    """(4,) each foot's greatest height above the ground, mean over a motion's complete swings, m; NaN without any."""
     height = motion.foot_pos_w[..., 2] - foot_radius
     out = np.full(4, np.nan)
     for leg in range(4):

@@ -1,4 +1,4 @@
-"""What the controller sees where it has sensors only: readings, the estimate made of them, and a clock of its own."""
+"""What the controller sees with sensors only: readings, the estimate from them, and a clock of its own."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -31,8 +31,7 @@ _ERRORS: Final = record_dtype(
         ("distance", "f8"),
         ("last", "f8", (2,)),
     ]
-)
-"""Running sums of one robot's estimation errors until the fall; `heading` and `offset` (x, y) are the present ones."""
+)  # running sums of one robot's errors until the fall; `heading` and `offset` (x, y) are the present ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +79,7 @@ def _compare(truths: Any, estimates: Any, tallies: Any, errors: Any, work: Array
 
 
 class Observer:
-    """Sensors and estimator of n robots, and the clocks that their controllers keep."""
+    """Sensors and estimator of n robots, and their controllers' clocks."""
 
     def __init__(self, robot: Robot, n: int, rate_hz: float, conditions: Conditions) -> None:
         world = make_world(conditions.disturbances, n, conditions.simulator)
@@ -100,17 +99,14 @@ class Observer:
         episodes: NDArray[np.int64],
         clocks: NDArray[Any],
     ) -> NDArray[Any]:
-        """Begins n episodes.
+        """Begins n episodes; returns the controller's first observation, (n,) of `OBSERVATION`.
 
         Args:
             truth: (n,) of `OBSERVATION`, what the sensors measure.
-            starts: (n,) of `START`, where the robots are known to start.
-            planned: (n, 4) whether each leg is meant to stand.
+            starts: (n,) of `START`, the robots' known starts.
+            planned: (n, 4) whether each leg should stand.
             episodes: (n,) numbers of the episodes' random streams.
-            clocks: (n,) of `CLOCK`; the controller's own go on from there.
-
-        Returns:
-            (n,) of `OBSERVATION`, what the controller is told.
+            clocks: (n,) of `CLOCK`, the initial state of the controller's own.
         """
         self.clocks = clocks.copy()
         self._errors[...] = np.zeros((), _ERRORS)
@@ -119,7 +115,7 @@ class Observer:
         return self.estimator.reset(self.sensors.reset(generators, truth), starts, planned)
 
     def to_motors(self, commands: NDArray[Any]) -> NDArray[Any]:
-        """The controller's commands (n,) as the motors take them."""
+        """The controller's commands (n,) of `COMMAND` as the motors take them."""
         self._motors = self.sensors.to_motors(commands)
         return self._motors
 
@@ -130,9 +126,9 @@ class Observer:
         tables: NDArray[Any],
         recovery: NDArray[Any] | None = None,
     ) -> NDArray[Any]:
-        """What the controller is told after a control step, with its clocks advanced; arguments as above.
+        """The observation after a control step, with the controller's clocks advanced; arguments as for `reset`.
 
-        `recovery` is the packed configuration of a controller that recovers.
+        `recovery` is the packed configuration of a controller with push recovery.
         """
         assert self._motors is not None
         told = self.estimator.step(self.sensors.measure(truth, self._motors), planned)
@@ -143,11 +139,11 @@ class Observer:
         return told
 
     def compare(self, truth: NDArray[Any], tallies: NDArray[Any]) -> None:
-        """Counts the present errors of the robots that have not fallen by their `TALLY`."""
+        """Adds the present errors of the robots that have not fallen by their `TALLY`."""
         _compare(truth, self.estimator.observation, tallies, self._errors, self._work)
 
     def errors(self) -> EstimationErrors:
-        """What was counted since the reset."""
+        """The errors since the reset."""
         e = self._errors
         steps = np.maximum(e["steps"], 1)
         far = e["distance"] >= MIN_DISTANCE

@@ -1,4 +1,4 @@
-"""Where a robot is that does exactly what its reference asks for."""
+"""The state of a robot that tracks its reference exactly."""
 
 from typing import Any, NamedTuple
 
@@ -30,7 +30,7 @@ class Placement(NamedTuple):
 
 
 def on_reference(table: NDArray[Any], sample: NDArray[np.int64], origin: Array) -> Placement:
-    """The states at samples (n,) of a table (t,) of `SAMPLE` whose origin (n, 3) (x, y, yaw) is in the world."""
+    """The states at samples (n,) of a table (t,) of `SAMPLE` with its origin at (n, 3) (x, y, yaw) in the world."""
     position, quat = world_root(table, sample, origin)
     velocity, turning = np.array(table["lin_vel"][sample]), np.array(table["ang_vel"][sample])
     velocity[:, :2] = rotate_planar(origin[:, 2], velocity[:, :2])

@@ -16,7 +16,7 @@ VELOCITY_NOISE: Final = 0.1  # m/s
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """How n episodes begin.
+    """Starts of n episodes.
 
     Attributes:
         sample: (n,) index into the motion.
@@ -50,12 +50,9 @@ def nominal_start(n: int) -> Start:
 
 
 def perturbed_start(n: int, n_samples: int, rng: np.random.Generator) -> Start:
-    """n episodes: the first nominal; the others at a random phase, with perturbed joints and velocity.
+    """n episodes: the first nominal, the others at a random phase, with perturbed joints and velocity.
 
-    Args:
-        n: how many.
-        n_samples: of the motion, at which an episode may begin (`start_room`).
-        rng: gives the phases and the perturbations.
+    `n_samples` is the number of samples at which an episode may begin (`start_room`).
     """
     start = nominal_start(n)
     for i in range(1, n):
@@ -71,14 +68,14 @@ def episode_steps(duration_s: float, rate_hz: float) -> int:
 
 
 def start_room(motion: Motion, duration_s: float) -> int:
-    """Number of samples at which an episode may begin: a motion that does not repeat leaves room for all of it."""
+    """Number of samples at which an episode may begin; a motion that does not repeat has to hold all of it."""
     if motion.cycle is not None:
         return motion.n_samples
     return max(1, motion.n_samples - math.ceil(duration_s * motion.rate_hz - 1e-9))
 
 
 def default_duration(motion: Motion, seconds: float) -> float:
-    """Length of an episode if none is given: `seconds`, or the whole of a motion that does not repeat, s."""
+    """Default length of an episode: `seconds`, or the whole of a motion that does not repeat, s."""
     return seconds if motion.cycle is not None else motion.period_s - motion.dt
 
 

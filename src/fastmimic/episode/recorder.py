@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class EpisodeRecorder:
-    """Copies what passes through the loop into arrays."""
+    """Copies the loop's data into arrays."""
 
     def __init__(self, loop: "ClosedLoop", steps: int) -> None:
         n = loop.n
@@ -49,7 +49,6 @@ class EpisodeRecorder:
             self._reading[:, step] = loop.observer.sensors.reading
 
     def log(self) -> Log:
-        """What was copied."""
         demonstration = demonstration_in_world(self._loop.table, self._sample, self._origin)
         return Log(
             rate_hz=self._loop.controller.config.rate_hz,

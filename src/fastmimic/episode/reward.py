@@ -1,4 +1,4 @@
-"""The imitation reward, termination, and what is counted along the way (Peng et al. 2020; paper, §IV-A).
+"""The imitation reward, termination, and counters (Peng et al. 2020; paper, §IV-A).
 
 The reward compares the robot with the demonstration, never with the modulated reference that the controller follows.
 Per step it lies in [0, 1]; the steps after a fall count 0.
@@ -20,8 +20,8 @@ from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.robot.kinematics import leg_forward
 
 TermFunction = Callable[[NDArray[Any], NDArray[Any]], Array]
-"""From the demonstration (n,) of `SAMPLE`, as it is due, in the world frame, and the states (n,) of `OBSERVATION` of n
-robots: the term (n,), each in [0, 1]. Called once a control step."""
+"""From the due demonstration (n,) of `SAMPLE`, in the world frame, and the states (n,) of `OBSERVATION` of n robots:
+the term (n,), each in [0, 1]. Called once per control step."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,10 @@ class RewardTerm:
     """A term of the reward: 1 where the robot does exactly what the demonstration does.
 
     Attributes:
-        name: in files and tables.
         weight: positive. All weights are divided by their sum, so that the reward lies in [0, 1].
         about: what it compares.
         color, dash: of its line in charts; the lengths of dashes and gaps, in pixels.
-        function: computes it; None for those that are built in, which are compiled.
+        function: computes it; None for the compiled built-in ones.
     """
 
     name: str
@@ -49,7 +48,6 @@ class RewardTerm:
 
     @property
     def label(self) -> str:
-        """In words."""
         return self.name.replace("_", " ")
 
 
@@ -64,7 +62,7 @@ TERMS: Final = tuple(term.name for term in _BUILT_IN)
 WEIGHTS: Final = tuple(term.weight for term in _BUILT_IN)
 N_TERMS: Final = len(TERMS)
 REWARD_TERMS: Final = Registry("reward term", _BUILT_IN)
-"""The paper's terms, and those that a user adds: `REWARD_TERMS.register(RewardTerm(…))`, before an episode begins."""
+"""The paper's terms and the user's: `REWARD_TERMS.register(RewardTerm(…))`, before an episode begins."""
 
 
 def reward_weights() -> Array:
@@ -98,8 +96,7 @@ TALLY: Final = record_dtype(
         ("early_touchdowns", "i8"),  # until the fall
         ("qp_failures", "i8"),  # until the fall
     ]
-)
-"""Running sums of one robot's episode."""
+)  # running sums of one robot's episode
 
 
 @inlined
@@ -108,7 +105,7 @@ def _gaussian(scale: float, squared: float) -> float:
 
 
 class ScoringContext(NamedTuple):
-    """What scoring needs besides the robots' states.
+    """Inputs of the scoring besides the robots' states.
 
     Attributes:
         table: (t,) of `SAMPLE`, the demonstration.
@@ -129,12 +126,7 @@ class ScoringContext(NamedTuple):
 
 @kernel
 def score_step(context: ScoringContext, clocks: Any, observations: Any, memories: Any, tallies: Any) -> None:
-    """Scores the present state of all robots against the demonstration and adds to their tallies.
-
-    Args:
-        context: the demonstration, the robot and the thresholds.
-        clocks, observations, memories, tallies: (n,) records.
-    """
+    """Scores the present state of all robots (records (n,)) against the demonstration and adds to their tallies."""
     for i in range(observations.shape[0]):
         if tallies[i].fallen == 0:
             tally, clock = tallies[i], clocks[i]
@@ -237,7 +229,7 @@ def _score_feet(context: ScoringContext, ref: Any, obs: Any, tally: Any, rotatio
 def _count_foot(
     tally: Any, leg: int, wanted: bool, loaded: bool, height: float, x: float, y: float, roll_x: float, roll_y: float
 ) -> None:
-    """Swing clearance by the demonstration's schedule, and the way that loaded feet slide while they should stand."""
+    """Swing clearance by the demonstration's schedule, and the sliding of loaded feet in scheduled stance."""
     if wanted:
         if tally.was_swing[leg] == 1:
             tally.clearance_sum[leg] += tally.peak[leg]

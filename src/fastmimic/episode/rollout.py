@@ -23,13 +23,13 @@ class Log:
         observation: (n, t) of `OBSERVATION`, the state after each step.
         command: (n, t) of `COMMAND`, what led to it.
         stance: (n, t, 4) bool, the gait planner's leg states.
-        wanted: (n, t, 4) bool, the schedule.
-        force: (n, t, 4, 3) forces that the stance QP asked for, heading frame, N.
-        solve_time: (n, t) s that the controller took to plan ahead, 0 in steps in which it did not.
+        wanted: (n, t, 4) bool, the contact schedule.
+        force: (n, t, 4, 3) forces from the stance QP, heading frame, N.
+        solve_time: (n, t) s of planning ahead, 0 in steps without.
         terms: (n, t, k) the reward's terms in the order of `REWARD_TERMS`; 0 after a fall.
         demonstration: (n, t) of `SAMPLE`, the demonstration in force, its root and feet in the world and body frame.
-        estimate: (n, t) of `OBSERVATION`, what the controller was told after each step where it has sensors only.
-        reading: (n, t) of `READING`, what the sensors had said by then, likewise.
+        estimate: (n, t) of `OBSERVATION`, the controller's observation after each step, with sensors only.
+        reading: (n, t) of `READING`, the sensors' latest by then, with sensors only.
         weights: (k,) of the terms.
     """
 
@@ -63,14 +63,14 @@ class Rollout:
         steps: (n,) control steps until the fall or the end.
         duration_s: length of an episode, s.
         drift: (n,) m/s that the synchronisation of the reference hides.
-        clearance: (n, 4) mean over the swings of each foot's greatest height above the ground, m; NaN without swings.
+        clearance: (n, 4) each foot's greatest height above the ground, mean over its swings, m; NaN without swings.
         slip: (n, 4) mean path that a loaded foot's contact point slides in a stance, m.
-        early_contacts: (n,) touch-downs before their time, per second.
+        early_contacts: (n,) early touch-downs per second.
         foot_rmse: (n, 4, 3) against the demonstration, body frame, until the fall, m.
         qp_failures: (n,) steps at which the stance QP failed, until the fall.
-        log: the whole course, if it was asked for.
-        parts: the same of each part of the episodes, if they were divided; a robot that fell does so in one of them.
-        estimation: how far the estimate was from the truth over whole episodes, where the controller has sensors only.
+        log: the whole course, if requested.
+        parts: results of each part of divided episodes; a robot that fell does so in one of them.
+        estimation: errors of the estimate over whole episodes, with sensors only.
     """
 
     reward: Array
@@ -101,14 +101,7 @@ def summarised(
     parts: tuple[Rollout, ...] = (),
     estimation: EstimationErrors | None = None,
 ) -> Rollout:
-    """The results of n episodes, or of a part of them.
-
-    Args:
-        counted: over the steps.
-        steps: control steps of each episode, also of those that fell before.
-        rate_hz: control steps a second.
-        log, parts, estimation: as in `Rollout`.
-    """
+    """The results of n episodes, or of a part of them; `steps` counts each episode's control steps, falls or not."""
     t = counted.tallies
     lived = np.maximum(t["steps"], 1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -133,16 +126,10 @@ def summarised(
 
 
 def run_log(log: Log, episode: int, *, robot: str, motion: str, latency_s: float) -> RunLog:
-    """What the robot's own computer knew of an episode.
+    """One episode as the robot's own computer knew it.
 
-    Args:
-        log: with sensors.
-        episode: which.
-        robot, motion: names.
-        latency_s: age of the readings when they arrive, as the estimator assumes it.
-
-    Raises:
-        ConfigError: the controller was told the truth, and no robot's computer knows that.
+    `log` is of a controller with sensors, else `ConfigError` is raised, as no robot's computer knows the truth.
+    `latency_s` is the readings' age on arrival, as the estimator assumes it.
     """
     if log.reading is None or log.estimate is None:
         raise ConfigError("a robot's log is of what its sensors say; run the episode with --observe sensors")

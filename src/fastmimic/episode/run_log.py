@@ -1,4 +1,4 @@
-"""The log of a run: what a robot's computer knows of it, and nothing else."""
+"""The log of a run: only what a robot's computer knows of it."""
 
 import json
 import zipfile
@@ -20,8 +20,7 @@ VERSION: Final = 1
 ENDING: Final = ".npz"
 
 _RECORDS: Final = {"reading": READING, "command": COMMAND, "estimate": OBSERVATION}
-_NOT_KNOWN: Final = ("other_contact",)
-"""Of an observation, what no sensor of such a robot tells."""
+_NOT_KNOWN: Final = ("other_contact",)  # fields of an observation that no sensor gives
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +30,11 @@ class RunLog:
     Attributes:
         robot, motion: names.
         rate_hz: control steps a second.
-        latency_s: age of the readings of IMU and joints when they arrived.
-        reading: (t,) of `READING`, what had arrived at the end of each step.
-        command: (t,) of `COMMAND`, what the motors were told for the step.
-        estimate: (t,) of `OBSERVATION`, what the estimator made of it.
-        stance: (t, 4) bool, which legs the gait planner let stand in the step.
+        latency_s: age of the readings of IMU and joints on arrival.
+        reading: (t,) of `READING`, the latest at the end of each step.
+        command: (t,) of `COMMAND`, the motors' commands for the step.
+        estimate: (t,) of `OBSERVATION`, the estimator's result.
+        stance: (t, 4) bool, legs that the gait planner let stand in the step.
     """
 
     robot: str
@@ -54,11 +53,7 @@ class RunLog:
 
     def save(self, path: str | Path) -> None:
         """Writes an `.npz` without pickles: `about` (JSON), `stance`, and `reading_…`, `command_…`, `estimate_…` by
-        field, each with a row for each control step.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        field, each with a row per control step. Raises `OutputError` if it cannot be written."""
         about = {
             "format": FORMAT,
             "version": VERSION,
@@ -76,7 +71,7 @@ class RunLog:
 
     @classmethod
     def load(cls, path: str | Path) -> "RunLog":
-        """Reads what `save` wrote.
+        """Inverse of `save`.
 
         Raises:
             LogError: no such file, not such a log, damaged, or rows that are missing or not finite.

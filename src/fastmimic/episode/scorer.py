@@ -1,4 +1,4 @@
-"""Scores robots against a demonstration, one control step after another."""
+"""Scores robots against a demonstration, step by step."""
 
 from typing import Any, NamedTuple
 
@@ -24,18 +24,18 @@ from fastmimic.robot import Robot
 
 
 class Counted(NamedTuple):
-    """What was counted of n episodes so far.
+    """Counters of n episodes so far.
 
     Attributes:
         tallies: (n,) of `TALLY`.
-        own: (n, k) sums of the terms that a user has added.
+        own: (n, k) sums of the user's terms.
     """
 
     tallies: NDArray[Any]
     own: Array
 
     def since(self, before: "Counted") -> "Counted":
-        """What was counted after an earlier moment of the same episodes."""
+        """Counters since an earlier moment of the same episodes."""
         between = self.tallies.copy()
         for name in between.dtype.names or ():
             between[name] = self.tallies[name] - before.tallies[name]
@@ -43,22 +43,16 @@ class Counted(NamedTuple):
 
 
 class Scorer:
-    """The reward, the falls and the counts of n robots. One thread at a time.
+    """The reward, the falls and the counters of n robots. One thread at a time.
 
     Attributes:
         tallies: (n,) of `TALLY`.
-        context: what the kernel needs besides the robots' states.
+        context: inputs of the kernel besides the robots' states.
     """
 
     def __init__(self, robot: Robot, table: NDArray[Any], n: int, config: ControllerConfig, rate_hz: float) -> None:
-        """
-        Args:
-            robot: the robot.
-            table: (t,) of `SAMPLE`, the demonstration.
-            n: number of robots.
-            config: of the controller, for the load above which a foot has touched down.
-            rate_hz: control steps a second.
-        """
+        """`table` (t,) of `SAMPLE` is the demonstration; `config` gives the load above which a foot has touched
+        down."""
         self.tallies = np.zeros(n, TALLY)
         self.context = ScoringContext(
             table=table,
@@ -78,12 +72,10 @@ class Scorer:
         self._own[rows] = self._own_sums[rows] = 0.0
 
     def score(self, clocks: NDArray[Any], observations: NDArray[Any], memories: NDArray[Any]) -> None:
-        """Scores the robots' states after a control step.
+        """Scores the robots' states, (n,) of `OBSERVATION`, after a control step.
 
-        Args:
-            clocks: (n,) of `CLOCK`: which sample of the demonstration is due, and where.
-            observations: (n,) of `OBSERVATION`.
-            memories: (n,) of `MEMORY`, of the controller.
+        `clocks` (n,) of `CLOCK` give the due sample of the demonstration and its place; `memories` (n,) of `MEMORY` are
+        the controller's.
         """
         score_step(self.context, clocks, observations, memories, self.tallies)
         if self._added:
@@ -100,7 +92,7 @@ class Scorer:
         return self.terms @ self._weights
 
     def counted(self) -> Counted:
-        """A copy of all that was counted so far."""
+        """A copy of the counters."""
         return Counted(self.tallies.copy(), self._own_sums.copy())
 
     def _add_own_terms(self, clocks: NDArray[Any], observations: NDArray[Any]) -> None:
@@ -115,12 +107,9 @@ class Scorer:
 
 
 def demonstration_in_world(table: NDArray[Any], sample: NDArray[np.int64], origin: Array) -> NDArray[Any]:
-    """Samples (…) of `SAMPLE` as they are due, with root, velocities and accelerations in the world frame.
+    """Due samples (…) of a table (t,) of `SAMPLE`, with root, velocities and accelerations in the world frame.
 
-    Args:
-        table: (t,) of `SAMPLE`.
-        sample: (…) which.
-        origin: (…, 3) x, y and yaw of the table in the world.
+    `sample` (…) are their indices, `origin` (…, 3) x, y and yaw of the table in the world.
     """
     demonstration = table[sample]
     position, quat = world_root(table, sample, origin)

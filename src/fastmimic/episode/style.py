@@ -1,4 +1,4 @@
-"""How far one foot motion is from another in style: so that a reward is not bought by another motion."""
+"""Distance of two foot motions in style, so that another motion cannot earn a reward."""
 
 import numpy as np
 
@@ -14,18 +14,16 @@ def style_distance(foot_pos_b: Array, reference_b: Array, cycle_b: Array | None 
 
         d² = (RMS Δz / A_z)² + (RMS Δ(x, y) / A_xy)²,
 
-    where A is the RMS of the reference path about its mean; the legs' mean is returned. Height and ground plane are
-    measured each by their own amplitude, because a swing is an order of magnitude longer than it is high: a foot that
-    is no longer lifted would hardly count otherwise. So 0 is the same motion, feet that keep a constant height have 1,
-    feet that do not move at all have √2, and another amplitude a of the height alone has |1 − a|. Nothing is aligned or
-    taken out: another phase, another height, or the legs exchanged are another motion.
-
-    A_xy is at least A_z, so that stepping on the spot is not measured by its noise. Legs that do not move in the
-    reference are left out.
+    where A is the RMS of the reference path about its mean; the result is the legs' mean. Height and ground plane each
+    have their own amplitude, because a swing is an order of magnitude longer than high: a foot that is no longer lifted
+    would hardly count otherwise. So 0 is the same motion, feet of constant height have 1, feet that do not move √2, and
+    another amplitude a of the height alone |1 − a|. Nothing is aligned: another phase, another height, or exchanged
+    legs are another motion. A_xy is at least A_z, so that stepping on the spot is not measured by its noise. Legs that
+    do not move in the reference are left out.
 
     Args:
         foot_pos_b: (t, 4, 3) feet in the body frame, m. Samples with a NaN are left out.
-        reference_b: (t, 4, 3) what they are held against, at the same times.
+        reference_b: (t, 4, 3) compared with, at the same times.
         cycle_b: (k, 4, 3) the reference's cycle, which gives the amplitudes; `reference_b` itself if None.
 
     Returns:

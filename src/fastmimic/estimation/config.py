@@ -105,7 +105,7 @@ CONFIG: Final = record_dtype(
 
 
 def pack_config(config: EstimatorConfig, robot: Robot, rate_hz: float) -> NDArray[Any]:
-    """The configuration as an array of one `CONFIG` record."""
+    """(1,) of `CONFIG`."""
     dt = 1.0 / rate_hz
     record = np.zeros(1, CONFIG)
     pack(config, record, {"weight": robot.mass * GRAVITY})

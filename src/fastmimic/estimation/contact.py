@@ -1,4 +1,4 @@
-"""Which feet stand: the force sensors, whose offsets drift, and what the controller means the legs to do."""
+"""Contact estimation: which feet stand, from force sensors with drifting offsets and the controller's schedule."""
 
 from typing import Any
 
@@ -7,18 +7,11 @@ from fastmimic.base.jit import inlined
 
 @inlined
 def estimate_contact(config: Any, state: Any, leg: int, force: float, planned: bool) -> None:
-    """Advances one foot's contact by one control step.
+    """Advances one foot's contact by one control step; `force` is measured in N, `planned` means scheduled stance.
 
-    The sensor's offset is learnt while the leg swings (the sensor cannot be told from its offset otherwise), and the
-    rest goes through hysteresis. A foot bears the base's estimate if it is loaded and its leg is meant to stand: a
-    loaded foot whose leg has begun to swing is being pulled away.
-
-    Args:
-        config: packed estimator configuration.
-        state: the robot's `STATE` record, changed in place.
-        leg: index.
-        force: as measured, N.
-        planned: whether the controller lets the leg stand.
+    The sensor's offset is learnt while the leg swings, as it cannot be told from a load otherwise; the rest goes
+    through hysteresis. A foot bears the base's estimate if it is loaded in scheduled stance: a loaded foot in early
+    swing is being pulled away.
     """
     state.swing_time[leg] = 0.0 if planned else state.swing_time[leg] + config.dt
     state.filtered[leg] += config.force_gain * (force - state.filtered[leg])

@@ -29,7 +29,7 @@ START_VELOCITY_NOISE: Final = 0.1  # m/s
 START_HEIGHT_NOISE: Final = 0.01  # m
 
 START: Final = record_dtype([("position", "f8", (2,)), ("heading", "f8"), ("velocity", "f8", (3,))])
-"""Where a robot is known to start: x and y, heading and velocity of its base, world frame, m, rad and m/s."""
+"""Known start of a robot: x, y, heading and velocity of its base, world frame, m, rad and m/s."""
 
 STATE: Final = record_dtype(
     [
@@ -48,11 +48,11 @@ STATE: Final = record_dtype(
         ("stance_time", "f8", (4,)),
     ]
 )
-"""What the estimator remembers of one robot: orientation by the IMU, and the heading of its world in ours; the small
-rotation about x and y from its level frame to the ground's, and the time constant with which that is learnt at present;
-by axis of the ground's frame, the estimate of (p, v, four feet), with its covariance for x and y and for z; gyro and
-joint speeds, smoothed; the foot sensors' offsets, what they say smoothed, and the loads, N; whether feet are loaded,
-for how long they have swung, and for how long they have borne the estimate, s."""
+"""The estimator's state of one robot: orientation by the IMU, and the heading of its world in ours; the small rotation
+about x and y from its level frame to the ground's, and the present time constant of learning it; by axis of the
+ground's frame, the estimate of (p, v, four feet), with its covariance for x and y and for z; gyro and joint speeds,
+smoothed; the foot sensors' offsets, their smoothed readings, and the loads, N; whether feet are loaded, how long they
+have swung, and how long they have borne the estimate, s."""
 
 SCRATCH: Final = record_dtype(
     [
@@ -67,7 +67,7 @@ SCRATCH: Final = record_dtype(
         ("quat", "f8", (4,)),
     ]
 )
-"""Work memory of the kernels. One record for each thread."""
+"""Work memory of the kernels, one record per thread."""
 
 
 @inlined
@@ -89,7 +89,7 @@ def turn_by(q: Array, x: float, y: float, z: float, local: bool) -> None:
 
 @inlined
 def _follow_orientation(config: Any, state: Any, reading: Any, measured: Array) -> None:
-    """Integrates the gyro and follows the IMU's orientation, which is noisy, slowly; `measured` (4,) is scratch."""
+    """Integrates the gyro and slowly follows the noisy IMU orientation; `measured` (4,) is scratch."""
     g, dt = reading.gyro, config.dt
     turn_by(state.quat, g[0] * dt, g[1] * dt, g[2] * dt, True)
     measured[:] = reading.quat
@@ -110,7 +110,7 @@ def _follow_orientation(config: Any, state: Any, reading: Any, measured: Array) 
 
 @inlined
 def _sense_legs(config: Any, reading: Any, scratch: Any) -> None:
-    """Where the feet are, how they would roll, and how fast the base is if they do; all in the world frame."""
+    """Feet, their velocities if they roll, and the base velocity that follows; all in the world frame."""
     rotation, jacobian, g = scratch.rotation, scratch.jacobian, reading.gyro
     times(rotation, g, scratch.ang_vel)
     for leg in range(4):
@@ -138,7 +138,8 @@ def _sense_legs(config: Any, reading: Any, scratch: Any) -> None:
 
 @inlined
 def _sense_acceleration(config: Any, reading: Any, scratch: Any) -> None:
-    """Acceleration of the base, level; a reading is the mean over a step, so the orientation is that of its middle."""
+    """Level acceleration of the base; a reading is the mean over a step, so the orientation is the step's middle
+    one."""
     half, g, f = -0.5 * config.dt, reading.gyro, reading.accel
     tx, ty, tz = cross(half * g[0], half * g[1], half * g[2], f[0], f[1], f[2])
     x, y, z = f[0] + tx, f[1] + ty, f[2] + tz
@@ -150,7 +151,7 @@ def _sense_acceleration(config: Any, reading: Any, scratch: Any) -> None:
 
 @inlined
 def _sense(config: Any, state: Any, reading: Any, scratch: Any) -> None:
-    """All that the readings say, in the frame of the ground."""
+    """All readings, in the frame of the ground."""
     quat_to_matrix(state.quat, scratch.rotation)
     _sense_acceleration(config, reading, scratch)
     gx, gy, a = state.ground[0], state.ground[1], scratch.accel
@@ -163,9 +164,9 @@ def _sense(config: Any, state: Any, reading: Any, scratch: Any) -> None:
 
 @inlined
 def _lean_on_ground(config: Any, state: Any, scratch: Any) -> None:
-    """Turns the frame into the plane of the standing feet, by how high above it kinematics has them (normalised LMS).
+    """Turns the frame into the plane of the standing feet, by their kinematic heights above it (normalised LMS).
 
-    While a rotation (e_x, e_y) is missing, feet at (x, y) from the base seem to be higher by e_y x − e_x y.
+    While a rotation (e_x, e_y) is missing, feet at (x, y) from the base seem higher by e_y x − e_x y.
     """
     x = y = total = 0.0
     standing = 0
@@ -186,7 +187,7 @@ def _lean_on_ground(config: Any, state: Any, scratch: Any) -> None:
 
 @inlined
 def _take_in_leg(config: Any, state: Any, scratch: Any, leg: int) -> None:
-    """What a foot that bears the estimate says about the base."""
+    """Corrects the base by a foot that bears the estimate."""
     mean, cov, work = state.estimate, state.cov, scratch.work
     settled = min(state.stance_time[leg] / config.settle_time, 1.0) if config.settle_time > 0 else 1.0
     weight = 1.0 / (settled * settled)
@@ -202,7 +203,7 @@ def _take_in_leg(config: Any, state: Any, scratch: Any, leg: int) -> None:
 
 @inlined
 def _rate_of_change(config: Any, state: Any, i: int, value: float) -> float:
-    """Of angular velocity or a joint's speed, by how much it is ahead of its own lag of first order, which goes on."""
+    """Rate of change of an angular velocity or joint speed, by its lead over its own first-order lag."""
     ahead = value - state.slow[i]
     state.slow[i] += config.dt / (config.dt + config.rate_time) * ahead
     return ahead / config.rate_time
@@ -210,7 +211,7 @@ def _rate_of_change(config: Any, state: Any, i: int, value: float) -> float:
 
 @inlined
 def _tell(config: Any, state: Any, reading: Any, scratch: Any, out: Any) -> None:
-    """The state as it is now, `latency` after the readings were taken."""
+    """The present state, `latency` after the readings were taken."""
     t, g = config.latency, reading.gyro
     q = out.root_quat
     q[:] = scratch.quat
@@ -238,13 +239,8 @@ def _tell(config: Any, state: Any, reading: Any, scratch: Any, out: Any) -> None
 def estimate_step(config: Any, states: Any, readings: Any, planned: Any, outs: Any, scratches: Any) -> None:
     """Takes in the readings of all robots and writes what their controllers are told.
 
-    Args:
-        config: (1,) packed configuration.
-        states: (n,) of `STATE`.
-        readings: (n,) of `READING`.
-        planned: (n, 4) whether the controller lets each leg stand.
-        outs: (n,) of `OBSERVATION`.
-        scratches: (1,) of `SCRATCH`.
+    (1,) records: `config`, `scratches`. (n,) records: `states` of `STATE`, `readings` of `READING`, `outs` of
+    `OBSERVATION`. `planned` (n, 4): whether the controller lets each leg stand.
     """
     c, scratch = config[0], scratches[0]
     for i in range(states.shape[0]):
@@ -308,13 +304,6 @@ class Estimator:
     """Estimates of n robots. Not to be shared between threads: it owns the kernels' work arrays."""
 
     def __init__(self, robot: Robot, n: int, rate_hz: float, config: EstimatorConfig | None = None) -> None:
-        """
-        Args:
-            robot: the robot.
-            n: number of robots.
-            rate_hz: control steps a second.
-            config: parameters; the default configuration if None.
-        """
         self.config = config if config is not None else EstimatorConfig()
         self.state = np.zeros(n, STATE)
         self.observation = np.zeros(n, OBSERVATION)
@@ -322,32 +311,21 @@ class Estimator:
         self._scratch = np.zeros(1, SCRATCH)
 
     def reset(self, readings: NDArray[Any], starts: NDArray[Any], planned: NDArray[np.int64]) -> NDArray[Any]:
-        """Starts from the first readings where the robots are known to be, at rest or in motion.
+        """Starts at known places, from the first readings, at rest or in motion; arguments and result as in `step`.
 
-        Height comes from the lowest foot, roll and pitch from the IMU; standing legs correct the velocity.
-
-        Args:
-            readings: (n,) of `READING`.
-            starts: (n,) of `START`.
-            planned: (n, 4) whether each leg is meant to stand.
-
-        Returns:
-            (n,) of `OBSERVATION`, overwritten by the next call.
+        Height comes from the lowest foot, roll and pitch from the IMU; standing legs correct the velocity. `starts` is
+        (n,) of `START`.
         """
         begin(self._config, self.state, readings, starts, planned, self.observation, self._scratch)
         return self.observation
 
     def step(self, readings: NDArray[Any], planned: NDArray[np.int64]) -> NDArray[Any]:
-        """Takes in the readings of one control step.
+        """The present estimate, (n,) of `OBSERVATION`, from the readings of one control step; overwritten by the next
+        call.
 
-        Args:
-            readings: (n,) of `READING`.
-            planned: (n, 4) whether the controller lets each leg stand.
-
-        Returns:
-            (n,) of `OBSERVATION`, the estimate for now: base pose and velocity in the frame of the ground, joints,
-            the vertical force on each foot without the sensor's offset, 0 where it does not touch; overwritten by
-            the next call.
+        `readings` is (n,) of `READING`, `planned` (n, 4) whether the controller lets each leg stand. The base's pose
+        and velocity are in the frame of the ground; foot forces are vertical, without sensor offset, 0 where a foot
+        does not touch.
         """
         estimate_step(self._config, self.state, readings, planned, self.observation, self._scratch)
         return self.observation

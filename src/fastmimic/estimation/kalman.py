@@ -1,14 +1,14 @@
 """The linear Kalman filter on base position, base velocity and the four feet (Bloesch et al. 2012; Bledt et al. 2018).
 
-With the orientation known and noise that is the same in all directions, the axes of the world do not mix: each has a
-state (p, v, f₁ … f₄) of its own, and x and y share their covariance. So 18 states come down to two covariances of
-6 × 6, and all measurements are scalars, taken one after the other without inverting anything.
+With known orientation and isotropic noise, the world's axes do not mix: each has its own state (p, v, f₁ … f₄), and x
+and y share their covariance. So 18 states come down to two 6 × 6 covariances, and all measurements are scalars,
+absorbed one after the other without any matrix inversion.
 
     p⁺ = p + v δt + ½ a δt²,  v⁺ = v + a δt,  fᵢ⁺ = fᵢ + uᵢ δt
     fᵢ − p = R pᵢ(q),   v = uᵢ − R (Jᵢ q̇ + ω × pᵢ(q)),   fᵢ,z = r   for feet on the ground
 
-where a = R f̃ + g is the IMU's, and uᵢ the velocity of the sphere's centre as it rolls over its contact point.
-A foot in the air is no more than its kinematics, fᵢ = p + R pᵢ(q): it is anchored anew at each step until it stands.
+where a = R f̃ + g is the IMU's, and uᵢ the velocity of the sphere's centre as it rolls over its contact point. A foot
+in the air is only its kinematics, fᵢ = p + R pᵢ(q): it is anchored again at each step until it stands.
 """
 
 from fastmimic.base.arrays import Array
@@ -19,16 +19,10 @@ STATES = 6  # p, v and four feet
 
 @inlined
 def predict(mean: Array, cov: Array, accel: Array, roll: Array, accel_var: float, foot_var: float, dt: float) -> None:
-    """One control step on.
+    """Advances `mean` (3, 6) by axis, and `cov` (2, 6, 6) of x and y and of z, by one control step, in place.
 
-    Args:
-        mean: (3, 6) by axis, changed in place.
-        cov: (2, 6, 6) of x and y, and of z, changed in place.
-        accel: (3,) of the base, world, m/s².
-        roll: (4, 3) velocities of the feet's centres where they roll without sliding, world, m/s.
-        accel_var: variance of the acceleration, constant within a step, m²/s⁴.
-        foot_var: by which a foot's variance grows in a step, m².
-        dt: s.
+    `accel` (3,) is the base's, world, m/s²; its variance `accel_var`, m²/s⁴, is constant within a step. `roll` (4, 3)
+    are the velocities of the feet's centres in rolling, world, m/s. `foot_var`, m², is added to a foot's variance.
     """
     for axis in range(3):
         mean[axis, 0] += dt * (mean[axis, 1] + 0.5 * dt * accel[axis])
@@ -64,7 +58,7 @@ def anchor(mean: Array, cov: Array, leg: int, foot: Array, var: float) -> None:
 
 @inlined
 def _absorb(mean: Array, cov: Array, first: int, last: int, residual: Array, gain: Array, s: float) -> None:
-    """Takes in a scalar measurement along the axes first … last − 1; `gain` (6,) holds P Hᵀ."""
+    """Absorbs a scalar measurement along the axes first … last − 1; `gain` (6,) holds P Hᵀ."""
     for axis in range(first, last):
         for j in range(STATES):
             mean[axis, j] += gain[j] / s * residual[axis]
@@ -88,7 +82,7 @@ def update_position(mean: Array, cov: Array, leg: int, foot: Array, var: float, 
 
 @inlined
 def update_velocity(mean: Array, cov: Array, velocity: Array, var: float, work: Array) -> None:
-    """v = `velocity` (3,), likewise."""
+    """v = `velocity` (3,), as `update_position`."""
     residual, gain = work[0], work[1]
     for axis in range(3):
         residual[axis] = velocity[axis] - mean[axis, 1]
@@ -100,7 +94,7 @@ def update_velocity(mean: Array, cov: Array, velocity: Array, var: float, work: 
 
 @inlined
 def update_height(mean: Array, cov: Array, leg: int, height: float, var: float, work: Array) -> None:
-    """fᵢ,z = `height`, likewise."""
+    """fᵢ,z = `height`, as `update_position`."""
     f, residual, gain = 2 + leg, work[0], work[1]
     residual[2] = height - mean[2, f]
     for j in range(STATES):

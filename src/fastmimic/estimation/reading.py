@@ -1,4 +1,4 @@
-"""What the sensors of a legged robot say, in the form that simulated sensors, drivers and the estimator share."""
+"""Sensor readings of a legged robot, in the form that simulated sensors, drivers and the estimator share."""
 
 from typing import Final
 
@@ -15,6 +15,6 @@ READING: Final = record_dtype(
         ("foot_force", "f8", (4,)),
     ]
 )
-"""One robot's sensors: the IMU's orientation (body → a world of its own heading), angular velocity, rad/s, and specific
-force, m/s², both in the body frame at its origin; joint angles, speeds and motor torques, rad, rad/s and N·m; the
-force along the vertical on each foot, N. Each is the latest that has arrived."""
+"""One robot's latest readings: the IMU's orientation (body → a world of its own heading), angular velocity, rad/s, and
+specific force, m/s², both in the body frame at its origin; joint angles, speeds and motor torques, rad, rad/s and N·m;
+the force along the vertical on each foot, N."""

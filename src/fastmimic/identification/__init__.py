@@ -1,1 +1,1 @@
-"""What a logged run says of the world that the controller assumes: the ground's friction and the trunk's payload."""
+"""Identifies from a logged run what the controller assumes: the ground's friction and the trunk's payload."""

@@ -1,7 +1,7 @@
-"""The ground's forces on the feet and the feet's sliding, out of a log: leg statics and dynamics, no force sensor.
+"""Ground reaction forces and sliding of the feet from a log: leg statics and dynamics, no force sensor.
 
-A leg's motors carry and accelerate it, and the ground does the rest: τ = τ_free(q, q̇, q̈) − Jᵀ f, so
-f = J⁻ᵀ (τ_free − τ), in the body frame, with J of the point under the foot's sphere.
+A leg's motors carry and accelerate it, and the ground does the rest: τ = τ_free(q, q̇, q̈) − Jᵀ f, so f = J⁻ᵀ (τ_free −
+τ), in the body frame, with J of the point under the foot's sphere.
 """
 
 from dataclasses import dataclass
@@ -20,16 +20,11 @@ from fastmimic.robot import Robot
 from fastmimic.robot.dynamics import leg_torques
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 
-SMOOTHING_S: Final = 0.03
-"""Window of the quadratic that smooths and differentiates; short against a stance, long against the sensors' noise."""
-LEAST_S: Final = 1.0
-"""Shortest log that anything can be learnt from."""
-LOADED: Final = 0.1
-"""Foot sensor above which a foot touches the ground, multiples of the robot's weight (as the estimator's)."""
-UPRIGHT: Final = 0.7
-"""Least cosine of the trunk's tilt: what comes after a fall says nothing about feet."""
-START_S: Final = 0.3
-"""Left out at the beginning, while the robot finds its gait."""
+SMOOTHING_S: Final = 0.03  # window of the smoothing quadratic: short against a stance, long against the noise
+LEAST_S: Final = 1.0  # shortest usable log
+LOADED: Final = 0.1  # foot sensor in contact, multiples of the weight (as the estimator's)
+UPRIGHT: Final = 0.7  # least cosine of the trunk's tilt: after a fall, feet tell nothing
+START_S: Final = 0.3  # left out at the beginning, while the robot finds its gait
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +35,7 @@ class GroundForces:
         dt: control step, s.
         arm: (t, 4, 3, 3) J⁻ᵀ in the frame of the ground: force by joint torque, 1/m.
         torque: (t, 4, 3) by the motors, N·m.
-        free: (t, 4, 3) what the legs alone would take, N·m.
+        free: (t, 4, 3) torque of the legs alone, N·m.
         velocity: (t, 4, 2) of the points under the feet along the ground, m/s.
         sensed: (t, 4) the foot sensors without their offsets, N.
         loaded: (t, 4) bool, touches the ground by its sensor.
@@ -63,21 +58,14 @@ class GroundForces:
     lift: Array
 
     def force(self, gain: Array | None = None) -> Array:
-        """(t, 4, 3) the ground's force on each foot, N.
-
-        Args:
-            gain: (4, 3) true torque over measured torque of each motor; 1 if None.
-        """
+        """(t, 4, 3) ground reaction force on each foot, N; `gain` (4, 3) is true over measured motor torque, 1 if
+        None."""
         torque = self.torque if gain is None else self.torque * gain
         return np.asarray(np.einsum("tlij,tlj->tli", self.arm, self.free - torque))
 
 
 def ground_forces(log: RunLog, robot: Robot) -> GroundForces:
-    """Forces and speeds of the feet in a log.
-
-    Raises:
-        LogError: it is of another robot, or too short.
-    """
+    """Forces and speeds of the feet in a log; raises `LogError` if it is of another robot, or too short."""
     if log.robot != robot.name:
         raise LogError(f"the log is of robot '{log.robot}', not of '{robot.name}'; give --robot {log.robot}")
     if log.duration_s < LEAST_S:
@@ -119,15 +107,15 @@ def ground_forces(log: RunLog, robot: Robot) -> GroundForces:
 
 
 def _delayed(x: Array, steps: int) -> Array:
-    """Rows as they were `steps` before: estimates are for now, readings of a while ago."""
+    """Rows `steps` earlier: estimates are for now, readings are older."""
     return np.concatenate([np.repeat(x[:1], steps, axis=0), x[: len(x) - steps]]) if steps else x
 
 
 def _mean_torque(log: RunLog, robot: Robot, late: int) -> Array:
     """(t, 12) mean motor torque over each control step.
 
-    The motor's law goes on while a command holds, so that torque falls off within the step; a reading is that at its
-    end. Half of what the law changes between the readings at both ends is added.
+    While a command holds, the motor law lets the torque fall off; a reading is that at the step's end. Half of the
+    law's change between the readings at both ends is added.
     """
     command, q, dq = log.command, log.reading["joint_pos"], log.reading["joint_vel"]
     sent = {name: _delayed(command[name], late) for name in command.dtype.names or ()}
@@ -141,8 +129,8 @@ def _mean_torque(log: RunLog, robot: Robot, late: int) -> Array:
 
 
 def _contact_points(robot: Robot, q: Array, up_b: Array) -> tuple[Array, Array]:
-    """Jacobians (t, 4, 3, 3) and places (t, 4, 3) in the body frame of the points under the feet's spheres, which turn
-    with the calves; `up_b` (t, 3) is the ground's normal there."""
+    """Jacobians (t, 4, 3, 3) and places (t, 4, 3), body frame, of the contact points under the feet's spheres, which
+    turn with the calves; `up_b` (t, 3) is the ground's normal."""
     jacobian, below = foot_jacobians(robot, q), -robot.foot_radius * up_b
     roll = q.reshape(-1, 4, 3)[..., 0]
     zero = np.zeros_like(roll)
@@ -178,7 +166,7 @@ def _settled(on: NDArray[np.bool_]) -> Array:
 def _vertical_need(
     robot: Robot, rotation: Array, q: Array, dq: Array, ddq: Array, gyro: Array, turning: Array, accel: Array
 ) -> Array:
-    """(t,) vertical force of the ground that moves the unloaded robot as the log says, by inverse dynamics, N."""
+    """(t,) vertical ground reaction force of the unloaded robot in the logged motion, by inverse dynamics, N."""
     import mujoco
 
     model = robot.model()

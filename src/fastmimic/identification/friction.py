@@ -1,7 +1,7 @@
-"""The ground's friction out of a log: what a sliding foot feels, and without one a lower bound.
+"""The ground's friction from a log: by the forces on sliding feet, or else a lower bound.
 
-A foot that slides is pushed back along the ground by μ times the force that presses it down (Coulomb). One that holds
-says no more than that μ is above the ratio it held at.
+A sliding foot is pushed back along the ground by μ times the normal force (Coulomb). A foot that holds says only that μ
+is above its force ratio.
 """
 
 from collections.abc import Callable
@@ -16,32 +16,24 @@ from fastmimic.base.conventions import GRAVITY
 from fastmimic.identification.forces import GroundForces
 from fastmimic.robot import Robot
 
-SLIDING_SPEED: Final = 0.15
-"""m/s; five times what the estimator's velocity is wrong by."""
-OPPOSED: Final = 0.9
-"""Least cosine between the force along the ground and the direction from which the foot slides."""
-EVENT_S: Final = 0.01
-"""Shortest slide that counts."""
-EDGE_S: Final = 0.01
-"""Left out at both ends of a contact, where the smoothing mixes it with the swing."""
-PRESSED: Final = 0.1
-"""Least normal force, multiples of the robot's weight."""
-EVENTS: Final = 3
-"""Fewer slides are taken for none."""
-HELD: Final = 0.95
-"""Quantile of the ratios at which feet held that is the lower bound."""
-TORQUE_GAIN_ERROR: Final = 0.05
-"""Standard deviation of a motor's torque constant, a fraction: what current sensors of such motors leave."""
+SLIDING_SPEED: Final = 0.15  # m/s; five times the estimator's velocity error
+OPPOSED: Final = 0.9  # least cosine between the force along the ground and the direction from which the foot slides
+EVENT_S: Final = 0.01  # shortest slide that counts
+EDGE_S: Final = 0.01  # left out at both ends of a contact, where the smoothing mixes it with the swing
+PRESSED: Final = 0.1  # least normal force, multiples of the robot's weight
+EVENTS: Final = 3  # fewer slides count as none
+HELD: Final = 0.95  # quantile of the holding feet's force ratios that is the lower bound
+TORQUE_GAIN_ERROR: Final = 0.05  # standard deviation of a motor's torque constant, a fraction
 _RESAMPLED: Final = 400
 
 
 @dataclass(frozen=True)
 class Friction:
-    """What a log says of the ground's coefficient of friction.
+    """The ground's coefficient of friction by a log.
 
     Attributes:
         value: the estimate; None if no foot slid.
-        lower: end of the 95 % interval; without a slide the bound below which it is not.
+        lower: end of the 95 % interval; without a slide a lower bound.
         upper: the other end; None if no foot slid.
         slides: how many slides of a foot it is taken from.
         slid_s: their time in all, s.
@@ -110,7 +102,7 @@ def _weighted_median(values: Array, weights: Array) -> float:
 
 
 def _gain_error(forces: GroundForces, estimate: Callable[[Array], float]) -> float:
-    """Standard deviation of an estimate by errors of the motors' torque constants, each its own."""
+    """Standard deviation of an estimate by independent errors of the motors' torque constants."""
     nominal, total = estimate(forces.force()), 0.0
     for leg in range(4):
         for joint in range(3):
@@ -121,7 +113,7 @@ def _gain_error(forces: GroundForces, estimate: Callable[[Array], float]) -> flo
 
 
 def _bound(forces: GroundForces, robot: Robot) -> float:
-    """The ratio at which feet held, less what the torque sensors' gains may make of it; 0 if none was pressed."""
+    """Force ratio at which feet held, less the effect of the torque sensors' gains; 0 if none was pressed."""
     force = forces.force()
     held = _pressed(forces, force, robot) & (np.linalg.norm(forces.velocity, axis=-1) < SLIDING_SPEED)
     if not held.any():

@@ -15,13 +15,13 @@ from fastmimic.identification.payload import Payload, identify_payload
 from fastmimic.robot import Robot
 
 FRICTION_MARGIN: Final = 0.85
-"""Share of the identified coefficient that the controller assumes, because its friction pyramid has edges √2 as far out
-as its sides: about the best for side-steps on floors of 0.4 to 0.6."""
+"""Share of the identified coefficient that the controller assumes, as its friction pyramid's edges reach √2 times as
+far as its sides: about the best for side-steps on floors of 0.4 to 0.6."""
 
 
 @dataclass(frozen=True)
 class Identification:
-    """What a run says of the robot's world.
+    """Friction and payload identified from a run.
 
     Attributes:
         robot, motion: names.
@@ -37,13 +37,13 @@ class Identification:
     payload: Payload | None
 
     def stance_friction(self, config: ControllerConfig) -> float:
-        """The coefficient that the controller is to assume: a share of the identified one, and never more than it
-        assumed before; that is left as it was where no foot slid."""
+        """The coefficient that the controller should assume: a share of the identified one, at most the present one.
+        Unchanged if no foot slid."""
         value = self.friction.value
         return config.stance.friction if value is None else min(config.stance.friction, FRICTION_MARGIN * value)
 
     def changes(self, config: ControllerConfig) -> dict[str, Any]:
-        """What is to be other than in a configuration, as in its file."""
+        """Changes to a configuration, in the form of its file."""
         found: dict[str, Any] = {"robot": self.robot}
         friction = round(self.stance_friction(config), 3)
         if friction < config.stance.friction:
@@ -53,20 +53,15 @@ class Identification:
         return found
 
     def configure(self, config: ControllerConfig) -> ControllerConfig:
-        """A configuration with what was identified."""
+        """The configuration with the identified values."""
         found: ControllerConfig = changed(config, self.changes(config), "what was identified")
         return found
 
     def save(self, path: str | Path, base: str = "default") -> None:
-        """Writes a controller's configuration (`fastmimic.control.config`), with what it was taken from.
+        """Writes a controller's configuration (`fastmimic.control.config`) with its origin to a `.json` file.
 
-        Args:
-            path: a `.json` file.
-            base: name of the configuration that it changes.
-
-        Raises:
-            ConfigError: no such configuration.
-            OutputError: the file cannot be written.
+        `base` is the configuration that it changes. Raises `ConfigError` if there is none of that name, and
+        `OutputError` if the file cannot be written.
         """
         content = {
             **FILE_FORMAT,
@@ -78,12 +73,11 @@ class Identification:
 
 
 def identify(log: RunLog, robot: Robot, unloaded: RunLog | None = None) -> Identification:
-    """Friction and payload out of the log of a run.
+    """Friction and payload from the log of a run.
 
     Args:
-        log: of the run.
         robot: its model, without payload.
-        unloaded: of a run of the same robot without payload; it takes the sensors' gains out of the payload.
+        unloaded: log of the same robot without payload; it takes the sensors' gains out of the payload.
 
     Raises:
         LogError: another robot's log, too short a log, or one in which the robot never stands.

@@ -1,7 +1,7 @@
-"""A payload out of a log: what the feet bear beyond what the robot alone would take.
+"""A payload from a log: what the feet bear beyond the robot alone.
 
-Two kinds of sensors say it, the motors' torques through the legs and the feet's own force sensors; each is only as good
-as its gains. The log of the same robot without a payload takes the gains out.
+Two kinds of sensors tell, the motors' torques through the legs and the feet's force sensors; each is only as good as
+its gains. The log of the same robot without a payload takes the gains out.
 """
 
 from dataclasses import dataclass
@@ -16,22 +16,18 @@ from fastmimic.identification.forces import GroundForces
 from fastmimic.identification.friction import TORQUE_GAIN_ERROR
 from fastmimic.robot import Robot
 
-FOOT_GAIN_ERROR: Final = 0.1
-"""Standard deviation of a foot sensor's gain, a fraction."""
-STANDING_S: Final = 0.04
-"""For which a foot must have stood, and go on standing: impacts are not what legs are weighed by."""
+FOOT_GAIN_ERROR: Final = 0.1  # standard deviation of a foot sensor's gain, a fraction
+STANDING_S: Final = 0.04  # stance required before and after a sample, to leave impacts out
 SWINGING_S: Final = 0.01
 SAMPLES: Final = 50
-LEG_ERROR_KG: Final = 0.2
-"""Standard deviation of what joint friction and rotors make of a weight by torques, kg."""
-TARED: Final = 0.01
-"""Share of the robot's mass that is left of the gains' errors, standard deviation, where an unloaded run is known."""
+LEG_ERROR_KG: Final = 0.2  # kg; standard deviation of a weight by torques, from joint friction and rotors
+TARED: Final = 0.01  # remaining gain error with an unloaded run, standard deviation as a share of the robot's mass
 _INDEPENDENT_S: Final = 0.1  # time after which a weight is a new one
 
 
 @dataclass(frozen=True)
 class Payload:
-    """What a log says of the mass on the trunk.
+    """The mass on the trunk by a log.
 
     Attributes:
         mass: kg beyond the robot's model; below 0 for a lighter robot.
@@ -46,20 +42,14 @@ class Payload:
 
     @property
     def certain(self) -> float:
-        """What the controller is told: the mass if the interval says that there is some, else 0; kg."""
+        """For the controller, kg: the mass if the 95 % interval lies above 0, else 0."""
         return self.mass if self.lower > 0 else 0.0
 
 
 def identify_payload(forces: GroundForces, robot: Robot, unloaded: GroundForces | None = None) -> Payload:
-    """The mass that the feet bear beyond the robot's.
+    """The mass that the feet bear beyond the robot's without payload; raises `LogError` if they stood too short.
 
-    Args:
-        forces: of the run.
-        robot: without payload.
-        unloaded: of a run of the same robot without payload.
-
-    Raises:
-        LogError: the feet never stood long enough to weigh the robot.
+    `unloaded` is from a run of the same robot without payload.
     """
     found, spreads = [], []
     for weigh, error in (
@@ -108,7 +98,7 @@ def _excess(forces: GroundForces, borne: Array) -> Array:
 
 
 def _weighed(forces: GroundForces, borne: Array) -> tuple[float, float]:
-    """The median mass beyond the robot's, and the standard deviation of that by the samples' scatter; kg."""
+    """Median mass beyond the robot's and its standard deviation by the samples' scatter, kg."""
     mass = _excess(forces, borne)
     independent = max(1.0, len(mass) * forces.dt / _INDEPENDENT_S)
     scatter = 1.4826 * float(np.median(np.abs(mass - np.median(mass))))
@@ -116,7 +106,7 @@ def _weighed(forces: GroundForces, borne: Array) -> tuple[float, float]:
 
 
 def _torque_gain_error(forces: GroundForces) -> float:
-    """Standard deviation of the mass by the motors' torque constants, each its own error, kg."""
+    """Standard deviation of the mass by independent errors of the motors' torque constants, kg."""
     changed = []
     for motor in range(12):
         gain = np.ones(12)
@@ -126,7 +116,7 @@ def _torque_gain_error(forces: GroundForces) -> float:
 
 
 def _foot_gain_error(forces: GroundForces) -> float:
-    """The same by the foot sensors' gains."""
+    """As `_torque_gain_error`, for the foot sensors' gains."""
     borne = _by_feet(forces)
     return _spread(forces, borne, [borne * (1 + FOOT_GAIN_ERROR * (np.arange(4) == foot)) for foot in range(4)])
 

@@ -20,8 +20,8 @@ class DisturbedMujocoSimulation(MujocoSimulation):
     """A batch of robots that differ from each other and from the model that their controllers know.
 
     For disturbances: `model`, `batch` (its fields by robot), `world` (all values), `trunk` (body), `joint_dofs` (12,),
-    `trunk_force` (n, 3) in N, world frame, for this control step; and `constants_changed`, which a change of masses,
-    inertias, gravity or joints sets.
+    `trunk_force` (n, 3) in N, world frame, for this control step; and `constants_changed`, to be set after changes of
+    masses, inertias, gravity or joints.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         return self.observe()
 
     def _drive(self, commands: NDArray[Any]) -> None:
-        """Sends the motors their commands, scaled by motor strength."""
+        """Sends the motors their commands, limited by motor strength and top speed."""
         actuate(commands, self._ctrl, self._bias)
         if self._range is None:
             return
