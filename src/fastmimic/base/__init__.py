@@ -1,1 +1,1 @@
-"""What everything stands on: conventions, rotations, small vectors, errors, files, compilation."""
+"""Shared foundations: conventions, rotations, small vectors, errors, files, compilation."""

@@ -9,7 +9,7 @@ from types import ModuleType
 
 
 def after_import(name: str, call: Callable[[], None]) -> None:
-    """Calls `call` now if the top-level package `name` is imported already, else right after it is."""
+    """Calls `call` now if the top-level package `name` is imported already, else right after its import."""
     if name in sys.modules:
         call()
     else:

@@ -1,12 +1,12 @@
-"""Settings as data: unit, range and meaning stand in the field's metadata, and everything else is made from them.
+"""Settings as data: unit, range and meaning stand in the field's metadata, the source of everything else.
 
     @documented
     @dataclass(frozen=True)
     class GaitConfig:
         min_switch_time: float = parameter(0.1, unit="s", about="least time between two switches of a leg")
 
-From the metadata come the checks (`check`), the records that kernels read (`record_fields`, `pack`), what is read from
-files and the command line (`changed`), the class's docstring (`documented`) and tables (`describe`).
+The metadata give the checks (`check`), the kernels' records (`record_fields`, `pack`), values read from files and the
+command line (`changed`), the class's docstring (`documented`) and tables (`describe`).
 """
 
 import dataclasses
@@ -26,16 +26,16 @@ _Kind = TypeVar("_Kind")
 
 @dataclass(frozen=True)
 class ParameterInfo:
-    """What is known of a field.
+    """Metadata of a field.
 
     Attributes:
         about: its meaning.
-        unit: of its value; empty for a number without.
-        low, high: least and greatest value, inclusive; None for no bound.
+        unit: of its value; empty for a plain number.
+        low, high: inclusive bounds; None for no bound.
         above, below: exclusive bounds.
-        choices: the values that it can have; empty for a number.
+        choices: the possible values; empty for a number.
         key: its name in the packed record; None for the field's own, empty if it is not packed.
-        scale: the factor of `pack` by which it is multiplied; empty for none.
+        scale: the factor of `pack` that multiplies it; empty for none.
     """
 
     about: str = ""
@@ -69,7 +69,7 @@ class ParameterInfo:
         return "" if inside else self._bounds()
 
     def range(self) -> str:
-        """The values that it can have, for tables."""
+        """The possible values, for tables."""
         if self.choices:
             return ", ".join(map(str, self.choices))
         low, high = self.low if self.above is None else self.above, self.high if self.below is None else self.below
@@ -102,11 +102,8 @@ def parameters(kind: Any) -> dict[str, tuple[ParameterInfo, Any]]:
 
 
 def check(settings: Any, where: str) -> None:
-    """Checks all parameters, those of nested settings too.
-
-    Raises:
-        ConfigError: the first that is wrong, after `where`.
-    """
+    """Checks all parameters, also of nested settings; raises `ConfigError`, which begins with `where`, for the first
+    error."""
     for name, (known, default) in parameters(settings).items():
         value = getattr(settings, name)
         problem = known.problem(value, default)
@@ -119,7 +116,7 @@ def check(settings: Any, where: str) -> None:
 
 
 def record_fields(kind: type) -> list[tuple[Any, ...]]:
-    """The fields of a record that holds the parameters: whole numbers and choices as i8, all others as f8."""
+    """The fields of a record for the parameters: whole numbers and choices as i8, all others as f8."""
     found: list[tuple[Any, ...]] = []
     for name, (known, default) in parameters(kind).items():
         key = name if known.key is None else known.key
@@ -142,15 +139,10 @@ def pack(settings: Any, record: np.ndarray, scales: Mapping[str, float] | None =
 
 
 def changed(settings: Any, changes: Mapping[str, Any], where: str) -> Any:
-    """Settings with some of their fields changed, as read from a file.
-
-    Args:
-        settings: a dataclass.
-        changes: values by field; those of nested settings are a mapping.
-        where: the start of messages, such as the file's name.
+    """A settings dataclass with some fields changed, as read from a file; `changes` are nested like the settings.
 
     Raises:
-        ConfigError: an unknown field, or a value of another kind or out of its range.
+        ConfigError: an unknown field, or a value of another kind or out of its range; begins with `where`.
     """
     present = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
     new: dict[str, Any] = {}

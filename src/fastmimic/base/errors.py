@@ -1,7 +1,7 @@
-"""What a user can get wrong.
+"""Errors that a user can cause.
 
-Every message says what was found, what was expected, where, and what to do. The command line prints it in
-one line and exits with status 2; anything else that reaches the user is a bug.
+Every message says what was found, what was expected, where, and what to do. The command line prints it in one line and
+exits with status 2; any other exception that reaches the user is a bug.
 """
 
 import difflib
@@ -69,7 +69,7 @@ class CheckpointError(FastMimicError):
 
 
 def unknown(what: str, name: str, names: Iterable[str]) -> ConfigError:
-    """The error for a name that does not exist; it lists those that do."""
+    """The error for an unknown name; it lists the known ones."""
     names = list(names)
     return ConfigError(f"unknown {what} '{name}'; there are {', '.join(names)}{did_you_mean(name, names)}")
 

@@ -1,7 +1,7 @@
 """A user's own additions: files and installed packages that register entries when they are imported.
 
-They are the files that the environment variable FASTMIMIC_EXTENSIONS names, separated as in PATH, and the installed
-entry points of the group "fastmimic.extensions", each a module. The command line and worker processes load them.
+The environment variable FASTMIMIC_EXTENSIONS lists files, separated as in PATH; the installed entry points of the group
+"fastmimic.extensions" are modules. The command line and worker processes load them.
 """
 
 import importlib.util
@@ -21,11 +21,7 @@ _loaded: set[str] = set()
 
 
 def load_extensions() -> None:
-    """Imports the extensions that are not imported yet.
-
-    Raises:
-        ConfigError: a file is missing, or an extension fails.
-    """
+    """Imports the extensions not imported yet; raises `ConfigError` if a file is missing or an extension fails."""
     for name in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
         path = Path(name).expanduser().resolve()
         if str(path) in _loaded:

@@ -12,7 +12,7 @@ from fastmimic.base.text import plain
 
 
 def replace_file(path: str | Path, write: Callable[[BinaryIO], Any]) -> None:
-    """Calls `write` with a temporary file in the same folder, then puts it in the place of `path`.
+    """Calls `write` with a temporary file in the same folder, then moves it to `path`.
 
     Raises:
         OutputError: the folder cannot be created or the file not written; `path` is unchanged.
@@ -49,11 +49,7 @@ def write_json(path: str | Path, value: Any, *, indent: int | None = 2) -> None:
 
 
 def read_json(path: str | Path, error: type[FastMimicError] = ConfigError) -> dict[str, Any]:
-    """The object that a JSON file holds.
-
-    Raises:
-        FastMimicError: of the given kind: no such file, a file that cannot be read, or one without an object.
-    """
+    """The object in a JSON file; raises `error` if there is no such file, no object in it, or it cannot be read."""
     try:
         value = json.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -66,11 +62,7 @@ def read_json(path: str | Path, error: type[FastMimicError] = ConfigError) -> di
 
 
 def check_folder(folder: str | Path) -> None:
-    """Makes sure that files can be written in a folder, creating it if need be; for before long work.
-
-    Raises:
-        OutputError: it cannot be created, or nothing can be written in it.
-    """
+    """Makes a folder if need be and checks that files can be written in it, before long work; raises `OutputError`."""
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -81,11 +73,7 @@ def check_folder(folder: str | Path) -> None:
 
 
 def remove_file(path: Path) -> None:
-    """Removes a file that is about to be written again, if it exists.
-
-    Raises:
-        OutputError: it cannot be removed.
-    """
+    """Removes a file, if it exists, before it is written again; raises `OutputError`."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:

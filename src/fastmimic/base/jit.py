@@ -1,4 +1,4 @@
-"""The one way in which kernels are compiled: cached, without the GIL, IEEE arithmetic."""
+"""How kernels are compiled: cached, without the GIL, IEEE arithmetic."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +10,7 @@ import numpy as np
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiles `function` with Numba: no GIL, cached on disk, no fast-math (results must not depend on the machine).
 
-    With `NUMBA_DISABLE_JIT=1` the same Python code runs as it stands, for debugging.
+    With `NUMBA_DISABLE_JIT=1` the Python code runs uncompiled, for debugging.
     """
     return _compiled(function)
 
@@ -42,9 +42,9 @@ def depends_on(compiled: Callable[..., Any], *files: str) -> None:
 
 
 def _stale_with_callees(compiled: Callable[..., Any]) -> Callable[..., Any]:
-    """Numba's cache looks at a kernel's own file only: after an update of a callee's, old code would go on running.
+    """Makes a kernel's cache depend on its callees' files; Numba looks at its own file only and would run old code.
 
-    Whatever kernel its module knows by now counts as called, because kernels further down in the module may call it.
+    All kernels that the module knows by now count as called, because later kernels of the module may call them.
     """
     function = getattr(compiled, "py_func", compiled)
     known = (getattr(value, "py_func", value) for value in function.__globals__.values() if callable(value))

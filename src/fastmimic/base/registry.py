@@ -1,4 +1,4 @@
-"""Entries by name: what the package has of a kind, and what a user adds to it."""
+"""Entries by name: the package's own of a kind, and the user's."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Generic, Protocol, TypeVar
@@ -18,11 +18,10 @@ Entry = TypeVar("Entry", bound=Named)
 
 
 class Registry(Mapping[str, Entry], Generic[Entry]):
-    """A mapping from names to entries, in the order in which they were registered.
+    """A mapping from names to entries, in the order of registration.
 
     Args:
         kind: what one entry is, in the singular, for messages: "method".
-        entries: the first ones.
         error: raised for an unknown or a duplicate name.
 
     Example:
@@ -65,7 +64,6 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return name in self._entries
 
     def get(self, name: str, default: Any = None) -> Any:
-        """The entry of that name, or `default`."""
         return self._entries.get(name, default)
 
     def __iter__(self) -> Iterator[str]:

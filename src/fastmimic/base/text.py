@@ -10,15 +10,12 @@ from typing import Any, Final
 
 import numpy as np
 
-NONE: Final = "–"
-"""What a table shows where there is no value."""
+NONE: Final = "–"  # in a table, for no value
 
 
 def plain(value: Any) -> Any:
-    """The value in plain JSON types: NumPy values, tuples, dataclasses and paths converted, at any depth.
-
-    Numbers that JSON does not have (NaN, infinity) become None.
-    """
+    """The value in plain JSON types: NumPy values, tuples, dataclasses and paths converted, at any depth; NaN and
+    infinity become None."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -33,12 +30,12 @@ def plain(value: Any) -> Any:
 
 
 def number(value: float | None, digits: int = 3, factor: float = 1.0) -> str:
-    """A number with so many decimals, multiplied by `factor`; a dash for None and NaN."""
+    """A number with `digits` decimals, multiplied by `factor`; a dash for None and NaN."""
     return NONE if value is None or math.isnan(value) else f"{factor * value:.{digits}f}"
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
-    """A header and one line a row; values that are None or absent are empty, columns not named are left out."""
+    """A header and one line a row; None and absent values are empty, columns not named are left out."""
     out = io.StringIO()
     writer = csv.DictWriter(out, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()

@@ -138,8 +138,7 @@ def _sense_legs(config: Any, reading: Any, scratch: Any) -> None:
 
 @inlined
 def _sense_acceleration(config: Any, reading: Any, scratch: Any) -> None:
-    """Level acceleration of the base; a reading is the mean over a step, so the orientation is the step's middle
-    one."""
+    """Level acceleration of the base; a reading is the mean over a step, so the orientation is that of its middle."""
     half, g, f = -0.5 * config.dt, reading.gyro, reading.accel
     tx, ty, tz = cross(half * g[0], half * g[1], half * g[2], f[0], f[1], f[2])
     x, y, z = f[0] + tx, f[1] + ty, f[2] + tz

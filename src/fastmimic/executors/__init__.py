@@ -1,8 +1,7 @@
 """Where jobs run: on this machine's cores, or on a Ray cluster. Jobs know nothing of it, and share nothing.
 
-An executor runs a function over jobs and yields what comes out, in the order in which it comes. A process or a machine
-that dies takes nothing with it but its own jobs' time: they are begun again elsewhere, a few times. To add an executor:
-its file, and its name in `EXECUTORS`.
+An executor runs a function over jobs and yields the outcomes as they come. If a process or a machine dies, only its own
+jobs are restarted elsewhere, a few times. To add an executor: its file, and its name in `EXECUTORS`.
 """
 
 from fastmimic.executors.base import Executor, JobOutcome, Report

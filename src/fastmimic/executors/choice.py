@@ -10,16 +10,15 @@ EXECUTORS: Final = {"local": "processes on this machine", "ray": "a Ray cluster"
 
 
 def make_executor(name: str, *, workers: int | None = None, address: str | None = None) -> Executor:
-    """The executor of that name.
+    """The executor of that name, one of `EXECUTORS`.
 
     Args:
-        name: one of `EXECUTORS`.
         workers: how many jobs at a time; one for each core if None.
         address: of a running Ray cluster.
 
     Raises:
-        ConfigError: an unknown name, fewer than one worker, an address for another than Ray or at which nobody
-            answers, or Ray is not installed.
+        ConfigError: a wrong name or number of workers, an address without Ray or without an answer, or no Ray
+            installed.
     """
     if name not in EXECUTORS:
         raise ConfigError(f"unknown executor '{name}'; there are {', '.join(EXECUTORS)}{did_you_mean(name, EXECUTORS)}")

@@ -27,14 +27,10 @@ class LocalExecutor:
     """Processes on this machine."""
 
     def __init__(self, workers: int | None = None, *, in_process: bool = True) -> None:
-        """
-        Args:
-            workers: processes; one for each core if None.
-            in_process: whether a single one is this process itself, which runs the jobs one after another; otherwise
-                it is one of its own, too, which may die and is begun again.
+        """`workers` are processes; one for each core if None. Raises `ConfigError` if fewer than one.
 
-        Raises:
-            ConfigError: fewer than one.
+        With `in_process` a single worker is this process itself, one job after another; otherwise it is a separate
+        process, too, which is restarted if it dies.
         """
         if workers is not None and workers < 1:
             raise ConfigError(f"workers must be at least 1, found {workers}")
@@ -112,7 +108,7 @@ def _died(attempts: int, died: ProcessExpired) -> FastMimicError:
 
 @contextmanager
 def _pool(workers: int, context: Any, steps: Any) -> Iterator[ProcessPool]:
-    """A pool whose processes are stopped, not waited for, if its jobs are not all wanted any more."""
+    """A pool that stops its processes, without waiting, if its jobs are no longer wanted."""
     pool = ProcessPool(workers, initializer=_begin, initargs=(steps,), context=context)
     try:
         yield pool
@@ -124,7 +120,7 @@ def _pool(workers: int, context: Any, steps: Any) -> Iterator[ProcessPool]:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Lets processes started in the block use one thread for linear algebra, unless the user said otherwise."""
+    """Makes processes started in the block use one thread for linear algebra, unless the user said otherwise."""
     added = [name for name in _ONE_THREAD if name not in os.environ]
     os.environ.update(dict.fromkeys(added, "1"))
     try:

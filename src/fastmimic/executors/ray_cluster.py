@@ -1,7 +1,7 @@
 """A Ray cluster: an existing one by its address, or one started on this machine.
 
-Ray places the jobs, one core each, and begins those again whose process or machine died; what its machines must have
-in common is the installed package and, for jobs that read and write files, those files' place.
+Ray places the jobs, one core each, and restarts those that lost their process or machine; its machines must share the
+installed package and the place of the files that jobs use.
 """
 
 import logging
@@ -29,12 +29,11 @@ _LOST: Final = {
     "ObjectLostError": "its result was lost with the machine that had it",
     "TaskCancelledError": "somebody cancelled it",
     "TaskUnschedulableError": "no machine of the cluster can run it",
-}
-"""What Ray's exceptions say of a job that was begun as often as it may be."""
+}  # by Ray's exceptions, for a job that used all its attempts
 
 
 def require_ray() -> Any:
-    """Ray's module; raises `ConfigError` with what to do if it is not installed."""
+    """Ray's module; raises `ConfigError`, with what to do, if it is not installed."""
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # leaves a job's view of the GPUs alone
     try:
         import ray
@@ -47,11 +46,12 @@ class RayExecutor:
     """One-core tasks on a Ray cluster."""
 
     def __init__(self, address: str | None = None, workers: int | None = None) -> None:
-        """
+        """Connects to Ray.
+
         Args:
             address: of a running cluster, HOST:PORT, ray://HOST:PORT, or 'auto' for the one on this machine; None
-                starts one here, for the time of a run.
-            workers: cores of the one started here, all if None; of a running cluster, how many jobs at a time at most.
+                starts one here during a run.
+            workers: cores of the one started here, all if None; of a running cluster, the most jobs at a time.
 
         Raises:
             ConfigError: fewer than one worker, nobody answers at the address, or Ray is not installed.
@@ -68,7 +68,13 @@ class RayExecutor:
 
     @property
     def workers(self) -> int:
-        """Cores of the cluster now, at most those asked for; before a run begins, those of this machine."""
+        """`address` is HOST:PORT or ray://HOST:PORT of a running cluster, or 'auto' for the one on this machine; None
+        starts one here during a run. `workers` are the cores of the one started here, all if None; of a running
+        cluster, the most jobs at a time.
+
+        Raises:
+            ConfigError: fewer than one worker, nobody answers at the address, or Ray is not installed.
+        """
         ray = require_ray()
         cores = int(ray.cluster_resources().get("CPU", 1)) if ray.is_initialized() else available_cores()
         return cores if self._limit is None else min(cores, self._limit)
@@ -76,7 +82,7 @@ class RayExecutor:
     def run(
         self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
     ) -> Generator[JobOutcome, None, None]:
-        """As `Executor.run`; a job is told of as done only when it is."""
+        """As `Executor.run`; progress is reported only when a job is done."""
         ray = require_ray()
         own = not ray.is_initialized()
         if own:
@@ -159,7 +165,7 @@ def _result(ray: Any, reference: Any) -> tuple[Any, FastMimicError | None]:
 
 @contextmanager
 def _cluster_there(ray: Any) -> Iterator[None]:
-    """Raises `ClusterError` for what is no single job's trouble."""
+    """Raises `ClusterError` for failures that are not a single job's."""
     kinds = ray.exceptions
     gone: tuple[type[Exception], ...] = (
         *_kinds(ray, "LocalRayletDiedError", "RaySystemError", "RpcError"),
@@ -190,7 +196,7 @@ def _reason(ray: Any, lost: Exception) -> str:
 
 
 def _kinds(ray: Any, *names: str) -> tuple[type[Exception], ...]:
-    """Ray's exceptions of those names, of which not every release has all."""
+    """Ray's exceptions of those names; not every release has all."""
     return tuple(getattr(ray.exceptions, name) for name in names if hasattr(ray.exceptions, name))
 
 
