@@ -102,8 +102,8 @@ def parameters(kind: Any) -> dict[str, tuple[ParameterInfo, Any]]:
 
 
 def check(settings: Any, where: str) -> None:
-    """Checks all parameters, also of nested settings; raises `ConfigError`, which begins with `where`, for the first
-    error."""
+    """Checks all parameters, also of nested settings; raises `ConfigError`, which begins with `where`, for a wrong
+    one."""
     for name, (known, default) in parameters(settings).items():
         value = getattr(settings, name)
         problem = known.problem(value, default)

@@ -9,9 +9,7 @@ import numpy as np
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiles `function` with Numba: no GIL, cached on disk, no fast-math (results must not depend on the machine).
-
-    With `NUMBA_DISABLE_JIT=1` the Python code runs uncompiled, for debugging.
-    """
+    With `NUMBA_DISABLE_JIT=1` the Python code runs uncompiled, for debugging."""
     return _compiled(function)
 
 
@@ -42,10 +40,8 @@ def depends_on(compiled: Callable[..., Any], *files: str) -> None:
 
 
 def _stale_with_callees(compiled: Callable[..., Any]) -> Callable[..., Any]:
-    """Makes a kernel's cache depend on its callees' files; Numba looks at its own file only and would run old code.
-
-    All kernels that the module knows by now count as called, because later kernels of the module may call them.
-    """
+    """Makes a kernel's cache depend on its callees' files; Numba looks at its own file only and would run old code. All
+    kernels that the module knows by now count as called, because later kernels of the module may call them."""
     function = getattr(compiled, "py_func", compiled)
     known = (getattr(value, "py_func", value) for value in function.__globals__.values() if callable(value))
     files = frozenset({function.__code__.co_filename, __file__}).union(*(getattr(f, "source_files", ()) for f in known))

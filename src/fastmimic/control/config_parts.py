@@ -114,11 +114,9 @@ class StanceConfig:
 @documented
 @dataclass(frozen=True)
 class HorizonConfig:
-    """Convex model predictive control (Di Carlo et al. 2018), used where `StanceConfig.forces` is "horizon".
-
-    Axes: x, y, z, roll, pitch, yaw in the heading frame. Forces are multiples of the weight, so the weights do not
-    depend on the robot's mass. Friction and the bounds on f_z are those of `StanceConfig`.
-    """
+    """Convex model predictive control (Di Carlo et al. 2018), used where `StanceConfig.forces` is "horizon". Axes: x,
+    y, z, roll, pitch, yaw in the heading frame. Forces are multiples of the weight, so the weights do not depend on the
+    robot's mass. Friction and the bounds on f_z are those of `StanceConfig`."""
 
     steps: int = parameter(
         10, low=1, high=MAX_HORIZON_STEPS, key="horizon_steps", about="number of the horizon's steps"
@@ -216,10 +214,8 @@ class LoadConfig:
 @dataclass(frozen=True)
 class RecoveryConfig:
     """Push recovery: the controller's reference is re-synchronised to the robot. Nothing is computed when disabled.
-
     Recovery starts where the controller sees the horizontal velocity off by `start_error` and ends below `end_error`.
-    The reward is still computed with the demonstration's own clock.
-    """
+    The reward is still computed with the demonstration's own clock."""
 
     enabled: bool = parameter(False, key="", about="whether there is push recovery")
     start_error: float = parameter(0.35, unit="m/s", key="recovery_start", about="velocity error at which it starts")

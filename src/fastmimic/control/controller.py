@@ -67,10 +67,8 @@ def control_step(
     scratch: Any,
     foresight: Any,
 ) -> None:
-    """Computes the commands of all robots; robot i follows table min(i, k − 1) at its clock.
-
-    The arguments are flat because a call with tuples of arrays takes 2 µs longer.
-    """
+    """Computes the commands of all robots; robot i follows table min(i, k − 1) at its clock. The arguments are flat
+    because a call with tuples of arrays takes 2 µs longer."""
     robots = RobotRecords(tables, clocks, observations, memories, commands, plans)
     work = WorkMemory(qp, plan_qp, scratch, foresight)
     for i in range(observations.shape[0]):
@@ -157,10 +155,8 @@ def _plan_ahead(
     foresight: Any,
     qp: Any,
 ) -> bool:
-    """Plans at the planning rate and at the start of a cycle, where the reference may jump; False without a plan.
-
-    ẍ_des then follows the plan; if every control step is planned, the forces do, too.
-    """
+    """Plans at the planning rate and at the start of a cycle, where the reference may jump; False without a plan. ẍ_des
+    then follows the plan; if every control step is planned, the forces do, too."""
     plan.age += 1
     memory.solve_time = 0.0
     if plan.valid == 0 or plan.age >= config.horizon_interval or table[clock.sample].sync == 1:
@@ -237,10 +233,8 @@ class Controller:
         self.plan["valid"] = 0
 
     def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
-        """Commands (n,) of `COMMAND` for the next control step; overwritten by the next call.
-
-        `observation` is (n,) of `OBSERVATION`, `clocks` (n,) of `CLOCK`.
-        """
+        """Commands (n,) of `COMMAND` for the next control step; overwritten by the next call. `observation` is (n,) of
+        `OBSERVATION`, `clocks` (n,) of `CLOCK`."""
         control_step(
             self._config,
             self._model,

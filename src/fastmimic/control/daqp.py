@@ -25,11 +25,9 @@ _SETTINGS_BYTES: Final = 1024  # more than the struct needs in any release
 
 
 def make_workspace(n_max: int, m_max: int) -> NDArray[Any]:
-    """Memory of a problem of up to n_max variables and m_max constraints, simple bounds included. One per thread.
-
-    The record holds `hessian` (n × n, row-major in its first n² entries), `gradient` f, `rows` of A, `upper` and
-    `lower` (simple bounds first), the solution `x`, its multipliers `dual`, and DAQP's structs, which point to them.
-    """
+    """Memory of a problem of up to n_max variables and m_max constraints, simple bounds included. One per thread. The
+    record holds `hessian` (n × n, row-major in its first n² entries), `gradient` f, `rows` of A, `upper` and `lower`
+    (simple bounds first), the solution `x`, its multipliers `dual`, and DAQP's structs, which point to them."""
     workspace = np.zeros(
         1,
         record_dtype(

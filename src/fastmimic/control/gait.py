@@ -12,10 +12,8 @@ from fastmimic.base.jit import inlined
 
 @inlined
 def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, force_z: float) -> bool:
-    """Advances one leg by one control step; True if it has just lifted off.
-
-    `wanted` is the scheduled stance, `force_z` the measured vertical ground force in N; `memory` is changed.
-    """
+    """Advances one leg by one control step; True if it has just lifted off. `wanted` is the scheduled stance, `force_z`
+    the measured vertical ground force in N; `memory` is changed."""
     loaded = force_z > config.contact_threshold
     memory.since_switch[leg] += config.dt
     free = force_z < config.release_threshold

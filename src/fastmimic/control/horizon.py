@@ -93,11 +93,9 @@ def plan_forces(
 
 @kernel
 def track_plan(config: Any, obs: Any, plan: Any, ahead: Any, desired: Array) -> None:
-    """Moves the stance's feedback `desired` (6,), ẍ_des in the heading frame, from the reference to the plan.
-
-    Only the plan's deviation from the reference enters: the reference's course within a step of the horizon, and the
-    feet that the position is measured from, stay those of the stance.
-    """
+    """Moves the stance's feedback `desired` (6,), ẍ_des in the heading frame, from the reference to the plan. Only the
+    plan's deviation from the reference enters: the reference's course within a step of the horizon, and the feet that
+    the position is measured from, stay those of the stance."""
     h = config.horizon_step_s
     t = plan.age * config.dt
     j = min(int(t / h), config.horizon_steps - 1)

@@ -59,10 +59,8 @@ def _coasted(config: Any, ref: Any, steps: int) -> tuple[float, float, float]:
 
 @inlined
 def _ahead(config: Any, table: Any, clock: Any, steps: int) -> tuple[int, float, float, float]:
-    """Sample after `steps` control steps, and the origin (x, y, yaw) that it is seen from.
-
-    After its end a motion keeps the twist of its last sample, level.
-    """
+    """Sample after `steps` control steps, and the origin (x, y, yaw) that it is seen from. After its end a motion keeps
+    the twist of its last sample, level."""
     n = table.shape[0]
     sample = clock.sample + steps
     x, y, yaw = clock.origin[0], clock.origin[1], clock.origin[2]
@@ -103,11 +101,9 @@ def _turned(c: float, s: float, m: Array, out: Array) -> None:
 
 @kernel
 def foresee(config: Any, model: Any, table: Any, clock: Any, obs: Any, memory: Any, scratch: Any, ahead: Any) -> None:
-    """Fills `ahead` with what the reference wants and the feet allow in the coming steps.
-
-    Reads from `scratch`: rotation, reference_rotation, feet, arms, inverse_inertia, position_error, velocity_error, the
-    velocities, and `shift`, the reference's displacement to where the standing feet are.
-    """
+    """Fills `ahead` with what the reference wants and the feet allow in the coming steps. Reads from `scratch`:
+    rotation, reference_rotation, feet, arms, inverse_inertia, position_error, velocity_error, the velocities, and
+    `shift`, the reference's displacement to where the standing feet are."""
     rotation, arms = scratch.rotation, scratch.arms
     for r in range(3):
         ahead.free[0, r], ahead.free[0, 3 + r] = 0.0, 0.0

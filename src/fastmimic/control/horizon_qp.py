@@ -33,10 +33,8 @@ def advance(step: float, acceleration: Array, state: Array, out: Array) -> None:
 
 @inlined
 def _coupling(config: Any, i: int, j: int, out: Array) -> None:
-    """D_ij, i ≤ j: effect of accelerations in steps i and j together on the states from the end of step j on.
-
-    A unit in step i moves X at the end of step k > i by h² (k − i − ½) and V by h; here summed over k > j.
-    """
+    """D_ij, i ≤ j: effect of accelerations in steps i and j together on the states from the end of step j on. A unit in
+    step i moves X at the end of step k > i by h² (k − i − ½) and V by h; here summed over k > j."""
     h, m = config.horizon_step_s, float(config.horizon_steps - j)
     moved = h * h * (m * (4 * m * m - 1) / 12 + 0.5 * (j - i) * m * m)
     for r in range(6):
@@ -46,9 +44,7 @@ def _coupling(config: Any, i: int, j: int, out: Array) -> None:
 @kernel
 def condense(config: Any, weight: float, ahead: Any, qp: Any) -> int:
     """Assembles the QP from `ahead` (standing, columns, drift, target, free[0]) and returns the number k of forces.
-
-    There are 3 k variables, k simple bounds and 4 k or 8 k rows.
-    """
+    There are 3 k variables, k simple bounds and 4 k or 8 k rows."""
     steps, h = config.horizon_steps, config.horizon_step_s
     k = 0
     for j in range(steps):

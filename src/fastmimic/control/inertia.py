@@ -59,10 +59,8 @@ def _solve_3x3(a: Array, b: Array, det: float, out: Array) -> None:
 
 @kernel
 def add_standing_leg(model: Any, leg: int, q: Array, foot: Array, com: Array, work: Any, inertia: Array) -> None:
-    """Changes `inertia` (3, 3), kg·m², body axes, about the centre of mass, by holding one leg's foot in place.
-
-    `q` (3,) are the leg's joints, `foot` and `com` (3,) in m, body frame; `work` is of `WORK`.
-    """
+    """Changes `inertia` (3, 3), kg·m², body axes, about the centre of mass, by holding one leg's foot in place. `q`
+    (3,) are the leg's joints, `foot` and `com` (3,) in m, body frame; `work` is of `WORK`."""
     g, jacobian, rates = model.geometry[leg], work.jacobian, work.rates
     leg_jacobian(g, q[0], q[1], q[2], jacobian)
     cx, cy, cz = cross(jacobian[0, 1], jacobian[1, 1], jacobian[2, 1], jacobian[0, 2], jacobian[1, 2], jacobian[2, 2])

@@ -51,11 +51,9 @@ def lift_off(config: Any, ref: Any, memory: Any, scratch: Any, leg: int, height_
 def raibert_path(
     config: Any, model: Any, ref: Any, memory: Any, scratch: Any, leg: int, share: float, height_error: float
 ) -> tuple[float, float, float]:
-    """Joint angles at a share of the straight path to the Raibert foothold (Kang et al. 2021; paper, §IV-B).
-
-    The path leads from lift-off to 0.5 T_s v − K (v̄ − v) from under the hip, on the ground: x and y linear in time, z
-    over a parabola. Velocities are the base's, body frame, as in eq. 3. `config.level` levels the path.
-    """
+    """Joint angles at a share of the straight path to the Raibert foothold (Kang et al. 2021; paper, §IV-B). The path
+    leads from lift-off to 0.5 T_s v − K (v̄ − v) from under the hip, on the ground: x and y linear in time, z over a
+    parabola. Velocities are the base's, body frame, as in eq. 3. `config.level` levels the path."""
     g, rotation, start = model.geometry[leg], scratch.rotation, memory.liftoff_offset[leg]
     forward = 0.5 * config.swing_time
     x = g[0] + g[4] + forward * scratch.lin_vel_b[0] - config.velocity_feedback[0] * scratch.velocity_error[0]

@@ -92,11 +92,9 @@ def _desired_acceleration(
 def _relative_to_feet(
     config: Any, ref: Any, rotation: Array, reference_rotation: Array, feet: Array, memory: Any, error: Array
 ) -> None:
-    """Mixes the x and y position error, heading frame, with that relative to the standing feet.
-
-    Balance depends on the feet: the body belongs over the actual feet as it is over the reference's, wherever they
-    landed. Feet about to lift off fade out.
-    """
+    """Mixes the x and y position error, heading frame, with that relative to the standing feet. Balance depends on the
+    feet: the body belongs over the actual feet as it is over the reference's, wherever they landed. Feet about to lift
+    off fade out."""
     ex = ey = total = 0.0
     for leg in range(4):
         if memory.stance[leg] == 0 or ref.contact[leg] == 0:

@@ -156,11 +156,9 @@ def describe_fall(robot: Robot, rollout: Rollout, episode: int = 0) -> Fall | No
 
 def reasons(needs: Demands, fall: Fall | None = None) -> tuple[Reason, ...]:
     """The limits that a motion exceeds, those of the demonstration first, in the order of cause and effect: a leg at
-    the end of its reach jumps out of it, and what it then asks of motors and ground follows from that.
-
-    If the demonstration keeps every limit and the robot fell without saturated motors or slipping feet, the only reason
-    is feedback. Without a fall, only the demonstration's reasons are given.
-    """
+    the end of its reach jumps out of it, and what it then asks of motors and ground follows from that. If the
+    demonstration keeps every limit and the robot fell without saturated motors or slipping feet, the only reason is
+    feedback. Without a fall, only the demonstration's reasons are given."""
     found = []
     if needs.body_clearance_m < 0.0:
         found.append(Reason("reach", f"a leg would be {-1e3 * needs.body_clearance_m:.0f} mm below the ground"))

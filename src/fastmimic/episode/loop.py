@@ -188,10 +188,7 @@ class ClosedLoop:
 
     def _first_look(self, observer: Observer, start: Start) -> tuple[NDArray[Any], NDArray[Any]]:
         """First sensor readings, as estimates, of robots that start as the demonstration does, and the controller's own
-        clocks.
-
-        The controller is not told of the start's offsets.
-        """
+        clocks. The controller is not told of the start's offsets."""
         table, clocks = self.table, self.clocks
         position, quat = world_root(table, start.sample, clocks["origin"])
         known = np.zeros(self.n, START)

@@ -127,9 +127,7 @@ class Observer:
         recovery: NDArray[Any] | None = None,
     ) -> NDArray[Any]:
         """The observation after a control step, with the controller's clocks advanced; arguments as for `reset`.
-
-        `recovery` is the packed configuration of a controller with push recovery.
-        """
+        `recovery` is the packed configuration of a controller with push recovery."""
         assert self._motors is not None
         told = self.estimator.step(self.sensors.measure(truth, self._motors), planned)
         if recovery is None:

@@ -50,10 +50,8 @@ def nominal_start(n: int) -> Start:
 
 
 def perturbed_start(n: int, n_samples: int, rng: np.random.Generator) -> Start:
-    """n episodes: the first nominal, the others at a random phase, with perturbed joints and velocity.
-
-    `n_samples` is the number of samples at which an episode may begin (`start_room`).
-    """
+    """n episodes: the first nominal, the others at a random phase, with perturbed joints and velocity. `n_samples` is
+    the number of samples at which an episode may begin (`start_room`)."""
     start = nominal_start(n)
     for i in range(1, n):
         start.sample[i] = rng.integers(n_samples)

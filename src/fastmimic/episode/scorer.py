@@ -72,11 +72,8 @@ class Scorer:
         self._own[rows] = self._own_sums[rows] = 0.0
 
     def score(self, clocks: NDArray[Any], observations: NDArray[Any], memories: NDArray[Any]) -> None:
-        """Scores the robots' states, (n,) of `OBSERVATION`, after a control step.
-
-        `clocks` (n,) of `CLOCK` give the due sample of the demonstration and its place; `memories` (n,) of `MEMORY` are
-        the controller's.
-        """
+        """Scores the robots' states, (n,) of `OBSERVATION`, after a control step. `clocks` (n,) of `CLOCK` give the due
+        sample of the demonstration and its place; `memories` (n,) of `MEMORY` are the controller's."""
         score_step(self.context, clocks, observations, memories, self.tallies)
         if self._added:
             self._add_own_terms(clocks, observations)
@@ -107,10 +104,8 @@ class Scorer:
 
 
 def demonstration_in_world(table: NDArray[Any], sample: NDArray[np.int64], origin: Array) -> NDArray[Any]:
-    """Due samples (…) of a table (t,) of `SAMPLE`, with root, velocities and accelerations in the world frame.
-
-    `sample` (…) are their indices, `origin` (…, 3) x, y and yaw of the table in the world.
-    """
+    """Due samples (…) of a table (t,) of `SAMPLE`, with root, velocities and accelerations in the world frame. `sample`
+    (…) are their indices, `origin` (…, 3) x, y and yaw of the table in the world."""
     demonstration = table[sample]
     position, quat = world_root(table, sample, origin)
     demonstration["root_pos"], demonstration["root_quat"] = position, quat

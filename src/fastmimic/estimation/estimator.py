@@ -163,10 +163,8 @@ def _sense(config: Any, state: Any, reading: Any, scratch: Any) -> None:
 
 @inlined
 def _lean_on_ground(config: Any, state: Any, scratch: Any) -> None:
-    """Turns the frame into the plane of the standing feet, by their kinematic heights above it (normalised LMS).
-
-    While a rotation (e_x, e_y) is missing, feet at (x, y) from the base seem higher by e_y x − e_x y.
-    """
+    """Turns the frame into the plane of the standing feet, by their kinematic heights above it (normalised LMS). While
+    a rotation (e_x, e_y) is missing, feet at (x, y) from the base seem higher by e_y x − e_x y."""
     x = y = total = 0.0
     standing = 0
     for leg in range(4):
@@ -236,11 +234,9 @@ def _tell(config: Any, state: Any, reading: Any, scratch: Any, out: Any) -> None
 
 @kernel
 def estimate_step(config: Any, states: Any, readings: Any, planned: Any, outs: Any, scratches: Any) -> None:
-    """Takes in the readings of all robots and writes what their controllers are told.
-
-    (1,) records: `config`, `scratches`. (n,) records: `states` of `STATE`, `readings` of `READING`, `outs` of
-    `OBSERVATION`. `planned` (n, 4): whether the controller lets each leg stand.
-    """
+    """Takes in the readings of all robots and writes what their controllers are told. (1,) records: `config`,
+    `scratches`. (n,) records: `states` of `STATE`, `readings` of `READING`, `outs` of `OBSERVATION`. `planned` (n, 4):
+    whether the controller lets each leg stand."""
     c, scratch = config[0], scratches[0]
     for i in range(states.shape[0]):
         state, reading = states[i], readings[i]
@@ -311,20 +307,15 @@ class Estimator:
 
     def reset(self, readings: NDArray[Any], starts: NDArray[Any], planned: NDArray[np.int64]) -> NDArray[Any]:
         """Starts at known places, from the first readings, at rest or in motion; arguments and result as in `step`.
-
         Height comes from the lowest foot, roll and pitch from the IMU; standing legs correct the velocity. `starts` is
-        (n,) of `START`.
-        """
+        (n,) of `START`."""
         begin(self._config, self.state, readings, starts, planned, self.observation, self._scratch)
         return self.observation
 
     def step(self, readings: NDArray[Any], planned: NDArray[np.int64]) -> NDArray[Any]:
         """The present estimate, (n,) of `OBSERVATION`, from the readings of one control step; overwritten by the next
-        call.
-
-        `readings` is (n,) of `READING`, `planned` (n, 4) whether the controller lets each leg stand. The base's pose
-        and velocity are in the frame of the ground; foot forces are vertical, without sensor offset, 0 where a foot
-        does not touch.
-        """
+        call. `readings` is (n,) of `READING`, `planned` (n, 4) whether the controller lets each leg stand. The base's
+        pose and velocity are in the frame of the ground; foot forces are vertical, without sensor offset, 0 where a
+        foot does not touch."""
         estimate_step(self._config, self.state, readings, planned, self.observation, self._scratch)
         return self.observation

@@ -19,11 +19,9 @@ STATES = 6  # p, v and four feet
 
 @inlined
 def predict(mean: Array, cov: Array, accel: Array, roll: Array, accel_var: float, foot_var: float, dt: float) -> None:
-    """Advances `mean` (3, 6) by axis, and `cov` (2, 6, 6) of x and y and of z, by one control step, in place.
-
-    `accel` (3,) is the base's, world, m/s²; its variance `accel_var`, m²/s⁴, is constant within a step. `roll` (4, 3)
-    are the velocities of the feet's centres in rolling, world, m/s. `foot_var`, m², is added to a foot's variance.
-    """
+    """Advances `mean` (3, 6) by axis, and `cov` (2, 6, 6) of x and y and of z, by one control step, in place. `accel`
+    (3,) is the base's, world, m/s²; its variance `accel_var`, m²/s⁴, is constant within a step. `roll` (4, 3) are the
+    velocities of the feet's centres in rolling, world, m/s. `foot_var`, m², is added to a foot's variance."""
     for axis in range(3):
         mean[axis, 0] += dt * (mean[axis, 1] + 0.5 * dt * accel[axis])
         mean[axis, 1] += dt * accel[axis]

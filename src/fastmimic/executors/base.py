@@ -38,12 +38,10 @@ class Executor(Protocol):
     def run(
         self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
     ) -> Generator[JobOutcome, None, None]:
-        """Runs `work` on all jobs, which can be pickled; yields each outcome as soon as it is there.
-
-        Closing it (`contextlib.closing`), or Ctrl-C, stops what runs. `progress` is called with a job's index and its
-        finished share. Raises `ClusterError` if no more jobs can run; of what a job raises, anything but a
-        `FastMimicError` is a defect and is raised here.
-        """
+        """Runs `work` on all jobs, which can be pickled; yields each outcome as soon as it is there. Closing it
+        (`contextlib.closing`), or Ctrl-C, stops what runs. `progress` is called with a job's index and its finished
+        share. Raises `ClusterError` if no more jobs can run; of what a job raises, anything but a `FastMimicError` is a
+        defect and is raised here."""
 
 
 def attempt(work: Work, job: Any, report: Report) -> tuple[Any, FastMimicError | None]:

@@ -27,11 +27,9 @@ class LocalExecutor:
     """Processes on this machine."""
 
     def __init__(self, workers: int | None = None, *, in_process: bool = True) -> None:
-        """`workers` are processes; one for each core if None. Raises `ConfigError` if fewer than one.
-
-        With `in_process` a single worker is this process itself, one job after another; otherwise it is a separate
-        process, too, which is restarted if it dies.
-        """
+        """`workers` are processes; one for each core if None. Raises `ConfigError` if fewer than one. With `in_process`
+        a single worker is this process itself, one job after another; otherwise it is a separate process, too, which is
+        restarted if it dies."""
         if workers is not None and workers < 1:
             raise ConfigError(f"workers must be at least 1, found {workers}")
         self._workers = workers if workers is not None else available_cores()

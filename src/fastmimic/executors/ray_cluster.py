@@ -46,16 +46,10 @@ class RayExecutor:
     """One-core tasks on a Ray cluster."""
 
     def __init__(self, address: str | None = None, workers: int | None = None) -> None:
-        """Connects to Ray.
-
-        Args:
-            address: of a running cluster, HOST:PORT, ray://HOST:PORT, or 'auto' for the one on this machine; None
-                starts one here during a run.
-            workers: cores of the one started here, all if None; of a running cluster, the most jobs at a time.
-
-        Raises:
-            ConfigError: fewer than one worker, nobody answers at the address, or Ray is not installed.
-        """
+        """`address` is HOST:PORT or ray://HOST:PORT of a running cluster, or 'auto' for the one on this machine; None
+        starts one here during a run. `workers` are the cores of the one started here, all if None; of a running
+        cluster, the most jobs at a time. Raises `ConfigError` if fewer than one, nobody answers at the address, or Ray
+        is not installed."""
         if workers is not None and workers < 1:
             raise ConfigError(f"workers must be at least 1, found {workers}")
         ray = require_ray()
@@ -68,13 +62,7 @@ class RayExecutor:
 
     @property
     def workers(self) -> int:
-        """`address` is HOST:PORT or ray://HOST:PORT of a running cluster, or 'auto' for the one on this machine; None
-        starts one here during a run. `workers` are the cores of the one started here, all if None; of a running
-        cluster, the most jobs at a time.
-
-        Raises:
-            ConfigError: fewer than one worker, nobody answers at the address, or Ray is not installed.
-        """
+        """Cores of the cluster now, at most those asked for; before a run begins, those of this machine."""
         ray = require_ray()
         cores = int(ray.cluster_resources().get("CPU", 1)) if ray.is_initialized() else available_cores()
         return cores if self._limit is None else min(cores, self._limit)

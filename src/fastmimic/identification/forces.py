@@ -112,11 +112,8 @@ def _delayed(x: Array, steps: int) -> Array:
 
 
 def _mean_torque(log: RunLog, robot: Robot, late: int) -> Array:
-    """(t, 12) mean motor torque over each control step.
-
-    While a command holds, the motor law lets the torque fall off; a reading is that at the step's end. Half of the
-    law's change between the readings at both ends is added.
-    """
+    """(t, 12) mean motor torque over each control step. While a command holds, the motor law lets the torque fall off;
+    a reading is that at the step's end. Half of the law's change between the readings at both ends is added."""
     command, q, dq = log.command, log.reading["joint_pos"], log.reading["joint_vel"]
     sent = {name: _delayed(command[name], late) for name in command.dtype.names or ()}
 

@@ -58,11 +58,9 @@ class Identification:
         return found
 
     def save(self, path: str | Path, base: str = "default") -> None:
-        """Writes a controller's configuration (`fastmimic.control.config`) with its origin to a `.json` file.
-
-        `base` is the configuration that it changes. Raises `ConfigError` if there is none of that name, and
-        `OutputError` if the file cannot be written.
-        """
+        """Writes a controller's configuration (`fastmimic.control.config`) with its origin to a `.json` file. `base` is
+        the configuration that it changes. Raises `ConfigError` if there is none of that name, and `OutputError` if the
+        file cannot be written."""
         content = {
             **FILE_FORMAT,
             "base": base,

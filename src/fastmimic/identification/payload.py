@@ -48,9 +48,7 @@ class Payload:
 
 def identify_payload(forces: GroundForces, robot: Robot, unloaded: GroundForces | None = None) -> Payload:
     """The mass that the feet bear beyond the robot's without payload; raises `LogError` if they stood too short.
-
-    `unloaded` is from a run of the same robot without payload.
-    """
+    `unloaded` is from a run of the same robot without payload."""
     found, spreads = [], []
     for weigh, error in (
         (_by_torque, np.hypot(_torque_gain_error(forces), LEG_ERROR_KG)),

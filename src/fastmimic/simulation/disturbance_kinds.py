@@ -125,10 +125,8 @@ def _trunk_load(simulation: Any, _: Array) -> None:
 
 
 def loaded(mass: float, com: Array, inertia: Array, payload: float) -> tuple[float, Array, Array]:
-    """Mass (kg), centre of mass (3,) (m) and inertia (3, 3) about it (kg·m²) of a trunk with a `payload` (kg).
-
-    `mass`, `com` and `inertia` are those of the trunk alone, in its frame.
-    """
+    """Mass (kg), centre of mass (3,) (m) and inertia (3, 3) about it (kg·m²) of a trunk with a `payload` (kg). `mass`,
+    `com` and `inertia` are those of the trunk alone, in its frame."""
     at = np.array([0.0, 0.0, PAYLOAD_HEIGHT_M])
     total = mass + payload
     centre = (mass * com + payload * at) / total

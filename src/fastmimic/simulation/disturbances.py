@@ -150,9 +150,7 @@ def known(simulator: str) -> list[str]:
 
 def driving_limit(limit: Array, top_speed: Array, joint_vel: Array) -> Array:
     """Motor torque (n, 12) available in the direction of motion, N·m: full to half the top speed, then linear to 0.
-
-    `limit` is (12,) N·m, `top_speed` (n, 1) rad/s, `joint_vel` (n, 12) rad/s.
-    """
+    `limit` is (12,) N·m, `top_speed` (n, 1) rad/s, `joint_vel` (n, 12) rad/s."""
     with np.errstate(invalid="ignore"):
         share = 2.0 * (1.0 - np.abs(joint_vel) / top_speed)
     return limit * np.clip(share, 0.0, 1.0)

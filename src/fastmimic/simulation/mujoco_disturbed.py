@@ -17,12 +17,10 @@ from fastmimic.simulation.terrain import HALF_SIDE_M, rough_ground, turns
 
 
 class DisturbedMujocoSimulation(MujocoSimulation):
-    """A batch of robots that differ from each other and from the model that their controllers know.
-
-    For disturbances: `model`, `batch` (its fields by robot), `world` (all values), `trunk` (body), `joint_dofs` (12,),
-    `trunk_force` (n, 3) in N, world frame, for this control step; and `constants_changed`, to be set after changes of
-    masses, inertias, gravity or joints.
-    """
+    """A batch of robots that differ from each other and from the model that their controllers know. For disturbances:
+    `model`, `batch` (its fields by robot), `world` (all values), `trunk` (body), `joint_dofs` (12,), `trunk_force` (n,
+    3) in N, world frame, for this control step; and `constants_changed`, to be set after changes of masses, inertias,
+    gravity or joints."""
 
     def __init__(
         self,

@@ -235,10 +235,8 @@ class MujocoSimulation:
         ang_vel_b: Array,
         joint_vel: Array,
     ) -> None:
-        """Puts some robots (k,) into given states and leaves the others alone; arrays (k, …) as in `reset`.
-
-        Their contact forces are 0 until the next step.
-        """
+        """Puts some robots (k,) into given states and leaves the others alone; arrays (k, …) as in `reset`. Their
+        contact forces are 0 until the next step."""
         self.batch.reset(rows, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         joints, joint_dofs = self._index[:12], self._index[12:]
         self._qpos[rows, :3], self._qpos[rows, 3:7] = root_pos, root_quat

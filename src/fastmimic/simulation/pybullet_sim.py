@@ -100,10 +100,8 @@ class PybulletSimulation:
     def reset(
         self, root_pos: Array, root_quat: Array, joint_pos: Array, lin_vel: Array, ang_vel_b: Array, joint_vel: Array
     ) -> None:
-        """Puts the robots into given states (n, …), world frame but for the angular velocity (body frame).
-
-        Reloads everything: Bullet remembers contacts, and the same start must lead to the same course.
-        """
+        """Puts the robots into given states (n, …), world frame but for the angular velocity (body frame). Reloads
+        everything: Bullet remembers contacts, and the same start must lead to the same course."""
         n = len(self._bodies)
         wide = [
             np.broadcast_to(np.asarray(a, dtype=np.float64), (n, k))

@@ -100,11 +100,9 @@ def draw_uniform(ranges: Sequence[Range], n: int, rng: np.random.Generator) -> t
 def draw(
     ranges: Sequence[Range], n: int, rng: np.random.Generator, *, nominal_first: bool = False
 ) -> tuple[Disturbance, ...]:
-    """Draws n robots by a Latin hypercube: one from each of n equal parts of each range, so that few robots spread.
-
-    The ranges are of different disturbances. With `nominal_first` the first robot is undisturbed and only the others
-    are drawn. Returns a disturbance of n values for each range; pushes all come at one time.
-    """
+    """Draws n robots by a Latin hypercube: one from each of n equal parts of each range, so that few robots spread. The
+    ranges are of different disturbances. With `nominal_first` the first robot is undisturbed and only the others are
+    drawn. Returns a disturbance of n values for each range; pushes all come at one time."""
     first = int(nominal_first)
     found = []
     for r in ranges:

@@ -324,9 +324,8 @@ class Sensors:
 
     def measure(self, truth: NDArray[Any], commands: NDArray[Any]) -> NDArray[Any]:
         """Readings (n,) of `READING` that have arrived at the end of a control step; overwritten by the next call.
-
-        `truth` (n,) of `OBSERVATION` is the state at its end, `commands` (n,) of `COMMAND` the motors' commands for it.
-        """
+        `truth` (n,) of `OBSERVATION` is the state at its end, `commands` (n,) of `COMMAND` the motors' commands for
+        it."""
         at = self._step % _BLOCK
         if at == 0:
             for rng, block in zip(self._generators, self._normals, strict=True):

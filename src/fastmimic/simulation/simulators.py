@@ -106,9 +106,7 @@ def check_simulator(robot: Robot, simulator: str) -> None:
 def make_simulation(
     robot: Robot, n: int, conditions: "Conditions", *, control_rate_hz: float, threads: int = 1
 ) -> Simulation:
-    """n robots in the simulator of the conditions (only `simulator`, `disturbances` and `seed` count).
-
-    `threads` is an upper bound; PyBullet has one. Raises `ConfigError` as `check_simulator`, for a disturbance that is
-    not realised, or for rates that do not fit.
-    """
+    """n robots in the simulator of the conditions (only `simulator`, `disturbances` and `seed` count). `threads` is an
+    upper bound; PyBullet has one. Raises `ConfigError` as `check_simulator`, for a disturbance that is not realised, or
+    for rates that do not fit."""
     return SIMULATORS[conditions.simulator].make(robot, n, conditions, control_rate_hz, threads)

@@ -17,10 +17,8 @@ _TURN_PURPOSE: Final = 72
 
 
 def rough_ground(roughness: float, seed: int) -> Array:
-    """Heights (m) at the corners of the cells, (CELLS + 1, CELLS + 1), rows along y, columns along x.
-
-    Uniform in ± `roughness`; zero within 0.45 m of the middle, rising to full height at 0.9 m.
-    """
+    """Heights (m) at the corners of the cells, (CELLS + 1, CELLS + 1), rows along y, columns along x. Uniform in ±
+    `roughness`; zero within 0.45 m of the middle, rising to full height at 0.9 m."""
     heights = episode_generator(seed, 0, _PURPOSE).uniform(-roughness, roughness, (CELLS + 1, CELLS + 1))
     along = np.linspace(-HALF_SIDE_M, HALF_SIDE_M, CELLS + 1)
     radius = np.hypot(along[:, None], along[None])
