@@ -102,8 +102,7 @@ def parameters(kind: Any) -> dict[str, tuple[ParameterInfo, Any]]:
 
 
 def check(settings: Any, where: str) -> None:
-    """Checks all parameters, also of nested settings; raises `ConfigError`, which begins with `where`, for a wrong
-    one."""
+    """Checks all parameters, also of nested settings; raises `ConfigError`, beginning with `where`, for a wrong one."""
     for name, (known, default) in parameters(settings).items():
         value = getattr(settings, name)
         problem = known.problem(value, default)
@@ -140,10 +139,8 @@ def pack(settings: Any, record: np.ndarray, scales: Mapping[str, float] | None =
 
 def changed(settings: Any, changes: Mapping[str, Any], where: str) -> Any:
     """A settings dataclass with some fields changed, as read from a file; `changes` are nested like the settings.
-
-    Raises:
-        ConfigError: an unknown field, or a value of another kind or out of its range; begins with `where`.
-    """
+    Raises `ConfigError`, beginning with `where`, for an unknown field, or a value of another kind or out of its
+    range."""
     present = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
     new: dict[str, Any] = {}
     for name, value in changes.items():

@@ -12,11 +12,8 @@ from fastmimic.base.text import plain
 
 
 def replace_file(path: str | Path, write: Callable[[BinaryIO], Any]) -> None:
-    """Calls `write` with a temporary file in the same folder, then moves it to `path`.
-
-    Raises:
-        OutputError: the folder cannot be created or the file not written; `path` is unchanged.
-    """
+    """Calls `write` with a temporary file in the same folder, then moves it to `path`; raises `OutputError`, with
+    `path` unchanged, if the folder cannot be created or the file not written."""
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

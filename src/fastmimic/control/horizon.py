@@ -36,7 +36,7 @@ PLAN: Final = record_dtype(
         ("valid", "i8"),
         ("heading", "f8"),  # of the frame that it is in, rad
         ("state", "f8", (_N + 1, 12)),  # X and V at the ends of the steps, from where it was made
-        ("reference", "f8", (_N + 1, 12)),  # likewise
+        ("reference", "f8", (_N + 1, 12)),  # X̄ and V̄, as `state`
         ("acceleration", "f8", (_N, 6)),
         ("force", "f8", (_N, 4, 3)),  # N
     ]

@@ -69,12 +69,8 @@ class ClosedLoop:
         conditions: Conditions | None = None,
         controller: MakeController | None = None,
     ) -> None:
-        """`controller` makes another controller than the model-based one, and may raise any `FastMimicError`.
-
-        Raises:
-            MotionError: the motion is for another robot.
-            ConfigError: it is for another rate.
-        """
+        """`controller` makes another controller than the model-based one, and may raise any `FastMimicError`. Raises
+        `MotionError` if the motion is for another robot, `ConfigError` if it is for another rate."""
         config = config if config is not None else default_config()
         self.conditions = conditions if conditions is not None else Conditions()
         demonstration.check_robot(robot.name)

@@ -130,7 +130,7 @@ def score_step(context: ScoringContext, clocks: Any, observations: Any, memories
     for i in range(observations.shape[0]):
         if tallies[i].fallen == 0:
             tally, clock = tallies[i], clocks[i]
-            # what is counted elsewhere goes on counting after a fall
+            # counters elsewhere keep counting after a fall
             tally.jump = clock.jump
             tally.early_touchdowns = memories[i].early_touchdowns
             tally.qp_failures = memories[i].qp_failures

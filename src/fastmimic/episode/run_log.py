@@ -71,11 +71,7 @@ class RunLog:
 
     @classmethod
     def load(cls, path: str | Path) -> "RunLog":
-        """Inverse of `save`.
-
-        Raises:
-            LogError: no such file, not such a log, damaged, or rows that are missing or not finite.
-        """
+        """Inverse of `save`; raises `LogError` for no such file or log, damage, or missing or infinite rows."""
         path = Path(path)
         if not path.is_file():
             raise LogError(f"{path}: no such file; 'fastmimic evaluate MOTION --observe sensors --log FILE' writes one")

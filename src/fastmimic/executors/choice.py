@@ -10,16 +10,8 @@ EXECUTORS: Final = {"local": "processes on this machine", "ray": "a Ray cluster"
 
 
 def make_executor(name: str, *, workers: int | None = None, address: str | None = None) -> Executor:
-    """The executor of that name, one of `EXECUTORS`.
-
-    Args:
-        workers: how many jobs at a time; one for each core if None.
-        address: of a running Ray cluster.
-
-    Raises:
-        ConfigError: a wrong name or number of workers, an address without Ray or without an answer, or no Ray
-            installed.
-    """
+    """The executor of that name, one of `EXECUTORS`, for `workers` jobs at a time (one per core if None); `address` is
+    of a running Ray cluster. Raises `ConfigError` for a wrong argument, or if Ray is needed and not installed."""
     if name not in EXECUTORS:
         raise ConfigError(f"unknown executor '{name}'; there are {', '.join(EXECUTORS)}{did_you_mean(name, EXECUTORS)}")
     if name == "local":

@@ -71,15 +71,9 @@ class Identification:
 
 
 def identify(log: RunLog, robot: Robot, unloaded: RunLog | None = None) -> Identification:
-    """Friction and payload from the log of a run.
-
-    Args:
-        robot: its model, without payload.
-        unloaded: log of the same robot without payload; it takes the sensors' gains out of the payload.
-
-    Raises:
-        LogError: another robot's log, too short a log, or one in which the robot never stands.
-    """
+    """Friction and payload from the log of a run; raises `LogError` if it is of another robot, too short, or the robot
+    never stands. `robot` is the model without payload; the log `unloaded`, of the same robot without payload, takes the
+    sensors' gains out of the payload."""
     forces = ground_forces(log, robot)
     before = ground_forces(unloaded, robot) if unloaded is not None else None
     friction = identify_friction(forces, robot)

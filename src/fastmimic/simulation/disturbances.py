@@ -121,11 +121,8 @@ class World:
 
 
 def make_world(disturbances: Sequence[Disturbance], n: int, simulator: str) -> World:
-    """The world of n robots.
-
-    Raises:
-        ConfigError: a disturbance is given twice, is not realised in the simulator, or has neither one value nor n.
-    """
+    """The world of n robots; raises `ConfigError` for disturbances given twice, not realised in the simulator, or of
+    neither 1 nor n values."""
     values = {name: np.full(n, kind.nominal) for name, kind in DISTURBANCES.items()}
     given: set[str] = set()
     for d in disturbances:

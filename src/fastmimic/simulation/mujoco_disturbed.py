@@ -33,11 +33,8 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
         threads: int = 1,
     ) -> None:
-        """`robot` is without the disturbances; `seed` is for uneven ground; the rest as for `MujocoSimulation`.
-
-        Raises:
-            ConfigError: as `make_world`, or the physics rate is not a multiple of the control rate.
-        """
+        """`robot` is without the disturbances; `seed` is for uneven ground; the rest as for `MujocoSimulation`. Raises
+        `ConfigError` as `make_world`, or if the physics rate is not a multiple of the control rate."""
         self.world = make_world(disturbances, n, "mujoco")
         self._seed = seed
         rough = self.world.has("roughness")

@@ -46,18 +46,9 @@ class PybulletSimulation:
         control_rate_hz: float = 500.0,
         physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
     ) -> None:
-        """Starts the clients.
-
-        Args:
-            robot: one of `DESCRIPTIONS`.
-            disturbances: each with one value, or one for each robot.
-            seed: of uneven ground.
-            physics_rate_hz: of the motor law and of Bullet's steps.
-
-        Raises:
-            ConfigError: PyBullet is missing, the robot or a disturbance is not supported, or the physics rate is not a
-                multiple of the control rate.
-        """
+        """Bullet and the motor law step at `physics_rate_hz`; `seed` is for uneven ground; a disturbance has one value,
+        or one for each robot. Raises `ConfigError` if PyBullet is missing, the robot (of `DESCRIPTIONS`) or a
+        disturbance is not supported, or the physics rate is not a multiple of the control rate."""
         substeps = physics_rate_hz / control_rate_hz
         if substeps < 1 or abs(substeps - round(substeps)) > 1e-9:
             raise ConfigError(

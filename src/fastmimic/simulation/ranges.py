@@ -78,12 +78,8 @@ def check_once(ranges: Sequence[Range]) -> None:
 
 
 def check_lasting(ranges: Sequence[Range]) -> None:
-    """Checks ranges for a training, which can be resumed at any step.
-
-    Raises:
-        ConfigError: a disturbance has two ranges, happens at a time, or is a delay (the training state lacks commands
-            under way).
-    """
+    """Checks ranges for a training, which can be resumed at any step; raises `ConfigError` if a disturbance has two
+    ranges, happens at a time, or is a delay (commands under way are not part of the training's state)."""
     check_once(ranges)
     possible = [name for name in usual_ranges() if not DISTURBANCES[name].timed and name != "delay"]
     for r in ranges:
