@@ -19,14 +19,8 @@ BUILT_IN_LICENCE: Final = "that of fastmimic"
 
 @dataclass(frozen=True)
 class RecordedMotion:
-    """A motion in the public data.
-
-    Attributes:
-        about: in a few words.
-        speed: about, at the source's size.
-        dataset, file: its location (see `fastmimic.clips.data`).
-        frames: (first, end) of the cycle, 0-based, end exclusive; None for the whole file.
-    """
+    """A motion in the public data: `file` of `dataset` (see `fastmimic.clips.data`), with its approximate speed at the
+    source's size and the `frames` (first, end) of the cycle, 0-based, end exclusive; None for the whole file."""
 
     about: str
     speed: str
@@ -132,12 +126,8 @@ def open_clip(
         folder: the data folder (see `data_folder`).
         discrete: whether the clip is a movement that does not repeat, whatever its source says.
 
-    Returns:
-        The clip, with `name`, `source`, `licence` and `credit` in its `meta`.
-
-    Raises:
-        ClipError: unknown name (lists the closest), data not fetched, unreadable file, or an option that does not
-            apply.
+    The clip has `name`, `source`, `licence` and `credit` in its `meta`. Raises `ClipError` for an unknown name (lists
+    the closest), data not fetched, an unreadable file, or an option that does not apply.
     """
     name, options = str(name_or_path), ReadOptions(robot, fps, up, scale, frames, point_map)
     gait_options = {"speed": speed, "yaw_rate": yaw_rate, "duty": duty}

@@ -1,7 +1,5 @@
-"""Public motion capture of a dog: the datasets, their folder, and verified downloads.
-
-The data is not part of this package. Each clip keeps its licence (CC BY-NC 4.0).
-"""
+"""Public motion capture of a dog: the datasets, their folder, and verified downloads. The data is not part of this
+package. Each clip keeps its licence (CC BY-NC 4.0)."""
 
 import os
 from collections.abc import Callable, Iterable
@@ -29,15 +27,8 @@ Progress = Callable[[str, int, int], None]  # file name, bytes received, and tot
 
 @dataclass(frozen=True)
 class Dataset:
-    """A group of public files.
-
-    Attributes:
-        name: also the name of its folder in the data folder.
-        about: in a few words.
-        origin: its folder below the base URL.
-        files: file name → SHA-256.
-        licence, credit: shown with the data.
-    """
+    """A group of public files: file names → SHA-256. `name` is also its folder in the data folder, `origin` its folder
+    below the base URL; licence and credit are shown with the data."""
 
     name: str
     about: str
@@ -122,18 +113,13 @@ def fetch(
     content.
 
     Args:
-        names: of datasets.
-        folder: see `data_folder`.
         base_url: a server with the original's folders or those of the data folder; if None, $FASTMIMIC_DATA_URL or the
             original.
         progress: called while each file is downloaded.
 
-    Returns:
-        The files' paths, all verified.
-
-    Raises:
-        DataError: unknown dataset, server not reached, download incomplete, wrong content, or a folder that cannot be
-            written. Existing files stay unchanged, and no partial file is left.
+    Returns the files' paths, all verified. Raises `DataError`: unknown dataset, server not reached, download
+    incomplete, wrong content, or a folder that cannot be written. Existing files stay unchanged, and no partial file is
+    left.
     """
     root = data_folder(folder)
     url = (base_url or os.environ.get(URL_VARIABLE) or DEFAULT_BASE_URL).rstrip("/")

@@ -1,8 +1,6 @@
-"""Names the gait of four legs from their phases (Hildebrand 1965).
-
-In a symmetrical gait left and right are half a cycle apart. The fore foot's lag behind the hind foot of its side, in
-cycles, then distinguishes pace (0), walk (1/4) and trot (1/2).
-"""
+"""Names the gait of four legs from their phases (Hildebrand 1965). In a symmetrical gait left and right are half a
+cycle apart. The fore foot's lag behind the hind foot of its side, in cycles, then distinguishes pace (0), walk (1/4)
+and trot (1/2)."""
 
 from typing import Final
 

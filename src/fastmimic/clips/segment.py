@@ -1,8 +1,6 @@
 """Cuts an animal's take into locomotion cycles, standing and movement that does not repeat, and names the gaits.
-
 `periodicity` finds the repetitions and their period. Neighbouring cycles with similar tempo, speed, turning and
-footfall form a segment; `footfall` names its gait.
-"""
+footfall form a segment; `footfall` names its gait."""
 
 import math
 from dataclasses import dataclass

@@ -6,13 +6,7 @@ from typing import Final
 
 @dataclass(frozen=True)
 class Skeleton:
-    """Bones between points.
-
-    Attributes:
-        points: number of points.
-        bones: pairs of them.
-        radii: of each bone with its flesh, m, at the animal's own size.
-    """
+    """Bones between points, as pairs; `radii` are those of each bone with its flesh, m, at the animal's own size."""
 
     points: int
     bones: tuple[tuple[int, int], ...]

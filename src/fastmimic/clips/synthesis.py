@@ -151,17 +151,9 @@ GAITS: Final[dict[str, GaitSpec]] = {
 def gait(
     name: str, *, speed: float | None = None, yaw_rate: float | None = None, duty: float | None = None
 ) -> GaitSpec:
-    """A built-in gait with some of its parameters replaced.
-
-    Args:
-        name: one of `GAITS`.
-        speed: m/s at the A1's size, along the gait's own direction (sideways for a side-step).
-        yaw_rate: rad/s, positive to the left.
-        duty: share of the period in stance.
-
-    Raises:
-        ConfigError: no such gait, or a value out of range.
-    """
+    """A built-in gait with some of its parameters replaced. Raises `ConfigError`: no such gait, or a value out of
+    range. `speed`, m/s at the A1's size, is along the gait's own direction (sideways for a side-step); `yaw_rate`,
+    rad/s, is positive to the left; `duty` is the share of the period in stance."""
     if name not in GAITS:
         raise ConfigError(f"unknown gait '{name}'; there are {', '.join(GAITS)}{did_you_mean(name, GAITS)}")
     spec = GAITS[name]

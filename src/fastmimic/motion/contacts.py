@@ -118,10 +118,8 @@ def swings_of(spans: list[Stance], n: int, periodic: bool) -> list[tuple[int, in
 
 
 def swing_tops(contact: NDArray[np.bool_], height: Array, periodic: bool) -> list[tuple[int, float]]:
-    """Touch-down sample and greatest height, m, of each swing of one foot with contact (n,) and height (n,).
-
-    Without `periodic`, a swing that the end cuts off does not count.
-    """
+    """Touch-down sample and greatest height, m, of each swing of one foot with contact (n,) and height (n,). Without
+    `periodic`, a swing that the end cuts off does not count."""
     n = len(contact)
     first = int(contact.argmax()) if periodic else 0  # starts in a stance, so that no swing is cut in two
     swings = stances_of(np.roll(~contact, -first), periodic=False)

@@ -41,14 +41,8 @@ DECIMALS: Final = 6  # of numbers in text
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """A motion at evenly spaced times, with its cycles one after another.
-
-    Attributes:
-        fps: frames a second.
-        root_pos_w, root_quat_wxyz: (t, 3) m, and (t, 4).
-        joint_pos, joint_vel: (t, 12) rad and rad/s.
-        root_lin_vel_w, root_ang_vel_w: (t, 3) m/s and rad/s, world frame.
-    """
+    """A motion at evenly spaced times, with its cycles one after another. Root position (t, 3) m, quaternion (t, 4),
+    linear and angular velocity (t, 3) m/s and rad/s, in the world frame; joints (t, 12) rad and rad/s."""
 
     fps: float
     root_pos_w: Array
@@ -81,10 +75,7 @@ def export_motion(
         duration_s: length, s. If None: one cycle in a format that loops, `REPEATED_S` in another, and all of a motion
             that does not repeat.
 
-    Raises:
-        ConfigError: an unknown format, or a number out of its range.
-        MotionError: the motion is for another robot.
-        OutputError: the file cannot be written.
+    Raises `ConfigError` for a bad argument, `MotionError` for another robot's motion, `OutputError` if writing fails.
     """
     if form not in EXPORTS:
         raise ConfigError(f"unknown format '{form}'; there are {', '.join(EXPORTS)}{did_you_mean(form, EXPORTS)}")
@@ -102,11 +93,8 @@ def export_motion(
 
 
 def sample(motion: Motion, fps: float, duration_s: float | None = None, *, looping: bool = False) -> Frames:
-    """A motion at evenly spaced times; `fps` and `duration_s` as in `export_motion`.
-
-    With `looping`, one cycle followed by its first frame moved by the cycle. Raises `ConfigError` for a bad rate or
-    duration.
-    """
+    """A motion at evenly spaced times; `fps` and `duration_s` as in `export_motion`. With `looping`, one cycle followed
+    by its first frame moved by the cycle. Raises `ConfigError` for a bad rate or duration."""
     if not (math.isfinite(fps) and 0 < fps <= motion.rate_hz):
         raise ConfigError(f"fps must be above 0 and at most the motion's {motion.rate_hz:g}, found {fps:g}")
     if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0):

@@ -18,15 +18,9 @@ _PYRAMID: Final = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], 
 
 @dataclass(frozen=True, eq=False)
 class GroundDemand:
-    """The ground wrench of k samples, heading frame, about the centre of mass.
-
-    Attributes:
-        sample: (k,) indices.
-        wrench: (k, 6) force, N, and moment, N·m.
-        arm: (k, 4, 3) from the centre of mass to each foot's contact point, m.
-        stands: (k, 4) the feet in stance.
-        joint_torque: (k, 12) torques of the joints if the wrench acted on the trunk, N·m.
-    """
+    """The ground wrench (k, 6) of k samples, N and N·m, heading frame, about the centre of mass. `arm` (k, 4, 3) is
+    from the centre of mass to each foot's contact point, m; `stands` (k, 4) marks feet in stance; `joint_torque` (k,
+    12), N·m, would act if the wrench acted on the trunk."""
 
     sample: NDArray[np.int_]
     wrench: Array

@@ -153,8 +153,7 @@ class Motion:
 
     @classmethod
     def load(cls, path: str | Path | BinaryIO) -> "Motion":
-        """Reads a file or open stream that `save` wrote. Raises `MotionError`: the file is missing, damaged, or not a
-        motion."""
+        """Reads a file or open stream that `save` wrote. Raises `MotionError`: missing, damaged, or not a motion."""
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {key: file[key] for key in file.files}

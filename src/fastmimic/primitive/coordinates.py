@@ -1,8 +1,6 @@
-"""The 24 fitted coordinates of a motion: root pose, root velocity and feet, each periodic if the motion is.
-
-Planar root motion is relative to the constant-twist motion of the cycle, in its moving frame, or to the start of a
-motion without a cycle. Roll and pitch are ZYX Euler angles, R = Rz(yaw) Ry(pitch) Rx(roll). Feet are in the body frame.
-"""
+"""The 24 fitted coordinates of a motion: root pose, root velocity and feet, each periodic if the motion is. Planar root
+motion is relative to the constant-twist motion of the cycle, in its moving frame, or to the start of a motion without a
+cycle. Roll and pitch are ZYX Euler angles, R = Rz(yaw) Ry(pitch) Rx(roll). Feet are in the body frame."""
 
 from typing import Final
 

@@ -41,13 +41,9 @@ _NODE_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18.0  # Gauss–Legendre on [
 
 
 class DiscreteTerms(NamedTuple):
-    """A discrete primitive at t samples: y = rest + pull g + a shape.
-
-    Attributes:
-        rest: (t, d) response to the start and its velocity, relative to 0.
-        pull: (t, 1) response of the spring to the goal, 0 at the start, about 1 at the end.
-        shape: (t, d) response to the forcing at a = 1.
-    """
+    """A discrete primitive at t samples: y = rest + pull g + a shape. `rest` (t, d) is the response to the start and
+    its velocity, relative to 0; `pull` (t, 1) that of the spring to the goal, 0 at the start, about 1 at the end;
+    `shape` (t, d) that to the forcing at a = 1."""
 
     rest: Array
     pull: Array
@@ -88,14 +84,12 @@ class DiscreteDmp:
         and goal are taken from the samples.
 
         Args:
-            samples: (t, d) from start to end, evenly spaced.
+            samples: (t, d) from start to end, evenly spaced, at least 4 and at most `MAX_S` long.
             duration_s: T, from the first to the last of them, s.
             n_basis: basis functions per dimension; a long motion gets more, one each 25 ms.
             ridge: weight of the regularisation, without unit.
 
-        Raises:
-            MotionError: fewer than 4 samples, a value that is not finite, or longer than `MAX_S`.
-            ConfigError: a duration, α, ridge or number of functions that is not positive.
+        Raises `MotionError` for too few, too long or non-finite samples, and `ConfigError` for a bad setting.
         """
         y = checked_samples(samples, "the motion", duration_s=duration_s, n_basis=n_basis, ridge=ridge, alpha=alpha)
         if duration_s > MAX_S:
@@ -196,9 +190,7 @@ def _unforced(start: Array, rate: Array, n_samples: int, c: float) -> tuple[Arra
 
 def _response(weights: Array | None, centres: Array, n_samples: int, c: float, decay: float) -> Array:
     """Response (t, d) from rest to the forcing of weights (n, d); if None, to each function with weight 1/c, (t, n).
-
-    The spring with pole −`c` is advanced exactly, the forcing by quadrature.
-    """
+    The spring with pole −`c` is advanced exactly, the forcing by quadrature."""
     n = len(centres)
     finer = max(1, int(np.ceil(_STEPS_PER_FUNCTION * n / (n_samples - 1))))
     steps = finer * (n_samples - 1)

@@ -1,8 +1,5 @@
-"""Linear algebra with sums in a fixed order.
-
-BLAS and LAPACK choose the order by the number of threads, which would change the last bits of a fit, and with them the
-results of a seed and the match between a run and its checkpoint.
-"""
+"""Linear algebra with sums in a fixed order. BLAS and LAPACK choose the order by the number of threads, which would
+change the last bits of a fit, the results of a seed, and the match between a run and its checkpoint."""
 
 import numpy as np
 

@@ -12,14 +12,9 @@ from fastmimic.robot.robot import Robot
 
 
 class FootTable(NamedTuple):
-    """Feet and joints of n courses of t samples.
-
-    Attributes:
-        foot_pos_b: (n, t, 4, 3) feet within reach, body frame, m.
-        joint_pos, joint_vel: (n, t, 12) within the joints' ranges, rad, and their central differences, rad/s.
-        shift_m: (n, 4) largest distance by which a sample of each foot was moved, m.
-        n_shifted: (n, 4) samples of each foot that were moved by more than 0.01 mm.
-    """
+    """Feet and joints of n courses of t samples. Feet (n, t, 4, 3) are within reach, body frame, m; joints (n, t, 12)
+    within their ranges, rad, with central differences as velocity, rad/s. `shift_m` and `n_shifted` (n, 4) are each
+    foot's largest shift, m, and the number of its samples moved by more than 0.01 mm."""
 
     foot_pos_b: Array
     joint_pos: Array
@@ -29,11 +24,9 @@ class FootTable(NamedTuple):
 
 
 def foot_table(robot: Robot, foot_pos_b: Array, rate_hz: float, periodic: bool = True) -> FootTable:
-    """Joints of n courses of foot positions `foot_pos_b` (n, t, 4, 3), body frame, m, in one compiled call.
-
-    A foot out of reach (leg too short, or knee at its limit) moves to the nearest point in reach on the line from the
-    hip; if abduction or hip are at their limits, to the foot position of the limited joints.
-    """
+    """Joints of n courses of foot positions `foot_pos_b` (n, t, 4, 3), body frame, m, in one compiled call. A foot out
+    of reach (leg too short, or knee at its limit) moves to the nearest point in reach on the line from the hip; if
+    abduction or hip are at their limits, to the foot position of the limited joints."""
     feet = np.array(foot_pos_b, dtype=np.float64, order="C")
     n, t = feet.shape[:2]
     joint_pos, joint_vel = np.empty((n, t, 12)), np.empty((n, t, 12))

@@ -59,14 +59,12 @@ class RhythmicDmp:
         samples, and the mean of f is made zero, so that (g, a) are not redundant with w.
 
         Args:
-            samples: (t, d) one cycle, evenly spaced in [0, T).
+            samples: (t, d) one cycle, evenly spaced in [0, T), at least 4.
             period_s: T, s.
             n_basis: basis functions per dimension.
             ridge: weight of the regularisation, without unit.
 
-        Raises:
-            MotionError: fewer than 4 samples, or a value that is not finite.
-            ConfigError: a period, α, ridge or number of functions that is not positive.
+        Raises `MotionError` for too few or non-finite samples and `ConfigError` for a setting that is not positive.
         """
         y = checked_samples(samples, "the cycle", period_s=period_s, n_basis=n_basis, ridge=ridge, alpha=alpha)
         goal = y.mean(axis=0)

@@ -9,12 +9,8 @@ LEAST_SAMPLES = 4
 
 
 def checked_samples(samples: NDArray[np.float64], what: str, **settings: float) -> NDArray[np.float64]:
-    """A copy of the samples (t, d); `what` names them in messages, and each of `settings` must be positive.
-
-    Raises:
-        MotionError: fewer than 4 samples, or a value that is not finite.
-        ConfigError: a setting that is not positive.
-    """
+    """A copy of the samples (t, d); `what` names them in messages. Raises `MotionError` for fewer than 4 samples or a
+    value that is not finite, and `ConfigError` for a setting that is not positive."""
     for name, value in settings.items():
         if not (np.isfinite(value) and value > 0):
             raise ConfigError(f"{name} must be positive, found {value}")

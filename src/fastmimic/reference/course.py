@@ -1,9 +1,6 @@
-"""A motion in its own moving frame, so that it can be modulated while it runs.
-
-Each sample is in the heading frame of the reference's root, and the root's path is the step to the next sample. A cycle
-is then periodic and a motion continuous into a transition, so phase, speed, turn and swing height can change at any
-moment without a jump.
-"""
+"""A motion in its own moving frame, so that it can be modulated while it runs. Each sample is in the heading frame of
+the reference's root, and the root's path is the step to the next sample. A cycle is then periodic and a motion
+continuous into a transition, so phase, speed, turn and swing height can change at any moment without a jump."""
 
 from itertools import pairwise
 from typing import Any, Final
@@ -51,8 +48,8 @@ COURSE: Final = record_dtype(
 )
 """One sample, heading frame of the root, SI units: `step` and `turn` of the root to the next sample; `tilt` heading →
 body; velocities and accelerations, also those of the legs (`SAMPLE`); `foot` from the root on the ground, z of its
-centre; `lift` of the foot above its foothold; `contact` and `remaining` as in `SAMPLE`; `since_middle` as returned by
-that function; `travel` the mean velocity of the root over a stride, m/s, m/s, rad/s; `sync` where a cycle starts."""
+centre; `lift` of the foot above its foothold; `since_middle` as in that function; `travel`, mean velocity over a
+stride."""
 
 _STRIDE_S: Final = 0.5  # averaging time of the velocity of a motion that does not repeat
 
@@ -99,11 +96,8 @@ def _travel(motion: Motion) -> Array:
 
 def since_middle(contact: NDArray[np.bool_], rate_hz: float, periodic: bool) -> Array:
     """Time (t,) since the middle of the stance, s; in swing a twice differentiable return to the next touch-down's
-    value.
-
-    A standing foot in a turning frame moves on an arc about its position at mid-stance; this is its position on the
-    arc. It is 0 for a foot that never lifts off.
-    """
+    value. A standing foot in a turning frame moves on an arc about its position at mid-stance; this is its position on
+    the arc. It is 0 for a foot that never lifts off."""
     n = len(contact)
     out = np.zeros(n)
     if contact.all() or not contact.any():

@@ -22,14 +22,12 @@ _MODULATED: Final = ("root_z", "lin_vel", "ang_vel", "foot")
 
 @dataclass(frozen=True, eq=False)
 class CourseTransition:
-    """A transition between two cyclic motions.
+    """A transition between two cyclic motions, which leaves the first before row `leave` ≥ 1 and enters the second at
+    `arrive`.
 
-    Attributes:
-        course, demonstration: (t,) of `COURSE` for the controller, with `_MARGIN` rows of the motions at either end,
-            and for the score.
-        first, last: rows of the transition itself; `last` exclusive.
-        leave, arrive: row ≥ 1 of the first motion before which it begins, and row of the second motion that follows.
-        measured: figures of the transition, as in a stitched motion's `meta`.
+    `course` (t,) of `COURSE` is for the controller, with `_MARGIN` rows of the motions at either end, `demonstration`
+    for the score. Rows [first, last) are the transition itself. `measured` holds figures as in a stitched motion's
+    `meta`.
     """
 
     course: NDArray[Any]
@@ -52,10 +50,8 @@ class CourseTransition:
 
 
 def make_course_transition(robot: Robot, before: Motion, after: Motion) -> CourseTransition | None:
-    """The transition between two cyclic motions, optimised or not; None if stitching finds none.
-
-    It joins their demonstrations. An optimised motion's difference from its own is blended with the same weights.
-    """
+    """The transition between two cyclic motions, optimised or not; None if stitching finds none. It joins their
+    demonstrations. An optimised motion's difference from its own is blended with the same weights."""
     try:
         stitched = stitch_motions(robot, [before.target, after.target], [_cycles(before), _cycles(after)])
     except MotionError:

@@ -1,7 +1,5 @@
-"""One rule for the limits of a motion's modulation.
-
-With these constants the motions stayed upright in `benchmarks/play.py`, with a margin; see docs/viewer.md.
-"""
+"""One rule for the limits of a motion's modulation. With these constants the motions stayed upright in
+`benchmarks/play.py`, with a margin; see docs/viewer.md."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -44,11 +42,9 @@ def _common(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, floa
 
 
 def limits_of(course: NDArray[Any], joint_vel: NDArray[np.float64], robot: Robot) -> Limits:
-    """Limits of a cyclic motion from its `COURSE` (t,) and joint velocities (t, 12), rad/s.
-
-    The joints' speeds limit speed and swing height. The turn of a foot under the body and the centripetal acceleration
-    limit the turn rate. A motion in which a foot never lifts off is not modulated.
-    """
+    """Limits of a cyclic motion from its `COURSE` (t,) and joint velocities (t, 12), rad/s. The joints' speeds limit
+    speed and swing height. The turn of a foot under the body and the centripetal acceleration limit the turn rate. A
+    motion in which a foot never lifts off is not modulated."""
     if course["contact"].all(axis=0).any():
         return Limits()
     used = float(np.max(np.abs(joint_vel) / robot.joint_speed_limit))

@@ -41,17 +41,12 @@ class Entry:
 
 class MotionSet:
     """Motions by name. Getting up ends in "stand", and motions without a direct transition pass through "in-place";
-    both are always there.
+    both are always there. Raises `MotionError` for a motion that does not repeat, or is for another robot or rate.
 
     Args:
-        robot: the robot.
-        motions: cyclic motions by name.
         rate_hz: of the control.
         executor: processes that make transitions in the background; None makes them when they are needed.
         source: name or file from which such a process loads the robot; the robot's name if None.
-
-    Raises:
-        MotionError: a motion that does not repeat, or is for another robot or rate.
     """
 
     def __init__(

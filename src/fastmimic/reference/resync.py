@@ -1,8 +1,6 @@
-"""Re-synchronises the controller's clock after a push (`RecoveryConfig`).
-
-While the robot's velocity differs from the reference, the reference's origin moves to the robot, so that swing feet are
-placed for balance. The clock may run slower or faster, and then returns to the demonstration's time.
-"""
+"""Re-synchronises the controller's clock after a push (`RecoveryConfig`). While the robot's velocity differs from the
+reference, the reference's origin moves to the robot, so that swing feet are placed for balance. The clock may run
+slower or faster, and then returns to the demonstration's time."""
 
 from typing import Any
 
@@ -14,14 +12,9 @@ from fastmimic.reference.table import advance_clock
 
 @kernel
 def advance_recovering(config: Any, clocks: Any, tables: Any, observations: Any) -> None:
-    """One control step of the controllers' clocks; same as `advance_clocks` for robots that are not in recovery.
-
-    Args:
-        config: (1,) packed controller configuration.
-        clocks: (n,) of `CLOCK`.
-        tables: (k, t) of `SAMPLE`; robot i follows table min(i, k − 1).
-        observations: (n,) of `OBSERVATION`, the input of the controllers.
-    """
+    """One control step of the clocks (n,) of `CLOCK`; same as `advance_clocks` for robots that are not in recovery.
+    `config` (1,) is the packed controller configuration, `observations` (n,) the controllers' input (`OBSERVATION`);
+    robot i follows table min(i, k − 1) of `tables` (k, t) of `SAMPLE`."""
     for i in range(clocks.shape[0]):
         table = tables[min(i, tables.shape[0] - 1)]
         _advance(config[0], clocks[i], table, observations[i])

@@ -63,14 +63,8 @@ class Stream:
         modulation: NDArray[Any],
         root_xy: Array,
     ) -> None:
-        """Advances by one control step.
-
-        Args:
-            course, following: (t,) of `COURSE`, and the next course or None.
-            place: (1,) of `PLACE`, changed.
-            modulation: (1,) of `MODULATION`.
-            root_xy: (2,) position of the robot, m; x and y are synchronised to it at the start of a cycle.
-        """
+        """Advances `place` by one control step in `course` (t,) of `COURSE` and the `following` one. At the start of a
+        cycle x and y are synchronised to the robot's position `root_xy` (2,), m."""
         other = course if following is None else following
         _advance(course, other, place[0], modulation[0], self._dt, True, root_xy[0], root_xy[1])
 

@@ -73,10 +73,8 @@ the fraction of the next sample."""
 
 
 def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
-    """Packs a motion into an array (t,) of `SAMPLE`, in the frame of its demonstration's first sample.
-
-    Accelerations are central differences of the velocities, periodic if the motion is.
-    """
+    """Packs a motion into an array (t,) of `SAMPLE`, in the frame of its demonstration's first sample. Accelerations
+    are central differences of the velocities, periodic if the motion is."""
     origin = motion.target  # a reference and its demonstration share one frame
     yaw0 = float(yaw_from_quat(origin.root_quat_wxyz[0]))
     dt = motion.dt
@@ -107,14 +105,8 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
 def put_root(
     table: NDArray[Any], demonstration: Motion, position: Array, quat: Array, lin_vel: Array, ang_vel: Array
 ) -> None:
-    """Puts a root's path into a table (t,) of `SAMPLE`, in the frame of the demonstration's first sample.
-
-    Args:
-        table: of a motion with the demonstration's cycle.
-        demonstration: gives frame, rate and cycle.
-        position, quat: (t, 3) m, world frame, and (t, 4) body to world, wxyz.
-        lin_vel, ang_vel: (t, 3) m/s and rad/s, world frame.
-    """
+    """Puts a root's path into a table (t,) of `SAMPLE`, in the frame of the demonstration's first sample. `position`
+    (t, 3), m, `quat` (t, 4), wxyz, and the velocities (t, 3), m/s and rad/s, are in the world frame."""
     yaw0 = float(yaw_from_quat(demonstration.root_quat_wxyz[0]))
     turn = None if demonstration.cycle is None else float(demonstration.cycle[2])
     table["root_pos"] = turned_about_z(position - np.array([*demonstration.root_pos_w[0, :2], 0.0]), -yaw0)
@@ -170,14 +162,7 @@ def make_clocks(motion: Motion, n: int) -> NDArray[Any]:
 
 
 def place_clocks(clocks: NDArray[Any], sample: NDArray[np.int64], table: NDArray[Any], pose: Array) -> None:
-    """Sets each clock to a sample, with the reference root there at the given pose.
-
-    Args:
-        clocks: (n,) of `CLOCK`, changed in place.
-        sample: (n,) sample indices.
-        table: (t,) of `SAMPLE`.
-        pose: (n, 3) x, y, yaw in the world, m and rad.
-    """
+    """Sets clocks (n,) to samples (n,) with the reference root there at `pose` (n, 3): x, y, yaw, world, m and rad."""
     clocks["sample"] = sample
     clocks["cycle"] = 0
     clocks["jump"] = 0.0
@@ -213,9 +198,7 @@ def advance_clock(clock: Any, n_samples: int, x: float, y: float, table: Any) ->
 @kernel
 def advance_clocks(clocks: Any, tables: Any, root_xy: Array) -> None:
     """Advances clocks (n,) by one control step; robot i follows table min(i, k − 1) of `tables` (k, t) of `SAMPLE`.
-
-    `root_xy` (n, ≥2) are the present positions of the robots, world, m.
-    """
+    `root_xy` (n, ≥2) are the present positions of the robots, world, m."""
     for i in range(clocks.shape[0]):
         k = min(i, tables.shape[0] - 1)
         advance_clock(clocks[i], tables.shape[1], root_xy[i, 0], root_xy[i, 1], tables[k])

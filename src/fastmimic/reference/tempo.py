@@ -1,8 +1,6 @@
-"""A motion at another speed: the same poses in another time, with the trunk balanced for that speed.
-
-Accelerations grow with the square of the speed and the weight does not. The cycle is therefore balanced, as in
-retargeting, for some speeds, and interpolated between them.
-"""
+"""A motion at another speed: the same poses in another time, with the trunk balanced for that speed. Accelerations grow
+with the square of the speed and the weight does not. The cycle is therefore balanced, as in retargeting, for some
+speeds, and interpolated between them."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -33,12 +31,8 @@ _BLENDED: Final = ("step", "turn", "root_z", "tilt", *_RATES, "foot", "lift")
 
 @dataclass(frozen=True, eq=False)
 class Tempo:
-    """A cycle at several speeds.
-
-    Attributes:
-        speeds: factors, ascending, 1 among them.
-        courses: for each of them, (t,) of `COURSE`, in the motion's own time, which the stream scales.
-    """
+    """A cycle at several speeds: ascending factors with 1 among them, and for each a course (t,) of `COURSE` in the
+    motion's own time, which the stream scales."""
 
     speeds: tuple[float, ...]
     courses: tuple[NDArray[Any], ...]
@@ -77,10 +71,8 @@ def make_tempo(robot: Robot, motion: Motion, speeds: tuple[float, ...]) -> Tempo
 
 
 def at_speed(robot: Robot, motion: Motion, speed: float, config: RetargetConfig | None = None) -> Motion:
-    """The cycle `speed` times as fast, in as many samples, with its trunk balanced for that speed.
-
-    The foot paths stay. The motion's rate is no longer the robot's.
-    """
+    """The cycle `speed` times as fast, in as many samples, with its trunk balanced for that speed. The foot paths stay.
+    The motion's rate is no longer the robot's."""
     config = (config or RetargetConfig()).for_robot(robot)
     feet_w = motion.foot_pos_w
     consistency = Consistency(robot, TrunkTrack.of(motion), motion.contact, motion.rate_hz * speed, config)

@@ -64,11 +64,9 @@ _ENOUGH: Final = 0.01  # relative gain at which the solver stops
 def balance(
     robot: Robot, spline: TrunkSpline, demand_of: Callable[[Array], GroundDemand], config: BalanceConfig
 ) -> Array:
-    """The least deviation of the trunk that makes a motion feasible, as coefficients (size, 6) of `spline`.
-
-    They are x, y, z in the heading frame, m; roll, pitch, yaw, rad. `demand_of` gives the ground wrench of the motion
-    for such coefficients, always at the same samples.
-    """
+    """The least deviation of the trunk that makes a motion feasible, as coefficients (size, 6) of `spline`. They are x,
+    y, z in the heading frame, m; roll, pitch, yaw, rad. `demand_of` gives the ground wrench of the motion for such
+    coefficients, always at the same samples."""
     best = np.zeros((spline.size, 6))
     if config.rounds == 0:
         return best

@@ -1,7 +1,5 @@
-"""Makes a motion consistent: a trunk that the standing feet can carry, and joints within their limits.
-
-Retargeting, stitching and changes of tempo share these steps and differ in the position of the feet.
-"""
+"""Makes a motion consistent: a trunk that the standing feet can carry, and joints within their limits. Retargeting,
+stitching and changes of tempo share these steps and differ in the position of the feet."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -36,13 +34,9 @@ class Consistency:
     config: RetargetConfig
 
     def balanced(self, moved: Callable[[Array], tuple[TrunkTrack, Array]], height: float) -> Array:
-        """The least deviation (n, 6) of the trunk that the standing feet can carry.
-
-        Without a cycle it vanishes at both ends, because a trunk that is free to move there falls.
-
-        `moved` gives the trunk and the feet (n, 4, 3), world, m, for a deviation of `track`; `height` is the nominal
-        base height, m.
-        """
+        """The least deviation (n, 6) of the trunk that the standing feet can carry. Without a cycle it vanishes at both
+        ends, because a trunk that is free to move there falls. `moved` gives the trunk and the feet (n, 4, 3), world,
+        m, for a deviation of `track`; `height` is the nominal base height, m."""
         n, hz = len(self.contact), self.config.balance.hz
         periodic = self.track.cycle is not None
         spline = TrunkSpline(n, self.rate_hz, True, hz) if periodic else InnerSpline(n, self.rate_hz, hz)
@@ -64,11 +58,7 @@ class Consistency:
         self, solve: Callable[[Array], Pose], beyond: Callable[[Pose], NDArray[np.int_]]
     ) -> Iterator[tuple[Pose, NDArray[np.int_]]]:
         """Yields poses, with ever more even swings of legs beyond a limit, and each leg's samples (4,) beyond one.
-
-        Args:
-            solve: the pose for an evenness (4,) of each leg's swings.
-            beyond: number of samples (4,) of each leg beyond a limit.
-        """
+        `solve` gives the pose for an evenness (4,) of each leg's swings, `beyond` its samples (4,) beyond a limit."""
         evenness = np.full(4, self.config.swing.evenness)
         for more in (*EVENNESS, None):
             pose = solve(evenness)

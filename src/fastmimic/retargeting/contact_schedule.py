@@ -35,14 +35,9 @@ class ContactScheduleConfig:
 
 @dataclass(frozen=True)
 class ScheduleChanges:
-    """The changes that made the contacts consistent.
-
-    Attributes:
-        pairing: the pairs of legs that were given common times, or None.
-        common_duty: whether left and right were given one duty factor.
-        closed_flights, widened_swings: numbers of short flights that were closed, and of short swings made longer.
-        steps: number of legs that stood for a whole cycle that travels, and were given a step.
-    """
+    """The changes that made the contacts consistent: the pairs of legs that were given common times, if any; whether
+    left and right were given one duty factor; numbers of closed short flights and widened short swings; and the number
+    of legs (`steps`) that stood for a whole cycle that travels, and were given a step."""
 
     pairing: str | None = None
     common_duty: bool = False
@@ -71,20 +66,14 @@ def make_consistent(
     longest_s: float,
     config: ContactScheduleConfig,
 ) -> tuple[Stances, ScheduleChanges]:
-    """Cleans detected contacts by one rule for every gait.
+    """Cleans contacts, as detected on `n` samples, by one rule for every gait.
 
     1. Legs that land and lift off together (a trot's diagonals, a pace's sides) get their mean times. A hind foot rolls
     over its toes, so that thresholds detect later landings and earlier lift-offs than the front foot's.
     2. In a straight cycle with one stance a leg, left and right get one duty factor about the middle of each stance. In
     a paired gait all four legs do.
-    3. Very short swings are widened. Short flights are closed half way from both sides.
-
-    Args:
-        stances, n, rate_hz: as detected, on n samples.
-        periodic: whether sample n repeats sample 0.
-        straight: whether the motion is a gait straight ahead.
-        longest_s: longest stance after an extension, s: a leg's reach over the speed of travel.
-        config: thresholds.
+    3. Very short swings are widened. Short flights are closed half way from both sides, while no stance exceeds
+    `longest_s`, a leg's reach over the speed of travel.
     """
     pairing = _find_pairing(stances, n, config.same_stance)
     if pairing is not None:
@@ -100,17 +89,9 @@ def make_consistent(
 def with_steps(
     stances: Stances, travel: Array, activity: Array, rate_hz: float, config: ContactScheduleConfig
 ) -> tuple[Stances, int]:
-    """Gives a step to every leg that stands for a whole travelling cycle and would slide; returns how many.
-
-    The step is where most of the other feet stand, and among such moments where the animal's foot moved most.
-
-    Args:
-        stances: of each leg of a cycle.
-        travel: (4,) distance from each foothold to that of the next cycle, m.
-        activity: (n, 4) of the animal's feet.
-        rate_hz: of the samples.
-        config: thresholds.
-    """
+    """Gives a step to every leg that stands for a whole travelling cycle and would slide; returns how many. The step is
+    where most of the other feet stand, and among such moments where the animal's foot moved most. `travel` (4,) is the
+    distance from each foothold to that of the next cycle, m; `activity` (n, 4) is that of the animal's feet."""
     n, result, added = len(activity), [list(leg) for leg in stances], 0
     length = min(round(config.step_s * rate_hz), n // 2)
     for leg in np.flatnonzero(travel > config.slide_m):

@@ -89,10 +89,8 @@ class TrunkTrack:
 
 
 def steps(xy: Array, heading: Array, cycle: Array | None) -> tuple[Array, Array]:
-    """To the next sample: the root's step (t, 2) in the heading frame, m, and the heading's turn (t,), rad.
-
-    The last ones lead to the first sample of the next cycle; without a cycle they repeat the previous ones.
-    """
+    """To the next sample: the root's step (t, 2) in the heading frame, m, and the heading's turn (t,), rad. The last
+    ones lead to the first sample of the next cycle; without a cycle they repeat the previous ones."""
     if cycle is not None:
         end = xy[0] + rotate_planar(float(heading[0]), cycle[:2])
         whole = heading[0] + cycle[2]
@@ -144,11 +142,9 @@ def cycle_displacement(source: ScaledClip) -> Array:
 
 
 def pose_mismatch(source: ScaledClip) -> float:
-    """Distance of the frame after the last from frame 0, relative to the spread of poses within the clip.
-
-    A pose is the feet against the hips and the heights of feet and root, m. A perfect cycle has 0, two unrelated frames
-    have about 1.4.
-    """
+    """Distance of the frame after the last from frame 0, relative to the spread of poses within the clip. A pose is the
+    feet against the hips and the heights of feet and root, m. A perfect cycle has 0, two unrelated frames have about
+    1.4."""
     n = len(source.root_z)
     pose = np.concatenate([source.toe_from_hip.reshape(n, -1), source.toe_height, source.root_z[:, None]], axis=1)
     spread = np.sqrt(np.sum(np.var(pose, axis=0)))

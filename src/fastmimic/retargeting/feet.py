@@ -57,12 +57,9 @@ def plant_feet(
     Args:
         raw_w: (n, 4, 3) the animal's foot paths, world, m; z is the height above the ground.
         track: the trunk; its `cycle` repeats the paths.
-        stances: of each leg.
         holds: from `footholds`.
         highest: largest height of a foot, m.
         ground_z: height of a standing foot's centre, m.
-        rate_hz: of the samples.
-        config: of the swings.
         evenness: of each leg's swings, in place of the configured one.
     """
     feet = np.empty_like(raw_w)

@@ -21,15 +21,9 @@ from fastmimic.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A fitted motion with its intermediate results.
-
-    Attributes:
-        motion: the robot's, without provenance.
-        track: the trunk after balancing.
-        raw_w: (t, 4, 3) the animal's foot paths under that trunk, world; z is the height above the ground.
-        pose: clamps and base height.
-        smoothed: number of times each leg's swings were made more even to keep joint speeds.
-    """
+    """A fitted motion, without provenance, with its trunk after balancing and its pose. `raw_w` (t, 4, 3) are the
+    animal's foot paths under that trunk, world; z is the height above the ground. `smoothed` counts how many times each
+    leg's swings were made more even to keep joint speeds."""
 
     motion: Motion
     track: TrunkTrack
@@ -40,16 +34,7 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Fitter:
-    """The constants of a fit.
-
-    Attributes:
-        robot: geometry, limits, inertia.
-        track: the animal's trunk and toes at the robot's size.
-        stances: of each leg.
-        height: nominal height of the base, m.
-        rate_hz: of the samples.
-        config: settings.
-    """
+    """The constants of a fit: the animal's `track` at the robot's size, and the nominal base `height`, m."""
 
     robot: Robot
     track: TrunkTrack

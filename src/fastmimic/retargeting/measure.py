@@ -85,10 +85,8 @@ def _continued(last_three: Array) -> Array:
 
 
 def mean_speed(velocity_xy: Array, heading: Array) -> float:
-    """Length of the mean velocity (t, 2) as seen from the trunk with `heading` (t,), m/s.
-
-    The path's length would grow with sway, and the distance from start to end would shrink in a turn.
-    """
+    """Length of the mean velocity (t, 2) as seen from the trunk with `heading` (t,), m/s: unlike the path's length it
+    does not grow with sway, and unlike the end-to-end distance it does not shrink in a turn."""
     return float(np.linalg.norm(rotate_planar(-heading, velocity_xy).mean(axis=0)))
 
 

@@ -66,18 +66,9 @@ def solve_pose(
     max_lowering: float = 0.0,
     max_raising: float = 0.0,
 ) -> Pose:
-    """Inverse kinematics with the base moved by a constant.
-
-    It is lowered until every foothold is in reach, or raised until folded legs keep their limits and knees their
-    clearance.
-
-    Args:
-        robot, track: limits and geometry, and the trunk.
-        feet_w: (t, 4, 3) centres of the feet, world, m.
-        height: mean height of the base, m.
-        config: margin to the joint limits and clearance of the knees.
-        max_lowering, max_raising: m.
-    """
+    """Inverse kinematics with the base moved by a constant from its mean `height`, m, over feet (t, 4, 3), world, m. It
+    is lowered until every foothold is in reach, at most `max_lowering` m, or raised until folded legs keep their limits
+    and knees their clearance, at most `max_raising` m."""
     lower, upper = _limits(robot, config)
     rest = track.root_z - track.root_z.mean() + height
     quat = trunk_quaternion(track.heading, track.tilt)
@@ -115,10 +106,8 @@ def solve_pose(
 def folding_rise(
     robot: Robot, track: TrunkTrack, feet_w: Array, height: float, config: RetargetConfig, rate_hz: float
 ) -> Array:
-    """The rise (t,) of the base, m, that keeps folded legs within their limits and knees off the ground.
-
-    It is the least in steps of 5 mm, at most `config.max_raising_m`, and smooth. Arguments as in `solve_pose`.
-    """
+    """The rise (t,) of the base, m, that keeps folded legs within their limits and knees off the ground. It is the
+    least in steps of 5 mm, at most `config.max_raising_m`, and smooth. Arguments as in `solve_pose`."""
     from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
     quat = trunk_quaternion(track.heading, track.tilt)

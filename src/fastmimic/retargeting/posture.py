@@ -32,16 +32,9 @@ def levelled(source: ScaledClip, robot: Robot) -> ScaledClip:
 
 
 def within_folded_legs(source: ScaledClip, robot: Robot, lowered_m: float, config: RetargetConfig) -> ScaledClip:
-    """The clip with shoulders and hips no lower than folded legs allow, with feet lifted as high as the animal's.
-
-    The trunk is raised as a whole, and levelled as far as its other end would be higher than it stands.
-
-    Args:
-        source: at the robot's size, level.
-        robot: legs and hips.
-        lowered_m: distance of the base below the animal's.
-        config: margins, and the least clearance of a swing.
-    """
+    """The clip with shoulders and hips no lower than folded legs allow, with feet lifted as high as the animal's. The
+    trunk is raised as a whole, and levelled as far as its other end would be higher than it stands. `source` is level
+    and at the robot's size; the base is `lowered_m` below the animal's."""
     mean = float(source.root_z.mean())
     height = source.hip_height + source.root_z - mean - lowered_m  # of the hips' middle above the ground
     shortest = Reach.of_robot(robot, 0.0, config.reach_margin_rad).shortest

@@ -93,12 +93,9 @@ def foot_offsets(robot: Robot, track: TrunkTrack, stances: Stances, stance_width
 
 
 def footholds(raw_w: Array, track: TrunkTrack, stances: Stances, reach: Reach, linger: int) -> list[list[Array]]:
-    """The foothold (2,), world, m, of each stance of each foot.
-
-    It is the mean of the animal's path in stance, weighted towards mid-stance, and moved into reach from touch-down to
-    lift-off. `raw_w` (n, 4, 3) are the animal's foot paths, world, m. The foot must also be in reach for `linger`
-    samples before and after the stance.
-    """
+    """The foothold (2,), world, m, of each stance of each foot. It is the mean of the animal's path in stance, weighted
+    towards mid-stance, and moved into reach from touch-down to lift-off. `raw_w` (n, 4, 3) are the animal's foot paths,
+    world, m. The foot must also be in reach for `linger` samples before and after the stance."""
     sway = np.concatenate([track.root_xy, track.root_z[:, None] - track.root_z.mean()], axis=1)
     trunk = WorldPath(sway, track)
     result = []

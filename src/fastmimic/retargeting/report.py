@@ -24,14 +24,7 @@ MAX_CLOSURE_DEG: Final = 0.1
 
 @dataclass(frozen=True)
 class Bound:
-    """A bound within which the result counts as the animal's motion.
-
-    Attributes:
-        name: what is bounded.
-        value, limit: found and allowed.
-        met: whether it holds.
-        reason: why it does not hold, or empty.
-    """
+    """A bound within which the result counts as the animal's motion; `reason` says why it does not hold."""
 
     name: str
     value: float

@@ -53,12 +53,8 @@ def retarget(
         cycle: whether the clip is one period; if None what the clip says, else whether it closes.
         config: settings at the A1's size, `RetargetConfig()` if None.
 
-    Returns:
-        The motion, with `name`, `robot`, `source`, `licence` and `retarget` (the report) in its `meta`; and the report.
-
-    Raises:
-        ConfigError: rate or scale not positive.
-        ClipError: the clip is too short.
+    The motion's `meta` holds `name`, `robot`, `source`, `licence` and `retarget` (the report). Raises `ConfigError`
+    unless rate and scale are positive, and `ClipError` if the clip is too short.
     """
     _check(clip, rate_hz, scale)
     scale = choose_scale(clip, robot) if scale is None else float(scale)

@@ -1,9 +1,6 @@
-"""Low-pass filter and resampling of recordings to the control rate.
-
-Both use the Fourier series of one period, so that a cycle closes in position, velocity and acceleration. A recording
-that is not a cycle, less its end-to-end line, counts as half of an odd periodic signal (a sine series), which keeps
-value and slope at both ends.
-"""
+"""Low-pass filter and resampling of recordings to the control rate. Both use the Fourier series of one period, so that
+a cycle closes in position, velocity and acceleration. A recording that is not a cycle, less its end-to-end line, counts
+as half of an odd periodic signal (a sine series), which keeps value and slope at both ends."""
 
 import numpy as np
 
@@ -13,14 +10,9 @@ _FILTER_ORDER = 4
 
 
 def resample_periodic(samples: Array, rate_hz: float, n_out: int, cutoff_hz: float) -> Array:
-    """Low-passed samples (n_out, ...) of one period on a new grid, evenly over the period.
-
-    Args:
-        samples: (n, ...) at times i / rate_hz, covering one period n / rate_hz.
-        rate_hz: of the samples.
-        n_out: number of samples of the result.
-        cutoff_hz: half-power frequency of the zero-phase filter (Butterworth, fourth order, forwards and backwards).
-    """
+    """Low-passed samples (n_out, ...) of one period on a new grid, evenly over the period, from (n, ...) at times i /
+    rate_hz. `cutoff_hz` is the half-power frequency of the zero-phase filter (Butterworth, fourth order, forwards and
+    backwards)."""
     n = len(samples)
     spectrum = np.fft.rfft(samples, axis=0)
     frequency = np.fft.rfftfreq(n, 1.0 / rate_hz)

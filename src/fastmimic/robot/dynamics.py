@@ -1,8 +1,5 @@
-"""Rigid-body dynamics: one leg on a moving trunk in closed form, and the whole robot through MuJoCo.
-
-The closed form is recursive Newton-Euler (Featherstone 2008, ch. 5) for three hinges (x, y, y), with every vector in
-the body frame.
-"""
+"""Rigid-body dynamics: one leg on a moving trunk in closed form, and the whole robot through MuJoCo. The closed form is
+recursive Newton-Euler (Featherstone 2008, ch. 5) for three hinges (x, y, y), with every vector in the body frame."""
 
 from typing import TYPE_CHECKING
 
@@ -64,11 +61,9 @@ def leg_inverse_dynamics(
     """Joint torques `out` (3,), N·m, that give one leg without ground forces the accelerations `ddq`; rotor inertia
     excluded.
 
-    Args:
-        geometry: (12,) the leg's row of `LegGeometry`.
-        mass, com, inertia: (3,), (3, 3), (3, 3, 3) of its links, in their own frames.
-        omega: (3,) the trunk's angular velocity, body frame, rad/s.
-        acceleration: (3,) of the base's origin minus gravity, body frame, m/s² (standing still: +9.81 upwards).
+    `geometry` (12,) is the leg's row of `LegGeometry`; `mass`, `com` and `inertia` (3, ...) are those of its links, in
+    their own frames; `omega` (3,) is the trunk's angular velocity, rad/s, and `acceleration` (3,) that of the base's
+    origin minus gravity, m/s² (standing still: +9.81 upwards), both in the body frame.
     """
     ca, sa = np.cos(q[0]), np.sin(q[0])
     # each link's position: origin o, link frame Rx(a) Ry(theta); forces summed about the three joint axes
@@ -178,13 +173,9 @@ def _inverse_dynamics(
 def leg_torques(
     robot: "Robot", joint_pos: Array, joint_vel: Array, joint_acc: Array, ang_vel_b: Array, acceleration_b: Array
 ) -> Array:
-    """Joint torques (n, 12), N·m, rotor inertia included, that move the legs while no foot touches the ground.
-
-    Args:
-        joint_pos, joint_vel, joint_acc: (n, 12) rad, rad/s, rad/s².
-        ang_vel_b: (n, 3) of the trunk, body frame, rad/s.
-        acceleration_b: (n, 3) of the base's origin minus gravity, body frame, m/s².
-    """
+    """Joint torques (n, 12), N·m, rotor inertia included, that move the legs while no foot touches the ground. Joints
+    are (n, 12) rad, rad/s, rad/s². `ang_vel_b` (n, 3), rad/s, is the trunk's; `acceleration_b` (n, 3), m/s², is that of
+    the base's origin minus gravity, body frame."""
     q, dq, ddq = (np.ascontiguousarray(x, dtype=np.float64) for x in (joint_pos, joint_vel, joint_acc))
     out = np.empty_like(q)
     _inverse_dynamics(
@@ -204,16 +195,11 @@ def leg_torques(
 
 
 def inverse_dynamics(robot: "Robot", position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
-    """Forces that move the whole robot, legs included, without contacts.
+    """Generalised forces (k, 18) that move the whole robot without contacts, and its centre of mass (k, 3), world, m.
 
-    Args:
-        position: (k, 19) base position (world, m) and quaternion (w, x, y, z), joints (rad).
-        velocity: (k, 18) base velocity (world, m/s), angular velocity (body frame, rad/s), joints (rad/s).
-        acceleration: (k, 18) the derivative of `velocity`.
-
-    Returns:
-        Generalised forces (k, 18): force on the base (world, N), moment (body frame, N·m), joint torques (N·m); and the
-        robot's centre of mass (k, 3), world, m.
+    `position` (k, 19) is base position (world, m), quaternion (w, x, y, z) and joints (rad); `velocity` (k, 18) is base
+    velocity (world, m/s), angular velocity (body frame, rad/s) and joints (rad/s); `acceleration` its derivative.
+    Forces are on the base (world, N), moment (body frame, N·m), and joint torques (N·m).
     """
     import mujoco
 

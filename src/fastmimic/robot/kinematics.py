@@ -69,10 +69,8 @@ def leg_jacobian(g: Array, a: float, h: float, k: float, out: Array) -> None:
 
 @inlined
 def leg_inverse(g: Array, px: float, py: float, pz: float) -> tuple[float, float, float, bool]:
-    """Joints (a, h, k) for a foot position in the body frame, and whether the leg reaches it.
-
-    If not, the angles are those of the nearest reachable point in the leg's plane, never NaN.
-    """
+    """Joints (a, h, k) for a foot position in the body frame, and whether the leg reaches it. If not, the angles are
+    those of the nearest reachable point in the leg's plane, never NaN."""
     x, y, z = px - g[0] - g[4], py - g[1], pz - g[2]
     d = g[3]
     rr = y * y + z * z - d * d
@@ -137,10 +135,8 @@ def foot_jacobians(robot: "Robot", joint_pos: Array) -> Array:
 
 def inverse_kinematics(robot: "Robot", foot_pos_b: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Joint angles (..., 12), rad, for foot centres (..., 4, 3), body frame, m; and whether each is reachable (..., 4).
-
     Joint ranges are not considered. Out of reach, the angles are those of the nearest reachable point in the leg's
-    plane.
-    """
+    plane."""
     p = np.ascontiguousarray(foot_pos_b, dtype=np.float64)
     n = p.size // 12
     q, reachable = np.empty((n, 12)), np.empty((n, 4), dtype=np.bool_)

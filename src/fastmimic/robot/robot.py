@@ -91,11 +91,9 @@ class Robot:
         return self.base_spec.copy()
 
     def model(self) -> "mujoco.MjModel":
-        """A compiled model of the robot alone, without ground or gains.
-
-        It is compiled from `xml`, which identifies results everywhere. If `xml` refers to files, such as meshes, it is
-        compiled from the specification, which knows their folder.
-        """
+        """A compiled model of the robot alone, without ground or gains. It is compiled from `xml`, which identifies
+        results everywhere. If `xml` refers to files, such as meshes, it is compiled from the specification, which knows
+        their folder."""
         import mujoco
 
         if ' file="' in self.xml:
@@ -104,10 +102,8 @@ class Robot:
 
     @property
     def content(self) -> bytes:
-        """The robot's content for digests: `xml` and the digest of its mesh files.
-
-        MuJoCo writes rounded zeros for mesh positions; these are left out.
-        """
+        """The robot's content for digests: `xml` and the digest of its mesh files. MuJoCo writes rounded zeros for mesh
+        positions; these are left out."""
         if not self.files_digest:
             return self.xml.encode()
         return (_NOWHERE.sub("", _ROUNDED_ZERO.sub("0", self.xml)) + self.files_digest).encode()

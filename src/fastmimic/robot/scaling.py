@@ -1,7 +1,5 @@
-"""Scaling of parameters from an A1 to another robot.
-
-The constants have all digits, so that each ratio of an A1 is exactly 1; `tests/control/test_config.py` checks them.
-"""
+"""Scaling of parameters from an A1 to another robot. The constants have all digits, so that each ratio of an A1 is
+exactly 1; `tests/control/test_config.py` checks them."""
 
 from typing import Final
 

@@ -44,22 +44,17 @@ def stitch_motions(
     *,
     config: RetargetConfig | None = None,
 ) -> Motion:
-    """Joins several cyclic motions into one demonstration.
+    """Joins two or more cyclic demonstrations of one rate into one that does not repeat.
 
     Args:
-        motions: two or more cyclic demonstrations at one rate.
         cycles: repetitions of each; about `SEGMENT_S` each if None. The last segment ends with its cycle, the others
             within 0.6 s and half a cycle of it, where they fit the next one best.
         config: settings of feet, reach and balance in the transitions, at the A1's size.
 
-    Returns:
-        A motion without `cycle`. `meta["stitch"]` holds the layout (`Layout`), the starts of the cycles and figures of
-        the transitions; `parts` holds the motions.
-
-    Raises:
-        ConfigError: fewer than two motions, cycles that are not one positive number for each, or more than `MAX_S`.
-        MotionError: a motion that does not repeat, or is for another robot or rate; a segment too short for its
-            transitions; a foot that never lifts off and would have to move.
+    The result's `meta["stitch"]` holds the layout (`Layout`), the starts of the cycles and figures of the transitions;
+    `parts` holds the motions. Raises `ConfigError` for a wrong number of motions or cycles, or more than `MAX_S`;
+    `MotionError` for an unfit motion, a segment too short for its transitions, or a foot that never lifts off and would
+    have to move.
     """
     config = (config or RetargetConfig()).for_robot(robot)
     counts = _check(robot, motions, cycles)
@@ -220,11 +215,8 @@ def _samples(parts: Sequence[Motion], layout: Layout, track: TrunkTrack) -> dict
 
 
 def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[TrunkTrack, Array, NDArray[np.bool_]]:
-    """The blended trunk, the feet's paths (n, 4, 3) under it (world; z above the ground) and the contacts (n, 4).
-
-    The planar path integrates the blended velocity in the heading frame: position, velocity, acceleration are
-    continuous.
-    """
+    """The blended trunk, the feet's paths (n, 4, 3) under it (world; z above the ground) and the contacts (n, 4); the
+    planar path integrates the blended velocity in the heading frame."""
     n, t = layout.n, np.arange(layout.n)
     trunk, feet = layout.trunk_weights(), layout.foot_weights()
     step, turn = np.zeros((n, 2)), np.zeros(n)

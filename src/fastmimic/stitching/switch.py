@@ -42,15 +42,9 @@ _FOREVER: Final = 100  # strides of the stance of a foot that never lifts off
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
-    """A cyclic motion for the search of a switch.
-
-    Attributes:
-        n: samples.
-        stances: of each leg; empty for one that never lifts off.
-        contact: (n, 4).
-        velocity: (n, 3) of the trunk, heading frame, averaged over a stride: m/s, m/s, rad/s.
-        stride: samples between two steps of a leg, on average.
-    """
+    """A cyclic motion for the search of a switch: `n` samples with contact (n, 4), and the stances of each leg, empty
+    for one that never lifts off. `velocity` (n, 3) is the trunk's, heading frame, averaged over a stride: m/s, m/s,
+    rad/s. `stride` is the mean number of samples between two steps of a leg."""
 
     n: int
     stances: tuple[tuple[Stance, ...], ...]
@@ -91,14 +85,9 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Switch:
-    """A switch between two cyclic motions.
-
-    Attributes:
-        out, into: sample of the first motion, not wrapped, and of the second, at which they meet.
-        feet: the merged stances or swings relative to that moment.
-        half: half the samples of the trunk's blend.
-        cost: small where the motions agree well.
-    """
+    """A switch between two cyclic motions, where sample `out` of the first, not wrapped, meets `into` of the second.
+    `feet` are the merged stances or swings relative to that moment; `half` is half the samples of the trunk's blend;
+    `cost` is small where the motions agree well."""
 
     out: int
     into: int
@@ -108,10 +97,7 @@ class Switch:
 
 
 def best_switch(a: Cycle, b: Cycle, out: int, rate_hz: float, reach: Reach, linger_s: float) -> Switch:
-    """The best switch from `a`, near its unwrapped sample `out`, to the beginning of `b`.
-
-    `reach` limits the stances at the present speed; `linger_s` as in `SwingPathConfig`.
-    """
+    """The best switch from `a`, near its unwrapped sample `out`, to the beginning of `b`."""
     step = max(1, round(_STEP_S * rate_hz))
 
     def about(cycle: Cycle, middle: int | None) -> range:
@@ -171,11 +157,8 @@ def _half_transition(change: Array, stride: float, rate_hz: float) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Passing:
-    """The trunk's travel from one velocity (2,), m a sample, to another within ± `half` samples.
-
-    `sweep` is the trunk's travel over a foot within the leg's reach, m. The foot stays near its foothold for `linger`
-    samples before and after the stance.
-    """
+    """The trunk's travel from one velocity (2,), m a sample, to another within ± `half` samples. `sweep`, m, is its
+    travel over a foot in reach, and `linger` the samples near the foothold before and after the stance."""
 
     before: Array
     after: Array

@@ -29,13 +29,7 @@ _LOWERING_SHARE: Final = 0.3  # share of a transition in which the trunk is lowe
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """The rebuilt samples between two segments.
-
-    Attributes:
-        span: of the whole motion's samples.
-        arrays: of these samples, by the names of `Motion`.
-        measured: figures, JSON-serialisable.
-    """
+    """The rebuilt samples (`span` of the whole) between two segments, by the names of `Motion`, with JSON figures."""
 
     span: Span
     arrays: dict[str, Array]
@@ -60,17 +54,9 @@ def make_transition(
     reach: Reach,
     config: RetargetConfig,
 ) -> Transition:
-    """Rebuilds the samples between segments `index` − 1 and `index`.
-
-    Args:
-        track: the blended trunk of the whole.
-        raw_w: (n, 4, 3) feet under it, world, m; z is the height of their centres.
-        contact: (n, 4).
-        own: the cycles of the two motions.
-
-    Raises:
-        MotionError: a foot that never lifts off would have to move, or a segment is too short.
-    """
+    """Rebuilds the samples between segments `index` − 1 and `index`. `track` is the blended trunk of the whole, `raw_w`
+    (n, 4, 3) are the feet under it, world, m (z of their centres), and `own` the cycles of the two motions. Raises
+    `MotionError` if a foot that never lifts off would have to move, or a segment is too short."""
     plan = _plan(layout, index, contact, own)
     window = plan.window
     if window.start < 0 or window.end > layout.n:
@@ -130,10 +116,7 @@ def make_transition(
 def _within_limits(
     consistency: Consistency, track: TrunkTrack, planted: Callable[[Array], Array]
 ) -> tuple[TrunkTrack, Pose]:
-    """Trunk and joints with the fewest samples beyond the joints' limits and speeds.
-
-    The swings of a leg beyond its limits are made more even; then the trunk is lowered smoothly in steps.
-    """
+    """Trunk and joints with the fewest samples beyond limits, by more even swings and then a lower trunk."""
     robot, config = consistency.robot, consistency.config
     limit = config.speed_share * robot.joint_speed_limit
     n = len(track.root_z)
@@ -165,14 +148,8 @@ def _within_limits(
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """The kept and the new footholds; samples of the whole, stances of the window.
-
-    Attributes:
-        window: samples of the transition and around it.
-        rebuilt: new samples of each leg.
-        stances: of each leg, relative to the window.
-        fixed: for each of them a sample at which the foot is at its foothold, or None for a new one.
-    """
+    """The kept and the new footholds in a `window` of samples, with the `rebuilt` samples of each leg. `stances` are
+    relative to the window; `fixed` is a sample of each at which the foot is at its foothold, or None if new."""
 
     window: Span
     rebuilt: tuple[Span, ...]

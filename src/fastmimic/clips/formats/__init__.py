@@ -1,8 +1,6 @@
-"""Animal and robot motion files, recognised by content, never by name.
-
-To add a format here, write its `Format` in a module and name it below. A user's script registers one with
-`FORMATS.register(Format(…))`, see `examples/extend/motion_format.py`.
-"""
+"""Animal and robot motion files, recognised by content, never by name. To add a format here, write its `Format` in a
+module and name it below. A user's script registers one with `FORMATS.register(Format(…))`, see
+`examples/extend/motion_format.py`."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -33,8 +31,7 @@ for _module in (npz, csv_motion, keypoints, named_points, bvh, deepmimic):
 
 
 def detect_format(path: str | Path) -> str:
-    """The name of a file's format, by its content. Raises `ClipError`: the file is missing or of none of the formats;
-    says what was found."""
+    """The name of a file's format, by its content. Raises `ClipError`: missing, or none of the formats."""
     try:
         return format_of(Content.of(path)).name
     except ClipError as error:
@@ -51,15 +48,9 @@ def read_clip(
     frames: tuple[int, int] | None = None,
     point_map: str | Path | PointMap | None = None,
 ) -> Clip:
-    """Reads a clip in any of `FORMATS`; `clip.meta` holds its `format` and what was `assumed`.
-
-    Args:
-        path: the file. For a FastMimic `.npz` use `Motion.load`.
-        robot, fps, up, scale, frames, point_map: see `ReadOptions`; None for what the file says or shows.
-
-    Raises:
-        ClipError: the file cannot be read or used, or an option does not apply to its format.
-    """
+    """Reads a clip in any of `FORMATS`; `clip.meta` holds its `format` and what was `assumed`. Options as in
+    `ReadOptions`; None for what the file says or shows. For a FastMimic `.npz` use `Motion.load`. Raises `ClipError`
+    for an unreadable file, or an option that does not apply to its format."""
     return read_with(path, ReadOptions(robot, fps, up, scale, frames, point_map))
 
 

@@ -1,8 +1,6 @@
-"""Biovision hierarchies (BVH): a skeleton of joints with their offsets, and the angles of each frame.
-
-A joint's transform is its offset, or its position channels if it has any, followed by its rotations in channel order,
-each about the axis turned by the previous ones. Points are named after joints; `NAME.end` is a joint's end site.
-"""
+"""Biovision hierarchies (BVH): a skeleton of joints with their offsets, and the angles of each frame. A joint's
+transform is its offset, or its position channels if it has any, followed by its rotations in channel order, each about
+the axis turned by the previous ones. Points are named after joints; `NAME.end` is a joint's end site."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -36,17 +34,9 @@ class _Joint:
 
 
 def parse(text: str, *, fps: float | None = None, up: str | None = None, point_map: PointMap | None = None) -> Clip:
-    """Reads the text of a BVH file.
-
-    Args:
-        text: the file's content.
-        fps: frames a second; the file's if None.
-        up: 'y' or 'z'; if None, the axis along which the hips are above the toes.
-        point_map: the joints of the ten points; if None, those of AI4Animation's dog.
-
-    Raises:
-        ClipError: malformed (says which line), no such joints, or not an upright, right-handed animal.
-    """
+    """Reads the text of a BVH file; without `point_map` the ten points are those of AI4Animation's dog. Options as in
+    `ReadOptions`; without `up`, the axis along which the hips are above the toes. Raises `ClipError`: malformed (says
+    which line), no such joints, or not an upright, right-handed animal."""
     lines = _lines(text)
     joints = _hierarchy(lines)
     rate = _rate(lines)

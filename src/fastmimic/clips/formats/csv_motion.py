@@ -1,8 +1,6 @@
-"""Retargeted robot motion as CSV: root position, root quaternion x, y, z, w and 12 joint angles, one frame a line.
-
-With a header, columns are found by name in any order. Without one they are taken as x, y, z, qx, qy, qz, qw and the
-joints in the order FR, FL, RR, RL, each abduction, hip, knee, and the clip says so.
-"""
+"""Retargeted robot motion as CSV: root position, root quaternion x, y, z, w and 12 joint angles, one frame a line. With
+a header, columns are found by name in any order. Without one they are taken as x, y, z, qx, qy, qz, qw and the joints
+in the order FR, FL, RR, RL, each abduction, hip, knee, and the clip says so."""
 
 import re
 from typing import Final

@@ -86,10 +86,8 @@ def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) ->
 
 
 def laikago_feet(joint_pos: Array) -> Array:
-    """Foot centres (..., 4, 3), m, of the Laikago in its base frame (x forward, z up).
-
-    `joint_pos` (..., 12), rad, has the legs in the common order and the signs of the Laikago's model.
-    """
+    """Foot centres (..., 4, 3), m, of the Laikago in its base frame (x forward, z up). `joint_pos` (..., 12), rad, has
+    the legs in the common order and the signs of the Laikago's model."""
     angles = np.reshape(joint_pos, (*np.shape(joint_pos)[:-1], 4, 3))
     abduction, hip, knee = angles[..., 0], angles[..., 1], angles[..., 2]
     thigh = _rotate_y(hip, _THIGH + _rotate_y(knee, np.broadcast_to(_CALF, (*knee.shape, 3))))

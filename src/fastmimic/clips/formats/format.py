@@ -83,7 +83,6 @@ class ReadOptions:
 
     Attributes:
         robot: the robot of a file of joint angles.
-        fps: frames a second.
         up: the vertical axis, "y" or "z".
         scale: factor from the size in the file to the robot's.
         frames: (first, end) 0-based, end exclusive.
@@ -100,17 +99,14 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class Format:
-    """A kind of motion file.
+    """A kind of motion file, with `name` in `clip.meta["format"]` and one line `about` it for users.
 
     Attributes:
-        name: in `clip.meta["format"]`.
-        about: one line for users.
         suffixes: of file names; only for listing folders.
         detect: whether a file is of this format.
         parse: the clip of a text (of the bytes, if `binary`), called with the options named in `takes`. Raises
             `ClipError` with the position in the file.
         takes: those of `ReadOptions` that `parse` has parameters for: "fps", "up", "point_map", "robot".
-        binary: whether its files are not text.
     """
 
     name: str

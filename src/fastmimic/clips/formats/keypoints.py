@@ -1,7 +1,5 @@
-"""Dog motion capture as text: 81 columns, 27 points × (x, y, z) in metres, one frame a line.
-
-Peng et al. (2020) distribute the dog motions of Zhang et al. (2018) like this: y up, right-handed, 60 frames a second.
-"""
+"""Dog motion capture as text: 81 columns, 27 points × (x, y, z) in metres, one frame a line. Peng et al. (2020)
+distribute the dog motions of Zhang et al. (2018) like this: y up, right-handed, 60 frames a second."""
 
 from typing import Final
 
@@ -30,16 +28,8 @@ _POINT_INDEX: Final = {
 
 
 def parse(text: str, *, fps: float | None = None, up: str | None = None) -> Clip:
-    """Reads the text of a keypoint file.
-
-    Args:
-        text: the file's content.
-        fps: frames a second; 60 if None.
-        up: 'y' or 'z'; if None, the axis along which the hips are above the toes.
-
-    Raises:
-        ClipError: malformed (says which line and column), or not an upright, right-handed animal.
-    """
+    """Reads the text of a keypoint file; `fps` is 60 if None, and `up` the axis along which the hips are above the
+    toes. Raises `ClipError`: malformed (says which line and column), or not an upright, right-handed animal."""
     rows = read_table(text).rows
     values = to_array(rows, COLUMNS, _column_name, "dog keypoints")
     check_frames(len(values))

@@ -1,8 +1,6 @@
-"""Keypoints as a table with a header: three columns a point, NAME_x, NAME_y, NAME_z, in any order of points.
-
-Tracking programs export such tables, also from C3D. `NAME.x`, `NAME:X` and `NAME x` are the same. A column `time` gives
-the frame rate; `frame` is ignored.
-"""
+"""Keypoints as a table with a header: three columns a point, NAME_x, NAME_y, NAME_z, in any order of points. Tracking
+programs export such tables, also from C3D. `NAME.x`, `NAME:X` and `NAME x` are the same. A column `time` gives the
+frame rate; `frame` is ignored."""
 
 import re
 from collections.abc import Sequence
@@ -22,18 +20,9 @@ _UNEVEN: Final = 0.02  # share of a frame's duration
 
 
 def parse(text: str, *, fps: float | None = None, up: str | None = None, point_map: PointMap | None = None) -> Clip:
-    """Reads the text of such a table.
-
-    Args:
-        text: the file's content.
-        fps: frames a second; from the column `time` if None.
-        up: 'y' or 'z'; if None, the axis along which the hips are above the toes.
-        point_map: names of the ten points; if None, the common names, or those of AI4Animation's dog.
-
-    Raises:
-        ClipError: malformed (says which line and column), no rate, no such points, or not an upright, right-handed
-            animal.
-    """
+    """Reads the text of such a table; `fps` is from the column `time` if None. Without `point_map` the ten points are
+    those of the common names, or of AI4Animation's dog; without `up`, the hips are above the toes. Raises `ClipError`:
+    malformed (says which line and column), no rate, no such points, or not an upright, right-handed animal."""
     table = read_table(text)
     assert table.header is not None
     header = [name.strip().strip('"') for name in table.header]

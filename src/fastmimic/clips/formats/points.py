@@ -1,7 +1,5 @@
-"""An animal's points from any file: their names, the vertical axis and the unit.
-
-A point map is a JSON object that names a file's point for each of the ten of `POINT_NAMES`.
-"""
+"""An animal's points from any file: their names, the vertical axis and the unit. A point map is a JSON object that
+names a file's point for each of the ten of `POINT_NAMES`."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -86,18 +84,14 @@ def clip_of(
     assumed: Sequence[str],
     skeleton: Skeleton | None = None,
 ) -> Clip:
-    """A clip of all points of a file.
+    """A clip of all points `body` (t, k, 3) of a file, in its axes and unit, with `chosen` (10,) indices of the ten.
 
     Args:
-        body: (t, k, 3) in the file's axes and unit.
-        chosen: (10,) indices of the ten points.
-        rate_hz: frames a second.
         up: 'y' or 'z'; if None, the axis along which the hips are above the toes.
         assumed: assumptions so far.
         skeleton: between the k points; only the ten are kept if None.
 
-    Raises:
-        ClipError: not an upright, right-handed animal.
+    Raises `ClipError` if it is not an upright, right-handed animal.
     """
     notes = list(assumed)
     points = body[:, list(chosen)]

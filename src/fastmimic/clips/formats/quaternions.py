@@ -13,10 +13,8 @@ NORM_TOLERANCE: Final = 2e-3  # rounding to three decimals changes a unit quater
 
 
 def unit_wxyz_from_xyzw(xyzw: NDArray[np.float64], where: Callable[[int], str]) -> NDArray[np.float64]:
-    """Unit quaternions (t, 4) in the order w, x, y, z, without sign flips, from `xyzw` (t, 4).
-
-    `where` gives a frame's position in the file, for messages. Raises `ClipError` for a norm that is not 1.
-    """
+    """Unit quaternions (t, 4) in the order w, x, y, z, without sign flips, from `xyzw` (t, 4). `where` gives a frame's
+    position in the file, for messages. Raises `ClipError` for a norm that is not 1."""
     norm = np.linalg.norm(xyzw, axis=1)
     wrong = np.flatnonzero(np.abs(norm - 1) > NORM_TOLERANCE)
     if len(wrong):

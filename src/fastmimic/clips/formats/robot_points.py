@@ -7,15 +7,9 @@ from fastmimic.base.rotations import quat_rotate
 
 
 def robot_points(root_pos_w: Array, root_quat_wxyz: Array, hip_pos_b: Array, foot_pos_b: Array) -> Array:
-    """Keypoints (t, 10, 3) in the order of `POINT_NAMES`, world frame, m.
-
-    Hips are the abduction joint origins; pelvis and neck are the midpoints of the rear and the front ones.
-
-    Args:
-        root_pos_w, root_quat_wxyz: (t, 3) base position, world, m, and (t, 4) orientation, body → world.
-        hip_pos_b: (4, 3) abduction joint origins, body frame, m.
-        foot_pos_b: (t, 4, 3) foot centres, body frame, m.
-    """
+    """Keypoints (t, 10, 3) in the order of `POINT_NAMES`, world frame, m, for a base pose in the world, abduction joint
+    origins (4, 3) and foot centres (t, 4, 3), body frame, m. Hips are the abduction joint origins; pelvis and neck are
+    the midpoints of the rear and the front ones."""
     hips = np.broadcast_to(hip_pos_b, foot_pos_b.shape)
     pelvis, neck = hips[:, 2:].mean(axis=1, keepdims=True), hips[:, :2].mean(axis=1, keepdims=True)
     points_b = np.concatenate([pelvis, neck, hips, foot_pos_b], axis=1)

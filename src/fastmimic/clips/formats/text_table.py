@@ -20,11 +20,9 @@ class Row(NamedTuple):
 
 
 class Table(NamedTuple):
-    """The rows of a text, and the names of its columns if it has a header.
-
-    Blank lines and lines that start with `#` are left out. The header is a first line without numbers, or the last
-    comment before the first row if it has as many fields (as in `numpy.savetxt`).
-    """
+    """The rows of a text, and the names of its columns if it has a header. Blank lines and lines that start with `#`
+    are left out. The header is a first line without numbers, or the last comment before the first row if it has as many
+    fields (as in `numpy.savetxt`)."""
 
     header: list[str] | None
     header_is_comment: bool
@@ -75,19 +73,9 @@ def to_array(
     what: str,
     largest: float | Sequence[float] = LARGEST,
 ) -> NDArray[np.float64]:
-    """The values of all rows, (rows, columns).
-
-    Args:
-        rows: of the file.
-        columns: required number.
-        column_name: name of a 0-based column, for messages.
-        what: the format, for messages.
-        largest: magnitude allowed, in all columns or in each.
-
-    Raises:
-        ClipError: wrong number of columns, or a value that is not a finite, sensible number; says which line and
-            column.
-    """
+    """The values of all rows, (rows, columns). `column_name` gives the name of a 0-based column and `what` the format,
+    for messages; `largest` is the magnitude allowed, in all columns or in each. Raises `ClipError`, with line and
+    column: wrong number of columns, or a value that is not a finite, sensible number."""
     values = np.empty((len(rows), columns))
     for i, (number, fields) in enumerate(rows):
         if len(fields) != columns:
