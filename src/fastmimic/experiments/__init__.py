@@ -1,1 +1,1 @@
-"""The paper's comparison and ours, each a function that returns a table."""
+"""Experiments of the paper and further ones, each a function that returns a table."""

@@ -1,4 +1,4 @@
-"""What each part of the method is worth, the paper's and what was added to it: named variants of `mbc-dmp`."""
+"""Ablations of `mbc-dmp`: named variants without the paper's parts and without later additions."""
 
 import dataclasses
 from collections.abc import Callable
@@ -10,17 +10,15 @@ from fastmimic.control.config import ControllerConfig, paper_config
 from fastmimic.primitive.rhythmic import N_BASIS
 
 ABLATED: Final = "mbc-dmp"
-"""The method that the ablations are variants of."""
 
 
 @dataclass(frozen=True)
 class Ablation:
-    """A variant of `ABLATED`, optimised and evaluated with its own change in force.
+    """A variant of `ABLATED`, optimised and evaluated with its own change.
 
     Attributes:
-        name: of the variant.
-        summary: what differs.
-        change: what it changes in the controller's configuration.
+        summary: the difference.
+        change: its change of the controller's configuration.
         consistent: whether retargeting makes the motion consistent (`RetargetConfig.consistent`).
         n_basis: basis functions of each DMP.
     """
@@ -77,20 +75,16 @@ _ABLATIONS = (
 )
 
 ABLATIONS: Final = {ablation.name: ablation for ablation in _ABLATIONS}
-"""All variants by name; `MotionDmp`'s 100 basis functions are the method itself."""
+"""All variants by name; the 100 basis functions of `MotionDmp` are the method itself."""
 
 
 def ablations_of(config: ControllerConfig) -> tuple[Ablation, ...]:
-    """The variants that differ from the method under a configuration: one of the adaptations is its own."""
+    """The variants that differ from the method under a configuration, which may already include one of them."""
     return tuple(ablation for ablation in _ABLATIONS if ablation.changes(config))
 
 
 def ablation_named(name: str) -> Ablation:
-    """The variant of that name; the method itself for an empty one.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """The variant of that name; the method itself for an empty name. Raises `ConfigError` if there is none."""
     if not name:
         return Ablation("", "")
     if name not in ABLATIONS:

@@ -1,4 +1,4 @@
-"""The comparison: which runs there are, what they start from, and their rows."""
+"""The comparison: the list of runs, their inputs, and their rows."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -36,13 +36,13 @@ if TYPE_CHECKING:
     from fastmimic.learning.policy import Policy
 
 PAPER_MOTIONS: Final = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps")
-"""The paper's four, as far as they are public."""
+"""The public ones among the paper's motions."""
 BUILT_IN_MOTIONS: Final = ("trot", "pace", "turn", "side-step")
 
 
 @dataclass(frozen=True)
 class ChosenPolicy:
-    """The policy that does a motion: `seed` is that of its training, `file` where it is."""
+    """The policy for a motion: `seed` of its training, and its `file`."""
 
     motion: str
     seed: int
@@ -50,16 +50,16 @@ class ChosenPolicy:
 
     @property
     def run(self) -> Run:
-        """The run that it is for."""
+        """The policy's run."""
         return Run(self.motion, RL, "", self.seed)
 
 
 @dataclass(frozen=True)
 class ComparisonPlan:
-    """All runs of a comparison, in the order in which they are done.
+    """All runs of a comparison, in order of execution.
 
     Attributes:
-        settings: what they have in common.
+        settings: of all runs.
         motions: names, or files.
         methods: names.
         seeds: number of seeds of the methods that optimise.
@@ -107,10 +107,8 @@ class ComparisonPlan:
 
     @property
     def runs(self) -> list[Run]:
-        """What is quickly done first, then seed by seed, so that an unfinished comparison has something of everything.
-
-        The ablations bring the method that they are variants of along.
-        """
+        """Fast runs first, then seed by seed, so that an unfinished comparison covers everything. Ablations include
+        their base method."""
         methods = [*self.methods, *([ABLATED] if self.ablations and ABLATED not in self.methods else [])]
         optimising = [name for name in methods if method_named(name).optimises]
         once = [name for name in methods if name not in optimising and name != RL]
@@ -125,14 +123,13 @@ class ComparisonPlan:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A plan with all that it needs, loaded and checked; nothing is written yet.
+    """A plan with all its inputs, loaded and checked; nothing is written yet.
 
     Attributes:
-        plan: what is asked for.
         out: folder of motions and runs.
-        files: the motions to be written.
-        tasks: what is to be done.
-        done: rows of the plan's runs that are finished already.
+        files: the motions to write.
+        tasks: the remaining runs.
+        done: rows of the plan's finished runs.
         kept: rows of other finished runs of the same settings in the folder.
     """
 
@@ -144,11 +141,10 @@ class Prepared:
     kept: tuple[Row, ...]
 
     def perform(self, workers: int, report: ReportProgress) -> list[Row]:
-        """Does what is not done yet; the rows of all runs of the plan, in its order.
+        """Performs the remaining runs; returns the rows of all runs of the plan, in its order.
 
-        Raises:
-            FastMimicError: as the first run that failed.
-            KeyboardInterrupt: Ctrl-C; the folder holds what was done.
+        Raises `FastMimicError` as the first failed run, `KeyboardInterrupt` for Ctrl-C; finished runs stay in the
+        folder.
         """
         if workers < 1:
             raise ConfigError(f"workers must be at least 1, found {workers}")
@@ -160,7 +156,7 @@ class Prepared:
         return [rows[run] for run in self.plan.runs]
 
     def finished(self) -> list[Row]:
-        """The rows of those runs of the plan that are finished by now, in its order."""
+        """Rows of the plan's runs that are finished now, in its order."""
         done = {task.run: finished_row(task.folder) for task in self.tasks} | dict(self.done)
         return [row for run in self.plan.runs if (row := done[run]) is not None]
 
@@ -169,13 +165,11 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
     """Loads robot and motions, and checks them and the finished runs in the folder; writes nothing.
 
     Args:
-        plan: what to compare.
         out: folder of motions and runs.
-        keep: whether what is finished in the folder counts; if not, it is about to be replaced.
-        prepared: called with the name of each motion once it is retargeted.
+        keep: whether finished runs in the folder count; otherwise they are about to be replaced.
+        prepared: called with the name of each retargeted motion.
 
-    Raises:
-        FastMimicError: a robot or motion that cannot be had, or a finished run of something else in the folder.
+    Raises `FastMimicError` for a missing robot or motion, or if the folder holds a finished run of other content.
     """
     robot = load_robot(plan.settings.robot)
     files = {_file(out, *key): motion for key, motion in _demonstrations(plan, robot, prepared)}
@@ -221,37 +215,35 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
 def compare(
     plan: ComparisonPlan, out: Path, *, workers: int, report: ReportProgress, prepared: Callable[[str], None]
 ) -> list[Row]:
-    """Does what is not done yet, and returns the rows of all runs of the plan.
+    """Performs the runs of the plan that are not finished, and returns the rows of all runs.
 
     Args:
-        plan: what to compare.
-        out: folder in which motions and runs are kept. Runs that are finished there are not done again, and those under
-            way go on from their checkpoints.
+        out: folder of motions and runs. Finished runs are kept, begun ones continue from their checkpoints.
         workers: processes.
         report: progress of the runs.
-        prepared: called with the name of each motion once it is retargeted.
+        prepared: called with the name of each retargeted motion.
 
     Raises:
-        FastMimicError: a motion that cannot be had, or a finished run of something else in the folder.
-        KeyboardInterrupt: Ctrl-C; the folder holds what was done.
+        FastMimicError: as in `prepare`, or as the first failed run.
+        KeyboardInterrupt: Ctrl-C; finished runs stay in the folder.
     """
     return prepare(plan, out, keep=True, prepared=prepared).perform(workers, report)
 
 
 def choose_policies(places: Sequence[Path], motions: Sequence[str]) -> tuple[ChosenPolicy, ...]:
-    """Which policies do which motions, in the order of the motions and of the seeds of training.
+    """The policies for each motion, in the order of the motions and of the training seeds.
 
     Args:
-        places: files, and folders all of whose policies count, at any depth.
-        motions: names, or files, as in a plan. Policies in folders for other motions are left aside.
+        places: policy files, and folders to search at any depth.
+        motions: names, or files, as in a plan. Policies for other motions in folders are ignored.
 
     Raises:
-        PolicyError: a file that is no policy.
+        PolicyError: a file is no policy.
         ConfigError: a motion without a policy, a file for another motion, or two policies for one motion and seed.
     """
     from fastmimic.learning.policy import Policy
 
-    files: dict[Path, bool] = {}  # whether it was named itself
+    files: dict[Path, bool] = {}  # whether the caller named it
     for place in places:
         files.update(dict.fromkeys(sorted(place.rglob(POLICY)), False) if place.is_dir() else {place: True})
     names = {_own_name(motion): motion for motion in motions}
@@ -280,7 +272,7 @@ def choose_policies(places: Sequence[Path], motions: Sequence[str]) -> tuple[Cho
 
 
 def _own_name(motion: str) -> str:
-    """What a motion calls itself: a robot motion's file says it, a clip's is the name of the file."""
+    """A motion's own name: as recorded in a robot motion's file, the file's name for a clip."""
     path = Path(motion)
     if not path.is_file():
         return motion
@@ -288,7 +280,7 @@ def _own_name(motion: str) -> str:
 
 
 def _policy(file: Path, robot: Robot, demonstration: Motion) -> "Policy":
-    """The policy in a file, once it is certain that it is for that robot and motion."""
+    """The policy in a file, checked against robot and motion."""
     from fastmimic.learning.policy import Policy
 
     policy = Policy.load(file)
@@ -309,7 +301,7 @@ def _file(out: Path, name: str, consistent: bool) -> Path:
 
 
 def _finished(out: Path) -> dict[Run, Row]:
-    """All finished runs of a folder by name; a run's folder under another name (a copy, say) is not one."""
+    """All finished runs of a folder; ignores folders under other names, such as copies."""
     found: dict[Run, Row] = {}
     runs = out / RUNS
     for folder in sorted(runs.iterdir()) if runs.is_dir() else []:
@@ -325,7 +317,7 @@ def _finished(out: Path) -> dict[Run, Row]:
 def _demonstrations(
     plan: ComparisonPlan, robot: Robot, prepared: Callable[[str], None]
 ) -> Iterator[tuple[tuple[str, bool], Motion]]:
-    """Every motion, and with the ablations as it is without the consistency step too."""
+    """Every motion; with ablations also without the consistency step."""
     raw = any(not ablation_named(name).consistent for name in plan.variants)
     for name in plan.motions:
         motion = load_motion(name, robot).target

@@ -19,7 +19,7 @@ TRACKING_FIGURE: Final = "tracking.png"
 ABLATION_TABLE: Final = "ablations.md"
 ABLATION_FIGURE: Final = "ablations.png"
 WRITTEN: Final = (RESULTS_CSV, TABLE, COMPARISON, TRACKING_FIGURE, ABLATION_TABLE, ABLATION_FIGURE)
-"""Files that are made of the finished runs."""
+"""Files made from the finished runs."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,6 @@ class ComparisonFolder(WorkFolder):
 
     @classmethod
     def at(cls, path: Path) -> "ComparisonFolder":
-        """The folder at a path."""
         files = (*WRITTEN, *(f"{RUNS}/*/{name}" for name in RUN_FILES), f"{MOTIONS}/*.npz")
         return cls(path, "a comparison", ENVIRONMENT, "settings", files)
 
@@ -38,14 +37,10 @@ class ComparisonFolder(WorkFolder):
         return (self.path / RUNS).is_dir()
 
     def begin(self, environment: Mapping[str, Any], *, overwrite: bool) -> None:
-        """Writes `environment.json`.
+        """Writes `environment.json`; with `overwrite`, removes the comparison in the folder first.
 
-        Args:
-            environment: its content; motions of an earlier `environment.json` keep their places.
-            overwrite: whether to remove the comparison in the folder first.
-
-        Raises:
-            OutputError: something cannot be removed or written.
+        Motions of an earlier `environment.json` keep their places. Raises `OutputError` if a file cannot be removed or
+        written.
         """
         earlier = [] if overwrite else self.motions()
         if overwrite:
@@ -76,17 +71,15 @@ class ComparisonFolder(WorkFolder):
 def open_comparison(
     path: Path, settings: Mapping[str, Any], *, resume: bool, overwrite: bool
 ) -> Iterator[ComparisonFolder]:
-    """Prepares a folder for a comparison before long work begins; without any finished run, it stays as it was.
+    """Prepares a folder for a comparison before long work begins; restores it if no run finishes.
 
     Args:
-        path: the folder.
         settings: must equal those of `environment.json` to resume.
         resume: whether to resume the comparison in the folder.
         overwrite: whether to replace it.
 
-    Raises:
-        ConfigError: both `resume` and `overwrite`.
-        OutputError: the folder holds another comparison, or something else, or cannot be written to.
+    Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be
+    written.
     """
     folder = ComparisonFolder.at(path)
     new = not folder.found()

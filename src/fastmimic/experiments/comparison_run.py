@@ -1,9 +1,8 @@
-"""One run of a comparison: a method on a motion with a seed, and the row of figures that comes out.
+"""One run of a comparison: a method on a motion with a seed, and its row of results.
 
-What a seed is. An optimised method's seed is that of CMA-ES. A method that optimises nothing is deterministic in
-simulation, as the paper says, so it is run once, as seed 0. Every run, whatever its method, is evaluated alike: one
-nominal episode from the motion's start (`reward`), and episodes from the same perturbed starts (`reward_perturbed`,
-`reward_std`), which no optimisation has seen.
+The seed of an optimised method is that of CMA-ES. Other methods are deterministic in simulation (paper) and run once,
+as seed 0. All runs have the same evaluation: one nominal episode from the motion's start (`reward`), and episodes from
+the same perturbed starts (`reward_perturbed`, `reward_std`), which no optimisation has seen.
 """
 
 import hashlib
@@ -57,15 +56,15 @@ _WARM_UP_S: Final = 0.01
 
 @dataclass(frozen=True)
 class ComparisonSettings:
-    """What all runs of a comparison have in common.
+    """Settings of all runs of a comparison.
 
     Attributes:
         robot: its name, or the path of its MJCF.
         config: name of the controller's parameters.
         duration_s: length of the optimisation's episodes, s.
         iterations, population: of CMA-ES.
-        evaluation_s: length of the evaluation's episodes, s; a motion that does not repeat ends them at the latest.
-        perturbed_episodes: how many of them begin perturbed.
+        evaluation_s: length of the evaluation's episodes, s; at most a motion that does not repeat.
+        perturbed_episodes: number of evaluation episodes from perturbed starts.
     """
 
     robot: str = "a1"
@@ -79,7 +78,7 @@ class ComparisonSettings:
 
 @dataclass(frozen=True)
 class Run:
-    """Which motion, method, variant of the method (empty for none) and seed."""
+    """Motion, method, variant of the method (empty for none) and seed."""
 
     motion: str
     method: str
@@ -98,7 +97,7 @@ class Run:
 
 
 def slug(text: str) -> str:
-    """The text as a file's name."""
+    """The text as a file name."""
     return re.sub(r"[^\w.-]+", "_", text)
 
 
@@ -110,13 +109,7 @@ def controller_of(run: Run, settings: ComparisonSettings) -> ControllerConfig:
 def digest(
     run: Run, settings: ComparisonSettings, robot: Robot, demonstration: Motion, policy: "Policy | None" = None
 ) -> str:
-    """What tells apart runs of different content: 16 hexadecimal digits of everything but the seed.
-
-    Args:
-        run, settings, robot: what is done, how, and by whom.
-        demonstration: the run's.
-        policy: of a learned method.
-    """
+    """16 hexadecimal digits of everything that determines a run but the seed; `policy` is that of a learned method."""
     found = hashlib.sha256(robot.content)
     for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "contact"):
         found.update(getattr(demonstration, name).tobytes())
@@ -144,13 +137,10 @@ def perform(
     progress: Callable[[Progress], None] | None = None,
     policy: "Policy | None" = None,
 ) -> Row:
-    """Optimises if the method does, evaluates, and writes the run's folder; goes on from a checkpoint found there.
+    """Optimises if the method does, evaluates, and writes the run's folder; resumes from a checkpoint in it.
 
     Args:
-        run: what to do.
-        settings: how.
-        robot: the robot.
-        demonstration: the retargeted motion, as the run's variant has it.
+        demonstration: the retargeted motion for the run's variant.
         folder: of this run.
         progress: called after each iteration of the optimisation.
         policy: of a learned method; a copy is kept in the folder.
@@ -158,14 +148,12 @@ def perform(
     Returns:
         The row; see `COLUMNS` in `fastmimic.experiments.tables`.
 
-    Raises:
-        FastMimicError: as `imitate`.
-        KeyboardInterrupt: the optimisation was interrupted; its checkpoint is in the folder.
+    Raises `FastMimicError` as `imitate`, `KeyboardInterrupt` for Ctrl-C; the checkpoint stays in the folder.
     """
     checkpoint = folder / CHECKPOINT
     resumed = checkpoint.is_file()
     config = controller_of(run, settings)
-    # compiled, or loaded, before the clock starts
+    # compile or load before the clock starts
     controller = None if policy is None else _controlled_by(policy)
     run_episodes(
         robot,
@@ -210,11 +198,7 @@ def perform(
 
 
 def finished_row(folder: Path) -> Row | None:
-    """The row of a run that was finished, or None.
-
-    Raises:
-        OutputError: the file is damaged.
-    """
+    """The row of a finished run, or None; raises `OutputError` if its file is damaged."""
     path = folder / ROW
     try:
         row = dict(json.loads(path.read_text(encoding="utf-8")))
@@ -227,18 +211,18 @@ def finished_row(folder: Path) -> Row | None:
 
 
 def run_of(row: Row) -> Run:
-    """Which run a row is of."""
+    """The run of a row."""
     return Run(row["motion"], row["method"], row["variant"], row["seed"])
 
 
 def _controlled_by(policy: "Policy") -> MakeController:
-    from fastmimic.learning.policy_controller import controlled_by  # with Gymnasium, which other runs do without
+    from fastmimic.learning.policy_controller import controlled_by  # imports Gymnasium, which other runs do not need
 
     return controlled_by(policy)
 
 
 def _with_training(row: Row, policy: "Policy") -> Row:
-    """What a policy's run cost with its training, as far as the policy says; its parameters are named by its digest."""
+    """Adds the cost of the policy's training, if recorded, and the policy's digest as parameters."""
     training = policy.training
     costs = {name: (row[name], training.get(name)) for name in ("wall_s", "cpu_s", "simulated_s")}
     return {
@@ -281,7 +265,7 @@ def _row(
 
 
 def _save_tracking(path: Path, demonstration: Motion, before: Rollout, after: Rollout, robot: Robot) -> None:
-    """The feet in the last cycles that either of the two ran through, for the figure."""
+    """Saves the feet in the last cycles that both rollouts completed, for the figure."""
     shown = _TRACKED_CYCLES * demonstration.n_samples
     end = max(int(before.steps[0]), int(after.steps[0]))
     window = slice(max(0, end - shown), end)

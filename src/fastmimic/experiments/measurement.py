@@ -1,4 +1,4 @@
-"""Measuring the result of a method in the same way for every motion and method."""
+"""The common evaluation of all methods and motions."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -22,19 +22,18 @@ Row = dict[str, Any]
 
 EVALUATION_S: Final = 10.0
 PERTURBED_EPISODES: Final = 8
-_EVALUATION_SEED: Final = 20230617
-"""Seed of the perturbed starts: the same for every run, and of no optimisation."""
+_EVALUATION_SEED: Final = 20230617  # of the perturbed starts of every run; no optimisation uses it
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """The figures of a motion.
+    """Metrics of a motion.
 
     Attributes:
-        figures: by the names of a row's columns, JSON-serialisable.
+        figures: by column name, JSON-serialisable.
         before, after: the nominal episodes of the demonstration and of the motion, logged.
         seconds: their length, s.
-        simulated_s: simulated time in all, s.
+        simulated_s: total simulated time, s.
     """
 
     figures: Row
@@ -56,7 +55,6 @@ def measure(
     The perturbed starts are the same for every motion; no optimisation has seen them.
 
     Args:
-        result: of `imitate`.
         evaluation_s: length of the episodes, s; at most the length of a motion that does not repeat.
         perturbed_episodes: number of episodes with perturbed starts.
         controller: of a learned method.
@@ -110,7 +108,7 @@ def named_values(result: Imitation) -> str:
 
 
 def foot_courses(rollout: Rollout, robot: Robot) -> tuple[Array, Array]:
-    """Feet of the nominal episode in the body frame, (t, 4, 3) m: wanted, and realised with NaN after a fall."""
+    """Feet of the nominal episode in the body frame, (t, 4, 3) m: reference, and realised with NaN after a fall."""
     assert rollout.log is not None, "the courses are in the log"
     feet = foot_positions(robot, rollout.log.observation["joint_pos"][0])
     feet[rollout.steps[0] :] = np.nan
@@ -122,10 +120,8 @@ def _style(result: Imitation) -> float:
 
 
 def _realised_style(rollout: Rollout, demonstration: Motion, robot: Robot) -> float | None:
-    """The style distance of the realised feet until a fall.
-
-    None if that was less than a cycle, or less than the whole of a motion that does not repeat.
-    """
+    """Style distance of the realised feet until a fall; None for less than a cycle, or than a motion that does not
+    repeat."""
     if rollout.steps[0] < demonstration.n_samples - (demonstration.cycle is None):
         return None
     wanted, feet = foot_courses(rollout, robot)

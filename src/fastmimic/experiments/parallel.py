@@ -1,9 +1,8 @@
-"""Runs spread over the cores: a process of one thread for each run, and no run waits for another.
+"""Runs on all cores: one single-threaded process per run.
 
-The threads of `imitate` serve one user who waits for one motion: at the end of every iteration they wait for the
-slowest of them, they share one interpreter between control steps, and fitting, the logged episodes and CMA-ES are one
-thread's work. Here there are more runs than cores. Nothing is shared between runs, so the rows do not depend on the
-number of processes. `benchmarks/comparison.py --scaling` measures both ways.
+With more runs than cores this is faster than the threads of `imitate`, which wait for the slowest of them in every
+iteration, share one interpreter, and run fitting, logged episodes and CMA-ES on one thread. Runs share nothing, so the
+rows do not depend on the number of processes. `benchmarks/comparison.py --scaling` measures both ways.
 """
 
 import time
@@ -22,7 +21,7 @@ from fastmimic.robot import load_robot
 
 @dataclass(frozen=True)
 class RunTask:
-    """A run and where its files are; `policy` is that of a learned method."""
+    """A run with its files; `policy` is that of a learned method."""
 
     run: Run
     settings: ComparisonSettings
@@ -32,7 +31,7 @@ class RunTask:
 
     @property
     def simulated_s(self) -> float:
-        """Time to simulate, about, s: the measure of its length."""
+        """Estimated simulated time, s, as the measure of its length."""
         s = self.settings
         evaluation = s.evaluation_s * (2 + s.perturbed_episodes)
         if not method_named(self.run.method).optimises:
@@ -40,13 +39,13 @@ class RunTask:
         return evaluation + VALIDATED * VALIDATION_EPISODES * VALIDATION_S + self.searched_s(s.iterations)
 
     def searched_s(self, iterations: int) -> float:
-        """The part of that up to an iteration of the search, s."""
+        """The part of it up to an iteration of the search, s."""
         return self.settings.duration_s * self.settings.population * iterations
 
 
 @dataclass
 class RunProgress:
-    """How much is done, and how long the rest will take: by the pace of each method so far."""
+    """Progress, and the remaining time by the pace of each method so far."""
 
     tasks: Sequence[RunTask]
     workers: int
@@ -54,14 +53,14 @@ class RunProgress:
     _began: dict[int, float] = field(default_factory=dict)
     _first: dict[int, tuple[float, int]] = field(default_factory=dict)
     _done_s: dict[int, float] = field(default_factory=dict)
-    _pace: dict[int, tuple[float, float]] = field(default_factory=dict)  # seconds for simulated seconds
+    _pace: dict[int, tuple[float, float]] = field(default_factory=dict)  # seconds, and simulated seconds
 
     def begin(self, index: int) -> None:
-        """A run has begun."""
+        """Records the start of a run."""
         self._began[index] = time.perf_counter()
 
     def advance(self, index: int, iteration: int) -> None:
-        """A run's search has done an iteration; the first one starts its clock, because much comes before it."""
+        """Records an iteration of a run's search; the first one starts its clock, after the preparations."""
         now, task = time.perf_counter(), self.tasks[index]
         at, first = self._first.setdefault(index, (now, iteration))
         self._done_s[index] = task.searched_s(iteration)
@@ -69,7 +68,7 @@ class RunProgress:
             self._pace[index] = (now - at, task.searched_s(iteration - first))
 
     def finish(self, index: int) -> None:
-        """A run has been finished."""
+        """Records the end of a run."""
         now, task = time.perf_counter(), self.tasks[index]
         self._done_s[index] = task.simulated_s
         if index not in self._pace:
@@ -78,7 +77,7 @@ class RunProgress:
 
     @property
     def share(self) -> float:
-        """Of the simulated time, in [0, 1]."""
+        """Finished share of the simulated time, in [0, 1]."""
         total = sum(task.simulated_s for task in self.tasks)
         return min(1.0, sum(self._done_s.values()) / total) if total > 0 else 1.0
 
@@ -102,22 +101,15 @@ class RunProgress:
 
 
 ReportProgress = Callable[[RunProgress, Row | None], None]
-"""Called after each iteration of a run, and with the row of each run that was finished."""
+"""Called after each iteration of a run, and with the row of each finished run."""
 
 
 def run_all(tasks: Sequence[RunTask], workers: int, report: ReportProgress) -> list[Row]:
-    """Performs all tasks; the rows in their order.
-
-    Ctrl-C stops all runs; what was finished is in the folders, and so are the checkpoints of the others.
-
-    Args:
-        tasks: what to do.
-        workers: processes; 1 runs them in this one.
-        report: progress.
+    """Performs all tasks; returns the rows in their order. One worker runs them in this process.
 
     Raises:
         FastMimicError: as the first run that failed; the others are stopped.
-        KeyboardInterrupt: Ctrl-C.
+        KeyboardInterrupt: Ctrl-C stops all runs; their results and checkpoints are kept.
     """
     executor = LocalExecutor(max(1, min(workers, len(tasks))))
     effort = RunProgress(tasks, executor.workers)
@@ -150,7 +142,7 @@ def _work(task: RunTask, report: Callable[[float], None]) -> Row:
     robot = load_robot(task.settings.robot)
     policy = None
     if task.policy is not None:
-        from fastmimic.learning.policy import Policy  # with Gymnasium, which other runs do without
+        from fastmimic.learning.policy import Policy  # imports Gymnasium, which other runs do not need
 
         policy = Policy.load(task.policy)
     return perform(task.run, task.settings, robot, Motion.load(task.demonstration), task.folder, progress, policy)

@@ -1,4 +1,4 @@
-"""The folder of `stress` and `transfer`: rows of finished parts, each with the digest of what they belong to."""
+"""The folder of `stress` and `transfer`: rows of finished parts, each with the digest of its content."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -25,17 +25,15 @@ def open_results(
     """Checks a folder before long work begins, and writes its `environment.json`.
 
     Args:
-        path: the folder.
         experiment: its name, such as "stress".
         parts: name of the subfolder with the finished parts.
-        written: names of the files that are made of the parts.
+        written: names of the files made from the parts.
         settings: must equal the earlier ones to resume.
         resume: whether to resume the experiment in the folder.
         overwrite: whether to replace it.
 
-    Raises:
-        ConfigError: both `resume` and `overwrite`.
-        OutputError: the folder holds results of other settings, or something else, or cannot be written to.
+    Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be
+    written.
     """
     files = (*written, f"{parts}/*.json", f"{MOTIONS}/*.npz")
     folder = WorkFolder(path, "an experiment", ENVIRONMENT, "settings", files, experiment)
@@ -49,20 +47,12 @@ def open_results(
 
 
 def save_part(path: Path, rows: Sequence[Row], digest: str) -> None:
-    """Writes finished rows.
-
-    Raises:
-        OutputError: they cannot be written.
-    """
+    """Writes finished rows; raises `OutputError` if it cannot."""
     write_text(path, json.dumps({"digest": digest, "rows": list(rows)}, indent=1, allow_nan=False))
 
 
 def load_part(path: Path, digest: str) -> list[Row] | None:
-    """Finished rows, or None if there are none.
-
-    Raises:
-        OutputError: they cannot be read, or are of something else.
-    """
+    """Finished rows, or None; raises `OutputError` if they are damaged or of another content."""
     if not path.is_file():
         return None
     of, rows = _read(path)
@@ -72,11 +62,7 @@ def load_part(path: Path, digest: str) -> list[Row] | None:
 
 
 def all_parts(folder: Path) -> list[Row]:
-    """The rows of all parts in a folder.
-
-    Raises:
-        OutputError: one cannot be read.
-    """
+    """The rows of all parts in a folder; raises `OutputError` for a damaged one."""
     return [row for path in sorted(folder.glob("*.json")) for row in _read(path)[1]]
 
 

@@ -1,8 +1,7 @@
-"""How much a motion withstands: success and reward over the range of each disturbance.
+"""Robustness of a motion: success and reward over the range of each disturbance.
 
-A sweep is one method under one disturbance, over all its levels. Every level has the same episodes, one from the
-motion's start and the others from random phases of it, none of them perturbed otherwise. An episode is a success if it
-does not end in a fall.
+A sweep runs one method under one disturbance, over all its levels. Every level has the same episodes, one from the
+motion's start and the others from random phases, not perturbed otherwise. An episode without a fall is a success.
 """
 
 import math
@@ -27,10 +26,8 @@ from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S
 from fastmimic.simulation.disturbances import Disturbance, known
 
-SUCCESS: Final = 0.95
-"""Share of the episodes that a disturbance must leave without a fall to be withstood."""
-AT_ONCE: Final = 120
-"""Robots in a batch, at most."""
+SUCCESS: Final = 0.95  # least share of episodes without a fall for a tolerated level
+AT_ONCE: Final = 120  # greatest number of robots in a batch
 SWEEPS: Final = "sweeps"
 
 COLUMNS: Final = (
@@ -41,14 +38,14 @@ COLUMNS: Final = (
 
 @dataclass(frozen=True)
 class StressSettings:
-    """What all sweeps have in common.
+    """Settings of all sweeps.
 
     Attributes:
         robot: its name, or the path of its MJCF.
         simulator, observe: as in `Conditions`.
         episodes: of each level.
-        duration_s: of an episode, s; a motion that does not repeat ends it at the latest.
-        seed: of the phases that episodes begin at, sensors and uneven ground.
+        duration_s: of an episode, s; at most a motion that does not repeat.
+        seed: of the starting phases, sensors and uneven ground.
         config: name of the controller's parameters.
         iterations, population: of CMA-ES where a method optimises.
     """
@@ -69,19 +66,18 @@ class StressSettings:
         self.conditions()
 
     def conditions(self, *disturbances: Disturbance) -> Conditions:
-        """Of episodes with these disturbances."""
+        """Conditions of episodes with these disturbances."""
         return Conditions(self.simulator, self.observe, self.seed, disturbances)
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """What a method withstands of one disturbance: the levels about the nominal one without a level that fails between.
+    """Range of a disturbance that a method tolerates: levels around the nominal one up to the first failure.
 
     Attributes:
-        method, disturbance: whose, of what.
-        lower, upper: the outermost; None if the nominal level itself fails.
-        lower_tried, upper_tried: the outermost levels that were run.
-        nominal_success: share of episodes without a fall when nothing is disturbed.
+        lower, upper: its limits; None if the nominal level itself fails.
+        lower_tried, upper_tried: the outermost levels of the sweep.
+        nominal_success: share of episodes without a fall under no disturbance.
     """
 
     method: str
@@ -94,10 +90,9 @@ class Tolerance:
 
 
 def disturbances_of(names: Sequence[str] | None, simulator: str) -> list[str]:
-    """The disturbances to sweep: those named, or all that the simulator realises.
+    """The disturbances to sweep: the given ones, or all that the simulator supports.
 
-    Raises:
-        ConfigError: an unknown one, one twice, or one that the simulator does not realise.
+    Raises `ConfigError` for an unknown, repeated or unsupported one.
     """
     there = known(simulator)
     if names is None:
@@ -115,7 +110,7 @@ def disturbances_of(names: Sequence[str] | None, simulator: str) -> list[str]:
 
 
 def check_length(motion: Motion, names: Sequence[str], settings: StressSettings) -> float:
-    """Length of the motion's episodes, s; raises `ConfigError` if they end before something that is to happen."""
+    """Length of the motion's episodes, s; raises `ConfigError` if they end before a disturbance begins."""
     seconds = episode_duration(motion, settings.duration_s)
     late = [name for name in names if DISTURBANCES[name].timed]
     if late and seconds <= PUSH_TIME_S:
@@ -127,13 +122,9 @@ def check_length(motion: Motion, names: Sequence[str], settings: StressSettings)
 
 
 def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSettings) -> list[Row]:
-    """Runs all levels of a disturbance.
+    """Runs all levels of a disturbance; returns a row for each level, see `COLUMNS`.
 
-    Returns:
-        A row for each level, see `COLUMNS`.
-
-    Raises:
-        FastMimicError: the motion is too short for a push, or does not fit the robot.
+    Raises `FastMimicError` if the motion is too short for a push, or does not fit the robot.
     """
     kind, motion = DISTURBANCES[disturbance], subject.motion
     seconds = check_length(motion, [disturbance], settings)
@@ -173,20 +164,20 @@ def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSett
 
 
 def _starts(episodes: int, room: int, seed: int) -> Start:
-    """The first from sample 0, the others from random ones below `room`."""
+    """Start samples: the first 0, the others random below `room`."""
     start = nominal_start(episodes)
     start.sample[1:] = np.random.default_rng(seed).integers(room, size=episodes - 1)
     return start
 
 
 def _batches(levels: tuple[float, ...], episodes: int) -> list[tuple[float, ...]]:
-    """Levels that are run together; each batch as large as it may be."""
+    """Levels by batch, each batch as large as possible."""
     count = max(1, AT_ONCE // episodes)
     return [levels[i : i + count] for i in range(0, len(levels), count)]
 
 
 def _repeated(start: Start, times: int) -> Start:
-    """The same starts over and over, with the same random streams."""
+    """The same starts repeatedly, with the same random streams."""
     return Start(
         np.tile(start.sample, times),
         np.tile(start.joint_offset, (times, 1)),
@@ -196,23 +187,20 @@ def _repeated(start: Start, times: int) -> Start:
 
 
 def sweep_file(out: Path, method: str, disturbance: str) -> Path:
-    """Where a finished sweep is kept."""
+    """The file of a finished sweep."""
     return out / SWEEPS / f"{slug(f'{method}-{disturbance}')}.json"
 
 
 def all_sweeps(out: Path) -> list[Row]:
-    """The rows of all finished sweeps of a folder, methods and disturbances in the order of their lists.
-
-    Raises:
-        OutputError: one cannot be read.
-    """
-    rows = [{**row, "value": float(row["value"])} for row in all_parts(out / SWEEPS)]  # "inf" is no JSON number
+    """All finished sweeps' rows, methods and disturbances in the order of their lists; raises `OutputError` for a
+    damaged file."""
+    rows = [{**row, "value": float(row["value"])} for row in all_parts(out / SWEEPS)]  # JSON has no infinity
     methods, names = list(METHODS), list(DISTURBANCES)
     return sorted(rows, key=lambda r: (methods.index(r["method"]), names.index(r["disturbance"]), r["value"]))
 
 
 def tolerances(rows: Iterable[Row]) -> list[Tolerance]:
-    """What each method withstands of each disturbance, in the order of the rows."""
+    """Tolerances of each method and disturbance, in the order of the rows."""
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault((row["method"], row["disturbance"]), []).append(row)
@@ -241,12 +229,12 @@ def _tolerance(method: str, disturbance: str, rows: list[Row]) -> Tolerance:
 
 
 def to_csv(rows: Iterable[Row]) -> str:
-    """One line a level."""
+    """One line per level."""
     return csv_text(COLUMNS, rows)
 
 
 def stress_table(rows: Sequence[Row], settings: StressSettings, missing: int) -> str:
-    """What each method withstands, as Markdown: one line a disturbance, one column a method."""
+    """Tolerances as Markdown: one line per disturbance, one column per method."""
     found = tolerances(rows)
     methods = list(dict.fromkeys(t.method for t in found))
     by = {(t.method, t.disturbance): t for t in found}

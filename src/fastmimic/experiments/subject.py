@@ -1,4 +1,4 @@
-"""Who takes part where nothing is optimised any more: a method with the motion that it runs, made or read once."""
+"""Subjects of `stress` and `transfer`: a method with its motion, optimised or read once."""
 
 import hashlib
 import json
@@ -19,13 +19,12 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, Progress
 from fastmimic.robot import Robot
 
-DURATION_S: Final = 5.0
-"""Of the optimisation's episodes, as in `imitate`."""
+DURATION_S: Final = 5.0  # s, length of the optimisation's episodes, as in `imitate`
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """How motions are optimised where a method does so.
+    """Settings of the searches.
 
     Attributes:
         config: name of the controller's parameters, for all methods.
@@ -44,14 +43,14 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A method and what it runs.
+    """A method with its motion.
 
     Attributes:
         method: one of `fastmimic.imitation.methods.METHODS`.
-        motion: what its controller follows; it carries its demonstration.
-        config: the controller's, as the method has it.
+        motion: the reference motion, with its demonstration.
+        config: the controller's, with the method's changes.
         controller: of a trained policy; None for the model-based one.
-        policy: what tells this policy from another; empty without one.
+        policy: identifies the policy; empty without one.
     """
 
     method: Method
@@ -62,7 +61,7 @@ class Subject:
 
     @property
     def digest(self) -> str:
-        """16 hexadecimal digits of all that its episodes depend on but the robot and the conditions."""
+        """16 hexadecimal digits of everything that determines its episodes but the robot and the conditions."""
         found = hashlib.sha256(json.dumps(self.config.as_dict(), sort_keys=True).encode() + self.policy.encode())
         for motion in (self.motion, self.motion.target):
             for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "foot_pos_b", "contact"):
@@ -71,7 +70,7 @@ class Subject:
 
 
 def check_methods(names: Sequence[str], policy: bool) -> None:
-    """Raises `ConfigError` if the methods cannot be run together: none, one twice, one unknown, or a policy missing."""
+    """Raises `ConfigError` if there is no method, a repeated or unknown one, or one that lacks its policy."""
     if not names:
         raise ConfigError("give at least one method, such as mbc")
     twice = sorted({name for name in names if list(names).count(name) > 1})
@@ -94,21 +93,19 @@ def make_subject(
     policy: tuple[MakeController, str] | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Subject:
-    """A method with its motion; what it optimises is kept in `folder`, and read from there the next time.
+    """A method with its motion; keeps an optimised motion in `folder`, and reads it from there the next time.
 
     Args:
         method: its name.
-        given: an optimised motion is run as it is by the method that it was made with, anything else is optimised from
-            its demonstration.
-        robot: the robot.
-        search: how.
+        given: the motion. The method that made an optimised motion runs it unchanged; otherwise its demonstration is
+            optimised.
         folder: for motions and checkpoints.
-        policy: the controller of a trained policy, and what tells it from another.
+        policy: the controller of a trained policy, and its identifier.
         progress: called after each iteration.
 
     Raises:
-        FastMimicError: the motion cannot be optimised, or the folder holds one of something else.
-        KeyboardInterrupt: Ctrl-C; the checkpoint is in the folder, and the next call goes on from it.
+        FastMimicError: the motion cannot be optimised, or the folder holds one of other content.
+        KeyboardInterrupt: Ctrl-C; the next call continues from the checkpoint in the folder.
     """
     chosen, demonstration = method_named(method), given.target
     config = chosen.configure(controller_config(search.config))

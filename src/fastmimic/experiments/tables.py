@@ -23,9 +23,9 @@ COLUMNS: Final = (
     *("evaluation_s", "perturbed_episodes", "parameters", "digest"),
     *(f"{name}_version" for name in ("fastmimic", "python", "mujoco", "daqp", "cma", "numba", "numpy")),
 )
-"""Of `results.csv`. `reward`: nominal episode; `reward_perturbed`, `reward_std`, `fell_perturbed`: mean, standard
-deviation and share over the perturbed episodes; `*_before`: nominal episode of the unoptimised motion under the same
-controller; `cpu_s`: processor time, of a run that was not interrupted; SI units."""
+"""Columns of `results.csv`. `reward`: nominal episode; `reward_perturbed`, `reward_std`, `fell_perturbed`: mean,
+standard deviation and share over the perturbed episodes; `*_before`: nominal episode of the unoptimised motion with the
+same controller; `cpu_s`: processor time of an uninterrupted run; SI units."""
 
 PAPER: Final = (
     "For context only, not a row of ours: for its turn, another clip in another simulator, the paper reports RL 0.483 ±"
@@ -35,12 +35,7 @@ PAPER: Final = (
 
 @dataclass(frozen=True)
 class Summary:
-    """The runs of one method, or variant, on one motion.
-
-    Attributes:
-        motion, method, variant: whose.
-        rows: of the seeds.
-    """
+    """The runs of one method, or variant, on one motion; `rows` by seed."""
 
     motion: str
     method: str
@@ -48,11 +43,11 @@ class Summary:
     rows: tuple[Row, ...]
 
     def values(self, column: str) -> list[float]:
-        """The seeds' values that exist."""
+        """The seeds' existing values."""
         return [float(row[column]) for row in self.rows if row[column] is not None]
 
     def mean(self, column: str) -> float | None:
-        """Over the seeds; None if there is no value."""
+        """Mean over the seeds; None if there is no value."""
         values = self.values(column)
         return float(np.mean(values)) if values else None
 
@@ -63,7 +58,7 @@ class Summary:
 
     @property
     def label(self) -> str:
-        """What it is called in tables and figures."""
+        """Its name in tables and figures."""
         return self.variant or method_named(self.method).label
 
 
@@ -79,17 +74,13 @@ def summaries(rows: Iterable[Row]) -> list[Summary]:
 
 
 def to_csv(rows: Sequence[Row]) -> str:
-    """One line a run; what does not exist is empty."""
+    """One line per run; missing values are empty."""
     return csv_text(COLUMNS, rows)
 
 
 def comparison_table(rows: Sequence[Row], expected: int) -> str:
-    """The methods on every motion, with what it cost, as Markdown.
-
-    Args:
-        rows: of the runs without a variant.
-        expected: how many runs there are to be in all.
-    """
+    """The methods on every motion, with their cost, as Markdown; `expected` is the total number of runs without a
+    variant."""
     header = (
         *("motion", "method", "reward", "perturbed starts", "fell, nominal", "fell, perturbed"),
         *("least clearance", "style distance", "realised", "drift, m/s", "early contacts, 1/s", "slip, mm"),
@@ -100,12 +91,7 @@ def comparison_table(rows: Sequence[Row], expected: int) -> str:
 
 
 def ablation_table(rows: Sequence[Row], expected: int) -> str:
-    """The variants next to the method itself, as Markdown.
-
-    Args:
-        rows: of the method's runs and of its variants'.
-        expected: how many of these there are to be.
-    """
+    """The variants next to the method itself, as Markdown; `expected` is the total number of their runs."""
     header = (
         *("motion", "variant", "reward", "change", "perturbed starts", "fell, nominal", "fell, perturbed"),
         *("reward before", "least clearance", "style distance", "realised"),

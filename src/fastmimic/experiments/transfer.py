@@ -1,8 +1,8 @@
-"""Transfer without any change: a motion optimised in one simulator, run in conditions that it was not made for.
+"""Zero-shot transfer: a motion optimised in one simulator, run under other conditions.
 
-The paper takes its motions to a real robot and reports three trials each. The robot here is one that differs in all
-that a real one differs in: another engine's contacts, the manufacturer's masses and inertias, motors with delay,
-friction and a torque–speed curve, a more slippery floor, and sensors in place of the truth.
+The paper runs its motions on a real robot and reports three trials each. Here a simulated robot differs in what a real
+one differs in: another engine's contacts, the manufacturer's masses and inertias, motors with delay, friction and a
+torque–speed curve, a more slippery floor, and sensors in place of the true state.
 """
 
 import logging
@@ -50,7 +50,7 @@ class TransferStage:
     disturbances: tuple[Disturbance, ...] = ()
 
     def conditions(self, seed: int) -> Conditions:
-        """With the seed of all that is random."""
+        """Its conditions with a random seed."""
         return Conditions(self.simulator, self.observe, seed, self.disturbances)
 
     def __str__(self) -> str:
@@ -65,8 +65,8 @@ ACTUATORS: Final = (
     Disturbance("joint-friction", (0.2,)),
     Disturbance("joint-damping", (0.02,)),
 )
-"""The motors of the last stage: 28.6 rad/s is the speed limit of hip and knee in Unitree's URDF; the others are in the
-order of what is measured on robots of this class, not identified on one."""
+"""The motors of the last stage. 28.6 rad/s is the speed limit of hip and knee in Unitree's URDF; the other values have
+the magnitude measured on robots of this class, not identified on one."""
 FLOOR: Final = Disturbance("friction", (0.6,))
 
 SIMULATION: Final = "simulation"
@@ -80,9 +80,8 @@ STAGES: Final = (
 LAST: Final = STAGES[-1].name
 
 IDENTIFIED: Final = TransferStage("identified", "(c) identified", "pybullet", "sensors", (*ACTUATORS, FLOOR))
-"""The last one once more, with friction and payload identified from a run there."""
-IDENTIFICATION_S: Final = 5.0
-"""Length of that run."""
+"""The last stage, with friction and payload identified from a run in it."""
+IDENTIFICATION_S: Final = 5.0  # s, length of that run
 
 PAPER: Final = (
     ("MBC-DMP", 0.803, 0.012, 0.627, 0.096),
@@ -93,15 +92,15 @@ PAPER: Final = (
 
 @dataclass(frozen=True)
 class TransferSettings:
-    """What all trials have in common.
+    """Settings of all trials.
 
     Attributes:
         trials: of each stage.
-        duration_s: of each, s; a motion that does not repeat ends it at the latest.
+        duration_s: of each, s; at most a motion that does not repeat.
         seed: of the starts and the sensors.
         config: name of the controller's parameters.
         iterations, population: of CMA-ES where a method optimises.
-        identify: whether `IDENTIFIED` is run as well.
+        identify: whether to run `IDENTIFIED` as well.
     """
 
     trials: int = 3
@@ -118,7 +117,7 @@ class TransferSettings:
 
 
 def trial_starts(trials: int, seed: int) -> Start:
-    """From the motion's start, as a robot that was put there by hand: joints ± 0.05 rad, base velocity ± 0.1 m/s."""
+    """Starts near the motion's start, like a robot placed by hand: joints ± 0.05 rad, base velocity ± 0.1 m/s."""
     start = perturbed_start(trials + 1, 1, np.random.default_rng(seed)).part(slice(1, None))
     return Start(start.sample, start.joint_offset, start.velocity_offset)
 
@@ -126,13 +125,9 @@ def trial_starts(trials: int, seed: int) -> Start:
 def run_trials(
     subject: Subject, robot: Robot, settings: TransferSettings, stages: Sequence[TransferStage] = STAGES
 ) -> list[Row]:
-    """The trials of one method on one motion in all stages, or some, from the same starts.
+    """Trials of one method on one motion in some stages, from the same starts; a row for each, see `COLUMNS`.
 
-    Returns:
-        A row for each trial, see `COLUMNS`.
-
-    Raises:
-        FastMimicError: PyBullet is missing or does not know the robot.
+    Raises `FastMimicError` if PyBullet is missing or does not know the robot.
     """
     motion = subject.motion
     rows: list[Row] = []
@@ -167,10 +162,10 @@ def run_trials(
 
 
 def identified_config(subject: Subject, robot: Robot, settings: TransferSettings) -> ControllerConfig:
-    """The controller with what one run in the conditions of `IDENTIFIED` says of friction and payload.
+    """The controller with friction and payload identified from one run under the conditions of `IDENTIFIED`.
 
-    The run is none of the trials: its start and its sensors' errors are its own. If nothing can be learnt from it,
-    because the robot falls at once, the controller is left as it is, with a warning.
+    The run has another start and other sensor errors than the trials. If the robot falls too early for an
+    identification, returns the controller unchanged, with a warning.
     """
     motion, conditions = subject.motion, IDENTIFIED.conditions(settings.seed)
     start = trial_starts(settings.trials + 1, settings.seed).part(slice(settings.trials, None))
@@ -195,16 +190,12 @@ def identified_config(subject: Subject, robot: Robot, settings: TransferSettings
 
 
 def part_file(out: Path, motion: str, method: str) -> Path:
-    """Where the finished trials of a method on a motion are kept."""
+    """The file of the finished trials of a method on a motion."""
     return out / PARTS / f"{slug(f'{motion}-{method}')}.json"
 
 
 def all_trials(out: Path) -> list[Row]:
-    """The rows of all finished trials of a folder, the methods in the order of their list.
-
-    Raises:
-        OutputError: some cannot be read.
-    """
+    """The rows of all finished trials, methods in the order of their list; raises `OutputError` for a damaged file."""
     order = list(METHODS)
     return sorted(all_parts(out / PARTS), key=lambda row: order.index(row["method"]))
 
@@ -214,9 +205,8 @@ class Transferred:
     """The trials of one method on one motion.
 
     Attributes:
-        motion, method: which.
         rewards: (stages, trials) in the order of `stages_of`.
-        falls: (stages,) how many trials ended in a fall.
+        falls: (stages,) number of trials that ended in a fall.
     """
 
     motion: str
@@ -259,17 +249,13 @@ def transferred(rows: Sequence[Row]) -> list[Transferred]:
 
 
 def to_csv(rows: Iterable[Row]) -> str:
-    """One line a trial."""
+    """One line per trial."""
     return csv_text(COLUMNS, rows)
 
 
 def transfer_table(rows: Sequence[Row], missing: int) -> str:
-    """Rewards by motion, method and stage next to the paper's, as Markdown.
-
-    Args:
-        rows: of the trials.
-        missing: how many pairs of motion and method are not finished.
-    """
+    """Rewards by motion, method and stage next to the paper's, as Markdown; `missing` counts unfinished pairs of motion
+    and method."""
     found, stages = transferred(rows), stages_of(rows)
     lines = [
         f"| motion | method | {' | '.join(stage.label for stage in stages)} | change to {_short(stages[-1])} |",

@@ -1,1 +1,1 @@
-"""What a user names as a motion, and the folders in which work is kept."""
+"""Names of motions, and the folders of long work."""

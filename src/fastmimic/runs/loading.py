@@ -1,4 +1,4 @@
-"""Loading a motion from whatever names one: a name, a clip, a robot motion, or the folder of a run."""
+"""Loads a motion from a name, a clip, a robot motion, or the folder of a run."""
 
 import json
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from fastmimic.runs.work_folder import CONFIG, MOTION
 
 @dataclass(frozen=True, eq=False)
 class MotionSource:
-    """A motion that was named, before it is known for which robot.
+    """A motion that was named, before its robot is known.
 
     Attributes:
-        name: what was given, or the name of the clip or motion that was.
-        motion: the robot motion; None for a clip, which has to be retargeted.
+        name: the given name, or that of the given clip or motion.
+        motion: the robot motion; None for a clip, which must be retargeted.
         clip: the clip, its name or its file; None for a robot motion.
-        folder: the folder of the run that was given; None for everything else.
+        folder: the given folder of a run; None for other sources.
     """
 
     name: str
@@ -33,17 +33,16 @@ class MotionSource:
 
     @property
     def robot(self) -> str | None:
-        """The built-in robot of a robot motion, else the robot that its run was given, by name or MJCF file."""
+        """The built-in robot of a robot motion, else the robot argument of its run, by name or MJCF file."""
         if self.motion is None:
             return None
         name = self.motion.meta.get("robot")
         return name if name in ROBOT_NAMES else self.run_arguments().get("robot")
 
     def run_arguments(self) -> dict[str, Any]:
-        """The arguments of the command that wrote the folder; empty without a folder or its `config.json`.
+        """Arguments of the command that wrote the folder; empty without a folder or its `config.json`.
 
-        Raises:
-            MotionError: `config.json` cannot be read.
+        Raises `MotionError` if `config.json` cannot be read.
         """
         if self.folder is None:
             return {}
@@ -58,8 +57,7 @@ class MotionSource:
     def open_clip(self, robot: Robot, **overrides: Any) -> Clip:
         """The clip, as `open_clip` reads it.
 
-        Raises:
-            FastMimicError: a robot motion, a clip that cannot be read, or an override that does not apply.
+        Raises `FastMimicError` for a robot motion, an unreadable clip, or an override that does not apply.
         """
         if self.clip is None:
             raise ConfigError(f"{self.name}: already a robot motion; a clip is needed")
@@ -79,12 +77,10 @@ class MotionSource:
 
 
 def find_motion(source: str | Path | Clip | Motion) -> MotionSource:
-    """Finds out what a source is, and reads it if it is a robot motion.
+    """Finds out the kind of a source, and reads it if it is a robot motion.
 
-    A name goes before a file or a folder of the same name (use ./NAME).
-
-    Raises:
-        MotionError: nothing was named, a folder holds no motion, or a robot motion cannot be read.
+    A name precedes a file or a folder of the same name (use ./NAME). Raises `MotionError` if there is no such source, a
+    folder holds no motion, or a robot motion cannot be read.
     """
     if isinstance(source, Motion):
         return MotionSource(source.name, motion=source)
@@ -108,17 +104,16 @@ def find_motion(source: str | Path | Clip | Motion) -> MotionSource:
 def load_motion(
     source: str | Path | Clip | Motion | MotionSource, robot: Robot | str = "a1", **overrides: Any
 ) -> Motion:
-    """A robot motion from anything that names one.
+    """A robot motion from any source.
 
     Args:
         source: a name of `motion_names()`, a clip file of any known format, a robot motion (`.npz`), the folder of a
-            run, a `Clip` or a `Motion`. A clip is retargeted to the robot. A name goes before a file or a folder.
+            run, a `Clip` or a `Motion`. A clip is retargeted to the robot. A name precedes a file or a folder.
         robot: the robot, its name, or the path of its MJCF.
-        overrides: for clips, as `open_clip` takes them (`fps`, `up`, `point_map`, `scale`, `frames`,
-            `discrete`, `speed`, `yaw_rate`, `duty`).
+        overrides: for clips, as in `open_clip` (`fps`, `up`, `point_map`, `scale`, `frames`, `discrete`, `speed`,
+            `yaw_rate`, `duty`).
 
-    Raises:
-        FastMimicError: nothing of that name, a file that cannot be read, or an override that does not apply.
+    Raises `FastMimicError` if there is no such source, a file cannot be read, or an override does not apply.
     """
     found = source if isinstance(source, MotionSource) else find_motion(source)
     return found.load(load_robot(robot), **overrides)

@@ -11,8 +11,7 @@ from fastmimic.base.files import read_section, remove_file, write_json
 from fastmimic.motion.motion import Motion
 from fastmimic.runs.work_folder import CHECKPOINT, CONFIG, METRICS, MOTION, created, differences
 
-PART_CHECKPOINT: Final = "checkpoint-{}.npz"
-"""Name of the checkpoint of one motion of a stitched run, with its number."""
+PART_CHECKPOINT: Final = "checkpoint-{}.npz"  # of one motion of a stitched run, by number
 CHECKPOINTS: Final = "checkpoint*.npz"
 CONVERGENCE: Final = "convergence.png"
 TRACKING: Final = "tracking.png"
@@ -34,7 +33,7 @@ class RunFolder:
 
     @property
     def checkpoints(self) -> list[Path]:
-        """Checkpoints that exist, those of a stitched run's motions included."""
+        """Existing checkpoints, including those of a stitched run's motions."""
         return sorted(self.path.glob(CHECKPOINTS))
 
     @property
@@ -47,16 +46,9 @@ class RunFolder:
         self._remove(*RESULTS)
 
     def write(self, motion: Motion, config: Mapping[str, Any], metrics: Mapping[str, Any], *, searched: bool) -> None:
-        """Writes the motion, `config.json` and `metrics.json`.
+        """Writes the motion, `config.json` and `metrics.json`; raises `OutputError` if it cannot.
 
-        Args:
-            motion: the result.
-            config: the content of `config.json`.
-            metrics: the content of `metrics.json`.
-            searched: whether the run has a checkpoint; an earlier run's is removed otherwise.
-
-        Raises:
-            OutputError: a file cannot be written.
+        Unless `searched`, the run has no checkpoint, and an earlier run's is removed.
         """
         motion.save(self.path / MOTION)
         write_json(self.path / CONFIG, config)
@@ -65,7 +57,7 @@ class RunFolder:
         self.write_metrics(metrics, None)
 
     def write_metrics(self, metrics: Mapping[str, Any], video_s: float | None) -> None:
-        """Writes `metrics.json` with the time that the video took, s; raises `OutputError`."""
+        """Writes `metrics.json` with the video's rendering time, s; raises `OutputError`."""
         found: dict[str, Any] = {}
         for key, value in metrics.items():
             found[key] = value
@@ -109,11 +101,11 @@ def open_run(
     """Prepares a folder for a run before long work begins. If the run fails, the folder is unchanged.
 
     A folder with a run of other arguments, or with an unfinished run, is refused unless `overwrite` or `resume`. A
-    finished run of the same arguments is replaced. Until there are results, `config.json` describes the running run.
+    finished run of the same arguments is replaced. Until there are results, `config.json` describes the run in
+    progress.
 
     Args:
-        path: the folder.
-        config: the content of `config.json`; its `arguments` tell runs apart.
+        config: the content of `config.json`; its `arguments` identify the run.
         same: the arguments that must be equal for a run to be the same.
         resume: whether the run resumes from the folder's checkpoint.
         overwrite: whether a run of other arguments may be replaced.
@@ -139,7 +131,7 @@ def open_run(
 
 
 def default_folder(root: Path, name: str, *, resume: bool) -> Path:
-    """`root/name`, or with -2, -3, … appended: the first that is free; to resume, the last with a checkpoint."""
+    """`root/name`, or with -2, -3, … appended: the first free one; to resume, the last with a checkpoint."""
     path, taken = root / name, []
     while path.is_file() or (path.is_dir() and any(path.iterdir())):
         taken.append(path)

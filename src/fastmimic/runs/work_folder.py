@@ -1,4 +1,4 @@
-"""A folder in which long work is kept: the names of its files, what may be replaced, and what can be resumed."""
+"""A folder of long work: its files, and the rules to replace or resume it."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -25,11 +25,10 @@ class WorkFolder:
     """A folder of long work, which is begun, resumed or replaced.
 
     Attributes:
-        path: the folder.
         what: the kind of work with its article, such as "a training".
         record: name of the JSON file with the settings of the work.
         section: the object in `record` that must be the same to resume.
-        files: patterns of the other files that belong to the work, relative to the folder.
+        files: patterns of the other files of the work, relative to the folder.
         experiment: name of the experiment in `record`; None for other work.
     """
 
@@ -41,7 +40,7 @@ class WorkFolder:
     experiment: str | None = None
 
     def found(self) -> list[str]:
-        """Names of the work's files and subfolders that exist."""
+        """Names of the work's existing files and subfolders."""
         names = dict.fromkeys(pattern.split("/")[0] for pattern in (self.record, *self.files))
         return [name for name in names if (self.path / name).exists()]
 
@@ -65,8 +64,7 @@ class WorkFolder:
 
         Raises:
             ConfigError: both `resume` and `overwrite`.
-            OutputError: the folder holds something else, work with other settings, or work that would be lost; or
-                nothing to resume.
+            OutputError: the folder holds other files or other work, or there is nothing to resume.
         """
         path, what, earlier = self.path, self.what, self.earlier()
         if resume and overwrite:
@@ -87,7 +85,7 @@ class WorkFolder:
             )
 
     def clear(self) -> None:
-        """Removes the work: its own files, and subfolders that are empty afterwards; raises `OutputError`."""
+        """Removes the work's files, and subfolders that are empty afterwards; raises `OutputError`."""
         for pattern in (self.record, *self.files):
             for file in self.path.glob(pattern):
                 remove_file(file)
@@ -100,7 +98,7 @@ class WorkFolder:
         write_text(self.path / name, text)
 
     def read(self, *names: str) -> str:
-        """The texts of those files that exist, joined."""
+        """The texts of the existing ones of these files, joined."""
         files = [self.path / name for name in names]
         return "\n".join(file.read_text(encoding="utf-8") for file in files if file.is_file())
 
@@ -115,8 +113,7 @@ def differences(same: Mapping[str, Any], earlier: Mapping[str, Any]) -> str:
 def created(path: Path) -> Iterator[None]:
     """Creates a folder with its parents; if the block fails, removes those that are empty.
 
-    Raises:
-        OutputError: the folder cannot be written to.
+    Raises `OutputError` if the folder cannot be written to.
     """
     new = [folder for folder in (path, *path.parents) if not folder.exists()]
     check_folder(path)
