@@ -1,7 +1,7 @@
-"""Libraries of motions that a robot can execute, with the evidence: from takes and clips to a dataset.
+"""Libraries of motions that a robot can execute, with their evaluation.
 
-`build_dataset` finds motions in every source, optimises each for each robot and seed, evaluates it in other conditions,
-and keeps one record of each. `MotionDataset` is the folder of the result.
+`build_dataset` finds motions in every source, optimises each for each robot and seed, evaluates it under several
+conditions, and keeps one record of each. `MotionDataset` is the folder of the result.
 """
 
 from fastmimic.dataset.build import BuildRequest, build_dataset

@@ -1,4 +1,4 @@
-"""BuildRequest a library: look through the sources, do the jobs that are not done, write the index."""
+"""Builds a library: surveys the sources, runs the remaining jobs, writes the index."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 CONFIDENCE: Final = 0.5
 INDEX_EVERY: Final = 200
 INDEX_SHARE: Final = 0.1
-"""The index is written anew while a build goes on after so many records, and so large a share of all that are there:
-it is made of all records, and would take most of the time of a large library otherwise."""
+"""A running build writes the index after `INDEX_EVERY` new records, if these are so large a share of all; writing the
+index reads every record."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +38,13 @@ class BuildRequest:
 
     Attributes:
         sources: of the motions.
-        recipe: how they are made.
+        recipe: settings of all jobs.
         robots: built-in names, or paths of MJCFs.
-        seeds: searches for each piece and robot, with CMA-ES seeds 0 to seeds − 1.
-        confidence: from which a cycle found in a take counts.
-        discrete: whether movement in takes that does not repeat is imitated, too.
-        warm: a library whose results searches begin from; None to begin from the unmodulated motion.
-        folders: that the sources were found in, by their whole paths: what was found in files that are not there any
-            more is forgotten.
+        seeds: searches for each excerpt and robot, with CMA-ES seeds 0 to seeds − 1.
+        confidence: least confidence of a cycle found in a take.
+        discrete: whether to imitate movement in takes that does not repeat, too.
+        warm: a library with the motions that searches begin from; None to begin from the unmodulated motion.
+        folders: absolute paths of the sources' folders; excerpts of files no longer in them are forgotten.
     """
 
     sources: Sequence[DatasetSource]
@@ -68,14 +67,13 @@ class BuildRequest:
 
 @dataclass(frozen=True)
 class BuildStep:
-    """How far a build is.
+    """Progress of a build.
 
     Attributes:
         what: 'looking' through sources, or 'making' motions.
-        done, total: how many of them.
+        done, total: number of them.
         share: of all work of that kind, in [0, 1].
-        record: the one that was just finished, if one was.
-        survey: likewise.
+        record, survey: the one that was just finished, if any.
     """
 
     what: str
@@ -88,15 +86,14 @@ class BuildStep:
 
 @dataclass(frozen=True)
 class Built:
-    """What came of a build.
+    """Result of a build.
 
     Attributes:
-        library: the library.
-        table: its index, as Arrow has it.
-        surveys: of the sources that were asked for.
-        ids: of the records of the jobs that they make.
-        done: how many of them were done now; the others were there.
-        left_out: robot motions that are none of the robots', a line each.
+        table: the library's index, an Arrow table.
+        surveys: of the requested sources.
+        ids: of the records of their jobs.
+        done: number of jobs done now; the others were finished before.
+        left_out: robot motions for none of the robots, one line each.
     """
 
     library: MotionDataset
@@ -108,18 +105,18 @@ class Built:
 
     @property
     def jobs(self) -> int:
-        """How many jobs the sources make."""
+        """Number of jobs from the sources."""
         return len(self.ids)
 
     @cached_property
     def rows(self) -> list[Row]:
-        """Those of the index, with what other builds have made."""
+        """Rows of the index, including results of other builds."""
         rows: list[Row] = self.table.to_pylist()
         return rows
 
     @cached_property
     def failures(self) -> list[str]:
-        """What of this build could not be done, a line each: source or motion, and why."""
+        """Failures of this build, one line each: source or motion, and the reason."""
         found = [survey.problem for survey in self.surveys if survey.failed is not None and survey.problem is not None]
         rows = self.table.select(["id", "status", "name", "robot", "seed", "reason"]).to_pylist()
         return found + [describe_failure(row) for row in rows if row["id"] in self.ids and row["status"] == FAILED]
@@ -133,22 +130,21 @@ def build_dataset(
     update: bool = False,
     progress: Callable[[BuildStep], None] | None = None,
 ) -> Built:
-    """Builds a library, or does what is missing in one.
+    """Builds a library, or completes an existing one.
 
     Args:
-        building: what.
-        out: its folder; with a cluster, one that all machines see under the same path, as the sources.
-        executor: where.
-        update: whether a library of another recipe may be made anew; its motions stay in the folder until removed. All
-            sources are looked through again, too.
+        building: what to build.
+        out: its folder; a cluster needs it, and the sources, under the same path on all machines.
+        executor: where to run the jobs.
+        update: whether to allow another recipe than the library's, and survey all sources again. Motions of the earlier
+            recipe stay in the folder until removed.
         progress: called with every step.
 
     Raises:
-        LibraryError: the folder holds a library of another recipe, or one that is being mended, or Arrow is not
-            installed.
-        ConfigError: there is no such robot.
-        OutputError: the folder cannot be written to, such as a full disk. What is finished is kept.
-        KeyboardInterrupt: Ctrl-C; likewise.
+        LibraryError: the library has another recipe or is under repair, or Arrow is not installed.
+        ConfigError: no such robot.
+        OutputError: the folder cannot be written to, such as a full disk. Finished records are kept.
+        KeyboardInterrupt: Ctrl-C; finished records are kept.
     """
     require_pyarrow()
     began = now()
@@ -203,13 +199,12 @@ def _build(
 
 
 def describe_failure(record: Mapping[str, Any]) -> str:
-    """Of which motion, and why."""
+    """The motion and the reason of the failure."""
     return f"{record['name']} on {record['robot']} seed {record['seed']}: {record['reason']}"
 
 
 def _settle(library: MotionDataset, ids: frozenset[str]) -> Gathered:
-    """Writes the index of a build that ends. Records of its own that others, which began otherwise, have come after
-    become the last ones."""
+    """Writes the final index; makes the build's own records the latest among those that differ only in their start."""
     found = library.write_index()
     earlier = [old.id for old in found.superseded if old.id in ids and old.instead is not None]
     for record in filter(None, (load_record(library.path, identity) for identity in earlier)):
@@ -239,7 +234,7 @@ def _begin(library: MotionDataset, recipe: BuildSettings, update: bool) -> None:
 
 
 def _place(robot: str) -> str:
-    """A robot as any process finds it: files by their whole path."""
+    """A robot's name or absolute path, valid in any process."""
     path = Path(robot)
     return str(path.resolve()) if path.is_file() else robot.lower()
 
@@ -252,8 +247,7 @@ def _look(
     *,
     again: bool,
 ) -> list[Survey]:
-    """Looks through the sources, but for those that are as they were; what is found is kept in the library, and
-    returned in the order of the sources."""
+    """Surveys the sources that changed, saves the surveys, and returns all in the order of the sources."""
     sources = list(building.sources)
     known = {survey.source: survey for survey in library.surveys()}
     found: dict[int, Survey] = {}
@@ -279,9 +273,8 @@ def _look(
 
 
 def _forget(library: MotionDataset, building: BuildRequest, known: Iterable[Survey]) -> None:
-    """Forgets what was found in the same parts of the same files when they were read otherwise: at another rate, with
-    another licence. Of the folders that are built of, also what is not there any more, and what could not be read and
-    is not asked for any more."""
+    """Forgets surveys of the same parts of files that were read with other settings (rate, licence); for the build's
+    folders also those of removed files, and failures of sources not requested now."""
     sources = building.sources
     keys, parts = {source.key for source in sources}, {(source.place, source.frames) for source in sources}
     for old in known:
@@ -304,17 +297,17 @@ def _make(
     executor: Executor,
     tell: Callable[[BuildStep], None],
 ) -> int:
-    """Does the jobs whose record is not there; how many."""
+    """Runs the jobs without a record; returns their number."""
     missing = [job for job in jobs if not seen.finished(job.id, job.motion_file)]
-    # builders that share a folder begin at different ends, and each leaves out what another has done meanwhile
+    # in random order, so that builders in the same folder do different jobs; each skips those of the others
     Random().shuffle(missing)
     total, done = len(jobs), len(jobs) - len(missing)
-    begun: dict[int, float] = {}  # the share that is done of each that runs
+    begun: dict[int, float] = {}  # finished share of each running job
     over: set[int] = set()
     tell(BuildStep("making", done, total, done / total if total else 1.0))
 
     def progress(index: int, share: float) -> None:
-        if index not in over:  # it may have been told late
+        if index not in over:  # the report may come late
             begun[index] = share
         tell(BuildStep("making", done, total, (done + sum(begun.values())) / total))
 

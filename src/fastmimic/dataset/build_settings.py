@@ -1,4 +1,4 @@
-"""How the motions of a library are made and tried: the same for all of them."""
+"""Settings of the optimisation and evaluation of all motions of a library."""
 
 import hashlib
 import json
@@ -20,17 +20,17 @@ SECOND_SIMULATOR_EPISODES: Final = 3
 
 @dataclass(frozen=True)
 class BuildSettings:
-    """What all jobs of a library have in common.
+    """Settings of all jobs of a library.
 
     Attributes:
         method: one of `fastmimic.imitation.methods.METHODS`.
         config: name of the controller's parameters, or their file.
         duration_s: length of the search's episodes, s.
         iterations, population: of CMA-ES.
-        evaluation_s: length of the episodes that a motion is tried in, s.
-        perturbed: how many of them begin perturbed.
-        others: how many other robots it is tried on: other floors, loads and motors, drawn from the usual ranges.
-        second_simulator: whether it is tried in PyBullet, where that knows the robot.
+        evaluation_s: length of the evaluation's episodes, s.
+        perturbed: number of evaluation episodes from perturbed starts.
+        others: number of other robots in the evaluation, with floors, loads and motors from the usual ranges.
+        second_simulator: whether to evaluate in PyBullet, if it knows the robot.
     """
 
     method: str = "mbc-dmp"
@@ -47,7 +47,7 @@ class BuildSettings:
         if method_named(self.method).name == RL:
             raise ConfigError("a library's motions are made by a model-based method; a policy is not one motion")
         controller_config(self.config)
-        if self.config not in CONFIGS:  # as any process finds it
+        if self.config not in CONFIGS:  # an absolute path, valid in any process
             object.__setattr__(self, "config", str(Path(self.config).resolve()))
         CmaSettings(self.iterations, self.population)
         Objective(self.duration_s)
@@ -59,14 +59,14 @@ class BuildSettings:
 
     @cached_property
     def digest(self) -> str:
-        """16 hexadecimal digits of all that it says; of a file with the controller's parameters, what is in it."""
+        """16 hexadecimal digits of all settings, including the content of a parameter file."""
         config = self.config if self.config in CONFIGS else "a file"
         said = {**asdict(self), "config": config, "over": Randomization().as_dict()["over"]}
         return _digest({**self._search(), **said})
 
     @cached_property
     def search_digest(self) -> str:
-        """Of what a search depends on, but for its length: a longer one goes on from a shorter one's checkpoint."""
+        """Digest of a search's settings without its length: a longer search resumes a shorter one's checkpoint."""
         return _digest(self._search())
 
     def _search(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What a source holds that can be imitated: whole motions, and the cycles of long takes."""
+"""Excerpts of a source to imitate: whole motions, and the cycles of long takes."""
 
 import hashlib
 import json
@@ -24,8 +24,7 @@ from fastmimic.primitive.discrete import MAX_S
 from fastmimic.retargeting.retarget import is_one_cycle
 
 SOURCES: Final = "sources"
-WHOLE: Final = "whole"
-"""Of a piece that is not looked at: a robot motion, or frames that were given."""
+WHOLE: Final = "whole"  # gait of an excerpt without a search for cycles: a robot motion, or given frames
 
 
 @dataclass(frozen=True)
@@ -34,15 +33,13 @@ class Excerpt:
 
     Attributes:
         name: unique within the source.
-        source: where it is from.
-        frames: (first, end) in it; None for all of it.
+        frames: (first, end) in the source; None for all of it.
         digest: of its content: 16 hexadecimal digits.
-        gait, footfall: as in `fastmimic.clips.segment.Segment`; `WHOLE` where nothing was looked for.
-        confidence: likewise; 1 where nothing was looked for.
-        repeats: whether it is taken for a cycle.
-        period_s, speed_m_s, yaw_rate_rad_s: in the animal's size, or the robot's if it is its motion.
-        robot: whose motion it is already, if it is one; None for an animal's.
-        licence, credit: of the recording; None where nobody says.
+        gait, footfall, confidence: as in `fastmimic.clips.segment.Segment`; `WHOLE` and 1 without a search for cycles.
+        repeats: whether it counts as a cycle.
+        period_s, speed_m_s, yaw_rate_rad_s: in the animal's size, or the robot's for a robot motion.
+        robot: of a robot motion; None for an animal's.
+        licence, credit: of the recording; None if unknown.
     """
 
     name: str
@@ -62,7 +59,7 @@ class Excerpt:
 
     @property
     def described(self) -> dict[str, Any]:
-        """What records say of it: what it is, where from, and under which licence."""
+        """Its part of a record: description, source, and licence."""
         first, end = self.frames or (None, None)
         return {
             "name": self.name,
@@ -78,11 +75,7 @@ class Excerpt:
         }
 
     def open(self) -> Clip | Motion:
-        """The piece itself.
-
-        Raises:
-            FastMimicError: it cannot be read, or is not what it was when it was found.
-        """
+        """The clip or motion; raises `FastMimicError` if it cannot be read or has changed since the survey."""
         whole = _open(self.source)
         if isinstance(whole, Motion):
             piece: Clip | Motion = whole
@@ -104,14 +97,13 @@ _KINDS: Final = {
 
 @dataclass(frozen=True)
 class Survey:
-    """What was found in a source.
+    """Result of a search through a source.
 
     Attributes:
-        source: the source.
-        pieces: to be imitated.
+        pieces: excerpts to imitate.
         skipped: why there are none; None if there are.
-        failed: why it cannot be read; None if it can.
-        looked: when what looked at it as it was then (see `look_of`); None if that cannot be told.
+        failed: why the source cannot be read; None if it can.
+        looked: settings and state of the source at the time (see `look_of`); None if unknown.
     """
 
     source: DatasetSource
@@ -122,18 +114,17 @@ class Survey:
 
     @property
     def problem(self) -> str | None:
-        """Why there are no pieces, with the source's name; None if there are."""
+        """Why there are no excerpts, with the source's name; None if there are."""
         said = self.failed or self.skipped
         return said if said is None or said.startswith(self.source.place) else f"{self.source}: {said}"
 
 
 def survey(source: DatasetSource, confidence: float, discrete: bool = False) -> Survey:
-    """Looks through a source; what is wrong with it is part of the result.
+    """Searches a source for excerpts; errors become part of the result.
 
     Args:
-        source: the source.
-        confidence: from which a cycle found in a take counts.
-        discrete: whether movement in a take that does not repeat is imitated, too.
+        confidence: least confidence of a cycle found in a take.
+        discrete: whether to imitate movement in a take that does not repeat, too.
     """
     try:
         looked = look_of(source, confidence, discrete)
@@ -143,13 +134,9 @@ def survey(source: DatasetSource, confidence: float, discrete: bool = False) -> 
 
 
 def look_of(source: DatasetSource, confidence: float, discrete: bool) -> str | None:
-    """What a survey depends on, with a file told by its size and time: one that says the same need not be made again.
+    """The inputs of a `survey`, with a file's size and time, in words; equal inputs need no new survey.
 
-    Args:
-        source, confidence, discrete: as of `survey`.
-
-    Returns:
-        In words; None for a name, of which it cannot be told.
+    Returns None for a motion's name, which has no file to compare.
     """
     files = [source.place, *([] if source.point_map is None else [source.point_map])]
     try:
@@ -171,7 +158,7 @@ def _found(source: DatasetSource, confidence: float, discrete: bool) -> Survey:
 
 
 def reason_of(error: Exception) -> str:
-    """In one line why something could not be done; a defect with its kind and place."""
+    """The reason of a failure in one line; for a defect with its type and place."""
     if isinstance(error, FastMimicError):
         said = str(error)
     elif isinstance(error, MemoryError):
@@ -215,8 +202,7 @@ def _of_motion(source: DatasetSource, motion: Motion) -> Excerpt:
 
 
 def _of_take(source: DatasetSource, take: Clip, confidence: float, discrete: bool) -> Survey:
-    """What of a take is to be imitated; or the whole of a short clip, if it is one cycle by what it says or by its
-    ends."""
+    """Excerpts of a take; the whole of a short clip that is one cycle by its description or its ends."""
     segments = find_segments(take)
     cycles = [(segment, segment.cycle) for segment in segments if segment.cycle is not None]
     found = [
@@ -262,7 +248,7 @@ def _piece(source: DatasetSource, cut: Clip, frames: tuple[int, int], segment: S
 
 
 def digest_of(piece: Clip | Motion) -> str:
-    """16 hexadecimal digits of all of a piece that counts: not of its name and place."""
+    """16 hexadecimal digits of an excerpt's content, without its name and place."""
     found = hashlib.sha256()
     if isinstance(piece, Motion):
         for motion in (piece, piece.target):
@@ -278,13 +264,13 @@ def digest_of(piece: Clip | Motion) -> str:
 
 
 def save_survey(folder: Path, found: Survey) -> None:
-    """Keeps what was found in a source; raises `OutputError` if it cannot."""
+    """Saves a survey; raises `OutputError` if it cannot."""
     text = json.dumps(asdict(found), indent=1, allow_nan=False)
     write_text(folder / SOURCES / f"{found.source.key}.json", text)
 
 
 def remove_survey(folder: Path, found: Survey) -> None:
-    """Forgets what was found in a source; raises `OutputError` if it cannot."""
+    """Removes a survey; raises `OutputError` if it cannot."""
     path = folder / SOURCES / f"{found.source.key}.json"
     try:
         path.unlink(missing_ok=True)
@@ -293,12 +279,12 @@ def remove_survey(folder: Path, found: Survey) -> None:
 
 
 def load_surveys(folder: Path) -> tuple[list[Survey], list[str]]:
-    """What was found in the sources of a library, by their names; and the files that cannot be read, a line each."""
+    """The surveys of a library by source name, and the unreadable files, one line each."""
     found, unreadable = [], []
     for path in sorted((folder / SOURCES).glob("*.json")):
         try:
             found.append(_load(path))
-        except FileNotFoundError:  # another builder has forgotten it meanwhile
+        except FileNotFoundError:  # another builder has removed it meanwhile
             continue
         except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
             unreadable.append(f"{SOURCES}/{path.name}: cannot be read ({error}); the next build of its source mends it")

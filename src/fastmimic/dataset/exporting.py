@@ -1,4 +1,4 @@
-"""A library's motions for other trainers."""
+"""Exports a library's motions for other trainers."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ _COLUMNS: Final = (
     *("yaw_rate_rad_s", "source", "licence", "credit", "id"),
 )
 NEEDED: Final = (*_COLUMNS[1:], "robot_file", "motion_file", "lacks")
-"""Columns of the index that an export is made of."""
+"""Columns of the index that an export needs."""
 
 
 def export_library(
@@ -29,22 +29,17 @@ def export_library(
     fps: float = DEFAULT_FPS,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Writes motions as `fastmimic.motion.export` does, and a table of them.
+    """Writes motions as `fastmimic.motion.export` does, and a table of them; returns the table's file.
 
     Args:
-        library: the library.
-        rows: of its index, each with a motion; `NEEDED` of their columns.
-        folder: where to.
+        rows: of the library's index, with the columns `NEEDED`, each with a motion.
+        folder: of the export.
         form: one of `fastmimic.motion.export.EXPORTS`.
-        fps: frames a second.
+        fps: frames per second.
         progress: called with (files done, files in all).
 
-    Returns:
-        The table's file.
-
-    Raises:
-        FastMimicError: a folder within the library, an unknown format, a damaged motion, or a file that cannot be
-            written.
+    Raises `FastMimicError` for a folder within the library, an unknown format, a damaged motion, or a file that cannot
+    be written.
     """
     if Path(folder).resolve().is_relative_to(library.path.resolve()):
         raise LibraryError(

@@ -1,7 +1,7 @@
-"""Which motions were whole when they were last read, so that a build need not read all of them whenever it starts.
+"""A cache of intact records and motions, so that a build need not read all of them at its start.
 
-A file is told by its size and its time. Where either differs, it is read; what the file system loses without a trace,
-`fastmimic.dataset.folder.check` finds.
+It compares sizes and times of files, and reads a file only if they differ. `fastmimic.dataset.folder.check` finds other
+damage.
 """
 
 import json
@@ -15,10 +15,10 @@ FILE: Final = "work/seen.json"
 
 
 class FinishedJobs:
-    """What of a library was whole."""
+    """The known intact files of a library."""
 
     def __init__(self, folder: Path) -> None:
-        """As it was kept last; nothing, if that is not there or damaged."""
+        """Loads the saved state; empty if that is missing or damaged."""
         self._folder = folder
         self._states: dict[str, list[int]] = {}
         self._changed = False
@@ -30,12 +30,7 @@ class FinishedJobs:
             self._states = said
 
     def finished(self, identity: str, motion_file: str) -> bool:
-        """Whether a record is there whose motion could be made, and both are whole.
-
-        Args:
-            identity: of the record.
-            motion_file: of its motion, relative to the library.
-        """
+        """Whether the record of a successful job and its motion (`motion_file`, relative to the library) are intact."""
         state = self._state(identity, motion_file)
         if state is not None and self._states.get(identity) == state:
             return True
@@ -46,14 +41,14 @@ class FinishedJobs:
         return found
 
     def add(self, identity: str, motion_file: str) -> None:
-        """Takes both as they are now for whole."""
+        """Marks the record and its motion as intact."""
         state = self._state(identity, motion_file)
         if state is not None:
             self._states[identity] = state
             self._changed = True
 
     def save(self) -> None:
-        """Keeps it for the next time; raises `OutputError` if it cannot."""
+        """Saves the state; raises `OutputError` if it cannot."""
         if self._changed:
             text = json.dumps(self._states)
             write_text(self._folder / FILE, text)

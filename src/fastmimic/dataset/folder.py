@@ -1,16 +1,15 @@
 """A library on disk.
 
-    library.json            how its motions are made
+    library.json            recipe: settings of its motions
     index.parquet           a row for each record, graded
     records/ID.json         a record
     motions/NAME-ID.npz     its motion
-    sources/KEY.json        what was found in a source
-    robots/KEY.json         which description of a robot counts
-    work/                   checkpoints; may be removed, and then nothing goes on from them
+    sources/KEY.json        survey of a source
+    robots/KEY.json         digest of a robot's description
+    work/                   checkpoints; without them, jobs cannot resume
 
-Everything is named by its content and written whole or not at all, so that any number of builders may work in one
-folder, and what one of them was killed over is done again by the next. The index is made of the records whenever a
-builder ends; it is never the only place of anything.
+Files are named by content and written atomically, so that any number of builders may share a folder, and the next one
+repeats the work of a killed one. Every builder ends by making the index from the records, which hold all its data.
 """
 
 import json
@@ -41,54 +40,42 @@ Row = dict[str, Any]
 
 
 class DamagedError(LibraryError):
-    """A library whose recipe cannot be read."""
+    """The recipe of a library cannot be read."""
 
 
 @dataclass(frozen=True)
 class MotionDataset:
-    """A folder with a library.
-
-    Attributes:
-        path: the folder.
-    """
+    """The folder (`path`) of a library."""
 
     path: Path
 
     @classmethod
     def open(cls, path: str | Path) -> "MotionDataset":
-        """An existing one. What of it is damaged, `plan` tells.
-
-        Raises:
-            LibraryError: there is none, or it is of another format.
-        """
+        """Opens an existing library; `plan` reports damage. Raises `LibraryError` if there is none, or it has another
+        format."""
         library = cls(Path(path))
         if not (library.path / SETTINGS).is_file():
             raise LibraryError(f"{path}: no library there; 'fastmimic library build SOURCES --out {path}' makes one")
         with suppress(DamagedError):
-            library.recipe_digest()  # the format is checked
+            library.recipe_digest()  # checks the format
         return library
 
     def recipe(self) -> BuildSettings | None:
-        """How its motions are made; None if it is not begun.
+        """The settings of its motions; None if it is not begun.
 
-        Raises:
-            LibraryError: it cannot be read.
-            ConfigError: the file of the controller's parameters is not there any more.
+        Raises `LibraryError` if they cannot be read, `ConfigError` if the controller's parameter file is missing.
         """
         said = self.settings()
         return BuildSettings(**said) if said else None
 
     def settings(self) -> dict[str, Any]:
-        """The recipe as it is written down, empty if there is none; raises `LibraryError` if it cannot be read."""
+        """The recipe as saved, empty if there is none; raises `LibraryError` if it cannot be read."""
         said = self._settings()
         return {} if said is None else dict(said["recipe"])
 
     def recipe_digest(self) -> str | None:
-        """Of how its motions are made, at the time when they were, whatever has become of a configuration's file.
-
-        Raises:
-            LibraryError: it cannot be read.
-        """
+        """The saved digest of the recipe, even if a configuration file changed since; raises `LibraryError` if it
+        cannot be read."""
         said = self._settings()
         return None if said is None else said["digest"]
 
@@ -110,22 +97,22 @@ class MotionDataset:
         return said
 
     def save_recipe(self, recipe: BuildSettings) -> None:
-        """Writes it; raises `OutputError` if it cannot."""
+        """Writes the recipe; raises `OutputError` if it cannot."""
         text = json.dumps(
             {"format_version": FORMAT_VERSION, "digest": recipe.digest, "recipe": asdict(recipe)}, indent=1
         )
         write_text(self.path / SETTINGS, text)
 
     def save_robot(self, robot: str, digest: str) -> None:
-        """Keeps the digest of a robot's description; raises `OutputError` if it cannot."""
+        """Saves the digest of a robot's description; raises `OutputError` if it cannot."""
         save_robot(self.path, robot, digest)
 
     def surveys(self) -> list[Survey]:
-        """What was found in its sources, but for those whose file is damaged."""
+        """The surveys of its sources, without damaged ones."""
         return load_surveys(self.path)[0]
 
     def plan(self) -> Membership:
-        """What it is to hold; raises `LibraryError` if it is of another format."""
+        """Which records belong to it; raises `LibraryError` for another format."""
         surveys, sources = load_surveys(self.path)
         robots, unreadable = load_robots(self.path)
         try:
@@ -140,28 +127,23 @@ class MotionDataset:
         return Membership(recipe, robots, pieces, (*unreadable, *sources), not sources, problems)
 
     def record_ids(self) -> set[str]:
-        """Of all records that are there, whether they belong to it or not."""
+        """Ids of all existing records, whether they belong to it or not."""
         return {path.stem for path in (self.path / RECORDS).glob("*.json")}
 
     def holds(self, recipe: str) -> bool:
-        """Whether any of its records is of the recipe with that digest, or it has none."""
+        """Whether it has no records, or one of the recipe with that digest."""
         paths = list((self.path / RECORDS).glob("*.json"))
         return not paths or any(record is not None and record["recipe"] == recipe for record in map(read_record, paths))
 
     def gathered(self) -> Gathered:
-        """All its records, those that belong to it and those that do not any more."""
+        """All its records, including superseded ones."""
         return gather(self.path, self.plan())
 
     def write_index(self, *, settled: bool = True) -> Gathered:
-        """Makes the index of what is there; that.
+        """Writes and returns the index of the existing records.
 
-        Args:
-            settled: whether to make it again until no other builder has finished anything meanwhile: for one that ends,
-                as another may have ended while this one wrote. While jobs run, there is always something.
-
-        Raises:
-            LibraryError: Arrow is not installed.
-            OutputError: it cannot be written.
+        With `settled`, repeats this until no other builder has finished a record meanwhile; for use at the end of a
+        build. Raises `LibraryError` if Arrow is not installed, `OutputError` if the index cannot be written.
         """
         parquet = require_pyarrow()
         while True:
@@ -172,19 +154,13 @@ class MotionDataset:
                 return found
 
     def index(self, columns: Sequence[str] = ()) -> list[Row]:
-        """The rows of the index.
-
-        Args:
-            columns: those that are wanted; all if empty, which are many for a large library.
-
-        Raises:
-            LibraryError: there is none, or it is damaged.
-        """
+        """Rows of the index, with all columns if `columns` is empty; raises `LibraryError` if it is missing or
+        damaged."""
         rows: list[Row] = self.index_table(columns).to_pylist()
         return rows
 
     def index_table(self, columns: Sequence[str] = ()) -> "pyarrow.Table":
-        """The same as Arrow's table; raises as `index`."""
+        """The index as an Arrow table; raises as `index`."""
         parquet = require_pyarrow()
         path = self.path / INDEX
         if not path.is_file():
@@ -202,11 +178,8 @@ class MotionDataset:
         return table
 
     def find(self, name: str) -> list[Row]:
-        """The rows whose id begins with `name`, or whose name it is.
-
-        Raises:
-            LibraryError: there are none; the closest names are listed.
-        """
+        """Rows with this name, or with an id that begins with it; otherwise raises `LibraryError` with the closest
+        names."""
         table = self.index_table()
         rows = table.select(["id", "name"]).to_pylist()
         found = [i for i, row in enumerate(rows) if row["name"] == name]
@@ -220,18 +193,13 @@ class MotionDataset:
         return chosen
 
     def motion(self, row: Row) -> Motion:
-        """The motion of a row.
-
-        Raises:
-            LibraryError: it could not be made.
-            MotionError: its file is damaged.
-        """
+        """The motion of a row; raises `LibraryError` if the job failed, `MotionError` if the file is damaged."""
         if row["motion_file"] is None:
             raise LibraryError(f"'{row['name']}' on {row['robot']} has no motion: {row['lacks']}")
         return Motion.load(self.path / row["motion_file"])
 
     def _state(self) -> set[tuple[str, int]]:
-        """The records' files with their times of writing."""
+        """The records' files with their modification times."""
         found = set()
         for path in (self.path / RECORDS).glob("*.json"):
             with suppress(FileNotFoundError):
@@ -241,15 +209,16 @@ class MotionDataset:
 
 @dataclass(frozen=True)
 class DatasetHealth:
-    """What `check` found.
+    """Result of `check`.
 
     Attributes:
-        records: how many were looked at.
-        damaged: what is wrong, a line each; to build again mends it.
-        useless: the files of damaged records, relative to the library.
-        foreign: files of no record that belongs to it: of earlier recipes, changed sources, or killed builders.
-        unreadable: the lines of `damaged` about files that say what the library is made of.
-        outdated: whether the index is not of these records.
+        records: number of records read.
+        damaged: defects, one line each; a new build repairs them.
+        useless: files of damaged records, relative to the library.
+        foreign: files of no record that belongs to the library: of earlier recipes, changed sources, or killed
+            builders.
+        unreadable: the lines of `damaged` about the recipe, sources and robots.
+        outdated: whether the index does not match the records.
     """
 
     records: int
@@ -261,17 +230,12 @@ class DatasetHealth:
 
     @property
     def sound(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether there is no defect."""
         return not self.damaged and not self.outdated
 
 
 def check(library: MotionDataset, progress: Callable[[int, int], None] | None = None) -> DatasetHealth:
-    """Reads everything in a library, and says what is wrong.
-
-    Args:
-        library: the library.
-        progress: called with (files done, files in all).
-    """
+    """Reads every file of a library and reports defects; calls `progress` with (files done, files in all)."""
     there = {f"{MOTIONS}/{path.name}" for path in (library.path / MOTIONS).glob("*")}
     plan = library.plan()
     found = gather(library.path, plan)
@@ -290,7 +254,7 @@ def check(library: MotionDataset, progress: Callable[[int, int], None] | None = 
     foreign |= {
         str(path.relative_to(library.path))
         for pattern in (f".{INDEX}.*", f".{SETTINGS}.*", *(f"{name}/.*.json.*" for name in (RECORDS, SOURCES, ROBOTS)))
-        for path in library.path.glob(pattern)  # `fastmimic.base.files.replace_file` was killed
+        for path in library.path.glob(pattern)  # a killed `fastmimic.base.files.replace_file` left it
     }
     records = len(motions) + len(found.superseded) + len(found.torn)
     return DatasetHealth(
@@ -306,5 +270,5 @@ def _outdated(library: MotionDataset, found: Gathered) -> bool:
 
 
 def reproducible(record: Record) -> Record:
-    """The part of a record that is the same whenever, wherever and by whomever it is made."""
+    """The part of a record that every repetition reproduces, at any time and on any machine."""
     return {name: value for name, value in record.items() if name not in COSTS}

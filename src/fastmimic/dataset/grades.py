@@ -1,7 +1,6 @@
-"""What a motion's evidence is worth: grades, by one table for all of them.
+"""Grades of motions, by one table for all of them.
 
-A record keeps the figures, and the grade is told from them when it is asked for, so that other thresholds need nothing
-to be run again.
+Records keep only figures; grades are computed on demand, so that other thresholds need no new run.
 """
 
 from collections.abc import Mapping
@@ -19,8 +18,8 @@ class Demand:
     """A bound on a figure.
 
     Attributes:
-        figure: of the record; one that a record does not have, because it was not tried, is not asked for.
-        least, most: what it must not be below, or above; None for no bound.
+        figure: of the record; ignored if the record lacks it, because it was not evaluated.
+        least, most: inclusive bounds; None for no bound.
         says: the figure in words.
     """
 
@@ -30,7 +29,7 @@ class Demand:
     says: str = ""
 
     def unmet(self, record: Mapping[str, Any]) -> str | None:
-        """What is wrong, in words; None if nothing is."""
+        """The violation in words; None if the record meets the demand."""
         value = record[self.figure]
         if value is None:
             return None
@@ -69,16 +68,12 @@ GRADES: Final[dict[str, tuple[Demand, ...]]] = {
         Demand("swing_clearance_least_share", least=0.5, says="share of the demonstration's swing clearance"),
     ),
 }
-"""From the best to the least that is kept; a grade asks for all that those below it ask for, too."""
+"""From the best grade to the lowest; a grade includes the demands of those below it."""
 KEPT: Final = tuple(GRADES)
 
 
 def grade(record: Mapping[str, Any]) -> tuple[str, str]:
-    """The grade of a record, and what it lacks for a better one.
-
-    Returns:
-        One of `GRADES`, `REJECTED` or `FAILURE`; and in words why it is not the next better one, empty for the best.
-    """
+    """The grade of a record (`GRADES`, `REJECTED` or `FAILURE`), and why it is not better; empty for the best."""
     if record["status"] == FAILED:
         return FAILURE, str(record["reason"])
     reached, lacks = REJECTED, ""
@@ -94,6 +89,6 @@ def grade(record: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def rank(record: Mapping[str, Any]) -> tuple[int, float]:
-    """By which the best of several seeds is chosen, the greatest first."""
+    """Sort key; the greatest is the best of several seeds."""
     names = [FAILURE, REJECTED, *reversed(KEPT)]
     return names.index(grade(record)[0]), record["reward_perturbed"] or 0.0

@@ -1,7 +1,6 @@
 """The index of a library: all records that belong to it, graded, as a table.
 
-Records are read one after another into columns: as objects of Python's, a hundred thousand of them would take a
-gigabyte.
+Records are read one by one into columns: as Python objects, a hundred thousand would take a gigabyte.
 """
 
 from collections.abc import Mapping
@@ -18,13 +17,13 @@ if TYPE_CHECKING:
     import pyarrow
 
 GRADED: Final = {"grade": str, "lacks": str, "kept": bool, "best": bool}
-"""What a row of the index has besides the record: its grade, what it lacks for a better one, whether it is kept, and
-whether it is the best of its piece and robot."""
+"""Further columns of the index: grade, the reason it is not better, whether the motion is kept, and whether it is the
+best of its excerpt and robot."""
 _CHUNK: Final = 2048
 
 
 def require_pyarrow() -> Any:
-    """Arrow's module for Parquet; raises `LibraryError` with what to do if it is not installed."""
+    """Arrow's Parquet module; raises `LibraryError` with instructions if it is not installed."""
     try:
         import pyarrow.parquet
     except ImportError:
@@ -37,9 +36,9 @@ class Gathered:
     """All records of a library.
 
     Attributes:
-        table: those that belong to it, graded: `COLUMNS` and `GRADED`, by name, robot, seed and id.
-        superseded: those that do not any more.
-        torn: the names of files that are no whole record.
+        table: those that belong to it, with `COLUMNS` and `GRADED`, sorted by name, robot, seed and id.
+        superseded: the others.
+        torn: names of files without a whole record.
     """
 
     table: "pyarrow.Table"
@@ -47,14 +46,14 @@ class Gathered:
     torn: list[str]
 
     def column(self, name: str) -> list[Any]:
-        """Its values in the table."""
+        """Values of a column of the table."""
         values: list[Any] = self.table.column(name).to_pylist()
         return values
 
 
 @dataclass(frozen=True, slots=True)
 class _Brief:
-    """What is to be known of a record to sort it, and to choose among several."""
+    """The part of a record that sorting and the choice among several need."""
 
     search: Search
     finished: str
@@ -64,11 +63,7 @@ class _Brief:
 
 
 def gather(folder: Path, plan: Membership) -> Gathered:
-    """Reads all records of a library, and grades those that belong to it.
-
-    Raises:
-        LibraryError: Arrow is not installed.
-    """
+    """Reads all records of a library, and grades those that belong to it; raises `LibraryError` without Arrow."""
     require_pyarrow()
     columns, briefs = _Columns(), []
     superseded, torn = [], []
@@ -109,14 +104,14 @@ def gather(folder: Path, plan: Membership) -> Gathered:
 
 
 class _Columns:
-    """Rows that are kept as Arrow's columns."""
+    """Rows as Arrow columns."""
 
     def __init__(self) -> None:
         import pyarrow
 
         types = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_()}
         self._kinds = {**COLUMNS, **GRADED}
-        del self._kinds["best"]  # is known at the end
+        del self._kinds["best"]  # known at the end
         self._schema = pyarrow.schema([(name, types[kind]) for name, kind in self._kinds.items()])
         self._rows: list[dict[str, Any]] = []
         self._batches: list[pyarrow.RecordBatch] = []
@@ -134,7 +129,7 @@ class _Columns:
         self._rows = []
 
     def table(self, rows: list[int], best: list[bool]) -> "pyarrow.Table":
-        """Those rows in that order."""
+        """These rows in this order."""
         import pyarrow
 
         self._flush()

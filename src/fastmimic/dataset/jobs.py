@@ -1,7 +1,7 @@
-"""One job of a library: a piece, a robot, a seed; from it a motion, tried in other conditions, and its record.
+"""One job of a library: from an excerpt, a robot and a seed to an evaluated motion and its record.
 
-A job reads its source, goes on from its checkpoint if it was begun before, and writes its motion and then its record.
-Nothing else is shared, so it does not matter where, when and how often it is done.
+A job reads its source, resumes from its checkpoint if there is one, and writes its motion and then its record. Jobs
+share nothing else, so they can run anywhere, at any time and repeatedly.
 """
 
 import hashlib
@@ -41,13 +41,13 @@ from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.pybullet_description import DESCRIPTIONS
 
 WORK: Final = "work"
-_SEARCH: Final = 0.85  # the share of a job's time that the search takes, about
+_SEARCH: Final = 0.85  # approximate share of a job's time in the search
 _TRIALS_SEED: Final = 20230618
 
 
 @dataclass(frozen=True)
 class WarmStart:
-    """Where a search begins: like the motion in `file`, which is the record `of`."""
+    """Start of a search: the motion in `file`, from the record `of`."""
 
     of: str
     file: Path
@@ -55,17 +55,16 @@ class WarmStart:
 
 @dataclass(frozen=True)
 class Job:
-    """What is done.
+    """A job.
 
     Attributes:
-        piece: the motion.
+        piece: the excerpt.
         robot: a built-in robot's name, or the path of an MJCF.
         robot_digest: of its description.
         seed: of CMA-ES.
-        recipe: how.
         folder: the library.
-        warm: what the search begins like; None for the unmodulated motion.
-        began: when its build began: a motion that could not be made since then is not tried again.
+        warm: start of the search; None for the unmodulated motion.
+        began: start of its build: a motion that failed since then is not tried again.
     """
 
     piece: Excerpt
@@ -75,16 +74,16 @@ class Job:
     recipe: BuildSettings
     folder: Path
     warm: WarmStart | None = None
-    began: str = "~"  # after all times
+    began: str = "~"  # later than all times
 
     @cached_property
     def id(self) -> str:
-        """Of its record: 16 hexadecimal digits of all that the motion and its figures depend on."""
+        """Id of its record: 16 hexadecimal digits of everything that determines the motion and its figures."""
         return _digest(self._content(self.recipe.digest))
 
     @property
     def checkpoint(self) -> Path:
-        """Where its search keeps its course. It outlives the job: a longer search, or other trials, go on from it."""
+        """Checkpoint of its search; kept after the job for longer searches or other evaluations."""
         return self.folder / WORK / _digest(self._content(self.recipe.search_digest)) / CHECKPOINT
 
     @property
@@ -92,12 +91,12 @@ class Job:
         """Its motion's file, relative to the library."""
         robot = Path(self.robot).stem
         name = re.sub(r"[^\w.-]+", "_", f"{self.piece.name}-{robot}-{self.seed}")
-        short = name.encode()[:100].decode(errors="ignore")  # file systems count bytes
+        short = name.encode()[:100].decode(errors="ignore")  # file systems limit bytes
         return f"{MOTIONS}/{short}-{self.id}.npz"
 
     @property
     def record(self) -> Record:
-        """Its record as far as it is known before."""
+        """The part of its record that is known in advance."""
         return {
             **empty(),
             **self.piece.described,
@@ -116,7 +115,7 @@ class Job:
 
 
 def now() -> str:
-    """The time, as records have it."""
+    """The time in the records' format."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
@@ -130,13 +129,10 @@ def _digest(content: bytes) -> str:
 
 
 def perform(job: Job, report: Report) -> Record:
-    """Does a job, unless its record is there already; the record.
+    """Runs a job unless its record exists; returns the record.
 
-    What is wrong with the piece, and a defect that only it brings to light, is said in the record: the other motions
-    of a library are made nevertheless.
-
-    Raises:
-        OutputError: the library's folder is not to be seen here, or cannot be written to, such as a full disk.
+    Errors of the excerpt, and defects that it reveals, go into the record, so that the other motions are still made.
+    Raises `OutputError` if the library's folder is not visible here, or cannot be written to, such as a full disk.
     """
     if not (job.folder / SETTINGS).is_file():
         raise OutputError(
@@ -163,7 +159,7 @@ def perform(job: Job, report: Report) -> Record:
 
 
 def give_up(job: Job, error: FastMimicError) -> Record:
-    """Keeps the record of a job whose process died whenever it was begun; raises `OutputError` if it cannot."""
+    """Saves the record of a job that killed its process each time; raises `OutputError` if it cannot."""
     return _kept(job, job.record | {"status": FAILED, "reason": reason_of(error), "finished": now()})
 
 
@@ -177,7 +173,7 @@ def _kept(job: Job, record: Record) -> Record:
 
 
 def _made(job: Job, report: Report) -> Record:
-    """Makes the motion and its file; the part of the record about it."""
+    """Makes the motion and its file; returns its part of the record."""
     recipe = job.recipe
     robot = load_robot(job.robot)
     demonstration = load_motion(job.piece.open(), robot).target
@@ -204,7 +200,7 @@ def _made(job: Job, report: Report) -> Record:
 
     try:
         result = searched(resume=job.checkpoint.is_file())
-    except CheckpointError:  # torn, or of another installation
+    except CheckpointError:  # damaged, or of another installation
         job.checkpoint.unlink(missing_ok=True)
         result = searched(resume=False)
     if result.interrupted:
@@ -228,7 +224,7 @@ def _made(job: Job, report: Report) -> Record:
 
 
 def _tried(job: Job, result: Imitation) -> Record:
-    """The motion's figures in all conditions of the recipe."""
+    """Figures of the motion under all conditions of the recipe."""
     recipe, robot, demonstration = job.recipe, result.robot, result.demonstration
     measured = measure(result, evaluation_s=recipe.evaluation_s, perturbed_episodes=recipe.perturbed)
     figures = {name: value for name, value in measured.figures.items() if name in empty()}
@@ -269,7 +265,7 @@ def _tried(job: Job, result: Imitation) -> Record:
 
 
 def _what_it_is(motion: Motion) -> Record:
-    """Of the robot's demonstration: speed over the ground along its own path, turning, and share of stance."""
+    """Speed along the path, turning, and share of stance of the robot's demonstration."""
     velocity = motion.root_lin_vel_w[:, :2]
     return {
         "period_s": motion.period_s,

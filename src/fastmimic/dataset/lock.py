@@ -1,7 +1,7 @@
-"""Who works in a library now: any number of builders, or one that puts it in order.
+"""Locks of a library: for any number of builders, or one repair.
 
-A process leaves a file there and touches it as long as it lives. The locks of operating systems cannot be relied on
-across every network's file system; the time of a file can, as it is the file system's own for all.
+A process keeps a file in the folder and touches it regularly. Operating systems' locks are unreliable on network file
+systems; modification times are consistent, because the file system sets them.
 """
 
 import os
@@ -20,18 +20,14 @@ SUFFIX: Final = ".lock"
 BUILDING: Final = "building"
 MENDING: Final = "mending"
 BEAT_S: Final = 15.0
-SILENT_S: Final = 120.0
-"""A process that has not touched its file for so long is dead, wherever it was; on this machine that is seen at
-once."""
+SILENT_S: Final = 120.0  # s without a touch after which a process counts as dead; on this machine that is seen at once
 
 
 @contextmanager
 def building(folder: Path) -> Iterator[None]:
-    """Says that a library is built, and makes sure that nobody puts it in order meanwhile.
+    """Marks a library as being built, and keeps repairs out.
 
-    Raises:
-        LibraryError: it is being put in order.
-        OutputError: the folder cannot be written to.
+    Raises `LibraryError` during a repair, `OutputError` if the folder cannot be written to.
     """
     with _sign(folder, BUILDING) as own:
         for other in _living(folder, own):
@@ -42,11 +38,9 @@ def building(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def mending(folder: Path) -> Iterator[None]:
-    """Keeps everybody else out of a library while it is put in order.
+    """Keeps all others out of a library during a repair.
 
-    Raises:
-        LibraryError: somebody is there.
-        OutputError: the folder cannot be written to.
+    Raises `LibraryError` if another process works there, `OutputError` if the folder cannot be written to.
     """
     with _sign(folder, MENDING) as own:
         for other in _living(folder, own):
@@ -60,7 +54,7 @@ def mending(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _sign(folder: Path, what: str) -> Iterator[Path]:
-    """A file that is there, and touched, as long as the block runs."""
+    """A file that exists and is touched while the block runs."""
     check_folder(folder)
     path = folder / f"{what}-{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(3)}{SUFFIX}"
     try:
@@ -86,7 +80,7 @@ def _sign(folder: Path, what: str) -> Iterator[Path]:
 
 
 def _living(folder: Path, own: Path) -> Iterator[str]:
-    """The names of others' files; those of processes that are dead are removed."""
+    """Names of other living processes' files; removes those of dead ones."""
     now = own.stat().st_mtime
     for path in folder.glob(f"*{SUFFIX}"):
         if path == own:
@@ -104,7 +98,7 @@ def _living(folder: Path, own: Path) -> Iterator[str]:
 
 
 def _machine() -> str | None:
-    """What tells this machine's, or container's, processes from others'; None where that cannot be told."""
+    """An identifier of this machine or container, for process ids; None if unknown."""
     with suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
         return f"{socket.gethostname()} {boot} {os.readlink('/proc/self/ns/pid')}"

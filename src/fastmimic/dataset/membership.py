@@ -1,7 +1,7 @@
 """Which records belong to a library now, and why others do not.
 
-Records stay when what they were made of changes. A record belongs to a library if it is of its recipe, of a piece that
-a source has, and of the robot as it is; of several that only began otherwise, it is the last.
+Records stay when their inputs change. A record belongs to a library if it has its recipe, an excerpt of a source, and
+the robot's present description; among those that differ only in their start, the last one belongs.
 """
 
 import hashlib
@@ -27,12 +27,12 @@ OTHER_ROBOT: Final = "its robot has changed"
 
 @dataclass(frozen=True)
 class Superseded:
-    """A record that does not belong to the library any more.
+    """A record that no longer belongs to the library.
 
     Attributes:
         id, name, robot, seed: of the record.
         why: in words.
-        instead: the record of the same search that was begun later; None if that is not why.
+        instead: the later record of the same search; None for other reasons.
     """
 
     id: str
@@ -45,15 +45,16 @@ class Superseded:
 
 @dataclass(frozen=True, eq=False)
 class Membership:
-    """What a library is to hold.
+    """The inputs that decide which records belong to a library.
 
     Attributes:
-        recipe: the digest of how motions are made; None if it cannot be read.
-        robots: the digests of robots' descriptions, by name or file.
-        pieces: of all sources, by digest.
-        unreadable: the damaged files that say so, a line each. What may belong to them is kept.
-        sources_known: whether none of them is a source's.
-        problems: of sources without pieces, why there are none, a line each.
+        recipe: digest of the recipe; None if it cannot be read.
+        robots: digests of robots' descriptions, by name or file.
+        pieces: excerpts of all sources, by digest.
+        unreadable: damaged files of recipe, sources and robots, one line each. Records that may depend on them are
+            kept.
+        sources_known: whether no source's file is damaged.
+        problems: why sources have no excerpts, one line each.
     """
 
     recipe: str | None
@@ -74,8 +75,7 @@ class Membership:
         return None
 
     def described(self, record: Record) -> Record:
-        """What a record says, of its piece as the source has it now: the same content may be found elsewhere, or under
-        another licence."""
+        """The record with the excerpt's present description: the source or licence of the same content may change."""
         there = self.pieces.get(record["piece"])
         if there is None:
             return record
@@ -84,26 +84,26 @@ class Membership:
 
 
 def robot_of(record: Mapping[str, Any]) -> str:
-    """Which robot a record is about: its name, or its file."""
+    """A record's robot: its name, or its file."""
     return str(record["robot_file"] or record["robot"])
 
 
 def search_of(record: Mapping[str, Any]) -> Search:
-    """What two records have in common that only began otherwise."""
+    """Key of a search, the same for records that differ only in their start."""
     robot, digest, recipe = (intern(said) for said in (robot_of(record), record["robot_digest"], record["recipe"]))
     return record["piece"], robot, record["seed"], digest, recipe
 
 
 def save_robot(folder: Path, robot: str, digest: str) -> None:
-    """Keeps the digest of a robot's description; raises `OutputError` if it cannot."""
+    """Saves the digest of a robot's description; raises `OutputError` if it cannot."""
     text = json.dumps({"robot": robot, "digest": digest}, indent=1)
     key = hashlib.sha256(robot.encode()).hexdigest()[:12]
     write_text(folder / ROBOTS / f"{key}.json", text)
 
 
 def load_robots(folder: Path) -> tuple[dict[str, str], list[str]]:
-    """The digests of robots' descriptions when they were last built for, by name or file; and the files that cannot be
-    read, a line each."""
+    """The digests of robots' descriptions in the last build, by name or file; and the unreadable files, one line
+    each."""
     found, unreadable = {}, []
     for path in sorted((folder / ROBOTS).glob("*.json")):
         try:

@@ -1,4 +1,4 @@
-"""The record of a motion: what it is, where it is from, what it is worth, and the file that it belongs to."""
+"""The record of a motion: description, source, figures, and the motion's file."""
 
 import hashlib
 import json
@@ -37,8 +37,8 @@ IDENTITY: Final = {
     "status": str,
     "reason": str,
 }
-"""What every record has; `source` is the place of it, `piece` the digest of its content, `robot_file` an
-MJCF of the user's own, `robot_digest` of the robot's description, `reason` why it failed."""
+"""Columns of every record; `source` is its place, `piece` the digest of the excerpt's content, `robot_file` a user's
+MJCF, `robot_digest` that of the robot's description, `reason` that of a failure."""
 
 FIGURES: Final = {
     "period_s": float,
@@ -79,10 +79,9 @@ FIGURES: Final = {
     "motion_sha256": str,
     **{f"{name}_version": str for name in ("fastmimic", "python", "mujoco", "daqp", "cma", "numba", "numpy")},
 }
-"""What a record has whose motion could be made. `limits_exceeded` are what `fastmimic.episode.feasibility.reasons`
-says; `warm_start` is the record that the search began from."""
-COSTS: Final = {"wall_s": float, "cpu_s": float, "finished": str}
-"""What differs from one time to the next."""
+"""Further columns of a finished motion. `limits_exceeded` is from `fastmimic.episode.feasibility.reasons`; `warm_start`
+is the record that the search began from."""
+COSTS: Final = {"wall_s": float, "cpu_s": float, "finished": str}  # differ between repetitions
 
 COLUMNS: Final = {**IDENTITY, **FIGURES, **COSTS}
 """Name → type. A record has a value or None in each."""
@@ -91,37 +90,34 @@ _NEEDED: Final = ("name", "piece", "robot", "robot_digest", "seed", "recipe", "s
 
 
 def empty() -> Record:
-    """A record that says nothing."""
+    """A record without values."""
     return dict.fromkeys(COLUMNS)
 
 
 def sha256(path: Path) -> str:
-    """Of a file's content; raises `OSError`."""
+    """Digest of a file's content; raises `OSError`."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def record_file(folder: Path, identity: str) -> Path:
-    """Where a record is kept in a library."""
+    """A record's file in a library."""
     return folder / RECORDS / f"{identity}.json"
 
 
 def save_record(folder: Path, record: Mapping[str, Any]) -> None:
-    """Writes it, after its motion; raises `OutputError` if it cannot."""
+    """Writes a record, after its motion; raises `OutputError` if it cannot."""
     text = json.dumps(record, indent=1, allow_nan=False)
     write_text(record_file(folder, record["id"]), text)
 
 
 def load_record(folder: Path, identity: str) -> Record | None:
-    """A record, or None if there is none that is whole and whose motion is.
-
-    What is torn, or has been changed since it was written, counts as not there: to build it again mends it.
-    """
+    """A record, or None unless it and its motion are intact. A new build repairs damaged or changed ones."""
     return None if (found := read_record(record_file(folder, identity))) is None or damage(folder, found) else found
 
 
 def read_record(path: Path) -> Record | None:
-    """What is in a record's file; None if it is not there or no record."""
+    """The record in a file; None if there is none."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -133,7 +129,7 @@ def read_record(path: Path) -> Record | None:
 
 
 def damage(folder: Path, record: Mapping[str, Any]) -> str | None:
-    """What is wrong with the motion of a record; None if nothing is."""
+    """The defect of a record's motion; None if it is intact."""
     name = record["motion_file"]
     if name is None:
         return None if record["status"] == FAILED else "it names no motion"

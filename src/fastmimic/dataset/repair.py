@@ -1,4 +1,4 @@
-"""Checking a library by running it, and putting it in order."""
+"""Checks a library by running its motions, and repairs it."""
 
 from collections.abc import Callable
 
@@ -21,20 +21,17 @@ _COLUMNS = ("id", "name", "robot", "robot_file", "method", "motion_file", "rewar
 def rerun(
     library: MotionDataset, count: int, progress: Callable[[int, int], None] | None = None
 ) -> tuple[list[str], int]:
-    """Runs motions' nominal episodes again.
+    """Runs the nominal episodes of `count` random motions (at most all) again.
 
     Args:
-        library: the library.
-        count: how many, drawn at random; all if there are not more.
         progress: called with (done, all).
 
     Returns:
-        Those with another reward than is recorded, or that cannot be run as their file or their robot's is damaged or
-        not there any more, a line each; and how many were drawn.
+        Motions with another reward than recorded, or with a damaged or missing file or robot, one line each; and the
+        number drawn.
 
-    Raises:
-        LibraryError: there is no index, or it is damaged.
-        ConfigError: the file of the controller's parameters is not there any more.
+    Raises `LibraryError` if the index is missing or damaged, `ConfigError` if the controller's parameter file is
+    missing.
     """
     recipe = library.recipe()
     assert recipe is not None, "an open library has one"
@@ -62,18 +59,10 @@ def rerun(
 
 
 def mend(library: MotionDataset, progress: Callable[[int, int], None] | None = None) -> tuple[DatasetHealth, int]:
-    """Removes what is damaged and what belongs to no record, and writes the index.
+    """Removes damaged files and those of no record that belongs to the library, and writes the index.
 
-    Args:
-        library: the library.
-        progress: as of `fastmimic.dataset.folder.check`.
-
-    Returns:
-        What was found before, and how many files were removed.
-
-    Raises:
-        LibraryError: a build runs there: what it has begun looks like what belongs to no record.
-        OutputError: a file cannot be removed.
+    Returns the defects found before, and the number of removed files. Raises `LibraryError` while a build runs, because
+    its files do not have records yet, and `OutputError` if a file cannot be removed.
     """
     removed = 0
     with mending(library.path):

@@ -1,4 +1,4 @@
-"""What a library is made of: files in a folder, or a list of files and names."""
+"""Sources of a library: files in a folder, or a list of files and names."""
 
 import csv
 import fnmatch
@@ -16,7 +16,7 @@ from fastmimic.clips.catalogue import check_name
 from fastmimic.clips.formats import suffixes
 
 NO_CLIPS: Final = ("license*", "licence*", "copying*", "notice*", "readme*", "changelog*", "requirements*.txt", ".*")
-"""Files of a folder that are never clips, whatever their suffix."""
+"""Files of a folder that are never clips, with any suffix."""
 _LICENCES: Final = ("LICENSE", "LICENSE.txt", "LICENSE.md", "LICENCE", "LICENCE.txt", "COPYING")
 _COLUMNS: Final = ("source", "frames", "fps", "up", "scale", "point_map", "licence", "credit")
 
@@ -27,9 +27,9 @@ class DatasetSource:
 
     Attributes:
         place: path, or a name of `fastmimic motions`.
-        frames: (first, end) of the part that is meant, itself one motion; None to look for motions in all of it.
+        frames: (first, end) of one motion; None to search all of it for motions.
         fps, up, scale, point_map: as in `fastmimic.clips.catalogue.open_clip`.
-        licence, credit: of the recording, where the source itself does not say.
+        licence, credit: of the recording, if the source itself has none.
     """
 
     place: str
@@ -43,19 +43,19 @@ class DatasetSource:
 
     @property
     def overrides(self) -> dict[str, Any]:
-        """What `open_clip` is given besides the place and the frames."""
+        """Arguments of `open_clip` besides the place and the frames."""
         given = {"fps": self.fps, "up": self.up, "scale": self.scale, "point_map": self.point_map}
         return {name: value for name, value in given.items() if value is not None}
 
     @property
     def name(self) -> str:
-        """Short: a file's name without its suffix, or the name itself."""
+        """A file's name without its suffix, or the motion's name."""
         path = Path(self.place)
         return path.stem if path.suffix else self.place
 
     @property
     def key(self) -> str:
-        """What tells one source from another, whatever its content: 12 hexadecimal digits."""
+        """12 hexadecimal digits that identify the source, independent of its content."""
         return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()[:12]
 
     def __str__(self) -> str:
@@ -68,15 +68,15 @@ def find_sources(
     """The sources of a folder, of a list, or a single one.
 
     Args:
-        place: a folder, looked through at any depth; a list: `.csv` with a header of which `source` is a column and
-            frames, fps, up, scale, point_map, licence and credit can be, or `.list` with a source a line; else one file
-            or name. Paths in a list are relative to it.
-        exclude: patterns of a folder's files that are left out, such as `*_raw.txt`.
-        licence, credit: of sources that do not say.
+        place: a folder, searched at any depth; a list: `.csv` with a header that has `source` and optionally frames,
+            fps, up, scale, point_map, licence and credit, or `.list` with one source per line; else one file or name.
+            Paths in a list are relative to it.
+        exclude: patterns of files in a folder to leave out, such as `*_raw.txt`.
+        licence, credit: of sources without their own.
 
     Raises:
-        LibraryError: nothing is there, or a line of the list that cannot be read.
-        ClipError: `place` is no motion's name, or its recording is not fetched. What a list names is not looked at yet.
+        LibraryError: nothing is there, or a line of the list cannot be read.
+        ClipError: `place` is no motion's name, or its recording is not fetched. Entries of a list are not checked yet.
     """
     path = Path(place)
     if path.is_dir():
@@ -106,7 +106,7 @@ def _in_folder(folder: Path, exclude: Sequence[str], licence: str | None, credit
 
 
 def _beside(path: Path, top: Path) -> str | None:
-    """The first line of the licence that lies beside a file, or above it within the folder."""
+    """The first line of the licence file next to a file, or above it within the folder."""
     for folder in path.parents:
         for name in _LICENCES:
             try:
@@ -123,7 +123,7 @@ def _beside(path: Path, top: Path) -> str | None:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8-sig")  # as spreadsheets write it
+        return path.read_text(encoding="utf-8-sig")  # with a byte-order mark, as spreadsheets write it
     except FileNotFoundError:
         raise LibraryError(f"{path}: no such list") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -133,7 +133,7 @@ def _read(path: Path) -> str:
 def _is_list(path: Path) -> bool:
     """Whether a CSV is a list of sources, not a clip: by its header."""
     if not path.is_file():
-        return True  # a list that is not there, rather than a motion of that name
+        return True  # a missing list, rather than a motion of that name
     try:
         with path.open(encoding="utf-8-sig") as file:
             header = next(csv.reader(file), [])
