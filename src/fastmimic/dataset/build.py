@@ -140,11 +140,8 @@ def build_dataset(
             recipe stay in the folder until removed.
         progress: called with every step.
 
-    Raises:
-        LibraryError: the library has another recipe or is under repair, or Arrow is not installed.
-        ConfigError: no such robot.
-        OutputError: the folder cannot be written to, such as a full disk. Finished records are kept.
-        KeyboardInterrupt: Ctrl-C; finished records are kept.
+    Raises `LibraryError` for another recipe, during a repair or without Arrow, `ConfigError` for an unknown robot, and
+    `OutputError` if the folder cannot be written to. Finished records survive that and Ctrl-C.
     """
     require_pyarrow()
     began = now()

@@ -134,10 +134,8 @@ def survey(source: DatasetSource, confidence: float, discrete: bool = False) -> 
 
 
 def look_of(source: DatasetSource, confidence: float, discrete: bool) -> str | None:
-    """The inputs of a `survey`, with a file's size and time, in words; equal inputs need no new survey.
-
-    Returns None for a motion's name, which has no file to compare.
-    """
+    """The inputs of a `survey`, with a file's size and time, in words; equal inputs need no new survey. Returns None
+    for a motion's name, which has no file to compare."""
     files = [source.place, *([] if source.point_map is None else [source.point_map])]
     try:
         states = [Path(place).stat() for place in files]

@@ -61,10 +61,8 @@ class MotionDataset:
         return library
 
     def recipe(self) -> BuildSettings | None:
-        """The settings of its motions; None if it is not begun.
-
-        Raises `LibraryError` if they cannot be read, `ConfigError` if the controller's parameter file is missing.
-        """
+        """The settings of its motions; None if it is not begun. Raises `LibraryError` if they cannot be read,
+        `ConfigError` if the controller's parameter file is missing."""
         said = self.settings()
         return BuildSettings(**said) if said else None
 

@@ -25,10 +25,8 @@ SILENT_S: Final = 120.0  # s without a touch after which a process counts as dea
 
 @contextmanager
 def building(folder: Path) -> Iterator[None]:
-    """Marks a library as being built, and keeps repairs out.
-
-    Raises `LibraryError` during a repair, `OutputError` if the folder cannot be written to.
-    """
+    """Marks a library as being built, and keeps repairs out. Raises `LibraryError` during a repair, `OutputError` if
+    the folder cannot be written to."""
     with _sign(folder, BUILDING) as own:
         for other in _living(folder, own):
             if other.startswith(MENDING):
@@ -38,10 +36,8 @@ def building(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def mending(folder: Path) -> Iterator[None]:
-    """Keeps all others out of a library during a repair.
-
-    Raises `LibraryError` if another process works there, `OutputError` if the folder cannot be written to.
-    """
+    """Keeps all others out of a library during a repair. Raises `LibraryError` if another process works there,
+    `OutputError` if the folder cannot be written to."""
     with _sign(folder, MENDING) as own:
         for other in _living(folder, own):
             what = "built" if other.startswith(BUILDING) else "mended"

@@ -74,9 +74,8 @@ def find_sources(
         exclude: patterns of files in a folder to leave out, such as `*_raw.txt`.
         licence, credit: of sources without their own.
 
-    Raises:
-        LibraryError: nothing is there, or a line of the list cannot be read.
-        ClipError: `place` is no motion's name, or its recording is not fetched. Entries of a list are not checked yet.
+    Raises `LibraryError` if nothing is there, or a line of the list cannot be read, and `ClipError` for an unknown or
+    unfetched name outside a list.
     """
     path = Path(place)
     if path.is_dir():

@@ -1,7 +1,7 @@
-"""Where a search begins: like the motion of a library that was made of the most similar piece.
+"""Warm starts: a search begins from the library's motion of the most similar excerpt.
 
-Similar is what a controller meets alike: about the same period, speed and turning, and the same footfall, on the same
-robot. What is taken over is how that motion was modulated (`fastmimic.optimize.parameters.moved_by`), not its style.
+Similar excerpts have about the same period, speed and turning, and the same footfall, on the same robot. The search
+takes over the motion's modulation (`fastmimic.optimize.parameters.moved_by`), not its style.
 """
 
 import math
@@ -23,15 +23,14 @@ TEMPO: Final = 0.2
 SPEED_M_S: Final = 0.4
 YAW_RAD_S: Final = 0.6
 OTHER_FOOTFALL: Final = 1.0
-"""By which two pieces are one apart: the logarithm of the period, speed, turning; and what another footfall counts."""
-FARTHEST: Final = 6.0
-"""From which the nearest piece is no help."""
+"""Distances of one unit: of the logarithm of the period, speed, turning; and the distance for another footfall."""
+FARTHEST: Final = 6.0  # greatest distance of a useful excerpt
 _ROUNDING: Final = 1e-9
 _COLUMNS: Final = ("id", "piece", "robot", "robot_file", "best", "repeats", "parameters", "motion_file")
 
 
 def distance(a: Excerpt, b: Excerpt) -> float:
-    """How different two pieces are, 0 for the same."""
+    """Difference of two excerpts, 0 for the same."""
     apart = math.hypot(
         math.log(a.period_s / b.period_s) / TEMPO,
         (a.speed_m_s - b.speed_m_s) / SPEED_M_S,
@@ -42,12 +41,11 @@ def distance(a: Excerpt, b: Excerpt) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """What a library knows.
+    """Excerpts of a library and their best motions.
 
     Attributes:
-        library: the folder.
         pieces: by digest.
-        best: by robot, name or file, the best row of each piece, of those that are kept.
+        best: by robot, name or file, the best kept row of each excerpt.
     """
 
     library: Path
@@ -56,7 +54,7 @@ class Neighbours:
 
     @classmethod
     def of(cls, library: MotionDataset) -> "Neighbours":
-        """Of a library as its index is now; raises `LibraryError` if that, or what it is made of, is damaged."""
+        """From a library's present index; raises `LibraryError` if that or a source's file is damaged."""
         plan = library.plan()
         if plan.unreadable:
             raise LibraryError(f"{library.path}: {plan.unreadable[0]}")
@@ -68,12 +66,7 @@ class Neighbours:
         return cls(library.path.resolve(), pieces, best)
 
     def nearest(self, piece: Excerpt, robot: str) -> WarmStart | None:
-        """What a search for a piece begins like; None if nothing of the robot's is near.
-
-        Args:
-            piece: the piece.
-            robot: its name, or the path of its MJCF.
-        """
+        """The start of a search for an excerpt on a robot (name or MJCF); None if no excerpt on that robot is near."""
         rows = self._near(piece, robot) if piece.repeats else []
         near = min(rows, key=lambda row: (distance(piece, self.pieces[row["piece"]]), row["id"]), default=None)
         if near is None or distance(piece, self.pieces[near["piece"]]) > FARTHEST:
@@ -81,7 +74,7 @@ class Neighbours:
         return WarmStart(near["id"], self.library / near["motion_file"])
 
     def _near(self, piece: Excerpt, robot: str) -> list[Row]:
-        """A few rows among which the nearest is."""
+        """A few rows that include the nearest."""
         groups = self._groups.get(robot, {})
         at = _place(piece)
         apart = {footfall: _other(piece.footfall, footfall) for footfall in groups}
@@ -97,7 +90,7 @@ class Neighbours:
 
     @cached_property
     def _groups(self) -> dict[str, dict[str | None, tuple[KDTree, list[Row]]]]:
-        """The rows of each robot by footfall, with a tree of where they are."""
+        """The rows of each robot by footfall, with a tree of their places."""
         sorted_rows: dict[str, dict[str | None, list[Row]]] = {}
         for robot, rows in self.best.items():
             for row in rows:
@@ -109,7 +102,7 @@ class Neighbours:
 
 
 def _place(piece: Excerpt) -> tuple[float, float, float]:
-    """Of a piece among all: as far from another as `distance` says, but for the footfall."""
+    """Coordinates of an excerpt; their distance is `distance` without the footfall."""
     return math.log(piece.period_s) / TEMPO, piece.speed_m_s / SPEED_M_S, piece.yaw_rate_rad_s / YAW_RAD_S
 
 

@@ -141,11 +141,8 @@ class Prepared:
     kept: tuple[Row, ...]
 
     def perform(self, workers: int, report: ReportProgress) -> list[Row]:
-        """Performs the remaining runs; returns the rows of all runs of the plan, in its order.
-
-        Raises `FastMimicError` as the first failed run, `KeyboardInterrupt` for Ctrl-C; finished runs stay in the
-        folder.
-        """
+        """Performs the remaining runs; returns the rows of all runs of the plan, in its order. Raises
+        `FastMimicError` as the first failed run, `KeyboardInterrupt` for Ctrl-C; finished runs stay in the folder."""
         if workers < 1:
             raise ConfigError(f"workers must be at least 1, found {workers}")
         for path, motion in self.files.items():
@@ -223,9 +220,7 @@ def compare(
         report: progress of the runs.
         prepared: called with the name of each retargeted motion.
 
-    Raises:
-        FastMimicError: as in `prepare`, or as the first failed run.
-        KeyboardInterrupt: Ctrl-C; finished runs stay in the folder.
+    Raises `FastMimicError` as in `prepare`, or as the first failed run. Finished runs survive that and Ctrl-C.
     """
     return prepare(plan, out, keep=True, prepared=prepared).perform(workers, report)
 
@@ -237,9 +232,8 @@ def choose_policies(places: Sequence[Path], motions: Sequence[str]) -> tuple[Cho
         places: policy files, and folders to search at any depth.
         motions: names, or files, as in a plan. Policies for other motions in folders are ignored.
 
-    Raises:
-        PolicyError: a file is no policy.
-        ConfigError: a motion without a policy, a file for another motion, or two policies for one motion and seed.
+    Raises `PolicyError` for a file without a policy, `ConfigError` for a motion without a policy, a file for another
+    motion, or two policies for one motion and seed.
     """
     from fastmimic.learning.policy import Policy
 

@@ -37,11 +37,8 @@ class ComparisonFolder(WorkFolder):
         return (self.path / RUNS).is_dir()
 
     def begin(self, environment: Mapping[str, Any], *, overwrite: bool) -> None:
-        """Writes `environment.json`; with `overwrite`, removes the comparison in the folder first.
-
-        Motions of an earlier `environment.json` keep their places. Raises `OutputError` if a file cannot be removed or
-        written.
-        """
+        """Writes `environment.json`; with `overwrite`, removes the comparison in the folder first. Motions of an
+        earlier `environment.json` keep their places. Raises `OutputError` if a file cannot be removed or written."""
         earlier = [] if overwrite else self.motions()
         if overwrite:
             self.clear()

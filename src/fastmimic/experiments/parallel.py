@@ -105,12 +105,8 @@ ReportProgress = Callable[[RunProgress, Row | None], None]
 
 
 def run_all(tasks: Sequence[RunTask], workers: int, report: ReportProgress) -> list[Row]:
-    """Performs all tasks; returns the rows in their order. One worker runs them in this process.
-
-    Raises:
-        FastMimicError: as the first run that failed; the others are stopped.
-        KeyboardInterrupt: Ctrl-C stops all runs; their results and checkpoints are kept.
-    """
+    """Performs all tasks; returns the rows in their order. One worker runs them in this process. Raises
+    `FastMimicError` as the first failed run, and stops the others. Results and checkpoints survive that and Ctrl-C."""
     executor = LocalExecutor(max(1, min(workers, len(tasks))))
     effort = RunProgress(tasks, executor.workers)
     rows: list[Row | None] = [None] * len(tasks)

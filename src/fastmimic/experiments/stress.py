@@ -90,10 +90,8 @@ class Tolerance:
 
 
 def disturbances_of(names: Sequence[str] | None, simulator: str) -> list[str]:
-    """The disturbances to sweep: the given ones, or all that the simulator supports.
-
-    Raises `ConfigError` for an unknown, repeated or unsupported one.
-    """
+    """The disturbances to sweep: the given ones, or all that the simulator supports. Raises `ConfigError` for an
+    unknown, repeated or unsupported one."""
     there = known(simulator)
     if names is None:
         return there
@@ -122,10 +120,8 @@ def check_length(motion: Motion, names: Sequence[str], settings: StressSettings)
 
 
 def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSettings) -> list[Row]:
-    """Runs all levels of a disturbance; returns a row for each level, see `COLUMNS`.
-
-    Raises `FastMimicError` if the motion is too short for a push, or does not fit the robot.
-    """
+    """Runs all levels of a disturbance; returns a row for each level, see `COLUMNS`. Raises `FastMimicError` if the
+    motion is too short for a push, or does not fit the robot."""
     kind, motion = DISTURBANCES[disturbance], subject.motion
     seconds = check_length(motion, [disturbance], settings)
     start = _starts(settings.episodes, start_room(motion, seconds), settings.seed)

@@ -103,9 +103,8 @@ def make_subject(
         policy: the controller of a trained policy, and its identifier.
         progress: called after each iteration.
 
-    Raises:
-        FastMimicError: the motion cannot be optimised, or the folder holds one of other content.
-        KeyboardInterrupt: Ctrl-C; the next call continues from the checkpoint in the folder.
+    Raises `FastMimicError` if the motion cannot be optimised, or the folder holds one of other content. After Ctrl-C
+    the next call continues from the checkpoint.
     """
     chosen, demonstration = method_named(method), given.target
     config = chosen.configure(controller_config(search.config))

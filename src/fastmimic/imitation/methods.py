@@ -235,9 +235,8 @@ def controller_for(
     Returns:
         The method, and the parameters with its changes.
 
-    Raises:
-        ConfigError: an unknown name, or no parameters given for a motion that was made with parameters of no set.
-        MotionError: the motion's record is damaged.
+    Raises `ConfigError` for an unknown name, or a motion made with parameters of no set if none are given, and
+    `MotionError` if the motion's record is damaged.
     """
     record = motion.meta.get(MADE_WITH)
     if record is None:

@@ -98,9 +98,8 @@ def stitch(
         stage: called with the name of each stage as it begins.
         randomize: as in `imitate`, for each motion and for the whole.
 
-    Raises:
-        FastMimicError: an argument is wrong; the message says which.
-        KeyboardInterrupt: stopped before the whole was optimised; the checkpoints are kept.
+    Raises `FastMimicError` if an argument is wrong. Checkpoints survive Ctrl-C, which raises `KeyboardInterrupt` before
+    the whole is optimised.
     """
     began = time.perf_counter()
     chosen = method_named(method)

@@ -79,10 +79,8 @@ class Learner:
     def __init__(
         self, robot: Robot, motion: Motion, settings: TrainingSettings, *, device: str = "cpu", threads: int = 1
     ) -> None:
-        """`device` as from `choose_device`; the result does not depend on `threads`.
-
-        Raises `ConfigError` for a missing library, or as `Episodes`.
-        """
+        """`device` as from `choose_device`; the result does not depend on `threads`. Raises `ConfigError` for a
+        missing library, or as `Episodes`."""
         check_installed()
         import torch
 

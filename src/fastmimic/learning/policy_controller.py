@@ -91,10 +91,8 @@ class PolicyController:
         self._senses[...] = make_senses(len(self._senses))
 
     def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
-        """Commands for the next control step, (n,) of `COMMAND`, overwritten by the next call.
-
-        Takes (n,) records of `OBSERVATION` and of `CLOCK`.
-        """
+        """Commands for the next control step, (n,) of `COMMAND`, overwritten by the next call. Takes (n,) records of
+        `OBSERVATION` and of `CLOCK`."""
         policy_step(
             self._config,
             self._settings,

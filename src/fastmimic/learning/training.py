@@ -91,11 +91,8 @@ def train(
         evaluate_every: policy steps between evaluations; the last iteration always has one.
         progress: called after each iteration.
 
-    Raises:
-        ConfigError: a missing library, or as `Learner`.
-        CheckpointError: a damaged checkpoint.
-        OutputError: a file cannot be written.
-        KeyboardInterrupt: Ctrl-C; the checkpoint is of the last minute.
+    Raises `ConfigError` for a missing library or as `Learner`, `CheckpointError` for a damaged checkpoint, and
+    `OutputError` if a file cannot be written. Ctrl-C leaves a checkpoint of the last minute.
     """
     learner = Learner(
         robot, motion, settings if settings is not None else TrainingSettings(), device=device, threads=threads

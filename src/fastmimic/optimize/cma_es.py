@@ -135,10 +135,8 @@ def optimize(
         resume: continue from that file; the result is bit for bit that of an uninterrupted run.
         progress: called after each iteration.
 
-    Raises:
-        CheckpointError: the checkpoint to resume from is missing, damaged, or of another problem.
-        ConfigError: an episode is too short for its disturbances.
-        OutputError: the checkpoint cannot be written.
+    Raises `CheckpointError` if the checkpoint to resume from is missing, damaged, or of another problem, `ConfigError`
+    if an episode is too short for its disturbances, and `OutputError` if the checkpoint cannot be written.
     """
     return _Search(problem, settings, Path(checkpoint) if checkpoint is not None else None).run(resume, progress)
 

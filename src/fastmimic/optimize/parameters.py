@@ -93,10 +93,8 @@ def parameters_of_group(group: str, dmp: MotionDmp) -> tuple[Parameter, ...]:
 
 
 def needed_group(group: str, *started: Iterable[str]) -> str:
-    """The group itself, or the first one after it that holds all parameters of these names.
-
-    Raises `ConfigError` if there is no such group, `MotionError` if no group holds them all.
-    """
+    """The group itself, or the first one after it that holds all parameters of these names. Raises `ConfigError` if
+    there is no such group, `MotionError` if no group holds them all."""
     _check_group(group)
     wanted = set().union(*started)
     names = list(PARAMETER_GROUPS)
@@ -116,10 +114,8 @@ def _check_group(group: str) -> None:
 
 
 def moved_by(motion: Motion) -> dict[str, float]:
-    """The modulation of an optimised cyclic motion by parameter: baselines relative to the fitted ones, and amplitudes.
-
-    Raises `MotionError` if the motion was not optimised, or its `meta` cannot be read.
-    """
+    """The modulation of an optimised cyclic motion by parameter: baselines relative to the fitted ones, and
+    amplitudes. Raises `MotionError` if the motion was not optimised, or its `meta` cannot be read."""
     dmp = motion.meta.get("dmp")
     if motion.demonstration is None or dmp is None:
         raise MotionError(

@@ -74,10 +74,8 @@ class Objective:
 
 
 class Problem(ABC):
-    """Scores parameter vectors in closed loop, in parallel, with the same bits for any number of workers.
-
-    Subclasses define what a vector means: `tables` and `motion`.
-    """
+    """Scores parameter vectors in closed loop, in parallel, with the same bits for any number of workers. Subclasses
+    define what a vector means: `tables` and `motion`."""
 
     def __init__(
         self,

@@ -68,9 +68,8 @@ class StitchedProblem(Problem):
             workers: threads; None for one per core.
             n_basis: basis functions of each DMP.
 
-        Raises:
-            ConfigError: fewer than one worker, no such group, or a start with other parameters.
-            MotionError: the motion is not a stitched one.
+        Raises `ConfigError` for fewer than one worker, no such group, or a start with other parameters, and
+        `MotionError` if the motion is not stitched.
         """
         self.layout = Layout.of(demonstration)
         objective = replace(objective or Objective(), duration_s=(demonstration.n_samples - 1) / demonstration.rate_hz)
@@ -196,9 +195,8 @@ def make_problem(
     """The problem for a motion: its cycle, the whole of a motion that does not repeat, or all segments of a stitched
     one.
 
-    Raises:
-        ConfigError: no such group of parameters, or `moved` with a stitched motion.
-        MotionError: DMPs cannot be fitted to the motion.
+    Raises `ConfigError` for no such group, or `moved` with a stitched motion, and `MotionError` if DMPs cannot be
+    fitted.
     """
     demonstration = motion.target
     if demonstration.cycle is None and demonstration.parts:
@@ -223,10 +221,8 @@ def make_problem(
 
 
 def parameters_of(motion: Motion) -> dict[str, float]:
-    """Changed parameters of an optimised cyclic motion by name; empty for others.
-
-    Raises `MotionError` if `meta` cannot be read, or modulates what no method optimises.
-    """
+    """Changed parameters of an optimised cyclic motion by name; empty for others. Raises `MotionError` if `meta`
+    cannot be read, or modulates what no method optimises."""
     dmp = motion.meta.get("dmp")
     if motion.demonstration is None or dmp is None:
         return {}

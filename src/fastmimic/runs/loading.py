@@ -40,10 +40,8 @@ class MotionSource:
         return name if name in ROBOT_NAMES else self.run_arguments().get("robot")
 
     def run_arguments(self) -> dict[str, Any]:
-        """Arguments of the command that wrote the folder; empty without a folder or its `config.json`.
-
-        Raises `MotionError` if `config.json` cannot be read.
-        """
+        """Arguments of the command that wrote the folder; empty without a folder or its `config.json`. Raises
+        `MotionError` if `config.json` cannot be read."""
         if self.folder is None:
             return {}
         path = self.folder / CONFIG
@@ -55,10 +53,8 @@ class MotionSource:
             raise MotionError(f"{path}: not the settings of a run ({type(error).__name__}: {error})") from None
 
     def open_clip(self, robot: Robot, **overrides: Any) -> Clip:
-        """The clip, as `open_clip` reads it.
-
-        Raises `FastMimicError` for a robot motion, an unreadable clip, or an override that does not apply.
-        """
+        """The clip, as `open_clip` reads it. Raises `FastMimicError` for a robot motion, an unreadable clip, or an
+        override that does not apply."""
         if self.clip is None:
             raise ConfigError(f"{self.name}: already a robot motion; a clip is needed")
         return self.clip if isinstance(self.clip, Clip) else open_clip(self.clip, robot=robot, **overrides)

@@ -46,10 +46,8 @@ class RunFolder:
         self._remove(*RESULTS)
 
     def write(self, motion: Motion, config: Mapping[str, Any], metrics: Mapping[str, Any], *, searched: bool) -> None:
-        """Writes the motion, `config.json` and `metrics.json`; raises `OutputError` if it cannot.
-
-        Unless `searched`, the run has no checkpoint, and an earlier run's is removed.
-        """
+        """Writes the motion, `config.json` and `metrics.json`; raises `OutputError` if it cannot. Unless `searched`,
+        the run has no checkpoint, and an earlier run's is removed."""
         motion.save(self.path / MOTION)
         write_json(self.path / CONFIG, config)
         if not searched:
@@ -110,10 +108,8 @@ def open_run(
         resume: whether the run resumes from the folder's checkpoint.
         overwrite: whether a run of other arguments may be replaced.
 
-    Raises:
-        ConfigError: both `resume` and `overwrite`.
-        CheckpointError: nothing to resume from.
-        OutputError: the folder holds another run, or cannot be written to.
+    Raises `ConfigError` for both `resume` and `overwrite`, `CheckpointError` if there is nothing to resume from, and
+    `OutputError` if the folder holds another run, or cannot be written to.
     """
     folder = RunFolder(path)
     folder.check(same, resume=resume, overwrite=overwrite)

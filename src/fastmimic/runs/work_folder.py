@@ -62,9 +62,8 @@ class WorkFolder:
             overwrite: whether to replace it.
             begun: whether earlier work would lose anything.
 
-        Raises:
-            ConfigError: both `resume` and `overwrite`.
-            OutputError: the folder holds other files or other work, or there is nothing to resume.
+        Raises `ConfigError` for both `resume` and `overwrite`, and `OutputError` if the folder holds other files or
+        other work, or there is nothing to resume.
         """
         path, what, earlier = self.path, self.what, self.earlier()
         if resume and overwrite:
@@ -111,10 +110,8 @@ def differences(same: Mapping[str, Any], earlier: Mapping[str, Any]) -> str:
 
 @contextmanager
 def created(path: Path) -> Iterator[None]:
-    """Creates a folder with its parents; if the block fails, removes those that are empty.
-
-    Raises `OutputError` if the folder cannot be written to.
-    """
+    """Creates a folder with its parents; if the block fails, removes those that are empty. Raises `OutputError` if
+    the folder cannot be written to."""
     new = [folder for folder in (path, *path.parents) if not folder.exists()]
     check_folder(path)
     try:
