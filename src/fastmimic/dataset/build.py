@@ -37,8 +37,6 @@ class BuildRequest:
     """What to build.
 
     Attributes:
-        sources: of the motions.
-        recipe: settings of all jobs.
         robots: built-in names, or paths of MJCFs.
         seeds: searches for each excerpt and robot, with CMA-ES seeds 0 to seeds − 1.
         confidence: least confidence of a cycle found in a take.
@@ -71,7 +69,6 @@ class BuildStep:
 
     Attributes:
         what: 'looking' through sources, or 'making' motions.
-        done, total: number of them.
         share: of all work of that kind, in [0, 1].
         record, survey: the one that was just finished, if any.
     """
@@ -90,7 +87,6 @@ class Built:
 
     Attributes:
         table: the library's index, an Arrow table.
-        surveys: of the requested sources.
         ids: of the records of their jobs.
         done: number of jobs done now; the others were finished before.
         left_out: robot motions for none of the robots, one line each.
@@ -133,12 +129,9 @@ def build_dataset(
     """Builds a library, or completes an existing one.
 
     Args:
-        building: what to build.
         out: its folder; a cluster needs it, and the sources, under the same path on all machines.
-        executor: where to run the jobs.
         update: whether to allow another recipe than the library's, and survey all sources again. Motions of the earlier
             recipe stay in the folder until removed.
-        progress: called with every step.
 
     Raises `LibraryError` for another recipe, during a repair or without Arrow, `ConfigError` for an unknown robot, and
     `OutputError` if the folder cannot be written to. Finished records survive that and Ctrl-C.
@@ -294,7 +287,6 @@ def _make(
     executor: Executor,
     tell: Callable[[BuildStep], None],
 ) -> int:
-    """Runs the jobs without a record; returns their number."""
     missing = [job for job in jobs if not seen.finished(job.id, job.motion_file)]
     # in random order, so that builders in the same folder do different jobs; each skips those of the others
     Random().shuffle(missing)

@@ -23,10 +23,8 @@ class BuildSettings:
     """Settings of all jobs of a library.
 
     Attributes:
-        method: one of `fastmimic.imitation.methods.METHODS`.
         config: name of the controller's parameters, or their file.
         duration_s: length of the search's episodes, s.
-        iterations, population: of CMA-ES.
         evaluation_s: length of the evaluation's episodes, s.
         perturbed: number of evaluation episodes from perturbed starts.
         others: number of other robots in the evaluation, with floors, loads and motors from the usual ranges.

@@ -224,7 +224,6 @@ def _of_take(source: DatasetSource, take: Clip, confidence: float, discrete: boo
 
 
 def _piece(source: DatasetSource, cut: Clip, frames: tuple[int, int], segment: Segment, *, repeats: bool) -> Excerpt:
-    """A part of a clip."""
     whole = frames == (0, cut.n_frames) and source.frames is None
     name = source.name if whole else f"{source.name}-{frames[0]}-{frames[1]}"
     return Excerpt(

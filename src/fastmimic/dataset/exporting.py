@@ -33,9 +33,7 @@ def export_library(
 
     Args:
         rows: of the library's index, with the columns `NEEDED`, each with a motion.
-        folder: of the export.
         form: one of `fastmimic.motion.export.EXPORTS`.
-        fps: frames per second.
         progress: called with (files done, files in all).
 
     Raises `FastMimicError` for a folder within the library, an unknown format, a damaged motion, or a file that cannot

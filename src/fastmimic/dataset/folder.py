@@ -95,14 +95,12 @@ class MotionDataset:
         return said
 
     def save_recipe(self, recipe: BuildSettings) -> None:
-        """Writes the recipe; raises `OutputError` if it cannot."""
         text = json.dumps(
             {"format_version": FORMAT_VERSION, "digest": recipe.digest, "recipe": asdict(recipe)}, indent=1
         )
         write_text(self.path / SETTINGS, text)
 
     def save_robot(self, robot: str, digest: str) -> None:
-        """Saves the digest of a robot's description; raises `OutputError` if it cannot."""
         save_robot(self.path, robot, digest)
 
     def surveys(self) -> list[Survey]:
@@ -197,7 +195,6 @@ class MotionDataset:
         return Motion.load(self.path / row["motion_file"])
 
     def _state(self) -> set[tuple[str, int]]:
-        """The records' files with their modification times."""
         found = set()
         for path in (self.path / RECORDS).glob("*.json"):
             with suppress(FileNotFoundError):
@@ -210,7 +207,6 @@ class DatasetHealth:
     """Result of `check`.
 
     Attributes:
-        records: number of records read.
         damaged: defects, one line each; a new build repairs them.
         useless: files of damaged records, relative to the library.
         foreign: files of no record that belongs to the library: of earlier recipes, changed sources, or killed

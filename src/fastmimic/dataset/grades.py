@@ -20,7 +20,6 @@ class Demand:
     Attributes:
         figure: of the record; ignored if the record lacks it, because it was not evaluated.
         least, most: inclusive bounds; None for no bound.
-        says: the figure in words.
     """
 
     figure: str

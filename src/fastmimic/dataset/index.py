@@ -104,8 +104,6 @@ def gather(folder: Path, plan: Membership) -> Gathered:
 
 
 class _Columns:
-    """Rows as Arrow columns."""
-
     def __init__(self) -> None:
         import pyarrow
 

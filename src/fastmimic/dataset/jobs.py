@@ -58,11 +58,7 @@ class Job:
     """A job.
 
     Attributes:
-        piece: the excerpt.
         robot: a built-in robot's name, or the path of an MJCF.
-        robot_digest: of its description.
-        seed: of CMA-ES.
-        folder: the library.
         warm: start of the search; None for the unmodulated motion.
         began: start of its build: a motion that failed since then is not tried again.
     """
@@ -173,7 +169,6 @@ def _kept(job: Job, record: Record) -> Record:
 
 
 def _made(job: Job, report: Report) -> Record:
-    """Makes the motion and its file; returns its part of the record."""
     recipe = job.recipe
     robot = load_robot(job.robot)
     demonstration = load_motion(job.piece.open(), robot).target
@@ -224,7 +219,6 @@ def _made(job: Job, report: Report) -> Record:
 
 
 def _tried(job: Job, result: Imitation) -> Record:
-    """Figures of the motion under all conditions of the recipe."""
     recipe, robot, demonstration = job.recipe, result.robot, result.demonstration
     measured = measure(result, evaluation_s=recipe.evaluation_s, perturbed_episodes=recipe.perturbed)
     figures = {name: value for name, value in measured.figures.items() if name in empty()}

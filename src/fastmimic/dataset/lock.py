@@ -50,7 +50,6 @@ def mending(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _sign(folder: Path, what: str) -> Iterator[Path]:
-    """A file that exists and is touched while the block runs."""
     check_folder(folder)
     path = folder / f"{what}-{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(3)}{SUFFIX}"
     try:

@@ -30,8 +30,6 @@ class Superseded:
     """A record that no longer belongs to the library.
 
     Attributes:
-        id, name, robot, seed: of the record.
-        why: in words.
         instead: the later record of the same search; None for other reasons.
     """
 

@@ -90,7 +90,6 @@ _NEEDED: Final = ("name", "piece", "robot", "robot_digest", "seed", "recipe", "s
 
 
 def empty() -> Record:
-    """A record without values."""
     return dict.fromkeys(COLUMNS)
 
 

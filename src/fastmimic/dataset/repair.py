@@ -21,10 +21,7 @@ _COLUMNS = ("id", "name", "robot", "robot_file", "method", "motion_file", "rewar
 def rerun(
     library: MotionDataset, count: int, progress: Callable[[int, int], None] | None = None
 ) -> tuple[list[str], int]:
-    """Runs the nominal episodes of `count` random motions (at most all) again.
-
-    Args:
-        progress: called with (done, all).
+    """Runs the nominal episodes of `count` random motions (at most all) again; calls `progress` with (done, all).
 
     Returns:
         Motions with another reward than recorded, or with a damaged or missing file or robot, one line each; and the

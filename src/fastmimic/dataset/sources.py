@@ -130,7 +130,6 @@ def _read(path: Path) -> str:
 
 
 def _is_list(path: Path) -> bool:
-    """Whether a CSV is a list of sources, not a clip: by its header."""
     if not path.is_file():
         return True  # a missing list, rather than a motion of that name
     try:

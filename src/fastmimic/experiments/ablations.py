@@ -17,7 +17,6 @@ class Ablation:
     """A variant of `ABLATED`, optimised and evaluated with its own change.
 
     Attributes:
-        summary: the difference.
         change: its change of the controller's configuration.
         consistent: whether retargeting makes the motion consistent (`RetargetConfig.consistent`).
         n_basis: basis functions of each DMP.

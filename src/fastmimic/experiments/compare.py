@@ -59,9 +59,7 @@ class ComparisonPlan:
     """All runs of a comparison, in order of execution.
 
     Attributes:
-        settings: of all runs.
         motions: names, or files.
-        methods: names.
         seeds: number of seeds of the methods that optimise.
         ablations: whether to run the variants of `ABLATED` as well.
         policies: of the learned method; see `choose_policies`.
@@ -128,7 +126,6 @@ class Prepared:
     Attributes:
         out: folder of motions and runs.
         files: the motions to write.
-        tasks: the remaining runs.
         done: rows of the plan's finished runs.
         kept: rows of other finished runs of the same settings in the folder.
     """
@@ -216,8 +213,6 @@ def compare(
 
     Args:
         out: folder of motions and runs. Finished runs are kept, begun ones continue from their checkpoints.
-        workers: processes.
-        report: progress of the runs.
         prepared: called with the name of each retargeted motion.
 
     Raises `FastMimicError` as in `prepare`, or as the first failed run. Finished runs survive that and Ctrl-C.
@@ -266,7 +261,6 @@ def choose_policies(places: Sequence[Path], motions: Sequence[str]) -> tuple[Cho
 
 
 def _own_name(motion: str) -> str:
-    """A motion's own name: as recorded in a robot motion's file, the file's name for a clip."""
     path = Path(motion)
     if not path.is_file():
         return motion
@@ -274,7 +268,6 @@ def _own_name(motion: str) -> str:
 
 
 def _policy(file: Path, robot: Robot, demonstration: Motion) -> "Policy":
-    """The policy in a file, checked against robot and motion."""
     from fastmimic.learning.policy import Policy
 
     policy = Policy.load(file)
@@ -286,7 +279,6 @@ def _policy(file: Path, robot: Robot, demonstration: Motion) -> "Policy":
 
 
 def _stem(name: str) -> str:
-    """The name of a motion's file, without its suffix."""
     return slug(name).removesuffix(".npz")
 
 

@@ -72,8 +72,6 @@ def open_comparison(
 
     Args:
         settings: must equal those of `environment.json` to resume.
-        resume: whether to resume the comparison in the folder.
-        overwrite: whether to replace it.
 
     Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be
     written.

@@ -60,9 +60,7 @@ class ComparisonSettings:
 
     Attributes:
         robot: its name, or the path of its MJCF.
-        config: name of the controller's parameters.
         duration_s: length of the optimisation's episodes, s.
-        iterations, population: of CMA-ES.
         evaluation_s: length of the evaluation's episodes, s; at most a motion that does not repeat.
         perturbed_episodes: number of evaluation episodes from perturbed starts.
     """
@@ -141,8 +139,6 @@ def perform(
 
     Args:
         demonstration: the retargeted motion for the run's variant.
-        folder: of this run.
-        progress: called after each iteration of the optimisation.
         policy: of a learned method; a copy is kept in the folder.
 
     Returns:

@@ -29,8 +29,6 @@ def open_results(
         parts: name of the subfolder with the finished parts.
         written: names of the files made from the parts.
         settings: must equal the earlier ones to resume.
-        resume: whether to resume the experiment in the folder.
-        overwrite: whether to replace it.
 
     Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be
     written.

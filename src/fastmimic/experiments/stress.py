@@ -43,11 +43,8 @@ class StressSettings:
     Attributes:
         robot: its name, or the path of its MJCF.
         simulator, observe: as in `Conditions`.
-        episodes: of each level.
         duration_s: of an episode, s; at most a motion that does not repeat.
         seed: of the starting phases, sensors and uneven ground.
-        config: name of the controller's parameters.
-        iterations, population: of CMA-ES where a method optimises.
     """
 
     robot: str = "a1"
@@ -160,20 +157,17 @@ def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSett
 
 
 def _starts(episodes: int, room: int, seed: int) -> Start:
-    """Start samples: the first 0, the others random below `room`."""
     start = nominal_start(episodes)
     start.sample[1:] = np.random.default_rng(seed).integers(room, size=episodes - 1)
     return start
 
 
 def _batches(levels: tuple[float, ...], episodes: int) -> list[tuple[float, ...]]:
-    """Levels by batch, each batch as large as possible."""
     count = max(1, AT_ONCE // episodes)
     return [levels[i : i + count] for i in range(0, len(levels), count)]
 
 
 def _repeated(start: Start, times: int) -> Start:
-    """The same starts repeatedly, with the same random streams."""
     return Start(
         np.tile(start.sample, times),
         np.tile(start.joint_offset, (times, 1)),

@@ -24,12 +24,7 @@ DURATION_S: Final = 5.0  # s, length of the optimisation's episodes, as in `imit
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Settings of the searches.
-
-    Attributes:
-        config: name of the controller's parameters, for all methods.
-        iterations, population, seed: of CMA-ES.
-    """
+    """Settings of the searches."""
 
     config: str = "default"
     iterations: int = 200
@@ -46,9 +41,7 @@ class Subject:
     """A method with its motion.
 
     Attributes:
-        method: one of `fastmimic.imitation.methods.METHODS`.
         motion: the reference motion, with its demonstration.
-        config: the controller's, with the method's changes.
         controller: of a trained policy; None for the model-based one.
         policy: identifies the policy; empty without one.
     """
@@ -96,12 +89,10 @@ def make_subject(
     """A method with its motion; keeps an optimised motion in `folder`, and reads it from there the next time.
 
     Args:
-        method: its name.
         given: the motion. The method that made an optimised motion runs it unchanged; otherwise its demonstration is
             optimised.
         folder: for motions and checkpoints.
         policy: the controller of a trained policy, and its identifier.
-        progress: called after each iteration.
 
     Raises `FastMimicError` if the motion cannot be optimised, or the folder holds one of other content. After Ctrl-C
     the next call continues from the checkpoint.

@@ -172,7 +172,6 @@ def spread(s: Summary, column: str) -> str:
 
 
 def _spread_of_episodes(s: Summary) -> str:
-    """Mean and deviation over the episodes of all seeds."""
     means, stds = s.values("reward_perturbed"), s.values("reward_std")
     if not means:
         return NONE

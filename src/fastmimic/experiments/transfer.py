@@ -38,8 +38,6 @@ class TransferStage:
     """One set of conditions.
 
     Attributes:
-        name: short.
-        label: as in figures.
         simulator, observe, disturbances: as in `Conditions`.
     """
 
@@ -54,7 +52,6 @@ class TransferStage:
         return Conditions(self.simulator, self.observe, seed, self.disturbances)
 
     def __str__(self) -> str:
-        """In words."""
         said = f"{self.simulator}, {self.observe}"
         return f"{said}, {names_of(self.disturbances)}" if self.disturbances else said
 
@@ -95,11 +92,8 @@ class TransferSettings:
     """Settings of all trials.
 
     Attributes:
-        trials: of each stage.
         duration_s: of each, s; at most a motion that does not repeat.
         seed: of the starts and the sensors.
-        config: name of the controller's parameters.
-        iterations, population: of CMA-ES where a method optimises.
         identify: whether to run `IDENTIFIED` as well.
     """
 

@@ -29,12 +29,8 @@ class Evaluation:
     """Results of a motion over several episodes.
 
     Attributes:
-        motion: the motion that was run.
-        rollout: its episodes.
         method: one of `fastmimic.imitation.methods.METHODS`, which gave the controller.
         config: the controller's parameters with the method's changes.
-        robot: the robot's name.
-        conditions: of the episodes.
     """
 
     motion: Motion
@@ -85,9 +81,7 @@ def evaluate(
 
     Args:
         source, robot, overrides: as in `load_motion`.
-        episodes: number of episodes.
         duration_s: of each, s; None for 10 s, or the whole of a motion that does not repeat.
-        seed: of the perturbations.
         method, config: the controller and its parameters; None for those that optimised the motion, else mbc and
             "default". The method does not change the motion.
         log: whether to keep all states.

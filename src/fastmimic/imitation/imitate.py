@@ -53,15 +53,11 @@ def imitate(
         method: one of `fastmimic.imitation.methods.METHODS`.
         config: the controller's parameters, or the name of a set.
         duration_s: length of the episodes, s; a motion that does not repeat always runs whole.
-        iterations, population, seed: of CMA-ES.
         workers: threads; None for one per core. The result does not depend on it.
-        checkpoint, resume: as in `optimize`.
-        progress: called after each iteration.
         n_basis: basis functions of each DMP.
         controller: of a trained policy, as in `evaluate`; for the method rl, which optimises nothing.
         randomize: the robots that score each candidate, or their number; None for the nominal robot.
         warm_start: an optimised motion, or its file, with the modulation that the search begins from.
-        overrides: as in `load_motion`.
 
     Raises `FastMimicError`: an argument is wrong; the message says which.
     """
@@ -134,7 +130,6 @@ def imitate(
 
 
 def _warm(given: str | Path | Motion | None, method: Method) -> dict[str, float] | None:
-    """Modulation of the warm start."""
     if given is None:
         return None
     if not method.optimises:
@@ -145,7 +140,6 @@ def _warm(given: str | Path | Motion | None, method: Method) -> dict[str, float]
 def _held_out(
     over: Randomization, motion: Motion, robot: Robot, duration_s: float, config: ControllerConfig
 ) -> HeldOut:
-    """Runs a motion and its demonstration on the held-out robots."""
     conditions = Conditions(disturbances=over.held_out(HELD_OUT_ROBOTS))
     start = nominal_start(HELD_OUT_ROBOTS)
     before, after = (

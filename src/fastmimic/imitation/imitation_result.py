@@ -25,7 +25,6 @@ class HeldOut:
     """Rollouts of a randomised search's result on held-out robots.
 
     Attributes:
-        randomization: of the search.
         before, after: one episode per robot from the motion's start, with the demonstration and the optimised motion.
     """
 
@@ -56,16 +55,10 @@ class Imitation:
 
     Attributes:
         motion: the optimised motion, with its demonstration.
-        method: one of `fastmimic.imitation.methods.METHODS`.
-        config: the controller's, with the method's changes.
         before, after: one nominal episode of `duration_s` with the demonstration and with the optimised motion, logged.
         parameters: the optimised parameters, with bounds.
         values: (k,) their values, physical units.
-        history: the course of the optimisation; None without one.
-        evaluations: episodes run by the optimisation.
-        simulated_s: simulated time in all, s.
         wall_s: total time, s; includes the time before a resume.
-        interrupted: whether the optimisation was stopped early.
         held_out: results on other robots; None without randomisation.
     """
 
@@ -142,7 +135,6 @@ class Imitation:
         return plain(found)
 
     def _segments(self) -> list[dict[str, Any]]:
-        """Metrics of each segment of a stitched motion; empty for others."""
         rate, found = self.demonstration.rate_hz, []
         segments = self.demonstration.meta.get("stitch", {}).get("segments", [])
         for segment, *parts in zip(segments, self.before.parts, self.after.parts, strict=True):

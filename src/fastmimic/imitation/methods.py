@@ -31,9 +31,6 @@ class Method:
     """A way to make a robot imitate a motion.
 
     Attributes:
-        name: as on the command line.
-        label: as in figures.
-        summary: one line.
         parameters: `NOTHING`, or one of `fastmimic.optimize.parameters.PARAMETER_GROUPS`.
         change: its change of the controller's configuration.
         controller: makes a controller in place of the model-based one; None for that one.
@@ -211,9 +208,7 @@ def made_with(
 
     Args:
         motion: an optimised motion; a demonstration records no method.
-        method: one of `METHODS`.
         config: with the method's changes. Only the name of its set is kept; None if it equals no set.
-        randomization: of the search.
     """
     same = config.name in CONFIGS and method_named(method).configure(CONFIGS[config.name]()) == config
     record: dict[str, Any] = {"method": method, "config": config.name if same else None}
@@ -228,7 +223,6 @@ def controller_for(
     """The method and controller parameters for running a motion.
 
     Args:
-        motion: the motion to run.
         method: one of `METHODS`; None for the motion's own, or mbc if it records none.
         config: the controller's parameters, or the name of a set; None for the motion's own, or the default ones.
 

@@ -82,19 +82,13 @@ def stitch(
 
     Args:
         sources: two or more, as in `load_motion`. Optimised motions keep their parameters.
-        robot: the robot, its name, or the path of its MJCF.
         cycles: repetitions of each motion: one number for all, or one for each; None for about 3 s each. The whole
             lasts 600 s at most.
         method: one of `fastmimic.imitation.methods.METHODS`; without a search, the stitched motion is only run.
-        config: the controller's parameters, or the name of a set.
-        iterations: of CMA-ES on the whole.
         population: candidates in each; None for 4 + 3 ln k with k parameters, CMA-ES's default.
         part_iterations: of CMA-ES on each motion; None for `iterations`, or after a resume for the earlier number.
-        seed: of all searches.
-        workers: threads; None for one per core. The result does not depend on it.
         folder: for all checkpoints; None to keep none. Removes those of an earlier run unless `resume`.
         resume: continue from the checkpoints in the folder. Once the whole has begun, the motions' own are only read.
-        progress: called after each iteration.
         stage: called with the name of each stage as it begins.
         randomize: as in `imitate`, for each motion and for the whole.
 
@@ -226,7 +220,6 @@ def _optimised_parts(
     settings: Mapping[str, Any],
     say: Callable[[str], None],
 ) -> _Parts:
-    """Optimises each motion that is not optimised yet."""
     began = time.perf_counter()
     begun = resume and folder is not None and (folder / CHECKPOINT).is_file()
     out = _Parts({}, 0, 0.0, 0.0, 0.0)
@@ -288,7 +281,6 @@ def _part_checkpoints(folder: Path | None, copied: bool) -> Iterator[Path | None
 
 
 def _remove_checkpoints(folder: Path) -> None:
-    """Removes an earlier run's checkpoints, which this run would otherwise take for its own."""
     for path in folder.glob(CHECKPOINTS):
         try:
             path.unlink()

@@ -58,7 +58,6 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
             duration_s: greatest length of an episode, s.
             perturbed: whether episodes begin off the reference motion, as in an evaluation.
             randomize: ranges for each episode's robot and ground, such as `friction=0.4:1.2`.
-            config: of the policy's interface.
             render_mode: None; `fastmimic render` makes videos.
 
         Raises `FastMimicError` if there is no such robot, motion or range, or they do not fit together.
@@ -114,7 +113,6 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
         render_mode: str | None = None,
     ) -> None:
         """Args:
-            num_envs: number of robots.
             motion, robot, duration_s, perturbed, config, render_mode: as for `ImitationEnv`.
             randomize: ranges for the robots and their grounds, such as `friction=0.4:1.2`; drawn at a seeded reset.
             threads: number of threads; the results do not depend on it.
@@ -164,7 +162,6 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
         )
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Stops the threads."""
         self._episodes.close()
 
     def _info(self, outcome: Outcome) -> dict[str, Any]:

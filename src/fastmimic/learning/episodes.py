@@ -62,8 +62,9 @@ class Outcome:
 class Episodes:
     """n robots that imitate one motion in successive episodes. Only one thread at a time may step it.
 
-    An episode begins at a random phase of the motion (reference-state initialisation), with joints and velocity
-    perturbed as in an evaluation, and ends by a fall or at its length; the robot then begins the next one at once.
+    Of an optimised motion they imitate the demonstration. An episode begins at a random phase (reference-state
+    initialisation), with joints and velocity perturbed as in an evaluation, and ends by a fall or at its length; the
+    robot then begins the next one at once.
     """
 
     def __init__(
@@ -80,12 +81,6 @@ class Episodes:
         randomize: Sequence[Range] = (),
     ) -> None:
         """Args:
-            motion: the motion; of an optimised motion its demonstration counts.
-            n: number of robots.
-            seed: of all random numbers.
-            threads: number of threads.
-            duration_s: of an episode, s.
-            perturbed: whether episodes begin off the reference motion.
             randomize: ranges for the robots and their grounds.
 
         Raises `MotionError` for another robot's motion, `ConfigError` for another rate or a number out of range.
@@ -152,7 +147,6 @@ class Episodes:
         return np.concatenate([shard.scorer.terms for shard in self._shards])
 
     def close(self) -> None:
-        """Stops the threads."""
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None

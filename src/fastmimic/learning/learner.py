@@ -54,11 +54,9 @@ class Iteration:
     Attributes:
         reward: mean over all robots and steps.
         scores: mean rewards of the ended episodes over their full length, 0 after a fall.
-        lengths: their policy steps.
         falls: number of them that ended by a fall.
         losses: of the update, by name.
         deviation: mean standard deviation of the actions.
-        learning_rate: after the update.
         collect_s, update_s: wall time of the rollouts and of the update.
     """
 
@@ -214,7 +212,6 @@ class Learner:
         self._seen = self._tensors(self.episodes.restore({**found, "random": _unplain(state["numpy_random"])}))
 
     def close(self) -> None:
-        """Stops the threads."""
         self.episodes.close()
 
     def _make(self, seen: Any) -> Any:

@@ -67,7 +67,6 @@ class Policy:
         robot, motion: names of the training's robot and motion.
         samples: of that motion.
         activation: one of `ACTIVATIONS`.
-        seed: of the training.
         about: further entries of its file: `library`, `versions`, `training` (`steps`, `wall_s`, …).
     """
 

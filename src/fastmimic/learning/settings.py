@@ -20,13 +20,11 @@ class TrainingSettings:
         robots: simulated at once.
         horizon: policy steps of each robot between two updates.
         hidden: widths of the hidden layers of actor and critic.
-        epochs, minibatches: of an update.
         learning_rate: initial value; it then adapts to `desired_kl`.
         desired_kl: target change of the policy per update.
         discount, trace: γ and λ.
         entropy: weight of the entropy bonus.
         exploration: initial standard deviation of the actions, in units of `PolicyConfig.action_scale`.
-        episode_s: length of an episode, s.
         randomize: ranges for robots and grounds.
         update_threads: of the linear algebra; the bits of the result depend on it.
     """

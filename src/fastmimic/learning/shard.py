@@ -93,7 +93,6 @@ class Shard:
         observe(self._settings, tables, clocks, simulation.observation, self._senses, self._work[0], seen)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """The complete state, robot by robot."""
         found = {
             "physics": self.simulation.batch.state,
             "observation": self.simulation.observation,
@@ -105,7 +104,6 @@ class Shard:
         return {name: array.copy() for name, array in found.items()}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Restores a `state`."""
         self.simulation.batch.state[...] = state["physics"]
         self.simulation.observation[...] = state["observation"]
         self._clocks[...], self._senses[...] = state["clocks"], state["senses"]

@@ -60,8 +60,6 @@ def begin_episodes(
         draws: (k, 16) uniform in [0, 1): phase, joints, velocity.
         noise: 1 for starts off the reference motion, 0 for starts on it.
         room: number of samples where an episode may begin.
-        steps: policy steps of an episode.
-        decimation: control steps of a policy step.
         clocks, senses, counts: (n,) records, changed in place.
         places: (k,) of `PLACE`, the result.
         work: (2, 3, 3) scratch.

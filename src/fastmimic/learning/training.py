@@ -35,12 +35,10 @@ class Evaluated:
     """An evaluation of a policy under training, as in `fastmimic compare`.
 
     Attributes:
-        steps: policy steps of training so far.
         wall_s, cpu_s: time of the training so far.
         reward: of a nominal episode.
         reward_perturbed: mean over episodes from perturbed starts.
-        fell: whether the nominal episode ended by a fall.
-        fell_perturbed: share of falls among the others.
+        fell_perturbed: share of falls among these.
     """
 
     steps: int
@@ -76,20 +74,15 @@ def train(
     evaluate_every: int = EVALUATION_STEPS,
     progress: Callable[[Advance], None] | None = None,
 ) -> list[Evaluated]:
-    """Trains a policy to imitate a motion, and keeps the best one evaluated as `policy.npz` and `policy.onnx`.
+    """Trains a policy to imitate a motion's demonstration; keeps the best one evaluated as `policy.npz` and `policy.onnx`.
 
     The folder also holds `evaluations.csv`, TensorBoard's logs and a checkpoint. A resumed training equals an
     uninterrupted one to the bit on the same machine; a finished one continues if `steps` is greater.
 
     Args:
-        motion: the motion; of an optimised motion its demonstration counts.
         steps: policy steps of all robots together, rounded up to whole iterations.
-        folder: for all files.
-        device: of PyTorch.
         threads: number of threads; the result does not depend on it.
-        resume: whether to continue from the folder's checkpoint.
         evaluate_every: policy steps between evaluations; the last iteration always has one.
-        progress: called after each iteration.
 
     Raises `ConfigError` for a missing library or as `Learner`, `CheckpointError` for a damaged checkpoint, and
     `OutputError` if a file cannot be written. Ctrl-C leaves a checkpoint of the last minute.
@@ -150,7 +143,6 @@ class _Training:
         return self._evaluations
 
     def _evaluate(self) -> Evaluated:
-        """Evaluates the present policy, and saves it if it is the best so far."""
         policy = self._learner.policy(self._about())
         found = evaluate_policy(
             policy, self._learner.episodes.robot, self._learner.episodes.motion, self._steps, self._watch

@@ -68,8 +68,6 @@ def open_training(path: Path, same: Mapping[str, Any], *, resume: bool, overwrit
 
     Args:
         same: settings that must equal `training` in the folder's `config.json` to resume.
-        resume: whether to continue the training in the folder.
-        overwrite: whether to replace it.
 
     Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be
     written.

@@ -31,8 +31,6 @@ class CmaSettings:
     """Settings of the optimiser.
 
     Attributes:
-        iterations: number of generations.
-        population: candidates in each generation.
         step_size: initial standard deviation, as a share of each parameter's range.
     """
 
@@ -83,10 +81,8 @@ class Optimum:
         score: objective in the optimisation's episode; with the first iteration's robots, if several.
         validation: mean objective over the validation episodes, or the criterion over several robots; NaN if
             interrupted before.
-        history: the course of the search.
         evaluations, simulated_s, elapsed_s: episodes run, their total length and the time spent, before a resume
             included.
-        interrupted: whether it was stopped early.
     """
 
     x: Array
@@ -129,11 +125,8 @@ def optimize(
     with robots that the search has not met.
 
     Args:
-        problem: scores the candidates.
-        settings: of the optimiser.
         checkpoint: file for the course, written every few iterations.
         resume: continue from that file; the result is bit for bit that of an uninterrupted run.
-        progress: called after each iteration.
 
     Raises `CheckpointError` if the checkpoint to resume from is missing, damaged, or of another problem, `ConfigError`
     if an episode is too short for its disturbances, and `OutputError` if the checkpoint cannot be written.

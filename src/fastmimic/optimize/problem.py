@@ -167,8 +167,6 @@ class Problem(ABC):
 
         Args:
             tables: (n, t) of `SAMPLE`.
-            start: of n episodes.
-            steps: control steps.
             robots: differences of the n robots from the nominal one, n values each.
         """
         bounds = np.linspace(0, len(tables), min(self.workers, len(tables)) + 1).astype(int)
@@ -230,12 +228,9 @@ class ImitationProblem(Problem):
         moved: Mapping[str, float] | None = None,
     ) -> None:
         """Args:
-            robot: the robot.
             demonstration: the motion to compare with.
             dmp: fitted to it.
             group: one of `PARAMETER_GROUPS`.
-            objective: how candidates are scored.
-            config: the controller's.
             workers: threads; None for one per core.
             moved: modulation at the start of the search (see `moved_by`); None for the unmodulated motion.
 
@@ -304,7 +299,6 @@ class ImitationProblem(Problem):
         return [(i, dimension) for i, (dimension, of) in enumerate(names) if of == kind]
 
     def _modulation(self, x: Array) -> tuple[Array, Array]:
-        """Baselines and amplitudes (n, 24) of candidates (n, k)."""
         goal = np.repeat(self.dmp.goal[None], len(x), axis=0)
         amplitude = np.repeat(self.dmp.amplitude[None], len(x), axis=0)
         goal[:, list(self._goals.values())] = x[:, list(self._goals)]

@@ -58,12 +58,10 @@ class StitchedProblem(Problem):
         n_basis: int = N_BASIS,
     ) -> None:
         """Args:
-            robot: the robot.
             demonstration: from `stitch_motions`.
             start: start of the search by parameter, or per segment, clipped to the bounds; unmodulated where it has no
                 value.
             objective: how candidates are scored; the clearance rule holds per segment, the duration is ignored.
-            config: the controller's.
             group: of each segment, one of `PARAMETER_GROUPS`.
             workers: threads; None for one per core.
             n_basis: basis functions of each DMP.

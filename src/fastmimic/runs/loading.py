@@ -23,7 +23,6 @@ class MotionSource:
         name: the given name, or that of the given clip or motion.
         motion: the robot motion; None for a clip, which must be retargeted.
         clip: the clip, its name or its file; None for a robot motion.
-        folder: the given folder of a run; None for other sources.
     """
 
     name: str

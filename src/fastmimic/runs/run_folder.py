@@ -105,8 +105,6 @@ def open_run(
     Args:
         config: the content of `config.json`; its `arguments` identify the run.
         same: the arguments that must be equal for a run to be the same.
-        resume: whether the run resumes from the folder's checkpoint.
-        overwrite: whether a run of other arguments may be replaced.
 
     Raises `ConfigError` for both `resume` and `overwrite`, `CheckpointError` if there is nothing to resume from, and
     `OutputError` if the folder holds another run, or cannot be written to.

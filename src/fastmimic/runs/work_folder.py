@@ -58,8 +58,6 @@ class WorkFolder:
 
         Args:
             same: settings that must equal the earlier ones to resume.
-            resume: whether to resume the work in the folder.
-            overwrite: whether to replace it.
             begun: whether earlier work would lose anything.
 
         Raises `ConfigError` for both `resume` and `overwrite`, and `OutputError` if the folder holds other files or
