@@ -87,7 +87,7 @@ class Built:
 
     Attributes:
         table: the library's index, an Arrow table.
-        ids: of the records of their jobs.
+        ids: of the records of the requested sources' jobs.
         done: number of jobs done now; the others were finished before.
         left_out: robot motions for none of the robots, one line each.
     """

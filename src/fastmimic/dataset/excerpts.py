@@ -120,12 +120,8 @@ class Survey:
 
 
 def survey(source: DatasetSource, confidence: float, discrete: bool = False) -> Survey:
-    """Searches a source for excerpts; errors become part of the result.
-
-    Args:
-        confidence: least confidence of a cycle found in a take.
-        discrete: whether to imitate movement in a take that does not repeat, too.
-    """
+    """Searches a source for excerpts, with the least confidence of cycles; with `discrete`, movement that does not
+    repeat counts, too. Errors become part of the result."""
     try:
         looked = look_of(source, confidence, discrete)
         return replace(_found(source, confidence, discrete), looked=looked)

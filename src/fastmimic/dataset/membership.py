@@ -27,11 +27,8 @@ OTHER_ROBOT: Final = "its robot has changed"
 
 @dataclass(frozen=True)
 class Superseded:
-    """A record that no longer belongs to the library.
-
-    Attributes:
-        instead: the later record of the same search; None for other reasons.
-    """
+    """A record that no longer belongs to the library, `why`, and the later record of the same search, if any
+    (`instead`)."""
 
     id: str
     name: str

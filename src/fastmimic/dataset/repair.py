@@ -22,14 +22,9 @@ def rerun(
     library: MotionDataset, count: int, progress: Callable[[int, int], None] | None = None
 ) -> tuple[list[str], int]:
     """Runs the nominal episodes of `count` random motions (at most all) again; calls `progress` with (done, all).
-
-    Returns:
-        Motions with another reward than recorded, or with a damaged or missing file or robot, one line each; and the
-        number drawn.
-
-    Raises `LibraryError` if the index is missing or damaged, `ConfigError` if the controller's parameter file is
-    missing.
-    """
+    Returns the motions with another reward than recorded, or with a damaged or missing file or robot, one line each,
+    and the number drawn. Raises `LibraryError` for a missing or damaged index, `ConfigError` for a missing parameter
+    file."""
     recipe = library.recipe()
     assert recipe is not None, "an open library has one"
     controller = controller_config(recipe.config)

@@ -41,12 +41,7 @@ def distance(a: Excerpt, b: Excerpt) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """Excerpts of a library and their best motions.
-
-    Attributes:
-        pieces: by digest.
-        best: by robot, name or file, the best kept row of each excerpt.
-    """
+    """Excerpts of a library by digest, and for each robot (name or file) the best kept row of each excerpt."""
 
     library: Path
     pieces: Mapping[str, Excerpt]

@@ -135,17 +135,10 @@ def perform(
     progress: Callable[[Progress], None] | None = None,
     policy: "Policy | None" = None,
 ) -> Row:
-    """Optimises if the method does, evaluates, and writes the run's folder; resumes from a checkpoint in it.
-
-    Args:
-        demonstration: the retargeted motion for the run's variant.
-        policy: of a learned method; a copy is kept in the folder.
-
-    Returns:
-        The row; see `COLUMNS` in `fastmimic.experiments.tables`.
-
-    Raises `FastMimicError` as `imitate`, `KeyboardInterrupt` for Ctrl-C; the checkpoint stays in the folder.
-    """
+    """Optimises if the method does, evaluates, and writes the run's folder; resumes from a checkpoint in it. Returns
+    the row (`COLUMNS` in `fastmimic.experiments.tables`). `demonstration` is the retargeted motion for the run's
+    variant; the folder keeps a copy of a learned method's `policy`. Raises `FastMimicError` as `imitate`; the
+    checkpoint survives Ctrl-C."""
     checkpoint = folder / CHECKPOINT
     resumed = checkpoint.is_file()
     config = controller_of(run, settings)

@@ -35,11 +35,7 @@ COLUMNS: Final = ("motion", "method", "stage", "trial", "reward", "fell", "robot
 
 @dataclass(frozen=True)
 class TransferStage:
-    """One set of conditions.
-
-    Attributes:
-        simulator, observe, disturbances: as in `Conditions`.
-    """
+    """One set of conditions; `simulator`, `observe` and `disturbances` as in `Conditions`."""
 
     name: str
     label: str

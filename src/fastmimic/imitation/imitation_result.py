@@ -22,11 +22,8 @@ _BEFORE_AND_AFTER: Final = ("early_contacts_per_s", "stance_slip_m", "foot_z_rms
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Rollouts of a randomised search's result on held-out robots.
-
-    Attributes:
-        before, after: one episode per robot from the motion's start, with the demonstration and the optimised motion.
-    """
+    """A randomised search's result on held-out robots: one episode per robot from the motion's start, with the
+    demonstration (`before`) and the optimised motion (`after`)."""
 
     randomization: Randomization
     before: Rollout

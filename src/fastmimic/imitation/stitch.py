@@ -36,12 +36,8 @@ PART_POPULATION: Final = 10
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stitching(Imitation):
-    """A stitched, optimised motion and the course of its optimisation.
-
-    Attributes:
-        individual: one nominal episode with the segments' own optima, where the search began. Without a search,
-            `before` and `after` are the same episode.
-    """
+    """A stitched, optimised motion and the course of its optimisation; `individual` is one nominal episode with the
+    segments' own optima, where the search began (without a search, the same as `before` and `after`)."""
 
     individual: Rollout
 

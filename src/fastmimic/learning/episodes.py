@@ -80,11 +80,7 @@ class Episodes:
         perturbed: bool = True,
         randomize: Sequence[Range] = (),
     ) -> None:
-        """Args:
-            randomize: ranges for the robots and their grounds.
-
-        Raises `MotionError` for another robot's motion, `ConfigError` for another rate or a number out of range.
-        """
+        """Raises `MotionError` for another robot's motion, `ConfigError` for another rate or a number out of range."""
         config = config if config is not None else PolicyConfig()
         demonstration = motion.target
         demonstration.check_robot(robot.name)

@@ -28,11 +28,7 @@ VALIDATION_S: Final = 10.0
 
 @dataclass(frozen=True)
 class CmaSettings:
-    """Settings of the optimiser.
-
-    Attributes:
-        step_size: initial standard deviation, as a share of each parameter's range.
-    """
+    """Settings of the optimiser; `step_size` is the initial standard deviation as a share of each parameter's range."""
 
     iterations: int = 200
     population: int = 10

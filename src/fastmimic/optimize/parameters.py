@@ -39,12 +39,8 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Opened:
-    """A parameter of a group, for any motion.
-
-    Attributes:
-        dimension: of the DMP.
-        kind: "goal", with bounds relative to the fitted baseline, or "amplitude".
-    """
+    """A DMP parameter of a group, for any motion: a "goal", with bounds relative to the fitted baseline, or an
+    "amplitude"."""
 
     dimension: str
     kind: str
