@@ -1,15 +1,16 @@
 """The command `fastmimic`: imports the verb's module, parses its arguments, and prints errors as one line."""
 
 import contextlib
+import dataclasses
 import difflib
 import io
 import logging
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
-from typing import Final, NamedTuple, NoReturn, Protocol
+from typing import Any, Final, NamedTuple, NoReturn, Protocol
 
 from fastmimic import __version__
 from fastmimic.base.errors import FastMimicError
@@ -71,18 +72,19 @@ A MOTION is a built-in gait such as trot, a recording such as dog:pace (see 'fas
 """
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None, *, without_option: Mapping[str, Any] | None = None) -> int:
     """Runs the command line; returns the exit status.
 
     Args:
         argv: arguments without the program's name; those of the process if None.
+        without_option: values of the verb's fields that have no option, such as `choice`; a verb ignores others.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # for terminals without, say, an arrow
     try:
-        status = _dispatch(arguments)
+        status = _dispatch(arguments, without_option or {})
         sys.stdout.flush()
     except FastMimicError as error:
         return _fail(" ".join(str(error).split()))
@@ -98,7 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return status
 
 
-def _dispatch(arguments: list[str]) -> int:
+def _dispatch(arguments: list[str], without_option: Mapping[str, Any]) -> int:
     if not arguments:
         sys.stderr.write(HELP)
         return EXIT_ERROR
@@ -114,11 +116,21 @@ def _dispatch(arguments: list[str]) -> int:
     _log_to_stderr()
     load_extensions()
     try:
-        return _parse(first, rest).run()
+        command = _parse(first, rest)
+        return _filled(command, without_option).run()
     except _UsageError as error:
         return _fail(f"{error} (see 'fastmimic {first} --help')")
     except SystemExit as stop:  # --help
         return int(stop.code or 0)
+
+
+def _filled(command: Any, values: Mapping[str, Any]) -> Any:
+    """The command, or a part of it, with these values in place of the fields of their names."""
+    own = {field.name: getattr(command, field.name) for field in dataclasses.fields(command)}
+    for name, value in own.items():
+        if dataclasses.is_dataclass(value) and name not in values:
+            own[name] = _filled(value, values)
+    return dataclasses.replace(command, **own | {name: values[name] for name in own if name in values})
 
 
 def _unknown(word: str) -> str:

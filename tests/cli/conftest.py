@@ -10,16 +10,7 @@ import pytest
 
 from cli.running import QUICK_MAIN, Outcome, Run
 from fastmimic.cli import main
-
-
-@pytest.fixture(scope="module", autouse=True)
-def short_validation() -> Iterator[None]:
-    """As in `quick_main`, for the commands that run in this process."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fastmimic.optimize.cma_es.VALIDATION_S", 0.4)
-        patch.setattr("fastmimic.optimize.cma_es.VALIDATION_EPISODES", 2)
-        patch.setattr("fastmimic.optimize.cma_es.VALIDATED", 2)
-        yield
+from searches import QUICK_COMMAND
 
 
 @pytest.fixture
@@ -36,7 +27,7 @@ def run(in_folder: Path, capsys: pytest.CaptureFixture[str]) -> Run:
 
     def call(*arguments: str | Path) -> Outcome:
         capsys.readouterr()
-        status = main([str(a) for a in arguments])
+        status = main([str(a) for a in arguments], without_option=QUICK_COMMAND)
         captured = capsys.readouterr()
         return Outcome(status, captured.out, captured.err)
 
@@ -55,7 +46,7 @@ def start(in_folder: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
             stderr=stderr,
             text=True,
             cwd=in_folder,
-            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            env=os.environ | {"PYTHONUNBUFFERED": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
         )
         started.append(process)
         return process

@@ -20,12 +20,6 @@ Start = Callable[..., "subprocess.Popen[str]"]
 TINY = ("--iterations", "12", "--population", "4", "--duration", "0.6", "--seeds", "1")
 
 
-@pytest.fixture(autouse=True)
-def short_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For the commands that run in this process."""
-    monkeypatch.setattr("fastmimic.experiments.comparison_run.EVALUATION_S", 0.6)
-
-
 def rows(folder: Path) -> list[dict[str, str]]:
     """The CSV without the times."""
     with (folder / "results.csv").open(newline="") as file:

@@ -20,6 +20,7 @@ from fastmimic.base.conventions import LEGS
 from fastmimic.cli import main
 from fastmimic.commands.imitate import Imitate
 from fastmimic.motion.motion import Motion
+from searches import QUICK_COMMAND
 
 Start = Callable[..., "subprocess.Popen[str]"]
 TIMES = ("wall_s", "video_s", "realtime_factor")
@@ -54,7 +55,7 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
     folder = tmp_path_factory.mktemp("first")
     out, err = io.StringIO(), io.StringIO()
     with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        status = main(["imitate", "trot", *TINY])
+        status = main(["imitate", "trot", *TINY], without_option=QUICK_COMMAND)
     return folder / "runs" / "trot-a1-mbc-dmp-0", Outcome(status, out.getvalue(), err.getvalue())
 
 

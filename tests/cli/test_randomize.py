@@ -13,11 +13,6 @@ from fastmimic.optimize.randomization import usual_randomization
 TWO = ("--randomize", "2", "--randomize-over", "payload=1:4", "friction", "--criterion", "worst")
 
 
-@pytest.fixture(autouse=True)
-def few_robots(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fastmimic.optimize.cma_es.VALIDATION_ROBOTS", 2)
-
-
 def read(path: Path) -> dict[str, Any]:
     return json.loads(path.read_text())
 

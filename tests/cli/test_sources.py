@@ -47,8 +47,7 @@ def test_transfer_takes_a_folder(folder: str, run: Run) -> None:
     assert done.status == 0, done.err
 
 
-def test_compare_takes_a_folder(folder: str, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fastmimic.experiments.comparison_run.EVALUATION_S", 0.2)
+def test_compare_takes_a_folder(folder: str, run: Run) -> None:
     done = run("compare", "--motions", folder, "--methods", "mbc", "--duration", "0.2", "--workers", "1")
     assert done.status == 0, done.err
 

@@ -17,6 +17,7 @@ from cli.running import Outcome, Run, wait_for_iteration
 from cli.test_imitate import assert_same_run, metrics
 from fastmimic.cli import main
 from fastmimic.motion.motion import Motion
+from searches import QUICK_COMMAND
 
 TINY = ("--cycles", "2", "--iterations", "2", "--part-iterations", "2", "--population", "4", "--no-video")
 
@@ -27,7 +28,7 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
     folder = tmp_path_factory.mktemp("first")
     out, err = io.StringIO(), io.StringIO()
     with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        status = main(["stitch", "trot", "turn", *TINY])
+        status = main(["stitch", "trot", "turn", *TINY], without_option=QUICK_COMMAND)
     return folder / "runs" / "trot+turn-a1-mbc-dmp-0", Outcome(status, out.getvalue(), err.getvalue())
 
 

@@ -2,14 +2,22 @@
 
 from pathlib import Path
 
-from cli.conftest import in_folder, run, short_validation, start
+from cli.conftest import in_folder, run, start
 from fastmimic.dataset import BuildRequest, BuildSettings, DatasetSource, MotionDataset
 from fastmimic.dataset.folder import reproducible
+from searches import QUICK_CHOICE
 
-__all__ = ["in_folder", "run", "short_validation", "start"]
+__all__ = ["in_folder", "run", "start"]
 
 RECIPE = BuildSettings(
-    iterations=3, population=4, duration_s=0.6, evaluation_s=0.6, perturbed=1, others=2, second_simulator=False
+    iterations=3,
+    population=4,
+    duration_s=0.6,
+    evaluation_s=0.6,
+    perturbed=1,
+    others=2,
+    second_simulator=False,
+    choice=QUICK_CHOICE,
 )
 
 

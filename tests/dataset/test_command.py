@@ -14,6 +14,7 @@ from cli.running import Run
 from dataset.conftest import same
 from fastmimic.dataset import MotionDataset
 from fastmimic.dataset.folder import check, reproducible
+from searches import QUICK_COMMAND
 
 pytest.importorskip("pyarrow")
 
@@ -31,7 +32,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from fastmimic.cli import main
 
     folder = tmp_path_factory.mktemp("command") / "motions"
-    assert main(["library", "build", "trot", "pace", "--out", str(folder), *HERE]) == 0
+    assert main(["library", "build", "trot", "pace", "--out", str(folder), *HERE], without_option=QUICK_COMMAND) == 0
     return folder
 
 

@@ -26,8 +26,11 @@ from fastmimic.motion.motion import Motion
 from fastmimic.report.comparison_files import write_comparison
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import load_motion
+from searches import QUICK_CHOICE
 
-TINY = ComparisonSettings(duration_s=0.6, iterations=2, population=4, evaluation_s=0.8, perturbed_episodes=2)
+TINY = ComparisonSettings(
+    duration_s=0.6, iterations=2, population=4, evaluation_s=0.8, perturbed_episodes=2, choice=QUICK_CHOICE
+)
 PLAN = ComparisonPlan(TINY, ("trot",), tuple(PAPER_METHODS), seeds=2, ablations=True)
 PNG = b"\x89PNG"
 

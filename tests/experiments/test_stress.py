@@ -30,6 +30,7 @@ from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 from fastmimic.simulation.disturbances import Disturbance, known
+from searches import QUICK_CHOICE
 
 SETTINGS = StressSettings(episodes=2, duration_s=0.6)
 
@@ -175,7 +176,7 @@ class TestRefusals:
 
 class TestEntrants:
     def test_an_optimised_motion_is_made_once(self, motion: Motion, robot: Robot, tmp_path: Path) -> None:
-        search = Search(iterations=1, population=4)
+        search = Search(iterations=1, population=4, choice=QUICK_CHOICE)
         made = make_subject("mbc-dmp", motion, robot, search, tmp_path)
         assert {p.name for p in tmp_path.iterdir()} == {f"{motion.name}-mbc-dmp.npz"}
         again = make_subject("mbc-dmp", motion, robot, Search(iterations=10**6), tmp_path)

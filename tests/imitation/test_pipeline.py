@@ -17,12 +17,12 @@ from fastmimic.imitation.evaluate import evaluate
 from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.imitation_result import Imitation
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize import cma_es
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion
+from searches import QUICK_CHOICE
 
 DURATION = 0.6
-QUICK = {"duration_s": DURATION, "iterations": 2, "population": 4, "seed": 1}
+QUICK = {"duration_s": DURATION, "iterations": 2, "population": 4, "seed": 1, "choice": QUICK_CHOICE}
 
 
 @pytest.fixture(scope="module")
@@ -32,20 +32,7 @@ def motion(robot: Robot) -> Motion:
 
 @pytest.fixture(scope="module")
 def imitation(motion: Motion, robot: Robot) -> Imitation:
-    with pytest.MonkeyPatch.context() as patch:
-        shorten_validation(patch)
-        return imitate(motion, robot, workers=2, **QUICK)
-
-
-def shorten_validation(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(cma_es, "VALIDATED", 2)
-    patch.setattr(cma_es, "VALIDATION_EPISODES", 2)
-    patch.setattr(cma_es, "VALIDATION_S", 0.4)
-
-
-@pytest.fixture(autouse=True)
-def quick_validation(monkeypatch: pytest.MonkeyPatch) -> None:
-    shorten_validation(monkeypatch)
+    return imitate(motion, robot, workers=2, **QUICK)
 
 
 class TestImitate:
@@ -239,10 +226,6 @@ def test_settings_out_of_range_are_refused(
 class TestRandomized:
     """Optimised over several robots."""
 
-    @pytest.fixture(autouse=True)
-    def few_robots(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(cma_es, "VALIDATION_ROBOTS", 2)
-
     def test_is_measured_on_robots_of_its_own(self, motion: Motion, robot: Robot) -> None:
         over = fm.Randomization(2, ("friction", "payload=1:4"))  # type: ignore[arg-type]
         result = imitate(motion, robot, randomize=over, **QUICK)
@@ -270,7 +253,8 @@ class TestRandomized:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("fastmimic.imitation.imitate.HELD_OUT_ROBOTS", 1)
             patch.setattr("fastmimic.imitation.stitch.PART_POPULATION", 4)
-            result = fm.stitch([motion, motion], robot, cycles=2, iterations=1, population=4, randomize=2)
+            few = {"iterations": 1, "population": 4, "choice": QUICK_CHOICE}
+            result = fm.stitch([motion, motion], robot, cycles=2, randomize=2, **few)  # type: ignore[arg-type]
         assert result.held_out is not None
         assert result.motion.meta["made_with"]["randomization"]["robots"] == 2
         searched = 1 + 4 + 2  # the unmodulated motion, the candidates, and the mean and the best of them once more

@@ -13,13 +13,19 @@ from control.motions import gait
 from fastmimic.base.errors import CheckpointError, ConfigError
 from fastmimic.imitation.stitch import usual_population
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize import cma_es
+from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.optimize.stitched import segment_clearance
 from fastmimic.primitive import MotionDmp
 from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout
 
-FEW: dict[str, Any] = {"iterations": 1, "population": 4, "part_iterations": 1, "workers": 1}
+FEW: dict[str, Any] = {
+    "iterations": 1,
+    "population": 4,
+    "part_iterations": 1,
+    "workers": 1,
+    "choice": FinalChoice(1, 1, duration_s=0.4),
+}
 
 
 @pytest.fixture(scope="module")
@@ -36,18 +42,6 @@ def optimised(robot: Robot) -> Motion:
     amplitude = dmp.amplitude
     amplitude[[14, 17, 20, 23]] = 1.25
     return dmp.motion(dmp.goal, amplitude)
-
-
-@pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    shorten(monkeypatch)
-
-
-def shorten(patch: pytest.MonkeyPatch) -> None:
-    """The validation."""
-    patch.setattr(cma_es, "VALIDATED", 1)
-    patch.setattr(cma_es, "VALIDATION_EPISODES", 1)
-    patch.setattr(cma_es, "VALIDATION_S", 0.4)
 
 
 def test_motions_are_optimised_by_themselves_unless_they_are_already(
@@ -114,9 +108,7 @@ def files(folder: Path) -> dict[str, bytes]:
 def finished(walk: Motion, robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run. Not to be changed."""
     folder = tmp_path_factory.mktemp("finished")
-    with pytest.MonkeyPatch.context() as patch:
-        shorten(patch)
-        fm.stitch([walk, walk], robot, cycles=3, folder=folder, **FEW)
+    fm.stitch([walk, walk], robot, cycles=3, folder=folder, **FEW)
     return folder
 
 

@@ -25,8 +25,11 @@ from fastmimic.report.comparison_files import write_comparison
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion
 from learning.hand_made import follower
+from searches import QUICK_CHOICE
 
-TINY = ComparisonSettings(duration_s=0.6, iterations=2, population=4, evaluation_s=0.8, perturbed_episodes=2)
+TINY = ComparisonSettings(
+    duration_s=0.6, iterations=2, population=4, evaluation_s=0.8, perturbed_episodes=2, choice=QUICK_CHOICE
+)
 
 
 @pytest.fixture(scope="module")

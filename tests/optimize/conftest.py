@@ -6,7 +6,6 @@ import pytest
 
 from control.motions import gait
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize import cma_es
 from fastmimic.optimize.problem import ImitationProblem, Objective
 from fastmimic.primitive import MotionDmp
 from fastmimic.robot import Robot
@@ -36,11 +35,3 @@ def make_problem(robot: Robot, demonstration: Motion, dmp: MotionDmp) -> Callabl
 @pytest.fixture(scope="session")
 def problem(make_problem: Callable[..., ImitationProblem]) -> ImitationProblem:
     return make_problem()
-
-
-@pytest.fixture
-def quick_validation(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two candidates compete for the result over two short episodes, instead of eight over four long ones."""
-    monkeypatch.setattr(cma_es, "VALIDATED", 2)
-    monkeypatch.setattr(cma_es, "VALIDATION_EPISODES", 2)
-    monkeypatch.setattr(cma_es, "VALIDATION_S", 0.4)

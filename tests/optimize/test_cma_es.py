@@ -1,6 +1,7 @@
 """The search: reproducible to the bit, resumable to the bit, and usable whenever it is stopped."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,9 @@ from fastmimic.optimize import cma_es
 from fastmimic.optimize.checkpoint import FILE_NAME, Checkpoint
 from fastmimic.optimize.cma_es import CmaSettings, Optimum, Progress, optimize
 from fastmimic.optimize.problem import ImitationProblem
+from searches import QUICK_CHOICE
 
-SETTINGS = CmaSettings(iterations=5, population=4, seed=3)
-
-pytestmark = pytest.mark.usefixtures("quick_validation")
+SETTINGS = CmaSettings(iterations=5, population=4, seed=3, choice=QUICK_CHOICE, checkpoint_every=2)
 
 
 class KilledError(Exception):
@@ -45,19 +45,10 @@ def assert_same(a: Optimum, b: Optimum) -> None:
     assert a.history.baseline == b.history.baseline
 
 
-@pytest.fixture(autouse=True)
-def checkpoints_every_two(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cma_es, "CHECKPOINT_EVERY", 2)
-
-
 @pytest.fixture(scope="module")
 def straight(problem: ImitationProblem) -> Optimum:
     """The uninterrupted run that others are compared with."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cma_es, "VALIDATED", 2)
-        patch.setattr(cma_es, "VALIDATION_EPISODES", 2)
-        patch.setattr(cma_es, "VALIDATION_S", 0.4)
-        return optimize(problem, SETTINGS)
+    return optimize(problem, SETTINGS)
 
 
 class Counting:
@@ -121,7 +112,7 @@ class TestSearch:
     def test_many_iterations_climb(self) -> None:
         """On a score that is known: the distance from a point within the bounds."""
         problem = Bowl()
-        optimum = optimize(problem, CmaSettings(iterations=80, population=10, seed=0))  # type: ignore[arg-type]
+        optimum = optimize(problem, replace(SETTINGS, iterations=80, population=10, seed=0))  # type: ignore[arg-type]
         np.testing.assert_allclose(
             optimum.x, problem.optimum, atol=1e-2 * (problem.bounds[1] - problem.bounds[0]).max()
         )
@@ -182,7 +173,7 @@ class TestReproducible:
         assert_same(optimize(make_problem(workers=2), SETTINGS), straight)
 
     def test_another_seed_searches_elsewhere(self, problem: ImitationProblem, straight: Optimum) -> None:
-        other = optimize(problem, CmaSettings(iterations=2, population=4, seed=4))
+        other = optimize(problem, replace(SETTINGS, iterations=2, seed=4))
         assert not np.array_equal(other.history.best, straight.history.best[:2])
 
     def test_numpys_global_generator_is_neither_used_nor_moved(
@@ -242,7 +233,7 @@ class TestResume:
 
     def test_with_more_iterations_goes_on(self, problem: ImitationProblem, straight: Optimum, tmp_path: Path) -> None:
         path = tmp_path / FILE_NAME
-        optimize(problem, CmaSettings(iterations=2, population=4, seed=3), checkpoint=path)
+        optimize(problem, replace(SETTINGS, iterations=2), checkpoint=path)
         assert_same(optimize(problem, SETTINGS, checkpoint=path, resume=True), straight)
 
     def test_with_fewer_iterations_takes_the_first_ones(
@@ -251,7 +242,7 @@ class TestResume:
         path = tmp_path / FILE_NAME
         optimize(problem, SETTINGS, checkpoint=path)
         whole = path.read_bytes()
-        fewer = optimize(problem, CmaSettings(iterations=3, population=4, seed=3), checkpoint=path, resume=True)
+        fewer = optimize(problem, replace(SETTINGS, iterations=3), checkpoint=path, resume=True)
         np.testing.assert_array_equal(fewer.history.best, straight.history.best[:3])
         assert path.read_bytes() == whole, "the longer course is still there"
 
@@ -267,9 +258,9 @@ class TestResume:
         content = path.read_bytes()
         for problem, settings in (
             (make_problem(duration_s=0.7), SETTINGS),
-            (make_problem(), CmaSettings(iterations=5, population=4, seed=4)),
-            (make_problem(), CmaSettings(iterations=5, population=5, seed=3)),
-            (make_problem(), CmaSettings(iterations=5, population=4, seed=3, step_size=0.1)),
+            (make_problem(), replace(SETTINGS, seed=4)),
+            (make_problem(), replace(SETTINGS, population=5)),
+            (make_problem(), replace(SETTINGS, step_size=0.1)),
         ):
             with pytest.raises(CheckpointError, match="of another problem"):
                 optimize(problem, settings, checkpoint=path, resume=True)

@@ -13,6 +13,7 @@ from fastmimic.base.errors import CheckpointError, ConfigError
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.cma_es import CmaSettings, Optimum, Progress, optimize
+from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.optimize.problem import ImitationProblem, Objective
 from fastmimic.optimize.randomization import (
     CRITERIA,
@@ -30,17 +31,12 @@ from fastmimic.stitching.join import stitch_motions
 from optimize.conftest import EPISODE_S
 from optimize.test_cma_es import KilledError, assert_same, stop_after
 
-SETTINGS = CmaSettings(iterations=3, population=4, seed=3)
+CHOICE = FinalChoice(candidates=4, robots=3, duration_s=0.4)
+SETTINGS = CmaSettings(iterations=3, population=4, seed=3, choice=CHOICE)
 OVER_TWO = Randomization(robots=2, over=("payload=1:4", "friction"))  # type: ignore[arg-type]
 OVER_THREE = Randomization(robots=3, over=("payload=1:4", "delay"))  # type: ignore[arg-type]
 
 Make = Callable[..., ImitationProblem]
-
-
-@pytest.fixture(autouse=True)
-def few_robots_to_choose_by(quick_validation: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cma_es, "VALIDATION_ROBOTS", 3)
-    monkeypatch.setattr(cma_es, "VALIDATED", 4)
 
 
 @pytest.fixture(scope="module")
@@ -63,10 +59,7 @@ def some(make: Make) -> np.ndarray:
 @pytest.fixture(scope="module")
 def straight(make: Make) -> Optimum:
     """The uninterrupted run that others are compared with."""
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in (("VALIDATED", 4), ("VALIDATION_ROBOTS", 3), ("VALIDATION_S", 0.4)):
-            patch.setattr(cma_es, name, value)
-        return optimize(make(), SETTINGS)
+    return optimize(make(), SETTINGS)
 
 
 def values(robots: object) -> set[float]:
@@ -273,10 +266,9 @@ class TestInterrupted:
 class TestResume:
     def test_gives_the_same_bits(self, make: Make, straight: Optimum, tmp_path: Path) -> None:
         path = tmp_path / "checkpoint.npz"
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(cma_es, "CHECKPOINT_EVERY", 1)
-            with pytest.raises(KilledError):
-                optimize(make(), SETTINGS, checkpoint=path, progress=stop_after(2, KilledError))
+        often = dataclasses.replace(SETTINGS, checkpoint_every=1)
+        with pytest.raises(KilledError):
+            optimize(make(), often, checkpoint=path, progress=stop_after(2, KilledError))
         assert_same(optimize(make(workers=2), SETTINGS, checkpoint=path, resume=True), straight)
 
     def test_after_ctrl_c_goes_on(self, make: Make, straight: Optimum, tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
 from fastmimic.stitching.join import stitch_motions
 from fastmimic.stitching.layout import Layout
+from searches import QUICK_CHOICE
 
 LEGS_Z = 8  # parameters of a segment
 
@@ -201,10 +202,10 @@ class TestClearance:
 
 
 def test_search_goes_on_from_the_motions_parameters(
-    robot: Robot, stitched: Motion, whole: StitchedProblem, tmp_path: Path, quick_validation: None
+    robot: Robot, stitched: Motion, whole: StitchedProblem, tmp_path: Path
 ) -> None:
     """Optimised, saved, loaded, and taken up again."""
-    settings = CmaSettings(iterations=2, population=4, step_size=0.1)
+    settings = CmaSettings(iterations=2, population=4, step_size=0.1, choice=QUICK_CHOICE)
     optimum = optimize(whole, settings)
     whole.motion(optimum.x).save(tmp_path / "motion.npz")
     loaded = Motion.load(tmp_path / "motion.npz")
@@ -219,7 +220,7 @@ def test_search_goes_on_from_the_motions_parameters(
 
 
 def test_the_start_is_a_candidate_for_the_result(
-    make: Callable[..., StitchedProblem], quick_validation: None, monkeypatch: pytest.MonkeyPatch
+    make: Callable[..., StitchedProblem], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Even if the search finds nothing."""
     x = candidates(make(), 1)[0]
@@ -231,7 +232,7 @@ def test_the_start_is_a_candidate_for_the_result(
 
     monkeypatch.setattr(problem, "evaluate", scores)
     monkeypatch.setattr(cma_es._Search, "_validate", lambda _, table, *__: float(table.tobytes() == wanted))
-    optimum = optimize(problem, CmaSettings(iterations=1, population=4))
+    optimum = optimize(problem, CmaSettings(iterations=1, population=4, choice=QUICK_CHOICE))
     np.testing.assert_array_equal(optimum.x, x)
     assert (optimum.score, optimum.validation, optimum.history.baseline) == (0.5, 1.0, 0.3)
 

@@ -31,6 +31,7 @@ from fastmimic.report.html_comparison import read_rows
 from fastmimic.report.html_limits import motor_torque
 from fastmimic.report.html_page import markdown
 from fastmimic.report.html_search import convergence, parameters
+from searches import QUICK_COMMAND
 
 SECTIONS = {"figures", "optimisation", "tracking", "terms", "limits", "run"}
 FIGURES = {"convergence", "parameters", "foot-z", "foot-x", "paths", "gait", "reward", "torque", "speed", "friction"}
@@ -76,12 +77,8 @@ class Parsed(HTMLParser):
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small run of `imitate`."""
     folder = tmp_path_factory.mktemp("report") / "run"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fastmimic.optimize.cma_es.VALIDATION_S", 0.4)
-        patch.setattr("fastmimic.optimize.cma_es.VALIDATION_EPISODES", 2)
-        patch.setattr("fastmimic.optimize.cma_es.VALIDATED", 2)
-        options = ["--iterations", "2", "--population", "4", "--duration", "1", "--no-video", "--out", str(folder)]
-        assert main(["imitate", "trot", *options]) == 0
+    options = ["--iterations", "2", "--population", "4", "--duration", "1", "--no-video", "--out", str(folder)]
+    assert main(["imitate", "trot", *options], without_option=QUICK_COMMAND) == 0
     config = json.loads((folder / "config.json").read_text())
     config["arguments"]["no_video"] = False  # as if a video had been asked for
     write_json(folder / "config.json", config)

@@ -4,13 +4,16 @@ import os
 import platform
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from tyro.conf import Suppress
 
 from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import KEPT, note, put, share_progress
+from fastmimic.optimize.final_choice import FinalChoice
 
 if TYPE_CHECKING:
     from fastmimic.experiments.compare import ComparisonPlan, Prepared
@@ -52,6 +55,8 @@ class Compare:
     """Folder of the results. One with a comparison needs --resume or --overwrite."""
     search: opt.Searching
     folder: opt.Folder
+    choice: opt.Choice = FinalChoice()
+    evaluation_s: Annotated[float, Suppress] = 10.0
 
     def run(self) -> int:
         """Runs the comparison and writes the folder; returns the exit status."""
@@ -68,7 +73,7 @@ class Compare:
             raise ConfigError(f"workers must be at least 1, found {workers}")
         total = len(plan.runs)
         resume, overwrite = self.folder.resume, self.folder.overwrite
-        with open_comparison(self.out, asdict(plan.settings), resume=resume, overwrite=overwrite) as folder:
+        with open_comparison(self.out, plan.settings.as_dict(), resume=resume, overwrite=overwrite) as folder:
             note(f"{total} runs in {self.out}, {workers} at a time")
             prepared = prepare(plan, self.out, keep=not overwrite, prepared=lambda name: note(f"{name}: retargeted"))
             folder.begin(_environment(plan, workers, prepared.kept), overwrite=overwrite)
@@ -87,7 +92,7 @@ class Compare:
 
     def _plan(self) -> "ComparisonPlan":
         from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, ComparisonPlan, choose_policies
-        from fastmimic.experiments.comparison_run import EVALUATION_S, ComparisonSettings
+        from fastmimic.experiments.comparison_run import ComparisonSettings
         from fastmimic.imitation.methods import PAPER_METHODS, RL
         from fastmimic.robot import ROBOT_NAMES
 
@@ -100,7 +105,8 @@ class Compare:
             duration_s=self.duration,
             iterations=self.search.iterations,
             population=self.search.population,
-            evaluation_s=EVALUATION_S,
+            evaluation_s=self.evaluation_s,
+            choice=self.choice,
         )
         default = BUILT_IN_MOTIONS if self.builtin else PAPER_MOTIONS
         motions = self.motions if self.motions is not None else default
@@ -135,7 +141,7 @@ def _environment(plan: "ComparisonPlan", workers: int, kept: "Sequence[Row]") ->
     methods = [name for name in METHODS if any(run.method == name for run in runs)]
     variants = [name for name in ABLATIONS if any(run.variant == name for run in runs)]
     return {
-        "settings": asdict(plan.settings),
+        "settings": plan.settings.as_dict(),
         "motions": list(dict.fromkeys(run.motion for run in runs)),
         "methods": methods,
         "seeds": max(run.seed for run in runs) + 1,

@@ -97,5 +97,6 @@ class Imitate(SearchRun):
                 resume=self.folder.resume,
                 progress=progress,
                 randomize=self.randomization.chosen(),
+                choice=self.choice,
                 warm_start=self.warm_start,
             )

@@ -12,6 +12,7 @@ from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import EXIT_SOME_FAILED, note, put, share_progress, slow_start
 from fastmimic.commands.library_content import LibraryExport, ListMotions, Show, Verify, put_summary
+from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.robot import ROBOT_CHOICES
 
 if TYPE_CHECKING:  # loads the compiler
@@ -68,6 +69,7 @@ class Build:
     update: opt.Flag = False
     """Rebuild a library that was built with other settings."""
     search: opt.Searching
+    choice: opt.Choice = FinalChoice()
 
     def run(self) -> int:
         """Builds the library; returns the exit status."""
@@ -106,6 +108,7 @@ class Build:
             iterations=self.search.iterations,
             population=self.search.population,
             evaluation_s=self.trial,
+            choice=self.choice,
             perturbed=self.perturbed,
             others=self.others,
             second_simulator=not self.no_second_simulator and _second_simulator(self.robots),

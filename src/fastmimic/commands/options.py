@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
+from tyro.conf import OmitArgPrefixes, Suppress, UseAppendAction, arg
 
 from fastmimic.base.errors import ConfigError, OutputError, PolicyError
 from fastmimic.commands.console import KEPT, note, optimisation_progress, put
 from fastmimic.motion.motion import Motion
+from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
 
 if TYPE_CHECKING:  # loads the compiler
@@ -242,6 +243,8 @@ class RandomizeOptions:
 FileReading = Annotated[ClipFileOptions, OmitArgPrefixes]
 ClipReading = Annotated[ClipOptions, OmitArgPrefixes]
 Searching = Annotated[SearchOptions, OmitArgPrefixes]
+Choice = Annotated[FinalChoice, Suppress]
+"""How a search chooses its result: a field without an option."""
 Folder = Annotated[FolderOptions, OmitArgPrefixes]
 Video = Annotated[VideoOptions, OmitArgPrefixes]
 Randomizing = Annotated[RandomizeOptions, OmitArgPrefixes]
@@ -262,6 +265,7 @@ class ExperimentOptions:
     clip: ClipReading
     search: Searching
     folder: Folder
+    choice: Choice = FinalChoice()
 
     def subject(
         self, method: str, motion: Motion, robot: Robot, policy: "tuple[MakeController, str] | None"
@@ -270,7 +274,7 @@ class ExperimentOptions:
         from fastmimic.experiments.subject import Search, make_subject
         from fastmimic.runs.work_folder import MOTIONS
 
-        search = Search(self.config, self.search.iterations, self.search.population, self.seed)
+        search = Search(self.config, self.search.iterations, self.search.population, self.seed, self.choice)
         with optimisation_progress() as progress:
             return make_subject(method, motion, robot, search, self.out / MOTIONS, policy=policy, progress=progress)
 
@@ -297,6 +301,8 @@ def recorded(command: Any) -> dict[str, Any]:
         if isinstance(value, RandomizeOptions):
             chosen = value.chosen()
             found["randomize"] = None if chosen is None else chosen.as_dict()
+        elif isinstance(value, FinalChoice):
+            continue
         elif dataclasses.is_dataclass(value):
             found |= recorded(value)
         else:

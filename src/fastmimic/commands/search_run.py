@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from fastmimic.base.errors import ConfigError
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import note
+from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:  # loads the compiler
@@ -33,6 +34,7 @@ class SearchRun:
     folder: opt.Folder
     video: opt.Video
     randomization: opt.Randomizing
+    choice: opt.Choice = FinalChoice()
 
     def check_search(self, method: str) -> None:
         """Raises `ConfigError` for options that a method without a search does not take."""

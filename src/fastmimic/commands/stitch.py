@@ -96,6 +96,7 @@ class Stitch(SearchRun):
                 progress=lambda step: bar(step),
                 stage=stage,
                 randomize=self.randomization.chosen(),
+                choice=self.choice,
             )
 
 

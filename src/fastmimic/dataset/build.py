@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from random import Random
@@ -214,7 +214,9 @@ def _begin(library: MotionDataset, recipe: BuildSettings, update: bool) -> None:
         if not update:
             raise
     if there is not None and there != recipe.digest and not update:
-        said = ", ".join(f"{name} was {was[name]}" for name, value in asdict(recipe).items() if was[name] != value)
+        said = ", ".join(
+            f"{name} was {was.get(name)}" for name, value in recipe.as_dict().items() if was.get(name) != value
+        )
         raise LibraryError(
             f"{library.path}: holds a library made otherwise ({said or 'another controller'}); --update makes it anew,"
             " or choose another --out"

@@ -11,6 +11,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.control.config import CONFIGS, controller_config
 from fastmimic.imitation.methods import RL, method_named
 from fastmimic.optimize.cma_es import CmaSettings
+from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.optimize.problem import Objective
 from fastmimic.optimize.randomization import Randomization
 
@@ -29,6 +30,7 @@ class BuildSettings:
         perturbed: number of evaluation episodes from perturbed starts.
         others: number of other robots in the evaluation, with floors, loads and motors from the usual ranges.
         second_simulator: whether to evaluate in PyBullet, if it knows the robot.
+        choice: how a search chooses its result.
     """
 
     method: str = "mbc-dmp"
@@ -40,6 +42,7 @@ class BuildSettings:
     perturbed: int = 8
     others: int = HELD_OUT
     second_simulator: bool = True
+    choice: FinalChoice = FinalChoice()
 
     def __post_init__(self) -> None:
         if method_named(self.method).name == RL:
@@ -55,11 +58,18 @@ class BuildSettings:
         if not self.evaluation_s > 0:
             raise ConfigError(f"the length of an episode must be positive, found {self.evaluation_s}")
 
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, JSON-serialisable; `choice` only if it is not the usual one."""
+        found = asdict(self)
+        if self.choice == FinalChoice():
+            del found["choice"]
+        return found
+
     @cached_property
     def digest(self) -> str:
         """16 hexadecimal digits of all settings, including the content of a parameter file."""
         config = self.config if self.config in CONFIGS else "a file"
-        said = {**asdict(self), "config": config, "over": Randomization().as_dict()["over"]}
+        said = {**self.as_dict(), "config": config, "over": Randomization().as_dict()["over"]}
         return _digest({**self._search(), **said})
 
     @cached_property

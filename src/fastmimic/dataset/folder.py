@@ -15,7 +15,7 @@ repeats the work of a killed one. Every builder ends by making the index from th
 import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -28,6 +28,7 @@ from fastmimic.dataset.index import GRADED, Gathered, gather, require_pyarrow
 from fastmimic.dataset.membership import ROBOTS, Membership, load_robots, save_robot
 from fastmimic.dataset.records import COLUMNS, COSTS, MOTIONS, RECORDS, Record, damage, read_record
 from fastmimic.motion.motion import Motion
+from fastmimic.optimize.final_choice import FinalChoice
 
 if TYPE_CHECKING:
     import pyarrow
@@ -64,7 +65,7 @@ class MotionDataset:
         """The settings of its motions; None if it is not begun. Raises `LibraryError` if they cannot be read,
         `ConfigError` if the controller's parameter file is missing."""
         said = self.settings()
-        return BuildSettings(**said) if said else None
+        return BuildSettings(**said | {"choice": FinalChoice(**said.get("choice", {}))}) if said else None
 
     def settings(self) -> dict[str, Any]:
         """The recipe as saved, empty if there is none; raises `LibraryError` if it cannot be read."""
@@ -85,7 +86,7 @@ class MotionDataset:
                 raise LibraryError(
                     f"{path}: format version {said['format_version']}; this release reads version {FORMAT_VERSION}"
                 )
-            missing = {"digest", *BuildSettings.__dataclass_fields__} ^ {"digest", *said["recipe"]}
+            missing = ({"digest", *BuildSettings.__dataclass_fields__} ^ {"digest", *said["recipe"]}) - {"choice"}
             if missing or not isinstance(said["digest"], str):
                 raise ValueError(f"not a recipe: {', '.join(sorted(missing)) or 'digest'}")
         except FileNotFoundError:
@@ -96,7 +97,7 @@ class MotionDataset:
 
     def save_recipe(self, recipe: BuildSettings) -> None:
         text = json.dumps(
-            {"format_version": FORMAT_VERSION, "digest": recipe.digest, "recipe": asdict(recipe)}, indent=1
+            {"format_version": FORMAT_VERSION, "digest": recipe.digest, "recipe": recipe.as_dict()}, indent=1
         )
         write_text(self.path / SETTINGS, text)
 

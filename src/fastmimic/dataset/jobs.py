@@ -190,6 +190,7 @@ def _made(job: Job, report: Report) -> Record:
             checkpoint=job.checkpoint,
             resume=resume,
             progress=progress,
+            choice=recipe.choice,
             warm_start=None if job.warm is None else job.warm.file,
         )
 

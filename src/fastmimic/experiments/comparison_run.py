@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from fastmimic.imitation.imitation_result import Imitation
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import Progress
+from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.optimize.problem import Objective
 from fastmimic.robot import Robot
 from fastmimic.runs.work_folder import CHECKPOINT, MOTION
@@ -63,6 +64,7 @@ class ComparisonSettings:
         duration_s: length of the optimisation's episodes, s.
         evaluation_s: length of the evaluation's episodes, s; at most a motion that does not repeat.
         perturbed_episodes: number of evaluation episodes from perturbed starts.
+        choice: how a search chooses its result.
     """
 
     robot: str = "a1"
@@ -72,6 +74,14 @@ class ComparisonSettings:
     population: int = 10
     evaluation_s: float = EVALUATION_S
     perturbed_episodes: int = PERTURBED_EPISODES
+    choice: FinalChoice = FinalChoice()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, JSON-serialisable; `choice` only if it is not the usual one."""
+        found = asdict(self)
+        if self.choice == FinalChoice():
+            del found["choice"]
+        return found
 
 
 @dataclass(frozen=True)
@@ -118,7 +128,7 @@ def digest(
         "controller": method.configure(controller_of(run, settings)).as_dict(),
         "n_basis": ablation_named(run.variant).n_basis,
         "objective": Objective(settings.duration_s).as_dict(),
-        "settings": {k: v for k, v in asdict(settings).items() if k != "robot"},
+        "settings": {k: v for k, v in settings.as_dict().items() if k != "robot"},
     }
     if policy is not None:
         said["policy"] = policy.digest
@@ -167,6 +177,7 @@ def perform(
         progress=progress,
         n_basis=ablation_named(run.variant).n_basis,
         controller=controller,
+        choice=settings.choice,
     )
     if result.interrupted:
         raise KeyboardInterrupt

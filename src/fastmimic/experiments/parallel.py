@@ -15,7 +15,7 @@ from fastmimic.executors.local import LocalExecutor
 from fastmimic.experiments.comparison_run import ComparisonSettings, Row, Run, perform
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.cma_es import VALIDATED, VALIDATION_EPISODES, VALIDATION_S, Progress
+from fastmimic.optimize.cma_es import Progress
 from fastmimic.robot import load_robot
 
 
@@ -36,7 +36,7 @@ class RunTask:
         evaluation = s.evaluation_s * (2 + s.perturbed_episodes)
         if not method_named(self.run.method).optimises:
             return evaluation
-        return evaluation + VALIDATED * VALIDATION_EPISODES * VALIDATION_S + self.searched_s(s.iterations)
+        return evaluation + s.choice.simulated_s + self.searched_s(s.iterations)
 
     def searched_s(self, iterations: int) -> float:
         """The part of it up to an iteration of the search, s."""

@@ -17,6 +17,7 @@ from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import MADE_WITH, Method, check_controller, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, Progress
+from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.robot import Robot
 
 DURATION_S: Final = 5.0  # s, length of the optimisation's episodes, as in `imitate`
@@ -30,6 +31,7 @@ class Search:
     iterations: int = 200
     population: int = 10
     seed: int = 0
+    choice: FinalChoice = FinalChoice()
 
     def __post_init__(self) -> None:
         controller_config(self.config)
@@ -126,6 +128,7 @@ def make_subject(
         checkpoint=checkpoint,
         resume=checkpoint.is_file(),
         progress=progress,
+        choice=search.choice,
     )
     if result.interrupted:
         raise KeyboardInterrupt

@@ -14,6 +14,7 @@ from fastmimic.imitation.imitation_result import HeldOut, Imitation
 from fastmimic.imitation.methods import Method, check_controller, made_with, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, Progress, optimize
+from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.optimize.parameters import moved_by
 from fastmimic.optimize.problem import Objective
 from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization, randomization
@@ -42,6 +43,7 @@ def imitate(
     controller: MakeController | None = None,
     randomize: int | Randomization | None = None,
     warm_start: str | Path | Motion | None = None,
+    choice: FinalChoice = FinalChoice(),
     **overrides: Any,
 ) -> Imitation:
     """Turns a motion into one that the robot can execute: retarget, fit DMPs, optimise with the robot in the loop.
@@ -58,6 +60,7 @@ def imitate(
         controller: of a trained policy, as in `evaluate`; for the method rl, which optimises nothing.
         randomize: the robots that score each candidate, or their number; None for the nominal robot.
         warm_start: an optimised motion, or its file, with the modulation that the search begins from.
+        choice: how the search chooses its result.
 
     Raises `FastMimicError`: an argument is wrong; the message says which.
     """
@@ -66,7 +69,7 @@ def imitate(
     robot = load_robot(robot)
     config = chosen.configure(config)
     controller = controller or chosen.controller
-    settings = CmaSettings(iterations, population, seed)
+    settings = CmaSettings(iterations, population, seed, choice=choice)
     over = randomization(randomize)
     if over is not None and not chosen.optimises:
         raise ConfigError(f"randomisation is of a search, and method '{method}' has none; leave it out")

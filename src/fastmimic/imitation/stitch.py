@@ -22,6 +22,7 @@ from fastmimic.imitation.methods import check_controller, made_with, method_name
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.optimize.cma_es import CmaSettings, Progress
+from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.optimize.parameters import FOOT_HEIGHT, needed_group
 from fastmimic.optimize.randomization import Randomization, randomization
 from fastmimic.optimize.stitched import StitchedProblem, parameters_of
@@ -70,6 +71,7 @@ def stitch(
     progress: Callable[[Progress], None] | None = None,
     stage: Callable[[str], None] | None = None,
     randomize: int | Randomization | None = None,
+    choice: FinalChoice = FinalChoice(),
 ) -> Stitching:
     """Stitches motions and optimises all their DMPs together, from each motion's own optimum.
 
@@ -86,7 +88,7 @@ def stitch(
         folder: for all checkpoints; None to keep none. Removes those of an earlier run unless `resume`.
         resume: continue from the checkpoints in the folder. Once the whole has begun, the motions' own are only read.
         stage: called with the name of each stage as it begins.
-        randomize: as in `imitate`, for each motion and for the whole.
+        randomize, choice: as in `imitate`, for each motion and for the whole.
 
     Raises `FastMimicError` if an argument is wrong. Checkpoints survive Ctrl-C, which raises `KeyboardInterrupt` before
     the whole is optimised.
@@ -127,6 +129,7 @@ def stitch(
                 "workers": workers,
                 "progress": progress,
                 "randomize": over,
+                "choice": choice,
             }
             parts = _optimised_parts(motions, robot, part_iterations, checkpoints, resume, settings, say)
         found = [parts.values.get(id(m)) for m in motions]
@@ -158,6 +161,7 @@ def stitch(
         resume=resume and checkpoint is not None and checkpoint.is_file(),
         progress=progress,
         randomize=over,
+        choice=choice,
     )
     elsewhere += time.perf_counter() - imitated
     own = dict(vars(result))

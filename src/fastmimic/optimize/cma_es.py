@@ -4,9 +4,9 @@ import hashlib
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,24 +16,22 @@ from fastmimic.base.errors import CheckpointError, ConfigError
 from fastmimic.episode.plan import Start, nominal_start
 from fastmimic.episode.rollout import Rollout
 from fastmimic.optimize.checkpoint import Checkpoint
+from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.optimize.problem import Problem
 from fastmimic.simulation.disturbances import Disturbance
-
-CHECKPOINT_EVERY: Final = 5  # iterations
-VALIDATED: Final = 8  # candidates that are validated
-VALIDATION_EPISODES: Final = 4  # each: one from the start, the others perturbed
-VALIDATION_ROBOTS: Final = 8  # instead, with several robots: one episode with each
-VALIDATION_S: Final = 10.0
 
 
 @dataclass(frozen=True)
 class CmaSettings:
-    """Settings of the optimiser; `step_size` is the initial standard deviation as a share of each parameter's range."""
+    """Settings of the optimiser; `step_size` is the initial standard deviation as a share of each parameter's range,
+    `checkpoint_every` is in iterations."""
 
     iterations: int = 200
     population: int = 10
     seed: int = 0
     step_size: float = 0.2
+    choice: FinalChoice = FinalChoice()
+    checkpoint_every: int = 5
 
     def __post_init__(self) -> None:
         if self.iterations < 1:
@@ -146,10 +144,11 @@ class _Search:
         self.robots = 1 if self.randomization is None else self.randomization.robots
         if self.randomization is not None:
             self.randomization.check(problem.steps / problem.config.rate_hz)
-        self.validation_episodes = VALIDATION_EPISODES if self.randomization is None else VALIDATION_ROBOTS
+        self.choice = settings.choice
+        self.validation_episodes = self.choice.episodes if self.randomization is None else self.choice.robots
         self.rescored = 0
         self.validated = self.validation_steps = self.recorded = 0
-        own = {k: v for k, v in asdict(settings).items() if k != "iterations"}
+        own = {name: getattr(settings, name) for name in ("population", "seed", "step_size")}
         self.identity = hashlib.sha256(f"{problem.identity}{own}".encode()).hexdigest()
 
     def run(self, resume: bool, progress: Callable[[Progress], None] | None) -> Optimum:
@@ -164,7 +163,7 @@ class _Search:
                 self._tell(u, self._evaluate(self._physical(u), len(self.scores)))
                 elapsed = time.perf_counter() - began
                 done = len(self.scores)
-                if self.checkpoint is not None and done % CHECKPOINT_EVERY == 0:
+                if self.checkpoint is not None and done % self.settings.checkpoint_every == 0:
                     self._save(before + elapsed)
                 if progress is not None:
                     each = elapsed / (done - done_before)
@@ -242,7 +241,7 @@ class _Search:
         best, own = self._best(float(given[0])) if self.randomization is None else self._last()
         x, scores = np.concatenate([self.given, best]), np.concatenate([given, own])
         rng = np.random.default_rng([self.settings.seed, 1])
-        start, steps = self.problem.validation(self.validation_episodes, VALIDATION_S, rng)
+        start, steps = self.problem.validation(self.validation_episodes, self.choice.duration_s, rng)
         robots: tuple[Disturbance, ...] = ()
         if self.randomization is not None:  # the robots differ from episode to episode
             start = nominal_start(self.validation_episodes)
@@ -267,7 +266,7 @@ class _Search:
         if not self.scores:
             return np.zeros((0, len(self.lower))), np.zeros(0)
         flat, u = np.concatenate(self.scores), np.concatenate(self.candidates)
-        best = np.argsort(-flat, kind="stable")[:VALIDATED]
+        best = np.argsort(-flat, kind="stable")[: self.choice.candidates]
         best = best[flat[best] >= baseline]
         return self._physical(u[best]), flat[best]
 
@@ -276,7 +275,7 @@ class _Search:
         rows: list[Array] = []
         scores: list[float] = []
         done = len(self.scores)
-        for i in reversed(range(max(0, done - VALIDATED // 2), done)):
+        for i in reversed(range(max(0, done - self.choice.candidates // 2), done)):
             best = int(np.argmax(self.scores[i]))
             rows += [self.means[i], self.candidates[i][best]]
             scores += [float(self.scores[i][best])] * 2
