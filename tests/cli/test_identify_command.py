@@ -19,7 +19,7 @@ def test_from_a_run_to_the_controller(run: Run, in_folder: Path) -> None:
     assert found.status == 0, found.err
     assert "friction                  at least 0." in found.out
     assert "the controller assumes  0.6 as before" in found.out
-    assert "give it to other commands as --config mine.json" in found.out
+    assert "use them by --config mine.json" in found.out
     written = json.loads((in_folder / "mine.json").read_text())
     assert written["load"]["mass"] == pytest.approx(4.0, abs=0.5)
     told = run("evaluate", "trot", "--config", "mine.json", "--disturb", "payload=4", "--duration", "0.4")

@@ -101,7 +101,7 @@ class TestEvaluate:
         [
             (("trot",), "the policy imitates 'side-step', not 'trot'"),
             (("side-step", "--robot", "go1"), "the policy is for robot 'a1', not for 'go1'"),
-            (("side-step", "--method", "mbc"), "method 'mbc' has none"),
+            (("side-step", "--method", "mbc"), "method 'mbc' does not use a policy"),
         ],
     )
     def test_a_policy_that_does_not_fit_is_one_line(

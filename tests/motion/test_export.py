@@ -127,7 +127,7 @@ class TestText:
         """From the command line and back: the retargeted motion again."""
         path = tmp_path / "pace.txt"
         assert main(["export", "pace", "--format", "deepmimic", "--rate", "500", "--out", str(path)]) == 0
-        assert "301 frames at 500 a second for a1" in capsys.readouterr().out
+        assert "301 frames at 500 per second for a1" in capsys.readouterr().out
         assert main(["retarget", str(path), "--out", str(tmp_path / "again.npz")]) == 0
         assert main(["retarget", "pace", "--out", str(tmp_path / "pace.npz")]) == 0
         again, once = (Motion.load(tmp_path / f"{name}.npz") for name in ("again", "pace"))

@@ -128,8 +128,8 @@ class TestEpisodes:
     ("settings", "said"),
     [
         ({"start_error": 0.1, "end_error": 0.2}, "end_error must not be above"),
-        ({"phase_rate": 3.0}, "phase_rate must be at most 2"),
-        ({"catch_up": 1.0}, "catch_up must be below 1"),
+        ({"phase_rate": 3.0}, "phase_rate must be in \\[0, 2\\]"),
+        ({"catch_up": 1.0}, "catch_up must be in \\[0, 1\\)"),
         ({"resync_time": -1.0}, "resync_time must not be negative"),
     ],
 )

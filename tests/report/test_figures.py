@@ -224,8 +224,3 @@ def test_drawing_changes_nothing_global(tmp_path: Path) -> None:
 def test_the_room_loads_only_what_is_asked_for() -> None:
     script = "import sys, fastmimic.report; sys.exit('matplotlib' in sys.modules or 'mujoco' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
-    import fastmimic.report as report
-
-    assert all(callable(getattr(report, name)) for name in report.__all__)
-    with pytest.raises(AttributeError, match="no attribute 'plot'"):
-        report.plot  # noqa: B018
