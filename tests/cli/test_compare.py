@@ -200,7 +200,7 @@ def test_resumed_with_less_the_results_cover_what_was_finished(run: Run, in_fold
     assert run(*command, "--motions", "trot", "--methods", "mbc", "mbc-dmp").status == 0
     more = run(*command, "--motions", "pace", "--methods", "raibert", "--resume")
     assert more.status == 0, more.err
-    assert "2 more finished runs there are kept in the results" in more.err
+    assert "the results include 2 more finished runs from the folder" in more.err
     found = [(row["motion"], row["method"]) for row in rows(in_folder / "run")]
     assert found == [("trot", "mbc"), ("pace", "raibert"), ("trot", "mbc-dmp")]
     table = (in_folder / "run" / "table.md").read_text()

@@ -131,8 +131,8 @@ def test_a_point_map_that_is_none_is_refused(content: str, words: str, tmp_path:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("MOTION", "MOTIO", "line 62: 'MOTIO' is not what"),
-        ("OFFSET 1 2 3", "OFFSET 1 2", "'OFFSET 1 2' is not what"),
+        ("MOTION", "MOTIO", "line 62: 'MOTIO' is not expected"),
+        ("OFFSET 1 2 3", "OFFSET 1 2", "'OFFSET 1 2' is not expected"),
         ("CHANNELS 3 Xposition", "CHANNELS 3 Wposition", "expected 3 different channels"),
         ("Frames: 96", "Frames: 90", "says that it has 90 frames; it has 96"),
         ("Frames: 96", "Frames: x", "expected 'Frames: N'"),

@@ -65,7 +65,7 @@ def test_promised_speed_and_lift_on_the_a1(
         assert found * np.sign(promised) >= abs(promised)
         if promised == 0.0:
             assert abs(found) < 0.1
-    assert min(report.clearance_after_m) >= 0.04
+    assert min(report.after.clearance_m) >= 0.04
 
 
 def test_parameters_act_as_they_say(a1: Robot) -> None:

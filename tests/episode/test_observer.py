@@ -139,7 +139,7 @@ def test_the_reference_is_synchronised_to_the_estimate(robot: Robot, motion: Mot
     assert loop.observer is not None
     own, judge = loop.observer.clocks[0], loop.clocks[0]
     assert own["sample"] == judge["sample"] == 0
-    root = loop._table["root_pos"][0, :2]
+    root = loop.table["root_pos"][0, :2]
     turn = own["origin"][2]
     c, s = np.cos(turn), np.sin(turn)
     for clock, where in ((own, loop.observer.estimator.observation), (judge, loop.simulation.observation)):

@@ -217,7 +217,7 @@ class TestStart:
         """Seen before the first step, relative to the heading; raised just enough that no foot is in the ground."""
         loop = ClosedLoop(robot, motion, 3)
         loop.run(None, start, 1)  # leaves the simulation one step later
-        loop._reset(None, start)
+        loop.place(start)
         found = loop.simulation.observation
         at = start.sample
         np.testing.assert_allclose(found["joint_pos"], motion.joint_pos[at] + start.joint_offset, atol=1e-12)

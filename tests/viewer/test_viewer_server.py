@@ -20,6 +20,7 @@ import pytest
 from browsing import PATIENCE_S, picture, until
 from fastmimic.base.errors import ConfigError
 from fastmimic.cli import main
+from fastmimic.commands.options import ClipOptions
 from fastmimic.commands.view import View
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
@@ -138,7 +139,7 @@ def test_a_run_is_shown_before_and_after_as_it_was_made(
     arguments = {"robot": None, "method": "lh", "config": "paper", "duration": 0.2}
     (tmp_path / "run" / "config.json").write_text(json.dumps({"arguments": arguments}))
     run = find_motion("run")
-    view = View(motion="run", config="default")._of_run(run)
+    view = View(motion="run", config="default", reading=ClipOptions())._of_run(run)
     assert (view.method, view.config, view.duration) == ("lh", "default", 0.2)  # what is given goes first
     robot, shown, heading, animal = view._prepare(run)
     assert (robot.name, heading, animal) == ("a1", "trot on a1", None)
@@ -146,7 +147,7 @@ def test_a_run_is_shown_before_and_after_as_it_was_made(
     assert [takes[0].rows for takes in shown] == [100, 100]
     assert not np.array_equal(shown[0][0].pose, shown[1][0].pose)
     file = tmp_path / "run" / "motion.npz"
-    with_animal = View(motion=str(file), clip="trot", kinematic=True, duration=0.2)
+    with_animal = View(motion=str(file), clip="trot", kinematic=True, duration=0.2, reading=ClipOptions())
     assert with_animal._prepare(find_motion(file))[3] is not None
 
 
