@@ -130,7 +130,7 @@ def test_verify(library: Path, run: Run, tmp_path: Path) -> None:
     assert done.status == 0
     assert done.out.splitlines() == [
         "2 records, 0 damaged, 0 orphaned files",
-        "1 motions run again, 0 with another reward",
+        "1 motions run again, 0 with a different reward",
     ]
     mine = Path(shutil.copytree(library, tmp_path / "mine"))
     motion = next((mine / "motions").glob("trot*"))
@@ -169,7 +169,7 @@ def test_verify(library: Path, run: Run, tmp_path: Path) -> None:
         (["show", "LIBRARY", "tort"], "did you mean 'trot'?"),
         (["list", "LIBRARY", "--grade", "D"], "unknown grade 'D'"),
         (["list", "LIBRARY", "--gait", "canter"], "there are pace, trot"),
-        (["export", "LIBRARY", "--to", "y", "--grade", "rejected"], "no motion of those"),
+        (["export", "LIBRARY", "--to", "y", "--grade", "rejected"], "no motion of the library fits"),
         (["export", "LIBRARY", "--to", "y", "--format", "bvh"], "unknown format 'bvh'"),
         (["export", "LIBRARY", "--to", "LIBRARY"], "is in the library"),
         (["build", "none/below/", "--out", "x"], "no such file or folder"),
