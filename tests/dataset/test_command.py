@@ -169,7 +169,7 @@ def test_verify(library: Path, run: Run, tmp_path: Path) -> None:
         (["show", "LIBRARY", "tort"], "did you mean 'trot'?"),
         (["list", "LIBRARY", "--grade", "D"], "unknown grade 'D'"),
         (["list", "LIBRARY", "--gait", "canter"], "there are pace, trot"),
-        (["export", "LIBRARY", "--to", "y", "--grade", "rejected"], "no motion of the library fits"),
+        (["export", "LIBRARY", "--to", "y", "--grade", "rejected"], "no motion of it fits"),
         (["export", "LIBRARY", "--to", "y", "--format", "bvh"], "unknown format 'bvh'"),
         (["export", "LIBRARY", "--to", "LIBRARY"], "is in the library"),
         (["build", "none/below/", "--out", "x"], "no such file or folder"),

@@ -171,7 +171,7 @@ class LibraryExport(_Choice):
         if not self.grade:
             chosen = [row for row in chosen if row["kept"]]
         if not chosen:
-            raise ConfigError(f"{self.library}: no motion of the library fits what was asked for; see 'fastmimic library list'")
+            raise ConfigError(f"{self.library}: no motion of it fits what was asked for; see 'fastmimic library list'")
         check_folder(self.to)
         with count_progress("exporting") as progress:
             index = export_library(library, chosen, self.to, self.format, fps=self.fps, progress=progress)
