@@ -1,5 +1,9 @@
 """Every method with the verbs that show what it made."""
 
+import contextlib
+import json
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,6 +24,54 @@ def motion_of(method: str, folder: Path) -> Path:
     path = folder / f"{method}.npz"
     made_with(motion, method, METHODS[method].configure(controller_config("default"))).save(path)
     return path
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of mbc. Not to be changed."""
+    out = tmp_path_factory.mktemp("methods") / "run"
+    arguments = ["imitate", "trot", "--method", "mbc", "--no-video", "--duration", "0.3", "--out", str(out)]
+    assert cli.main(arguments) == 0
+    return out
+
+
+@pytest.fixture(params=WITHOUT_POLICY)
+def run(request: pytest.FixtureRequest, finished: Path, tmp_path: Path) -> Path:
+    """The folder of that run, as if it were of another method."""
+    method: str = request.param
+    folder = Path(shutil.copytree(finished, tmp_path / "run"))
+    shutil.copy(motion_of(method, tmp_path), folder / "motion.npz")
+    config = json.loads((folder / "config.json").read_text())
+    config["arguments"]["method"] = method
+    config["controller"] = METHODS[method].configure("default").as_dict()
+    (folder / "config.json").write_text(json.dumps(config))
+    metrics = json.loads((folder / "metrics.json").read_text())
+    (folder / "metrics.json").write_text(json.dumps(metrics | {"method": method}))
+    return folder
+
+
+def test_its_run_can_be_reported(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("plotly", reason="the extra 'report' is not installed")
+    assert cli.main(["report", str(run)]) == 0
+    assert "without" not in capsys.readouterr().err, "nothing is missing"
+    method = json.loads((run / "metrics.json").read_text())["method"]
+    assert f">{method}<" in (run / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("file", [".", "motion.npz"])
+def test_its_run_and_its_motion_can_be_viewed(file: str, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("viser", reason="the extra 'view' is not installed")
+    shown = []
+
+    @contextlib.contextmanager
+    def viewer(robot: object, takes: object, *rest: object) -> Iterator[None]:
+        shown.append(takes)
+        yield
+
+    monkeypatch.setattr("fastmimic.viewer.viewer.Viewer", viewer)
+    monkeypatch.setattr("fastmimic.commands.view.serve", lambda *_: 0)
+    assert cli.main(["view", str(run / file), "--duration", "0.1"]) == 0
+    assert len(shown) == 1
 
 
 @pytest.mark.parametrize("method", WITHOUT_POLICY)

@@ -192,6 +192,19 @@ def test_the_same_run_again_takes_the_place_of_the_first(run: Run, copy: Path, f
     assert_same_run(copy, first[0])
 
 
+def test_an_interrupted_run_is_not_replaced_but_resumed_or_overwritten(run: Run, copy: Path) -> None:
+    interrupted = metrics(copy) | {"interrupted": True}
+    (copy / "metrics.json").write_text(json.dumps(interrupted))
+    before = content(copy)
+    refused = run("imitate", "trot", *TINY, "--out", "run").error
+    assert refused.startswith("run holds this run, unfinished")
+    assert "--resume" in refused
+    assert "--overwrite" in refused
+    assert content(copy) == before
+    assert run("imitate", "trot", *TINY, "--out", "run", "--resume").status == 0
+    assert metrics(copy)["interrupted"] is False
+
+
 def test_files_of_something_else_are_not_overwritten(run: Run, in_folder: Path) -> None:
     (in_folder / "mine").mkdir()
     (in_folder / "mine" / "config.json").write_text('{"mine": true}')
@@ -278,6 +291,9 @@ def test_ctrl_c_leaves_a_usable_result(run: Run, start: Start, in_folder: Path) 
     found = metrics(in_folder / "stopped")
     assert found["interrupted"] is True
     assert 5 <= found["iterations"] < 100_000
+    before = content(in_folder / "stopped")
+    assert "stopped holds this run, unfinished" in run("imitate", "trot", *endless, "--out", "stopped").error
+    assert content(in_folder / "stopped") == before
     done = run("evaluate", "stopped/motion.npz", "--duration", "0.6", "--json")
     assert json.loads(done.out)["reward_mean"] == pytest.approx(found["reward"]["after"], abs=1e-12)
 

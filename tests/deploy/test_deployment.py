@@ -13,7 +13,7 @@ from fastmimic.deploy.deployment import Deployment
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.loop_clock import VirtualClock
 from fastmimic.deploy.safety import StopReason
-from fastmimic.deploy.scoring import score_log
+from fastmimic.deploy.scoring import figures, score_log
 from fastmimic.deploy.sequence import Follower, MotionSequence, make_sequence
 from fastmimic.deploy.sim import SimDriver
 from fastmimic.deploy.simulated_link import LinkFaults
@@ -191,6 +191,15 @@ def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:
     score = score_log(a1, again, default_config())
     assert score is not None
     assert score.reward[0] == log.meta["result"]["reward_mean"]
+
+
+def test_a_run_is_scored_with_its_own_contact_threshold(trotting: Rig) -> None:
+    usual = default_config()
+    config = dataclasses.replace(usual, gait=dataclasses.replace(usual.gait, contact_threshold=1.2))
+    done = trotting.run(cycles=2, config=config)
+    own, other = (figures(score_log(trotting.robot, done.log, c)) for c in (config, usual))
+    assert {name: done.result[name] for name in own} == own
+    assert own["stance_slip_m"] != other["stance_slip_m"]
 
 
 def test_a_long_run_keeps_its_end(stands: Rig) -> None:

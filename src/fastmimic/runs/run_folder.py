@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
-from fastmimic.base.files import read_section, remove_file, write_json
+from fastmimic.base.files import read_json, read_section, remove_file, write_json
 from fastmimic.motion.motion import Motion
 from fastmimic.runs.work_folder import CHECKPOINT, CONFIG, METRICS, MOTION, created, differences
 
@@ -82,7 +82,8 @@ class RunFolder:
                 f"{self.path} holds another run ({old}); choose another --out, or --overwrite it,"
                 " or --resume it with its own arguments"
             )
-        if self.checkpoints and not self.finished:
+        interrupted = not self.finished or bool(read_json(self.path / METRICS).get("interrupted"))
+        if self.checkpoints and interrupted:
             raise OutputError(
                 f"{self.path} holds this run, unfinished; go on with it by --resume, or start it anew by --overwrite"
             )
@@ -98,9 +99,9 @@ def open_run(
 ) -> Iterator[RunFolder]:
     """Prepares a folder for a run before long work begins. If the run fails, the folder is unchanged.
 
-    A folder with a run of other arguments, or with an unfinished run, is refused unless `overwrite` or `resume`. A
-    finished run of the same arguments is replaced. Until there are results, `config.json` describes the run in
-    progress.
+    A folder with a run of other arguments, or with an unfinished or interrupted run, is refused unless `overwrite` or
+    `resume`. A finished run of the same arguments is replaced. Until there are results, `config.json` describes the run
+    in progress.
 
     Args:
         config: the content of `config.json`; its `arguments` identify the run.
