@@ -152,7 +152,7 @@ def test_an_action_that_is_not_a_number_changes_nothing(robot: Robot) -> None:
         ({"decimation": 0}, "decimation must be at least 1"),
         ({"action_scale": 0.0}, "action_scale must be positive"),
         ({"filter_cutoff_hz": 20.0}, "below half the rate"),
-        ({"stiffness": (1.0, 2.0)}, "three numbers"),
+        ({"stiffness": (1.0, 2.0)}, "have 3 numbers"),
     ],
 )
 def test_settings_out_of_range_are_refused(values: dict[str, float], message: str) -> None:

@@ -47,8 +47,11 @@ def test_a_motion_without_a_cycle_is_shown_once(turn: Motion) -> None:
 
 
 def test_a_rollout_keeps_the_demonstration_as_its_ghost(robot: Robot, turn: Motion) -> None:
-    rollout = evaluate(turn, robot, duration_s=0.5, log=True).rollout
-    track = rollout_track(rollout, "title")
+    found = evaluate(turn, robot, duration_s=0.5, log=True)
+    rollout, least = found.rollout, found.config.release_force(robot)
+    track = rollout_track(rollout, least, "title")
+    assert rollout.log is not None
+    np.testing.assert_array_equal(track.contact, rollout.log.observation[0]["foot_force"][..., 2] > least)
     assert (track.title, track.caption) == ("title", f"reward {rollout.reward[0]:.2f}")
     assert track.ghost is not None
     assert len(track.root_pos_w) == len(track.ghost.root_pos_w) == 250

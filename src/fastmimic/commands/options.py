@@ -55,9 +55,18 @@ def configs() -> str:
     return f"{one_of('control.config', 'CONFIGS')}, or a JSON file"
 
 
-def disturbances() -> str:
-    """The disturbances, for a help text."""
-    return one_of("simulation.disturbance_kinds", "DISTURBANCES")
+def methods() -> str:
+    """The methods, for a help text."""
+    from fastmimic.imitation.methods import METHODS
+
+    return "; ".join(f"{name}: {method.summary}" for name, method in METHODS.items() if not method.learned)
+
+
+def controllers() -> str:
+    """The methods without a search, for a help text."""
+    from fastmimic.imitation.methods import METHODS
+
+    return ", ".join(name for name, method in METHODS.items() if method.playable)
 
 
 def simulators() -> str:
@@ -82,14 +91,13 @@ MethodName = Annotated[
     str,
     option(
         "NAME",
-        "mbc-dmp and lh-dmp optimise the motion's DMPs. mbc, lh and raibert run it without optimisation. "
-        "lh plans forces over a long horizon; raibert places feet by the Raibert heuristic. An unknown NAME lists all.",
+        lambda: f"Method: {methods()}.",
     ),
 ]
 ConfigName = Annotated[str, option("NAME|FILE", lambda: f"Controller parameters: {configs()}.")]
 FoundMethod = Annotated[
     str | None,
-    option("NAME", "Controller: raibert, mbc or lh. Default: the one the motion was optimised with, else mbc."),
+    option("NAME", lambda: f"Controller: {controllers()}. Default: the one the motion was optimised with, else mbc."),
 ]
 FoundConfig = Annotated[
     str | None,
@@ -110,7 +118,10 @@ Disturbances = Annotated[
     Several,
     option(
         "NAME=VALUE ...",
-        lambda: f"Disturbances unknown to the controller, e.g. payload=2 (kg). Names: {disturbances()}.",
+        lambda: (
+            "Disturbances unknown to the controller, e.g. payload=2 (kg). Names: "
+            f"{one_of('simulation.disturbance_kinds', 'DISTURBANCES')}."
+        ),
     ),
 ]
 Quality = Annotated[str, option("preview|high", "Video quality: fast, or with shadows, reflections and anti-aliasing.")]

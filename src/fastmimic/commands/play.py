@@ -25,8 +25,7 @@ class Play:
     built-in gaits. "stand" and "in-place" are always available."""
     robot: opt.RobotChoice = None
     port: opt.Port = 8080
-    method: Annotated[str, opt.option("NAME")] = "mbc"
-    """Controller at the start: mbc, lh or raibert."""
+    method: Annotated[str, opt.option("NAME", lambda: f"Controller at the start: {opt.controllers()}.")] = "mbc"
     config: opt.ConfigName = "default"
 
     def run(self) -> int:

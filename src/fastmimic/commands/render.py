@@ -37,9 +37,16 @@ class Render:
     duration: opt.Seconds = None
     """Length. Default: 5 s, or the whole of a non-periodic motion."""
     robot: opt.RobotChoice = None
-    method: Annotated[tuple[str, ...], opt.option("NAME [NAME ...]")] = ()
-    """Controller: raibert, mbc or lh; one for all motions, or one for each. Default: the one the motion was optimised
-    with, else mbc."""
+    method: Annotated[
+        tuple[str, ...],
+        opt.option(
+            "NAME [NAME ...]",
+            lambda: (
+                f"Controller: {opt.controllers()}; one for all motions, or one for each. Default: the one the "
+                "motion was optimised with, else mbc."
+            ),
+        ),
+    ] = ()
     config: opt.FoundConfig = None
     size: Annotated[str | None, opt.option("WxH")] = None
     """Width and height in pixels. Default: 800x450; 1280x720 for high quality; 640x360 for a GIF."""
@@ -136,7 +143,9 @@ class Render:
             found = evaluate(motion, robot, duration_s=seconds, method=method, config=self.config, log=True)
         assert found.rollout.log is not None
         note = METHODS[found.method].label + (f" ({found.config.name})" if found.config.name != "default" else "")
-        track = rollout_track(found.rollout, f"{motion.name} on {robot.name}", note=note)
+        track = rollout_track(
+            found.rollout, found.config.release_force(robot), f"{motion.name} on {robot.name}", note=note
+        )
         return track, found.rollout.log.rate_hz
 
     def _kinematic(self, motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, float]":

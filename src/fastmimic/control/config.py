@@ -72,6 +72,10 @@ class ControllerConfig:
             if not ok:
                 raise ConfigError(where + message)
 
+    def release_force(self, robot: Robot) -> float:
+        """Vertical force above which plots, videos and pages show a foot as loaded, N."""
+        return self.gait.release_threshold * robot.mass * GRAVITY
+
     def as_dict(self) -> dict[str, Any]:
         """JSON-serialisable."""
         return dataclasses.asdict(self)

@@ -8,15 +8,17 @@ controller has the paper's form.
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.registry import Registry
 from fastmimic.control.config import CONFIGS, ControllerConfig, controller_config
-from fastmimic.episode.loop import MakeController
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FEET_AND_TRUNK, FOOT_HEIGHT, FOOT_PATH, PARAMETER_GROUPS
 from fastmimic.optimize.randomization import Randomization
+
+if TYPE_CHECKING:  # loads the compiler
+    from fastmimic.episode.loop import MakeController
 
 NOTHING: Final = "none"  # `Method.parameters` of a method without a search
 ConfigChange = Callable[[ControllerConfig], ControllerConfig]
@@ -46,7 +48,7 @@ class Method:
     summary: str
     parameters: str = NOTHING
     change: ConfigChange = _same
-    controller: MakeController | None = None
+    controller: "MakeController | None" = None
     own_feet: bool = False
     learned: bool = False
     base: str = ""
@@ -107,7 +109,7 @@ METHODS: Final = Registry(
         Method(
             "raibert",
             "Raibert",
-            "the animal's trunk; feet swing straight to the Raibert foothold (Kang et al. 2021)",
+            "the animal's trunk, and feet that swing straight to the Raibert foothold (Kang et al. 2021)",
             change=_raibert,
             own_feet=True,
             playable=True,
@@ -127,7 +129,7 @@ METHODS: Final = Registry(
         Method(
             "lh",
             "LH",
-            "the same with long-horizon forces (Di Carlo et al. 2018)",
+            "mbc with long-horizon forces (Di Carlo et al. 2018)",
             change=_horizon,
             playable=True,
             color="#cc79a7",
@@ -166,7 +168,7 @@ METHODS: Final = Registry(
         Method(
             "mbc-dmp-body",
             "MBC-DMP, 26",
-            "and the trunk's height and pitch: 26 parameters",
+            "mbc-dmp-path that also moves the trunk's height and pitch: 26 parameters",
             FEET_AND_TRUNK,
             base="mbc",
             color="#000000",

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.configuration import check, documented, parameter
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import record_dtype
 from fastmimic.robot import Robot
@@ -19,40 +20,30 @@ OBSERVATION_SIZE: Final = HISTORY * (IMU_SIZE + 12 + 12) + len(FRAMES) * FRAME_S
 ACTION_SIZE: Final = 12
 
 
+@documented
 @dataclass(frozen=True)
 class PolicyConfig:
-    """The interface between a policy and the robot. A policy works only with the one of its training.
+    """The interface between a policy and the robot. A policy works only with the one of its training."""
 
-    Attributes:
-        control_rate_hz: of the loop that sends joint targets to the motors, equal to the model-based controller's.
-        decimation: control steps per action; 17 at 500 Hz are 29.4 actions a second.
-        action_scale: rad of joint target per unit of action.
-        filter_cutoff_hz: of the second-order Butterworth low-pass on actions.
-        stiffness, damping: of abduction, hip and knee, N·m/rad and N·m·s/rad.
-    """
-
-    control_rate_hz: float = 500.0
-    decimation: int = 17
-    action_scale: float = 0.25
-    filter_cutoff_hz: float = 4.0
-    stiffness: tuple[float, float, float] = (100.0, 100.0, 100.0)
-    damping: tuple[float, float, float] = (1.0, 2.0, 2.0)
+    control_rate_hz: float = parameter(
+        500.0, unit="Hz", above=0.0, about="rate of joint targets, equal to the model-based controller's"
+    )
+    decimation: int = parameter(17, low=1, about="control steps per action; 17 at 500 Hz are 29.4 actions a second")
+    action_scale: float = parameter(0.25, unit="rad", above=0.0, about="joint target per unit of action")
+    filter_cutoff_hz: float = parameter(
+        4.0, unit="Hz", above=0.0, about="cutoff of the second-order Butterworth low-pass on actions"
+    )
+    stiffness: tuple[float, float, float] = parameter(
+        (100.0, 100.0, 100.0), unit="N·m/rad", about="stiffness of abduction, hip and knee"
+    )
+    damping: tuple[float, float, float] = parameter(
+        (1.0, 2.0, 2.0), unit="N·m·s/rad", about="damping of abduction, hip and knee"
+    )
 
     def __post_init__(self) -> None:
-        checks = (
-            (self.control_rate_hz > 0, "control_rate_hz must be positive"),
-            (self.decimation >= 1, "decimation must be at least 1"),
-            (self.action_scale > 0, "action_scale must be positive"),
-            (
-                0 < self.filter_cutoff_hz < 0.5 * self.control_rate_hz / max(self.decimation, 1),
-                "filter_cutoff_hz must be above 0 and below half the rate of actions",
-            ),
-            (len(self.stiffness) == len(self.damping) == 3, "stiffness and damping have three numbers each"),
-            (all(g >= 0 for g in (*self.stiffness, *self.damping)), "gains must not be negative"),
-        )
-        for ok, message in checks:
-            if not ok:
-                raise ConfigError(f"policy configuration: {message}")
+        check(self, "policy configuration: ")
+        if self.filter_cutoff_hz >= 0.5 * self.rate_hz:
+            raise ConfigError("policy configuration: filter_cutoff_hz must be below half the rate of actions")
 
     @property
     def rate_hz(self) -> float:

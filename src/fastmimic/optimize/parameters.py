@@ -2,12 +2,14 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ConfigError, MotionError, did_you_mean
 from fastmimic.motion.motion import Motion
-from fastmimic.primitive import MotionDmp
+
+if TYPE_CHECKING:  # loads the compiler
+    from fastmimic.primitive import MotionDmp
 
 FOOT_HEIGHT: Final = "foot-height"
 FOOT_PATH: Final = "foot-path"
@@ -52,7 +54,7 @@ class Opened:
     def name(self) -> str:
         return f"{self.dimension}.{self.kind}"
 
-    def of(self, dmp: MotionDmp) -> Parameter:
+    def of(self, dmp: "MotionDmp") -> Parameter:
         """The parameter for this motion."""
         if self.kind == _AMPLITUDE:
             return Parameter(self.name, self.unit, self.lower, self.upper, 1.0)
@@ -82,7 +84,7 @@ PARAMETER_GROUPS: Final = {
 """Parameters by group; each group holds all of those before it. Add an entry to open others."""
 
 
-def parameters_of_group(group: str, dmp: MotionDmp) -> tuple[Parameter, ...]:
+def parameters_of_group(group: str, dmp: "MotionDmp") -> tuple[Parameter, ...]:
     """The parameters of a group; raises `ConfigError` if there is no such group."""
     _check_group(group)
     return tuple(opened.of(dmp) for opened in PARAMETER_GROUPS[group])

@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.base.rotations import yaw_from_quat
 from fastmimic.control.config import ControllerConfig, controller_config
@@ -94,7 +93,7 @@ class LiveSession:
         self._control_s: deque[float] = deque(maxlen=_TIMINGS)
         self.method = ""
         self.set_method(method)
-        self._loaded = self._given.gait.release_threshold * robot.mass * GRAVITY
+        self._loaded = self._given.release_force(robot)
         self.reset()
 
     # requests

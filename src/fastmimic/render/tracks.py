@@ -1,7 +1,7 @@
 """Tracks: poses of robots and animals over time for videos, made from logs and motions."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,6 @@ from fastmimic.robot.kinematics import foot_positions
 
 if TYPE_CHECKING:
     from fastmimic.episode.rollout import Rollout
-
-LOADED_N: Final = 1.0  # vertical force from which a foot is marked as loaded
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +109,7 @@ def resample_contact(track: Track, rate_hz: float, times: Array) -> NDArray[np.b
     return np.asarray(track.contact, dtype=np.bool_)[nearest]
 
 
-def rollout_track(rollout: "Rollout", title: str = "", episode: int = 0, note: str = "") -> Track:
+def rollout_track(rollout: "Rollout", loaded_n: float, title: str = "", episode: int = 0, note: str = "") -> Track:
     """An episode, falls included, with the demonstration at each step as its ghost.
 
     Args:
@@ -134,7 +132,7 @@ def rollout_track(rollout: "Rollout", title: str = "", episode: int = 0, note: s
         title=title,
         caption=caption,
         ghost=Track(ghost["root_pos"], ghost["root_quat"], ghost["joint_pos"], title="demonstration"),
-        contact=robot["foot_force"][..., 2] > LOADED_N,  # False for the NaN after a fall
+        contact=robot["foot_force"][..., 2] > loaded_n,  # False for the NaN after a fall
     )
 
 

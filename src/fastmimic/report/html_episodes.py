@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from fastmimic.base.conventions import GRAVITY, LEGS
+from fastmimic.base.conventions import LEGS
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.reward import REWARD_TERMS, reward_weights
 from fastmimic.render.tracks import realised_feet
@@ -120,7 +120,7 @@ def paths(e: RerunEpisodes) -> Figure:
 
 def gait(e: RerunEpisodes) -> Figure:
     """Each leg's contact schedule, gait planner state, and measured load."""
-    threshold = e.config.gait.release_threshold * e.robot.mass * GRAVITY
+    threshold = e.config.release_force(e.robot)
     rows = [
         Key("wanted by the motion", "var(--demo)", pattern=""),
         Key("state machine: stance", "var(--after)", pattern="/"),

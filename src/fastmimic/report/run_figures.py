@@ -62,7 +62,8 @@ def _tracks(result: Imitation) -> list[Track]:
     """The episodes before and, if something was optimised, after."""
 
     def track(rollout: Rollout, title: str, method: str) -> Track:
-        return rollout_track(rollout, title, note=f"{result.motion.name} · {method_named(method).label}")
+        loaded = result.config.release_force(result.robot)
+        return rollout_track(rollout, loaded, title, note=f"{result.motion.name} · {method_named(method).label}")
 
     if result.history is not None:  # before it, there was only the method's controller
         return [

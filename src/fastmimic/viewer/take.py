@@ -102,7 +102,7 @@ def rollout_take(
     """An episode with its log, falls included."""
     log = rollout.log
     assert log is not None, "a take needs a rollout with its log"
-    track = rollout_track(rollout, title, episode)
+    track = rollout_track(rollout, config.release_force(robot), title, episode)
     assert track.ghost is not None
     pose, reference = held(_stacked(track)), held(_stacked(track.ghost))
     observation = log.observation[episode]
@@ -121,7 +121,7 @@ def rollout_take(
         feet=world_feet(robot, pose),
         reference_feet=world_feet(robot, reference),
         wanted=log.wanted[episode],
-        measured=force[..., 2] > config.gait.release_threshold * weight,
+        measured=force[..., 2] > config.release_force(robot),
         stance=log.stance[episode],
         force=force,
         asked=asked,
