@@ -55,6 +55,11 @@ def configs() -> str:
     return f"{one_of('control.config', 'CONFIGS')}, or a JSON file"
 
 
+def disturbances() -> str:
+    """The disturbances, for a help text."""
+    return one_of("simulation.disturbance_kinds", "DISTURBANCES")
+
+
 def methods() -> str:
     """The methods, for a help text."""
     from fastmimic.imitation.methods import METHODS
@@ -87,13 +92,7 @@ Several = UseAppendAction[tuple[tuple[str, ...], ...]]
 Seconds = Annotated[float | None, option("S")]
 RobotChoice = Annotated[str | None, option("NAME|FILE.xml", f"{ROBOT_CHOICES}. Default: the motion's robot, else a1.")]
 RobotName = Annotated[str, option("NAME|FILE.xml", f"{ROBOT_CHOICES}.")]
-MethodName = Annotated[
-    str,
-    option(
-        "NAME",
-        lambda: f"Method: {methods()}.",
-    ),
-]
+MethodName = Annotated[str, option("NAME", lambda: f"Method: {methods()}.")]
 ConfigName = Annotated[str, option("NAME|FILE", lambda: f"Controller parameters: {configs()}.")]
 FoundMethod = Annotated[
     str | None,
@@ -118,10 +117,7 @@ Disturbances = Annotated[
     Several,
     option(
         "NAME=VALUE ...",
-        lambda: (
-            "Disturbances unknown to the controller, e.g. payload=2 (kg). Names: "
-            f"{one_of('simulation.disturbance_kinds', 'DISTURBANCES')}."
-        ),
+        lambda: f"Disturbances unknown to the controller, e.g. payload=2 (kg). Names: {disturbances()}.",
     ),
 ]
 Quality = Annotated[str, option("preview|high", "Video quality: fast, or with shadows, reflections and anti-aliasing.")]
