@@ -47,7 +47,7 @@ class Transfer(opt.ExperimentOptions):
         from fastmimic.experiments.subject import check_methods
         from fastmimic.experiments.transfer import PARTS, TransferSettings, part_file, run_trials
         from fastmimic.report.transfer_figures import WRITTEN, write_transfer
-        from fastmimic.simulation.simulators import check_simulator
+        from fastmimic.simulation.simulators import SECOND_SIMULATOR, check_simulator
 
         if not self.motions:
             raise ConfigError("give at least one motion, such as dog:right-turn")
@@ -65,7 +65,7 @@ class Transfer(opt.ExperimentOptions):
         robots = {robot.name: robot for robot, _ in loaded}
         if len(robots) > 1:
             raise ConfigError(f"the motions are for different robots: {', '.join(robots)}")
-        check_simulator(loaded[0][0], "pybullet")
+        check_simulator(loaded[0][0], SECOND_SIMULATOR)
         policy = opt.policy_with_digest(self.policy, *loaded[0])
         about = {"robot": loaded[0][0].name, **asdict(settings)}
         resume, overwrite = self.folder.resume, self.folder.overwrite

@@ -39,6 +39,7 @@ from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.pybullet_description import DESCRIPTIONS
+from fastmimic.simulation.simulators import SECOND_SIMULATOR
 
 WORK: Final = "work"
 _SEARCH: Final = 0.85  # approximate share of a job's time in the search
@@ -253,7 +254,7 @@ def _tried(job: Job, result: Imitation) -> Record:
             "fell_robots": rollout.fell.mean(),
         }
     if recipe.second_simulator and job.robot in DESCRIPTIONS:
-        rollout = elsewhere(Conditions("pybullet"), SECOND_SIMULATOR_EPISODES, perturbed=True)
+        rollout = elsewhere(Conditions(SECOND_SIMULATOR), SECOND_SIMULATOR_EPISODES, perturbed=True)
         simulated_s += measured.seconds * SECOND_SIMULATOR_EPISODES
         figures |= {"reward_second_simulator": rollout.reward.mean(), "fell_second_simulator": rollout.fell.mean()}
     return figures | {"simulated_s": simulated_s}

@@ -27,6 +27,7 @@ from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbances import Disturbance, names_of
+from fastmimic.simulation.simulators import FIRST_SIMULATOR, SECOND_SIMULATOR
 
 _LOG: Final = logging.getLogger(__name__)
 PARTS: Final = "trials"
@@ -64,15 +65,15 @@ FLOOR: Final = Disturbance("friction", (0.6,))
 
 SIMULATION: Final = "simulation"
 STAGES: Final = (
-    TransferStage(SIMULATION, "as optimised", "mujoco", "truth"),
-    TransferStage("sensors", "(a) sensors", "mujoco", "sensors"),
-    TransferStage("engine", "(b) PyBullet", "pybullet", "truth"),
-    TransferStage("robot", "(c) all", "pybullet", "sensors", (*ACTUATORS, FLOOR)),
+    TransferStage(SIMULATION, "as optimised", FIRST_SIMULATOR, "truth"),
+    TransferStage("sensors", "(a) sensors", FIRST_SIMULATOR, "sensors"),
+    TransferStage("engine", "(b) PyBullet", SECOND_SIMULATOR, "truth"),
+    TransferStage("robot", "(c) all", SECOND_SIMULATOR, "sensors", (*ACTUATORS, FLOOR)),
 )
 """From the simulator of the optimisation to a robot that differs in everything."""
 LAST: Final = STAGES[-1].name
 
-IDENTIFIED: Final = TransferStage("identified", "(c) identified", "pybullet", "sensors", (*ACTUATORS, FLOOR))
+IDENTIFIED: Final = TransferStage("identified", "(c) identified", SECOND_SIMULATOR, "sensors", (*ACTUATORS, FLOOR))
 """The last stage, with friction and payload identified from a run in it."""
 IDENTIFICATION_S: Final = 5.0  # s, length of that run
 

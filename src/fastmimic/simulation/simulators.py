@@ -96,6 +96,8 @@ SIMULATORS: Final = Registry(
         ),
     ],
 )
+FIRST_SIMULATOR, SECOND_SIMULATOR = list(SIMULATORS)[:2]
+"""Where motions are optimised, and where the results are tested again."""
 
 
 def check_simulator(robot: Robot, simulator: str) -> None:
