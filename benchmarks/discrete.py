@@ -83,7 +83,7 @@ def run(piece: str, robot: fm.Robot, iterations: int, population: int, seed: int
     row = {
         "piece": piece,
         "duration_s": motion.period_s,
-        "held_s": motion.meta.get("held_s"),
+        "held_s": motion.provenance.held_s,
         "travel_m": float(np.hypot(*travel)),
         "turn_deg": report.after.yaw_deg,
         "height_m": [float(motion.root_pos_w[i, 2]) for i in (0, -1)],

@@ -59,6 +59,7 @@ def run(name: str, iterations: int, out: Path) -> dict[str, Any]:
     perturbed = fm.evaluate(result.motion, robot, duration_s=DURATION_S, episodes=8)
     wanted = swing_clearance(result.demonstration, robot.foot_radius)
     result.motion.save(file.with_suffix(".npz"))
+    retargeting = result.demonstration.provenance.as_dict()["retarget"]
     row = {
         "motion": name,
         "speed_m_s": float(np.linalg.norm(result.demonstration.root_lin_vel_w[:, :2].mean(axis=0))),
@@ -66,8 +67,8 @@ def run(name: str, iterations: int, out: Path) -> dict[str, Any]:
         "before": before.as_dict(),
         "after": after.as_dict(),
         "perturbed": perturbed.as_dict(),
-        "trunk_change_m": result.demonstration.meta["retarget"]["trunk_change_m"],
-        "trunk_change_deg": result.demonstration.meta["retarget"]["trunk_change_deg"],
+        "trunk_change_m": retargeting["trunk_change_m"],
+        "trunk_change_deg": retargeting["trunk_change_deg"],
         "clearance_share_before": share(before.rollout.clearance[0], wanted),
         "clearance_share_after": share(after.rollout.clearance[0], wanted),
         "against_unbalanced": against_unbalanced(result.motion, robot),

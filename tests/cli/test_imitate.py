@@ -80,7 +80,7 @@ def test_writes_the_motion_figures_and_numbers(first: tuple[Path, Outcome]) -> N
     assert "trot: built in, scale 0.825" in done.err
     motion = Motion.load(out / "motion.npz")
     assert motion.demonstration is not None
-    assert motion.meta["robot"] == "a1"
+    assert motion.provenance.robot == "a1"
 
 
 def test_metrics_hold_all_figures(first: tuple[Path, Outcome]) -> None:

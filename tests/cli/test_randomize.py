@@ -31,7 +31,7 @@ def test_what_was_asked_for_and_what_came_of_it_is_recorded(run: Run, tmp_path: 
     for when in ("before", "after"):
         assert 0 <= others[when]["worst"] < others[when]["mean"] < metrics["reward"][when] <= 1
         assert others[when]["fell"] == 0
-    assert Motion.load(tmp_path / "run" / "motion.npz").meta["made_with"]["randomization"] == asked
+    assert Motion.load(tmp_path / "run" / "motion.npz").provenance.as_dict()["made_with"]["randomization"] == asked
     for label, key in (("16 other robots: mean reward", "mean"), ("worst reward", "worst")):
         shown = next(line for line in done.out.splitlines() if line.strip().startswith(label))
         assert shown.split()[-2:] == [f"{others[when][key]:.3f}" for when in ("before", "after")]
@@ -60,7 +60,7 @@ def test_without_it_nothing_is_recorded(run: Run, tmp_path: Path) -> None:
     assert run("imitate", "trot", *TINY, "--out", "run").status == 0
     assert read(tmp_path / "run" / "config.json")["arguments"]["randomize"] is None
     assert "randomization" not in read(tmp_path / "run" / "metrics.json")
-    assert "randomization" not in Motion.load(tmp_path / "run" / "motion.npz").meta["made_with"]
+    assert "randomization" not in Motion.load(tmp_path / "run" / "motion.npz").provenance.as_dict()["made_with"]
     changed = read(tmp_path / "run" / "config.json")
     del changed["arguments"]["randomize"]  # as a run had it before there was any
     (tmp_path / "run" / "config.json").write_text(json.dumps(changed))

@@ -125,7 +125,7 @@ def test_options_reach_the_clip(run: Run, in_folder: Path) -> None:
     options = ("--frames", "4:36", "--fps", "50", "--up", "y", "--scale", "0.7")
     done = run("retarget", "clip.txt", *options, "--out", "o.npz")
     assert done.status == 0, done.err
-    meta = Motion.load(in_folder / "o.npz").meta
+    meta = Motion.load(in_folder / "o.npz").provenance.as_dict()
     assert meta["source"]["frames"] == [4, 36]
     assert meta["retarget"]["scale"] == 0.7
     assert meta["retarget"]["before"]["period_s"] == pytest.approx(32 / 50)

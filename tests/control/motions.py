@@ -6,6 +6,7 @@ import numpy as np
 
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
+from fastmimic.motion.provenance import Provenance
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 
@@ -68,7 +69,7 @@ def gait(
         root_lin_vel_w=np.column_stack([rotate_planar(yaw, np.tile(velocity, (n_samples, 1))), 0 * ones]),
         root_ang_vel_w=np.column_stack([0 * ones, 0 * ones, yaw_rate * ones]),
         cycle=np.array([*rotate_planar(-yaw0, end_xy[0] - xy[0]), end_yaw[0] - yaw0]),
-        meta={"name": "synthetic", "robot": robot.name},
+        provenance=Provenance("synthetic", robot.name),
     )
 
 

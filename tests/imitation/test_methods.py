@@ -14,7 +14,6 @@ from fastmimic.imitation.evaluate import evaluate
 from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import (
     FOOT_HEIGHT,
-    MADE_WITH,
     METHODS,
     NOTHING,
     PAPER_METHODS,
@@ -25,6 +24,7 @@ from fastmimic.imitation.methods import (
 )
 from fastmimic.imitation.stitch import stitch
 from fastmimic.motion.motion import Motion
+from fastmimic.motion.provenance import MadeWith, Provenance
 from fastmimic.primitive import MotionDmp
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
@@ -119,9 +119,9 @@ def test_imitation_by_every_method(name: str) -> None:
     assert (result.history is not None) == method.optimises
     again = evaluate(result.motion, robot, method=name, duration_s=0.6)
     assert again.rollout.reward[0] == result.after.reward[0]
-    assert MADE_WITH not in result.demonstration.meta, "a demonstration is nobody's"
+    assert result.demonstration.provenance.made_with is None, "a demonstration is nobody's"
     if method.optimises:
-        assert result.motion.meta[MADE_WITH] == {"method": name, "config": "default"}
+        assert result.motion.provenance.made_with == MadeWith(name, "default")
         alike = evaluate(result.motion, robot, duration_s=0.6)
         assert alike.rollout.reward[0] == result.after.reward[0], "what nothing is said of is as it was made"
         assert (alike.method, alike.config) == (name, result.config)
@@ -158,7 +158,7 @@ class TestMadeWith:
 
     def test_what_is_given_goes_before_what_the_motion_says(self, trot: Motion) -> None:
         of = made_with(trot, "lh-dmp", METHODS["lh-dmp"].configure(controller_config("paper")))
-        assert trot.meta.keys() == of.meta.keys() - {MADE_WITH}
+        assert trot.provenance == dataclasses.replace(of.provenance, made_with=None)
         assert controller_for(of) == (METHODS["lh-dmp"], METHODS["lh"].configure(controller_config("paper")))
         assert controller_for(of, "mbc") == (METHODS["mbc"], controller_config("paper"))
         assert controller_for(of, config="default")[1] == METHODS["lh"].configure(controller_config("default"))
@@ -179,18 +179,17 @@ class TestMadeWith:
 
     @pytest.mark.parametrize("record", ["mbc", {}, {"method": "mbc"}])
     def test_a_damaged_record_is_one_clear_error(self, trot: Motion, record: object) -> None:
-        broken = dataclasses.replace(trot, meta={**trot.meta, MADE_WITH: record})
-        with pytest.raises(MotionError, match="motion 'trot': what it was made with is not readable in its 'meta'"):
-            controller_for(broken)
+        with pytest.raises(MotionError, match=r"provenance: .*made_with"):
+            Provenance.from_dict(trot.provenance.as_dict() | {"made_with": record})
 
     def test_a_stitched_motion_that_nothing_was_optimised_of_remembers_the_run(self, trot: Motion) -> None:
         robot = load_robot("a1")
         dmp = MotionDmp.fit(trot, robot)
         optimised = made_with(dmp.motion(dmp.goal, dmp.amplitude), "mbc-dmp", controller_config("default"))
         result = stitch([optimised, trot], robot, cycles=2, method="lh")
-        assert result.motion.meta[MADE_WITH] == {"method": "lh", "config": "default"}
-        assert MADE_WITH not in result.demonstration.meta
-        assert all(MADE_WITH not in part.meta for part in result.demonstration.parts)
-        assert MADE_WITH not in stitch([trot, trot], robot, cycles=2, method="lh").motion.meta
+        assert result.motion.provenance.made_with == MadeWith("lh", "default")
+        assert result.demonstration.provenance.made_with is None
+        assert all(part.provenance.made_with is None for part in result.demonstration.parts)
+        assert stitch([trot, trot], robot, cycles=2, method="lh").motion.provenance.made_with is None
         alike = evaluate(result.motion, robot)
         assert alike.rollout.reward[0] == pytest.approx(result.after.reward[0], abs=1e-12)

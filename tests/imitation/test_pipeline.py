@@ -83,7 +83,7 @@ class TestImitate:
         assert result.duration_s == result.after.duration_s == pytest.approx(whole)
         assert result.motion.cycle is None
         assert result.demonstration is once
-        assert result.motion.meta["dmp"]["primitive"] == "discrete"
+        assert result.motion.provenance.as_dict()["dmp"]["primitive"] == "discrete"
         assert not result.after.fell[0]
         assert result.after.reward[0] > 0.9
         result.motion.save(tmp_path / "once.npz")
@@ -231,7 +231,7 @@ class TestRandomized:
         result = imitate(motion, robot, randomize=over, **QUICK)
         assert result.held_out is not None
         assert result.held_out.randomization == over
-        record = result.motion.meta["made_with"]["randomization"]
+        record = result.motion.provenance.as_dict()["made_with"]["randomization"]
         assert record == over.as_dict() == json.loads(json.dumps(record))
         figures = result.metrics()["randomization"]["held_out"]
         conditions = fm.Conditions(disturbances=over.held_out())
@@ -256,7 +256,7 @@ class TestRandomized:
             few = {"iterations": 1, "population": 4, "choice": QUICK_CHOICE}
             result = fm.stitch([motion, motion], robot, cycles=2, randomize=2, **few)  # type: ignore[arg-type]
         assert result.held_out is not None
-        assert result.motion.meta["made_with"]["randomization"]["robots"] == 2
+        assert result.motion.provenance.as_dict()["made_with"]["randomization"]["robots"] == 2
         searched = 1 + 4 + 2  # the unmodulated motion, the candidates, and the mean and the best of them once more
         assert result.evaluations == 2 * (2 * searched + 2 * 3), "the motion by itself, and the whole"
         with pytest.raises(ConfigError, match="method 'mbc' has none"):

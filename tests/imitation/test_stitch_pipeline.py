@@ -31,14 +31,15 @@ FEW: dict[str, Any] = {
 @pytest.fixture(scope="module")
 def walk(robot: Robot) -> Motion:
     motion = gait(robot, (0.3, 0.0), n_samples=200)
-    return dataclasses.replace(motion, meta={**motion.meta, "name": "walk"})
+    return dataclasses.replace(motion, provenance=dataclasses.replace(motion.provenance, name="walk"))
 
 
 @pytest.fixture(scope="module")
 def optimised(robot: Robot) -> Motion:
     """As if it had been optimised: its feet lift higher."""
     motion = gait(robot, (0.2, 0.0), 0.5, n_samples=220)
-    dmp = MotionDmp.fit(dataclasses.replace(motion, meta={**motion.meta, "name": "turn"}), robot)
+    provenance = dataclasses.replace(motion.provenance, name="turn")
+    dmp = MotionDmp.fit(dataclasses.replace(motion, provenance=provenance), robot)
     amplitude = dmp.amplitude
     amplitude[[14, 17, 20, 23]] = 1.25
     return dmp.motion(dmp.goal, amplitude)
@@ -75,7 +76,7 @@ def test_without_an_optimisation_optimised_motions_keep_their_parameters(
     found = {p.name: v for p, v in zip(result.parameters, result.values, strict=True)}
     assert found["1:walk/FR_foot_z.amplitude"] == 1.0
     assert found["2:turn/FR_foot_z.amplitude"] == 1.25
-    assert result.motion.meta["stitch"]["parameters"] == found
+    assert result.motion.provenance.stitched.parameters == found
     assert result.motion.demonstration is result.demonstration
     lift = result.motion.foot_pos_b[..., 2].max() - result.demonstration.foot_pos_b[..., 2].max()
     assert lift > 0.005, "the feet of what is saved lift as high as they were optimised to"

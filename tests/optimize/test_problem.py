@@ -147,7 +147,7 @@ class TestReferences:
         x = candidates(problem, 1)[0]
         motion = problem.motion(x)
         assert motion.demonstration is demonstration
-        record = motion.meta["dmp"]
+        record = motion.provenance.as_dict()["dmp"]
         for value, parameter in zip(x, problem.parameters, strict=True):
             dimension, kind = parameter.name.split(".")
             assert record[kind][record["names"].index(dimension)] == value

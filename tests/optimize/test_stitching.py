@@ -38,7 +38,10 @@ def stitched(robot: Robot) -> Motion:
     """Two short segments of a slow trot and a turning one."""
     walk = gait(robot, (0.3, 0.0), n_samples=200)
     turn = gait(robot, (0.2, 0.0), 0.6, n_samples=220)
-    named = [dataclasses.replace(m, meta={**m.meta, "name": n}) for m, n in ((walk, "walk"), (turn, "turn"))]
+    named = [
+        dataclasses.replace(m, provenance=dataclasses.replace(m.provenance, name=n))
+        for m, n in ((walk, "walk"), (turn, "turn"))
+    ]
     return stitch_motions(robot, named, [3, 3])
 
 
@@ -260,14 +263,6 @@ class TestParametersOf:
         np.testing.assert_array_equal(again.start, whole.start)
         with pytest.raises(MotionError, match=r"moves root_vx.goal, which no method optimises"):
             needed_group("foot-height", {"root_vx.goal": 0.1})
-
-    def test_damaged(self, robot: Robot, stitched: Motion) -> None:
-        part = stitched.parts[0]
-        problem = ImitationProblem(robot, part, MotionDmp.fit(part, robot), workers=1)
-        motion = problem.motion(problem.initial)
-        broken = dataclasses.replace(motion, meta={**motion.meta, "dmp": {"names": motion.meta["dmp"]["names"]}})
-        with pytest.raises(MotionError, match="the DMP parameters in its 'meta' are damaged"):
-            parameters_of(broken)
 
 
 def test_a_motion_that_neither_repeats_nor_is_stitched_is_one_episode(robot: Robot, stitched: Motion) -> None:

@@ -341,7 +341,7 @@ def test_what_cannot_be_played_is_refused(a1: Robot, trot: Motion, library: Moti
     with pytest.raises(MotionError, match="samples a second"):
         MotionSet(a1, {"trot": trot}, rate_hz=400.0)
     with pytest.raises(MotionError, match="is for robot 'go1'"):
-        MotionSet(a1, {"trot": dataclasses.replace(trot, meta={**trot.meta, "robot": "go1"})})
+        MotionSet(a1, {"trot": dataclasses.replace(trot, provenance=dataclasses.replace(trot.provenance, robot="go1"))})
 
 
 class _Dead(Executor):

@@ -7,6 +7,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from fastmimic.motion.motion import Motion
+from fastmimic.motion.provenance import Provenance
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 
@@ -60,7 +61,7 @@ def cyclic_motion(
         root_lin_vel_w=(after - before) * rate,
         root_ang_vel_w=(turned_after * turned_before.inv()).as_rotvec() * rate,
         cycle=np.array(cycle),
-        meta={"name": "synthetic", "robot": robot.name},
+        provenance=Provenance("synthetic", robot.name),
     )
 
 

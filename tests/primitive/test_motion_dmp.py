@@ -158,7 +158,7 @@ def test_feet_out_of_reach_are_brought_back_and_counted(dmp: MotionDmp, robot: R
     goal = dmp.goal
     goal[dmp.index("RR_foot_z")] += shift
     made = dmp.motion(goal=goal)
-    record = made.meta["dmp"]
+    record = made.provenance.as_dict()["dmp"]
     assert record["foot_samples_out_of_reach"][2] == made.n_samples
     assert record["foot_samples_out_of_reach"][0] == 0
     assert 0.01 < record["foot_shift_to_reach_m"][2] < 0.35
@@ -179,7 +179,7 @@ def test_the_record_of_the_parameters_survives_the_file(dmp: MotionDmp, tmp_path
     goal[14] += 0.01
     amplitude[14] = 1.3
     dmp.motion(goal, amplitude).save(tmp_path / "motion.npz")
-    record = Motion.load(tmp_path / "motion.npz").meta["dmp"]
+    record = Motion.load(tmp_path / "motion.npz").provenance.as_dict()["dmp"]
     assert record == json.loads(json.dumps(record))
     assert record["n_basis"] == 100
     assert record["goal"] == goal.tolist()
@@ -224,7 +224,7 @@ class TestDiscrete:
         made = fitted.motion()
         assert made.cycle is None
         assert made.demonstration is once
-        assert made.meta["dmp"]["primitive"] == "discrete"
+        assert made.provenance.as_dict()["dmp"]["primitive"] == "discrete"
         inner = slice(1, -1)  # differences of the joints are one-sided at the ends
         assert rms((made.joint_vel - once.joint_vel)[inner]) < 0.05
 

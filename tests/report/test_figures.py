@@ -15,6 +15,7 @@ from PIL import Image
 
 from fastmimic.base.errors import OutputError
 from fastmimic.motion.motion import Motion
+from fastmimic.motion.provenance import Provenance
 from fastmimic.render.figure_style import save
 from fastmimic.report.figures import convergence_figure, tracking_figure
 from fastmimic.report.inspection import motion_figure
@@ -167,7 +168,7 @@ def motion(a1: Robot) -> Motion:
         root_lin_vel_w=np.zeros((n, 3)),
         root_ang_vel_w=np.zeros((n, 3)),
         cycle=np.array([1.0, 0.0, 0.5]),
-        meta={"name": "trot"},
+        provenance=Provenance("trot"),
     )
 
 

@@ -206,8 +206,8 @@ def test_other_rates_give_the_same_motion(a1: Robot, trot) -> None:  # type: ign
 
 def test_report_is_json_and_readable(trot) -> None:  # type: ignore[no-untyped-def]
     motion, report = trot
-    assert motion.meta["retarget"] == json.loads(json.dumps(report.as_dict()))
-    assert {"name", "robot", "source", "licence", "retarget"} <= motion.meta.keys()
+    assert motion.provenance.retarget == json.loads(json.dumps(report.as_dict()))
+    assert {"name", "robot", "source", "licence", "retarget"} <= motion.provenance.as_dict().keys()
     text = "\n".join(report.lines())
     assert "slip in stance" in text
     assert "NOT MET" not in text
@@ -247,7 +247,7 @@ def test_an_animal_that_sits_makes_the_robot_crouch_as_low_as_it_can(a1: Robot) 
     assert max(report.after.slip_m) < 1e-3
     assert motion.root_pos_w[:, 2].max() < 0.22
     high, _ = retarget(still(generate("walk"), 0.36, 0.0), a1, cycle=True)
-    assert high.meta["retarget"]["lowered_m"] >= 0.0
+    assert high.provenance.as_dict()["retarget"]["lowered_m"] >= 0.0
 
 
 def test_who_lifts_no_foot_does_not_travel(a1: Robot) -> None:

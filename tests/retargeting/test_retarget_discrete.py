@@ -61,7 +61,7 @@ class TestSitting:
 
     def test_who_ends_standing_is_held_there_at_rest(self, sit: Retargeted) -> None:
         motion, report = sit
-        assert motion.meta["held_s"] == pytest.approx(0.5)
+        assert motion.provenance.held_s == pytest.approx(0.5)
         assert "ends standing, and is held for 0.5 s" in report.cycle_reason
         assert motion.period_s == pytest.approx((FRAMES - 1) / RATE_HZ + 0.5, abs=0.003)
         last = slice(-50, None)
@@ -75,7 +75,7 @@ class TestOnce:
     def test_a_piece_that_ends_in_mid_stride_is_not_held(self, once: Retargeted) -> None:
         motion, report = once
         assert motion.cycle is None
-        assert "held_s" not in motion.meta
+        assert motion.provenance.held_s is None
         assert report.cycle_reason == "not a cycle, as the clip says"
 
     def test_it_is_consistent(self, once: Retargeted) -> None:

@@ -1,5 +1,6 @@
 """Loading a motion: what names one, and what is refused."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -32,7 +33,7 @@ class TestLoadMotion:
     def test_a_name_or_a_clip_is_retargeted(self, robot: Robot, source: str) -> None:
         given = open_clip("trot", robot=robot) if source == "clip" else source
         loaded = load_motion(given, robot)  # type: ignore[arg-type]
-        assert loaded.meta["robot"] == "a1"
+        assert loaded.provenance.robot == "a1"
         assert loaded.rate_hz == 500
         assert loaded.cycle is not None
 
@@ -89,9 +90,8 @@ class TestFolders:
     def test_the_robot_is_that_of_the_motion_or_of_its_run(self, motion: Motion) -> None:
         assert find_motion("mine").robot == "a1"
         assert find_motion("trot").robot is None
-        motion.meta["robot"], kept = "mine", motion.meta["robot"]
-        motion.save("other/motion.npz")
-        motion.meta["robot"] = kept
+        provenance = dataclasses.replace(motion.provenance, robot="mine")
+        dataclasses.replace(motion, provenance=provenance).save("other/motion.npz")
         assert find_motion("other").robot is None
         Path("other/config.json").write_text(json.dumps({"arguments": {"robot": "mine.xml"}}))
         assert find_motion("other").robot == "mine.xml"

@@ -20,7 +20,7 @@ PACE = (0.0, 0.5, 0.0, 0.5)
 
 
 def named(motion: Motion, name: str) -> Motion:
-    return dataclasses.replace(motion, meta={**motion.meta, "name": name})
+    return dataclasses.replace(motion, provenance=dataclasses.replace(motion.provenance, name=name))
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +166,7 @@ class TestTransitions:
         assert np.abs(np.diff(yaw)).max() / three.dt < 2.0
 
     def test_what_they_ask_of_the_robot_is_said(self, three: Motion) -> None:
-        transitions = three.meta["stitch"]["transitions"]
+        transitions = three.provenance.stitched.transitions
         assert len(transitions) == 2
         for found in transitions:
             assert found["slip_m"] < 1e-3
@@ -214,11 +214,13 @@ class TestLayout:
         assert trot.segment_starts == ()
 
     def test_damaged(self, three: Motion) -> None:
-        stitch = three.meta["stitch"]
-        short = [*stitch["segments"][:-1], {**stitch["segments"][-1], "last": 5}]
-        nameless = [{k: v for k, v in stitch["segments"][0].items() if k != "name"}, *stitch["segments"][1:]]
-        for segments in (short, nameless, stitch["segments"][:-1]):
-            damaged = dataclasses.replace(three, meta={**three.meta, "stitch": {**stitch, "segments": segments}})
+        stitch = three.provenance.stitched
+        for segments in (
+            (*stitch.segments[:-1], dataclasses.replace(stitch.segments[-1], last=5)),
+            stitch.segments[:-1],
+        ):
+            provenance = dataclasses.replace(three.provenance, stitch=dataclasses.replace(stitch, segments=segments))
+            damaged = dataclasses.replace(three, provenance=provenance)
             with pytest.raises(MotionError, match=r"trot\+turn\+trot"):
                 Layout.of(damaged)
 

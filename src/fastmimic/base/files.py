@@ -3,12 +3,24 @@
 import json
 import os
 import tempfile
+import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fastmimic.base.errors import ConfigError, FastMimicError, OutputError
 from fastmimic.base.text import plain
+
+UNREADABLE: Final = (
+    *(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error),
+    RuntimeError,  # zipfile: encrypted, or compressed in a way that it does not know
+    TypeError,  # a lone .npy
+)
+"""Errors of NumPy and zipfile for a damaged archive."""
 
 
 def replace_file(path: str | Path, write: Callable[[BinaryIO], Any]) -> None:
@@ -56,6 +68,17 @@ def read_json(path: str | Path, error: type[FastMimicError] = ConfigError) -> di
     if not isinstance(value, dict):
         raise error(f"{path}: does not hold a JSON object")
     return value
+
+
+def read_arrays(path: str | Path | BinaryIO, error: type[FastMimicError], what: str) -> dict[str, NDArray[Any]]:
+    """The arrays of an `.npz` without pickles; raises `error` if there is no such file, or it is no readable `what`."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {key: file[key] for key in file.files}
+    except FileNotFoundError:
+        raise error(f"{path}: no such file") from None
+    except UNREADABLE as problem:
+        raise error(f"{path}: not a readable {what} ({problem})") from None
 
 
 def check_folder(folder: str | Path) -> None:

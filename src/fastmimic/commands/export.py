@@ -45,8 +45,7 @@ class Export:
         opt.check_duration(self.duration)
         robot, motion = self.clip.load(self.motion, self.robot)
         frames = export_motion(motion, robot, out, self.format, fps=self.rate, duration_s=self.duration)
-        licence = motion.meta.get("licence")
-        if licence:
-            note(f"licence of the motion: {licence}")
+        if motion.provenance.licence:
+            note(f"licence of the motion: {motion.provenance.licence}")
         put(f"{frames.n} frames at {frames.fps:g} per second for {robot.name} in {out}")
         return 0

@@ -51,8 +51,8 @@ class Imitate(SearchRun):
         loading_s = time.perf_counter() - began
         about = {
             "motion": motion.name,
-            "source": motion.meta.get("source"),
-            "licence": motion.meta.get("licence"),
+            "source": motion.provenance.source,
+            "licence": motion.provenance.licence,
         }
         with self.opened(robot, motion.name, method, **about) as (folder, config):
             note_origin(robot, motion)

@@ -2,15 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from tyro.conf import Positional
 
 from fastmimic.clips.clip import Clip
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import put
-from fastmimic.commands.show import assumed, provenance
+from fastmimic.commands.show import provenance
 from fastmimic.motion.motion import Motion
+from fastmimic.motion.provenance import DmpRecord
 from fastmimic.robot import Robot
 
 
@@ -75,14 +76,14 @@ def describe_motion(motion: Motion, robot: Robot) -> list[str]:
     ]
     lines = [
         f"motion     {provenance(motion)}",
-        f"robot      {motion.meta.get('robot', 'unknown')}",
+        f"robot      {motion.provenance.robot or 'unknown'}",
         f"samples    {motion.n_samples} at {motion.rate_hz:g} Hz, {motion.period_s:.3f} s",
         f"travel     {_travel(motion)}",
         f"duty       {legs(motion.contact.mean(axis=0), '.2f')}",
         f"clearance  {legs(1e3 * swing_clearance(motion, robot.foot_radius), '.0f')} mm",
         f"joints     smallest margin and highest speed: {'; '.join(limits)}",
     ]
-    lines += [f"assumed    {sentence}" for sentence in (*assumed(motion), *robot.assumed)]
+    lines += [f"assumed    {sentence}" for sentence in (*motion.provenance.assumed, *robot.assumed)]
     return lines + _segments(motion) + _optimised(motion) + _made_with(motion)
 
 
@@ -113,21 +114,20 @@ def _travel(motion: Motion) -> str:
 
 def _segments(motion: Motion) -> list[str]:
     """The segments of a stitched motion, and the DMP parameters of each that differ from the fitted ones."""
-    stitch = motion.meta.get("stitch", {})
-    segments = stitch.get("segments", [])
-    records = stitch.get("dmp", [None] * len(segments))
-    lines = []
-    for segment, dmp in zip(segments, records, strict=True):
-        first, last = segment["first"] / motion.rate_hz, segment["last"] / motion.rate_hz
-        lines.append(f"segment    {segment['name']}, {segment['cycles']} cycles, {first:.2f} to {last:.2f} s")
+    stitch, lines = motion.provenance.stitch, []
+    if stitch is None:
+        return []
+    for segment, dmp in zip(stitch.segments, stitch.dmp or [None] * len(stitch.segments), strict=True):
+        first, last = segment.first / motion.rate_hz, segment.last / motion.rate_hz
+        lines.append(f"segment    {segment.name}, {segment.cycles} cycles, {first:.2f} to {last:.2f} s")
         lines += _modulated(dmp) if dmp is not None else []
     return lines
 
 
 def _optimised(motion: Motion) -> list[str]:
     """The DMP parameters that differ from the fitted ones; empty for a demonstration."""
-    dmp = motion.meta.get("dmp")
-    if motion.demonstration is None or not isinstance(dmp, dict):
+    dmp = motion.provenance.dmp
+    if motion.demonstration is None or dmp is None:
         return []
     lines = _modulated(dmp)
     differ = "these DMP parameters" if lines else "no DMP parameter"
@@ -136,22 +136,20 @@ def _optimised(motion: Motion) -> list[str]:
 
 def _made_with(motion: Motion) -> list[str]:
     """The controller with which the motion was optimised; empty if unknown."""
-    from fastmimic.imitation.methods import MADE_WITH, controller_for
+    from fastmimic.imitation.methods import controller_for
 
-    record = motion.meta.get(MADE_WITH)
+    record = motion.provenance.made_with
     if record is None:
         return []
-    own = isinstance(record, dict) and record.get("config", "") is None
-    method, config = controller_for(motion, config="default" if own else None)
-    return [f"made with  method {method.name}, controller {'with its own parameters' if own else config.name}"]
+    method, config = controller_for(motion, config="default" if record.config is None else None)
+    shown = "with its own parameters" if record.config is None else config.name
+    return [f"made with  method {method.name}, controller {shown}"]
 
 
-def _modulated(dmp: dict[str, Any]) -> list[str]:
+def _modulated(dmp: DmpRecord) -> list[str]:
     """A line for each dimension whose parameters differ from the fitted ones."""
     return [
         f"  {name:12} baseline {goal - fitted:+.4f}, amplitude {amplitude:.3f}"
-        for name, goal, fitted, amplitude in zip(
-            dmp["names"], dmp["goal"], dmp["fitted_goal"], dmp["amplitude"], strict=True
-        )
+        for name, goal, fitted, amplitude in dmp.modulation()
         if goal != fitted or amplitude != 1.0
     ]

@@ -120,7 +120,7 @@ def put_result(result: "Imitation", folder: "RunFolder", iterations: int, *, vid
 def note_origin(robot: Robot, motion: Motion) -> None:
     """Prints where a motion comes from and what was assumed."""
     note(provenance(motion))
-    for sentence in (*assumed(motion), *robot.assumed):
+    for sentence in (*motion.provenance.assumed, *robot.assumed):
         note(f"assumed: {sentence}")
 
 
@@ -128,7 +128,7 @@ def provenance(motion: Motion) -> str:
     """One line: name, source, scale, period, licence."""
     from fastmimic.clips.formats import FORMATS
 
-    source, retargeting = _record(motion, "source"), _record(motion, "retarget")
+    source, retargeting = motion.provenance.source or {}, motion.provenance.retarget or {}
     parts = [str(source.get("source", "unknown source"))]
     if "frames" in source:
         parts.append("frames {}:{}".format(*source["frames"]))
@@ -137,20 +137,15 @@ def provenance(motion: Motion) -> str:
     if "scale" in retargeting:
         parts.append(f"scale {retargeting['scale']:.3f}")
     parts.append(f"{motion.period_s:.3f} s" + (" per cycle" if motion.cycle is not None else f", {_once(motion)}"))
-    licence = motion.meta.get("licence")
+    licence = motion.provenance.licence
     return f"{motion.name}: {', '.join(parts)}" + (f"; licence: {licence}" if licence else "")
 
 
 def _once(motion: Motion) -> str:
     if motion.target.parts:
         return "not periodic"
-    held = motion.meta.get("held_s")
+    held = motion.provenance.held_s
     return "run once, " + (f"the last {held:.2g} s at rest" if held else "ends in mid-stride")
-
-
-def assumed(motion: Motion) -> list[str]:
-    """The assumptions made when the clip was read, as sentences."""
-    return [str(sentence) for sentence in _record(motion, "source").get("assumed", [])]
 
 
 def unmet_bounds(motion: Motion) -> list[str]:
@@ -158,11 +153,6 @@ def unmet_bounds(motion: Motion) -> list[str]:
     return [
         f"{bound['name']} {bound['value']:.3g} exceeds {bound['limit']:.3g}"
         + (f" ({bound['reason']})" if bound["reason"] else "")
-        for bound in _record(motion, "retarget").get("bounds", [])
+        for bound in (motion.provenance.retarget or {}).get("bounds", [])
         if not bound["met"]
     ]
-
-
-def _record(motion: Motion, key: str) -> dict[str, Any]:
-    value = motion.meta.get(key)
-    return value if isinstance(value, dict) else {}

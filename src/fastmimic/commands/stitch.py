@@ -63,8 +63,8 @@ class Stitch(SearchRun):
         names = "+".join(_name_of(source) for source in sources)
         with self.opened(robot, names, self.method, motion="+".join(self.motions)) as (folder, config):
             result = self._stitch(sources, robot, folder)
-            meta = result.motion.meta
-            write_run(result, folder, config | {"source": meta.get("source"), "licence": meta.get("licence")})
+            made = result.motion.provenance
+            write_run(result, folder, config | {"source": made.source, "licence": made.licence})
         put_table(segment_rows(result), right=range(1, 8))
         return put_result(result, folder, self.iterations, video=video)
 

@@ -81,7 +81,7 @@ class Train:
         threads = self.threads if self.threads is not None else available_cores()
         if not resume:
             folder.clear()
-        folder.begin({"training": same, "motion": motion.meta})
+        folder.begin({"training": same, "motion": motion.provenance.as_dict()})
         note(f"{motion.name} on {robot.name}: {self.steps:,} steps of {self.robots} robots, networks on {device}")
         try:
             with _progress() as progress:

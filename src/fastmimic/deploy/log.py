@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import DeploymentError, MotionError
-from fastmimic.base.files import replace_file
+from fastmimic.base.files import read_arrays, replace_file
 from fastmimic.episode.run_log import RunLog
 from fastmimic.estimation.reading import READING
 from fastmimic.motion.motion import Motion
@@ -131,13 +131,7 @@ class DeploymentLog:
     @classmethod
     def load(cls, path: str | Path) -> "DeploymentLog":
         """Reads what `save` wrote; raises `DeploymentError` for any other or a damaged file."""
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {key: file[key] for key in file.files}
-        except FileNotFoundError:
-            raise DeploymentError(f"{path}: no such file") from None
-        except Exception as error:  # noqa: BLE001 - whatever NumPy and zipfile raise for a damaged archive
-            raise DeploymentError(f"{path}: not a readable .npz ({error})") from None
+        arrays = read_arrays(path, DeploymentError, ".npz")
         if _MARK not in arrays:
             raise DeploymentError(f"{path}: not the log of a deployment ('{_MARK}' is missing)")
         if int(arrays[_MARK]) != FORMAT_VERSION:

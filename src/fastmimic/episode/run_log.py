@@ -1,8 +1,6 @@
 """The log of a run: only what a robot's computer knows of it."""
 
 import json
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -11,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import LogError
-from fastmimic.base.files import replace_file
+from fastmimic.base.files import UNREADABLE, replace_file
 from fastmimic.estimation.reading import READING
 from fastmimic.robot.state import COMMAND, OBSERVATION
 
@@ -78,7 +76,7 @@ class RunLog:
         try:
             with np.load(path, allow_pickle=False) as file:
                 found = {name: file[name] for name in file.files}
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        except UNREADABLE as error:
             raise LogError(f"{path}: cannot be read, perhaps cut off while it was copied ({error})") from None
         try:
             about = json.loads(str(found["about"]))

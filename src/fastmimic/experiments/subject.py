@@ -14,7 +14,7 @@ from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.episode.loop import MakeController
 from fastmimic.experiments.comparison_run import slug
 from fastmimic.imitation.imitate import imitate
-from fastmimic.imitation.methods import MADE_WITH, Method, check_controller, method_named
+from fastmimic.imitation.methods import Method, check_controller, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, Progress
 from fastmimic.optimize.final_choice import FinalChoice
@@ -105,8 +105,8 @@ def make_subject(
         if chosen.learned and policy is not None:
             return Subject(chosen, demonstration, config, *policy)
         return Subject(chosen, demonstration, config, chosen.controller)
-    made = given.meta.get(MADE_WITH)
-    if given is not demonstration and (not isinstance(made, dict) or made.get("method") == method):
+    made = given.provenance.made_with
+    if given is not demonstration and (made is None or made.method == method):
         return Subject(chosen, given, config)
     stem = slug(f"{given.name}-{method}")
     path, checkpoint = folder / f"{stem}.npz", folder / f"{stem}.checkpoint.npz"

@@ -1,6 +1,6 @@
 """The result of `imitate`: the optimised motion, its rollouts and its metrics."""
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -116,32 +116,22 @@ class Imitation:
             "wall_s": self.wall_s,
             "simulated_s": self.simulated_s,
             "realtime_factor": self.simulated_s / self.wall_s if self.wall_s > 0 else None,
-            "parameters": [
-                {
-                    "name": p.name,
-                    "unit": p.unit,
-                    "lower": p.lower,
-                    "upper": p.upper,
-                    "initial": p.initial,
-                    "value": float(v),
-                }
-                for p, v in zip(self.parameters, self.values, strict=True)
-            ],
+            "parameters": [asdict(p) | {"value": float(v)} for p, v in zip(self.parameters, self.values, strict=True)],
             "versions": versions(),
         }
         return plain(found)
 
     def _segments(self) -> list[dict[str, Any]]:
         rate, found = self.demonstration.rate_hz, []
-        segments = self.demonstration.meta.get("stitch", {}).get("segments", [])
+        segments = self.demonstration.provenance.stitched.segments
         for segment, *parts in zip(segments, self.before.parts, self.after.parts, strict=True):
             before, after = (Metrics.of(part) for part in parts)
             found.append(
                 {
-                    "motion": segment["name"],
-                    "cycles": segment["cycles"],
-                    "first_s": segment["first"] / rate,
-                    "last_s": segment["last"] / rate,
+                    "motion": segment.name,
+                    "cycles": segment.cycles,
+                    "first_s": segment.first / rate,
+                    "last_s": segment.last / rate,
                     "reward": {"before": before.reward_mean, "after": after.reward_mean},
                     "fell": {"before": before.fell_once, "after": after.fell_once},
                     "swing_clearance_m": {"before": before.swing_clearance_m, "after": after.swing_clearance_m},

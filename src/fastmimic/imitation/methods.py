@@ -8,12 +8,13 @@ controller has the paper's form.
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.base.errors import ConfigError
 from fastmimic.base.registry import Registry
 from fastmimic.control.config import CONFIGS, ControllerConfig, controller_config
 from fastmimic.motion.motion import Motion
+from fastmimic.motion.provenance import MadeWith
 from fastmimic.optimize.parameters import FEET_AND_TRUNK, FOOT_HEIGHT, FOOT_PATH, PARAMETER_GROUPS
 from fastmimic.optimize.randomization import Randomization
 
@@ -197,8 +198,6 @@ def check_controller(method: Method, given: bool) -> None:
         raise ConfigError(f"method '{method.name}' does not use a policy; drop --policy")
 
 
-MADE_WITH: Final = "made_with"
-"""Key in an optimised motion's `meta` for the `method`, the name of its `config`, and the `randomization`, if any."""
 DEFAULT_METHOD: Final = "mbc"
 DEFAULT_CONFIG: Final = "default"
 
@@ -206,17 +205,16 @@ DEFAULT_CONFIG: Final = "default"
 def made_with(
     motion: Motion, method: str, config: ControllerConfig, randomization: Randomization | None = None
 ) -> Motion:
-    """The motion with its method and settings in `meta`.
+    """The motion with its method and settings in its provenance.
 
     Args:
         motion: an optimised motion; a demonstration records no method.
         config: with the method's changes. Only the name of its set is kept; None if it equals no set.
     """
     same = config.name in CONFIGS and method_named(method).configure(CONFIGS[config.name]()) == config
-    record: dict[str, Any] = {"method": method, "config": config.name if same else None}
-    if randomization is not None:
-        record["randomization"] = randomization.as_dict()
-    return dataclasses.replace(motion, meta={**motion.meta, MADE_WITH: record})
+    over = None if randomization is None else randomization.as_dict()
+    record = MadeWith(method, config.name if same else None, over)
+    return dataclasses.replace(motion, provenance=dataclasses.replace(motion.provenance, made_with=record))
 
 
 def controller_for(
@@ -231,19 +229,14 @@ def controller_for(
     Returns:
         The method, and the parameters with its changes.
 
-    Raises `ConfigError` for an unknown name, or a motion made with parameters of no set if none are given, and
-    `MotionError` if the motion's record is damaged.
+    Raises `ConfigError` for an unknown name, or a motion made with parameters of no set if none are given.
     """
-    record = motion.meta.get(MADE_WITH)
-    if record is None:
-        record = {"method": DEFAULT_METHOD, "config": DEFAULT_CONFIG}
-    if not (isinstance(record, dict) and {"method", "config"} <= record.keys()):
-        raise MotionError(f"motion '{motion.name}': what it was made with is not readable in its 'meta' ({record!r})")
-    if config is None and record["config"] is None:
+    record = motion.provenance.made_with or MadeWith(DEFAULT_METHOD, DEFAULT_CONFIG)
+    config = record.config if config is None else config
+    if config is None:
         raise ConfigError(
             f"motion '{motion.name}' was optimised with controller parameters of its own, which it does not carry;"
             f" give the configuration to run it with ({', '.join(CONFIGS)}, or from Python the same parameters)"
         )
-    chosen = method_named(str(record["method"]) if method is None else method)
-    config = str(record["config"]) if config is None else config
+    chosen = method_named(record.method if method is None else method)
     return chosen, chosen.configure(controller_config(config) if isinstance(config, str) else config)

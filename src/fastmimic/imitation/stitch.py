@@ -50,7 +50,7 @@ class Stitching(Imitation):
             "fell": bool(individual.fell[0]),
             "segments": [float(part.reward[0]) for part in individual.parts],
         }
-        found["transitions"] = self.demonstration.meta["stitch"]["transitions"]
+        found["transitions"] = list(self.demonstration.provenance.stitched.transitions)
         return found
 
 

@@ -8,8 +8,6 @@ each layer `weight0` (inputs, outputs) and `bias0`, `weight1`, …, all float32.
 
 import hashlib
 import json
-import zipfile
-import zlib
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -21,7 +19,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, PolicyError
-from fastmimic.base.files import replace_file
+from fastmimic.base.files import read_arrays, replace_file
 from fastmimic.base.jit import inlined, kernel
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig
 from fastmimic.motion.motion import Motion
@@ -32,10 +30,6 @@ Weights = NDArray[np.float32]
 FORMAT_VERSION: Final = 1
 ACTIVATIONS: Final = ("none", "relu", "elu", "tanh")
 POLICY_FILE: Final = "policy.npz"
-_UNREADABLE: Final = (
-    *(OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile, zlib.error),
-    RuntimeError,  # zipfile: encrypted, or compressed in a way that it does not know
-)
 
 
 class Network(NamedTuple):
@@ -170,13 +164,7 @@ class Policy:
     @classmethod
     def load(cls, path: str | Path) -> "Policy":
         """Reads a file of `save`; raises `PolicyError` if it is missing, damaged, or of another release."""
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {key: file[key] for key in file.files}
-        except FileNotFoundError:
-            raise PolicyError(f"{path}: no such file") from None
-        except _UNREADABLE as error:
-            raise PolicyError(f"{path}: not a readable policy ({error})") from None
+        arrays = read_arrays(path, PolicyError, "policy")
         if "meta_json" not in arrays or "weight0" not in arrays:
             raise PolicyError(f"{path}: an .npz without 'meta_json' and 'weight0'; not a FastMimic policy")
         try:

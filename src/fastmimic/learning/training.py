@@ -1,7 +1,5 @@
 """A training run: iterations, evaluations in the common metric, checkpoints and logs."""
 
-import csv
-import io
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -10,8 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from fastmimic.base.files import replace_file
+from fastmimic.base.files import replace_file, write_text
 from fastmimic.base.machine import versions
+from fastmimic.base.text import csv_text
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import episode_duration, perturbed_start, start_room
 from fastmimic.learning.learner import Iteration, Learner
@@ -154,15 +153,14 @@ class _Training:
             policy.save(self._folder.path / POLICY_FILE)
             network = self._learner.onnx()
             replace_file(self._folder.path / ONNX, lambda file: file.write(network))
-        text = evaluations_csv(self._evaluations)
-        replace_file(self._folder.path / EVALUATIONS, lambda file: file.write(text.encode()))
+        write_text(self._folder.path / EVALUATIONS, evaluations_csv(self._evaluations))
         return found
 
     def _about(self) -> dict[str, Any]:
         return {
             "library": LIBRARY,
-            "source": self._learner.episodes.motion.meta.get("source"),
-            "licence": self._learner.episodes.motion.meta.get("licence"),
+            "source": self._learner.episodes.motion.provenance.source,
+            "licence": self._learner.episodes.motion.provenance.licence,
             "versions": {**versions(), **{name: metadata.version(name) for name in ("torch", "rsl-rl-lib")}},
             "training": {
                 "steps": self._steps,
@@ -214,11 +212,7 @@ def evaluate_policy(policy: Policy, robot: Robot, motion: Motion, steps: int, wa
 
 def evaluations_csv(evaluations: list[Evaluated]) -> str:
     """One line per evaluation."""
-    out = io.StringIO()
-    writer = csv.DictWriter(out, list(Evaluated.__dataclass_fields__), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(e) for e in evaluations)
-    return out.getvalue()
+    return csv_text(list(Evaluated.__dataclass_fields__), (asdict(e) for e in evaluations))
 
 
 def _write(log: Any, done: Iteration, steps: int) -> None:

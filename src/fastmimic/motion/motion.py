@@ -1,8 +1,6 @@
 """`Motion`, a robot's reference motion, and its file."""
 
 import json
-import zipfile
-import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -11,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import MotionError
-from fastmimic.base.files import replace_file
+from fastmimic.base.files import read_arrays, replace_file
 from fastmimic.base.rotations import quat_rotate
+from fastmimic.motion.provenance import Provenance
 
 FORMAT_VERSION: Final = 1
 
@@ -28,11 +27,6 @@ _ARRAYS: Final = {  # name -> trailing shape
 }
 _DEMONSTRATION: Final = "demonstration_"
 _PART: Final = "part{}_"
-_UNREADABLE: Final = (
-    *(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error),
-    RuntimeError,  # zipfile: encrypted, or an unknown compression
-    TypeError,  # a lone .npy
-)  # of NumPy and zipfile for a damaged archive
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +44,7 @@ class Motion:
         contact: (t, 4) bool, True in stance.
         root_lin_vel_w, root_ang_vel_w: (t, 3) base velocity, m/s, and angular velocity, rad/s, world.
         cycle: (dx, dy, dyaw) of one period in sample 0's heading frame, m and rad; None if not periodic.
-        meta: provenance, JSON-serialisable: `name`, `robot`, `source`, `licence`, `retarget`, `dmp`, `made_with`, ….
+        provenance: where it comes from and how it was made.
         demonstration: the motion that an optimised one is scored against, or None.
         parts: the cyclic motions of a stitched demonstration (see `fastmimic.stitching.join`).
     """
@@ -65,7 +59,7 @@ class Motion:
     root_lin_vel_w: NDArray[np.float64]
     root_ang_vel_w: NDArray[np.float64]
     cycle: NDArray[np.float64] | None = None
-    meta: dict[str, Any] = field(default_factory=dict)
+    provenance: Provenance = field(default_factory=Provenance)
     demonstration: "Motion | None" = None
     parts: "tuple[Motion, ...]" = ()
 
@@ -112,7 +106,7 @@ class Motion:
 
     @property
     def name(self) -> str:
-        return str(self.meta.get("name", "motion"))
+        return self.provenance.name
 
     @property
     def foot_pos_w(self) -> NDArray[np.float64]:
@@ -121,14 +115,14 @@ class Motion:
 
     @property
     def cycle_starts(self) -> NDArray[np.int64]:
-        """Samples at which a cycle starts: the first, and those in a stitched motion's `meta`."""
-        later = self.meta.get("stitch", {}).get("cycle_starts", ())
-        return np.array([0, *(int(i) for i in later if 0 < int(i) < self.n_samples)], dtype=np.int64)
+        """Samples at which a cycle starts: the first, and those that a stitched motion records."""
+        later = self.provenance.stitch.cycle_starts if self.provenance.stitch is not None else ()
+        return np.array([0, *(i for i in later if 0 < i < self.n_samples)], dtype=np.int64)
 
     @property
     def segment_starts(self) -> tuple[int, ...]:
         """First samples of a stitched motion's segments; empty for other motions."""
-        return tuple(int(s["first"]) for s in self.meta.get("stitch", {}).get("segments", ()))
+        return tuple(s.first for s in self.provenance.stitch.segments) if self.provenance.stitch is not None else ()
 
     @property
     def target(self) -> "Motion":
@@ -137,7 +131,7 @@ class Motion:
 
     def check_robot(self, name: str) -> None:
         """Raises `MotionError` if the motion is for another robot."""
-        of = self.meta.get("robot")
+        of = self.provenance.robot
         if of is not None and of != name:
             raise MotionError(
                 f"motion '{self.name}' is for robot '{of}', not for '{name}': give that robot (by its MJCF, if it is"
@@ -154,13 +148,7 @@ class Motion:
     @classmethod
     def load(cls, path: str | Path | BinaryIO) -> "Motion":
         """Reads a file or open stream that `save` wrote. Raises `MotionError`: missing, damaged, or not a motion."""
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {key: file[key] for key in file.files}
-        except FileNotFoundError:
-            raise MotionError(f"{path}: no such file") from None
-        except _UNREADABLE as error:
-            raise MotionError(f"{path}: not a readable .npz motion ({error})") from None
+        arrays = read_arrays(path, MotionError, ".npz motion")
         version = arrays.get("format_version")
         if version is None:
             raise MotionError(f"{path}: an .npz without 'format_version'; not a FastMimic motion")
@@ -187,7 +175,7 @@ def _to_arrays(motion: Motion) -> dict[str, Any]:
         "rate_hz": np.float64(motion.rate_hz),
         **{name: getattr(motion, name) for name in _ARRAYS},
         "cycle": np.zeros(0) if motion.cycle is None else motion.cycle,
-        "meta_json": np.str_(json.dumps(motion.meta, sort_keys=True)),
+        "meta_json": np.str_(json.dumps(motion.provenance.as_dict(), sort_keys=True)),
     }
 
 
@@ -199,7 +187,7 @@ def _from_arrays(arrays: dict[str, Any], demonstration: Motion | None = None) ->
         rate_hz=float(arrays["rate_hz"]),
         **{name: arrays[name] for name in _ARRAYS},
         cycle=arrays["cycle"] if arrays["cycle"].size else None,
-        meta=json.loads(str(arrays["meta_json"])),
+        provenance=Provenance.from_dict(json.loads(str(arrays["meta_json"]))),
         demonstration=demonstration,
         parts=tuple(parts),
     )

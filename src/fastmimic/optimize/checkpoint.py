@@ -4,8 +4,6 @@ CMA-ES is deterministic given its seed and the scores, so the history is its sta
 running an episode and checks that the replayed candidates equal the recorded ones, bit for bit.
 """
 
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -14,15 +12,10 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import CheckpointError
-from fastmimic.base.files import replace_file
+from fastmimic.base.files import UNREADABLE, replace_file
 
 FILE_NAME: Final = "checkpoint.npz"
 _VERSION: Final = 1
-_UNREADABLE: Final = (
-    *(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error),
-    RuntimeError,  # zipfile: encrypted, or compressed in a way that it does not know
-    TypeError,  # a lone .npy
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +58,7 @@ class Checkpoint:
         try:
             with np.load(path, allow_pickle=False) as file:
                 return np.asarray(file["scores"], np.float64)
-        except _UNREADABLE as error:
+        except UNREADABLE as error:
             raise CheckpointError(f"{path}: damaged checkpoint ({error}); leave out --resume to start anew") from None
 
     @classmethod
@@ -77,7 +70,7 @@ class Checkpoint:
                 found = cls(str(file["identity"]), file["candidates"], file["scores"], float(file["elapsed_s"]))
         except FileNotFoundError:
             raise CheckpointError(f"{path}: no checkpoint to resume from; leave out --resume to start anew") from None
-        except _UNREADABLE as error:
+        except UNREADABLE as error:
             raise CheckpointError(f"{path}: damaged checkpoint ({error}); leave out --resume to start anew") from None
         if version != _VERSION:
             raise CheckpointError(f"{path}: checkpoint version {version}; this release reads version {_VERSION}")

@@ -113,19 +113,16 @@ def _check_group(group: str) -> None:
 
 def moved_by(motion: Motion) -> dict[str, float]:
     """The modulation of an optimised cyclic motion by parameter: baselines relative to the fitted ones, and
-    amplitudes. Raises `MotionError` if the motion was not optimised, or its `meta` cannot be read."""
-    dmp = motion.meta.get("dmp")
+    amplitudes. Raises `MotionError` if the motion was not optimised."""
+    dmp = motion.provenance.dmp
     if motion.demonstration is None or dmp is None:
         raise MotionError(
             f"motion '{motion.name}' was not optimised as one cycle: there is nothing in it to begin from"
         )
-    try:
-        found: dict[str, float] = {}
-        for i, name in enumerate(dmp["names"]):
-            found[f"{name}.{_GOAL}"] = float(dmp["goal"][i]) - float(dmp["fitted_goal"][i])
-            found[f"{name}.{_AMPLITUDE}"] = float(dmp["amplitude"][i])
-    except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise MotionError(f"motion '{motion.name}': the DMP parameters in its 'meta' are damaged ({error!r})") from None
+    found: dict[str, float] = {}
+    for name, goal, fitted, amplitude in dmp.modulation():
+        found[f"{name}.{_GOAL}"] = goal - fitted
+        found[f"{name}.{_AMPLITUDE}"] = amplitude
     return found
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import (
     quat_conjugate,
     quat_from_rotvec,
@@ -115,14 +115,15 @@ class StitchedProblem(Problem):
         return [x[..., a:b] for a, b in pairwise(ends)]
 
     def motion(self, x: Array) -> Motion:
-        """The reference motion of one candidate (k,); `meta["stitch"]` holds its parameters."""
+        """The reference motion of one candidate (k,); `provenance.stitch` holds its parameters."""
         table, demo = self.tables(x[None])[0], self.demonstration
         yaw = float(yaw_from_quat(demo.root_quat_wxyz[0]))
-        stitch = dict(demo.meta["stitch"])
-        stitch["parameters"] = {p.name: float(v) for p, v in zip(self.parameters, x, strict=True)}
-        stitch["dmp"] = [
-            problem.motion(own).meta["dmp"] for problem, own in zip(self.segments, self.of_segments(x), strict=True)
-        ]
+        own = zip(self.segments, self.of_segments(x), strict=True)
+        stitch = replace(
+            demo.provenance.stitched,
+            parameters={p.name: float(v) for p, v in zip(self.parameters, x, strict=True)},
+            dmp=tuple(problem.motion(part).provenance.dmp for problem, part in own),
+        )
         return Motion(
             rate_hz=demo.rate_hz,
             root_pos_w=turned_about_z(table["root_pos"], yaw) + np.array([*demo.root_pos_w[0, :2], 0.0]),
@@ -134,7 +135,7 @@ class StitchedProblem(Problem):
             root_lin_vel_w=turned_about_z(table["lin_vel"], yaw),
             root_ang_vel_w=turned_about_z(table["ang_vel"], yaw),
             cycle=None,
-            meta={**demo.meta, "stitch": stitch},
+            provenance=replace(demo.provenance, stitch=stitch),
             demonstration=demo,
         )
 
@@ -200,7 +201,7 @@ def make_problem(
     if demonstration.cycle is None and demonstration.parts:
         if moved is not None:
             raise ConfigError(f"'{motion.name}' is a stitched motion, whose search begins at its own parts' optima")
-        own = motion.meta["stitch"].get("parameters") or {}
+        own = motion.provenance.stitched.parameters or {}
         names = {name.rpartition("/")[2]: value for name, value in own.items()}
         return StitchedProblem(
             robot,
@@ -219,19 +220,16 @@ def make_problem(
 
 
 def parameters_of(motion: Motion) -> dict[str, float]:
-    """Changed parameters of an optimised cyclic motion by name; empty for others. Raises `MotionError` if `meta`
-    cannot be read, or modulates what no method optimises."""
-    dmp = motion.meta.get("dmp")
+    """Changed parameters of an optimised cyclic motion by name; empty for others."""
+    dmp = motion.provenance.dmp
     if motion.demonstration is None or dmp is None:
         return {}
     found = {}
-    try:
-        for i, name in enumerate(dmp["names"]):
-            for kind, fitted in (("goal", float(dmp["fitted_goal"][i])), ("amplitude", 1.0)):
-                if (value := float(dmp[kind][i])) != fitted:
-                    found[f"{name}.{kind}"] = value
-    except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise MotionError(f"motion '{motion.name}': the DMP parameters in its 'meta' are damaged ({error!r})") from None
+    for name, goal, fitted, amplitude in dmp.modulation():
+        if goal != fitted:
+            found[f"{name}.goal"] = goal
+        if amplitude != 1.0:
+            found[f"{name}.amplitude"] = amplitude
     return found
 
 

@@ -1,14 +1,14 @@
 """`MotionDmp`: the 24 rhythmic or discrete DMPs of a motion, and the motions that they make."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError, did_you_mean
 from fastmimic.motion.motion import Motion
+from fastmimic.motion.provenance import DmpRecord
 from fastmimic.primitive.coordinates import (
     FEET,
     FOOT_Z,
@@ -87,8 +87,8 @@ class MotionDmp:
         """The motion with baselines or goals g (24,) and amplitudes a (24,); None keeps the fitted g or a = 1.
 
         Joints come from inverse kinematics, contacts and demonstration from the fitted motion. Feet out of reach are
-        brought back and counted in `meta["dmp"]`. Raises `MotionError`: a parameter array of another shape, or with a
-        value that is not finite.
+        brought back and counted in `provenance.dmp`. Raises `MotionError` for a parameter array of another shape, or
+        with a value that is not finite.
         """
         goal = _parameters("goal", self.goal if goal is None else goal, (len(NAMES),))
         amplitude = _parameters("amplitude", self.amplitude if amplitude is None else amplitude, (len(NAMES),))
@@ -106,7 +106,7 @@ class MotionDmp:
             root_lin_vel_w=lin_vel,
             root_ang_vel_w=ang_vel,
             cycle=self.fitted.cycle,
-            meta={**self.fitted.meta, "dmp": self._record(goal, amplitude, table)},
+            provenance=replace(self.fitted.provenance, dmp=self._record(goal, amplitude, table)),
             demonstration=self.fitted.target,
         )
 
@@ -149,20 +149,20 @@ class MotionDmp:
             return self.primitive.course(self.fitted.n_samples)
         return self.primitive.shape(phases(self.fitted.n_samples))
 
-    def _record(self, goal: Array, amplitude: Array, table: FootTable) -> dict[str, Any]:
-        return {
-            **({} if self.fitted.cycle is not None else {"primitive": "discrete"}),
-            "n_basis": self.primitive.n_basis,
-            "basis_width_min_max": [float(self.primitive.widths.min()), float(self.primitive.widths.max())],
-            "alpha": self.primitive.alpha,
-            "fit_rms": dict(self.fit_rms),
-            "names": list(NAMES),
-            "goal": goal.tolist(),
-            "amplitude": amplitude.tolist(),
-            "fitted_goal": self.primitive.goal.tolist(),
-            "foot_samples_out_of_reach": table.n_shifted[0].tolist(),
-            "foot_shift_to_reach_m": table.shift_m[0].tolist(),
-        }
+    def _record(self, goal: Array, amplitude: Array, table: FootTable) -> DmpRecord:
+        return DmpRecord(
+            n_basis=self.primitive.n_basis,
+            basis_width_min_max=(float(self.primitive.widths.min()), float(self.primitive.widths.max())),
+            alpha=self.primitive.alpha,
+            fit_rms=dict(self.fit_rms),
+            names=NAMES,
+            goal=tuple(goal.tolist()),
+            amplitude=tuple(amplitude.tolist()),
+            fitted_goal=tuple(self.primitive.goal.tolist()),
+            foot_samples_out_of_reach=tuple(table.n_shifted[0].tolist()),
+            foot_shift_to_reach_m=tuple(table.shift_m[0].tolist()),
+            primitive=None if self.fitted.cycle is not None else "discrete",
+        )
 
 
 def _parameters(name: str, values: Array, shape: tuple[int, ...]) -> Array:

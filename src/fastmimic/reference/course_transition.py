@@ -26,8 +26,8 @@ class CourseTransition:
     `arrive`.
 
     `course` (t,) of `COURSE` is for the controller, with `_MARGIN` rows of the motions at either end, `demonstration`
-    for the score. Rows [first, last) are the transition itself. `measured` holds figures as in a stitched motion's
-    `meta`.
+    for the score. Rows [first, last) are the transition itself. `measured` holds figures as a stitched motion
+    records them.
     """
 
     course: NDArray[Any]
@@ -80,7 +80,7 @@ def make_course_transition(robot: Robot, before: Motion, after: Motion) -> Cours
         last=end - int(rows[0]),
         leave=(start - 1) % before.n_samples + 1,
         arrive=(end - second.shift) % after.n_samples,
-        measured=dict(stitched.meta["stitch"]["transitions"][0]),
+        measured=stitched.provenance.stitched.transitions[0],
     )
 
 

@@ -14,13 +14,14 @@ After Peng et al. 2020 (section IV), then made consistent, by one rule for every
 """
 
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.clips.clip import Clip
 from fastmimic.motion.motion import Motion
+from fastmimic.motion.provenance import Provenance
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.fidelity import make_report
 from fastmimic.retargeting.report import RetargetReport
@@ -53,8 +54,8 @@ def retarget(
         cycle: whether the clip is one period; if None what the clip says, else whether it closes.
         config: settings at the A1's size, `RetargetConfig()` if None.
 
-    The motion's `meta` holds `name`, `robot`, `source`, `licence` and `retarget` (the report). Raises `ConfigError`
-    unless rate and scale are positive, and `ClipError` if the clip is too short.
+    The motion's `provenance` holds the report as well. Raises `ConfigError` unless rate and scale are positive, and
+    `ClipError` if the clip is too short.
     """
     _check(clip, rate_hz, scale)
     scale = choose_scale(clip, robot) if scale is None else float(scale)
@@ -68,16 +69,15 @@ def retarget(
     work.schedule_contacts()
     fitted = work.fit()
     report = make_report(work, fitted)
-    meta: dict[str, Any] = {
-        "name": clip.meta.get("name", "motion"),
-        "robot": robot.name,
-        "source": {k: v for k, v in clip.meta.items() if k not in ("name", "licence")},
-        "licence": clip.meta.get("licence"),
-        "retarget": report.as_dict(),
-    }
-    if work.held:
-        meta["held_s"] = work.held / clip.rate_hz
-    return replace(fitted.motion, meta=meta), report
+    provenance = Provenance(
+        name=str(clip.meta.get("name", "motion")),
+        robot=robot.name,
+        source={k: v for k, v in clip.meta.items() if k not in ("name", "licence")},
+        licence=clip.meta.get("licence"),
+        retarget=report.as_dict(),
+        held_s=work.held / clip.rate_hz if work.held else None,
+    )
+    return replace(fitted.motion, provenance=provenance), report
 
 
 def choose_scale(clip: Clip, robot: Robot) -> float:

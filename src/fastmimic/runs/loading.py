@@ -35,7 +35,7 @@ class MotionSource:
         """The built-in robot of a robot motion, else the robot argument of its run, by name or MJCF file."""
         if self.motion is None:
             return None
-        name = self.motion.meta.get("robot")
+        name = self.motion.provenance.robot
         return name if name in ROBOT_NAMES else self.run_arguments().get("robot")
 
     def run_arguments(self) -> dict[str, Any]:

@@ -18,12 +18,13 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_continuous, rotate_planar, turned_about_z, yaw_from_quat
 from fastmimic.motion.motion import Motion
+from fastmimic.motion.provenance import Provenance, Span, StitchedSegment, StitchRecord
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.cycle import TrunkTrack, steps
 from fastmimic.retargeting.pose import trunk_quaternion
 from fastmimic.retargeting.reach import Reach
 from fastmimic.robot import Robot
-from fastmimic.stitching.layout import Layout, Span, StitchedSegment
+from fastmimic.stitching.layout import Layout
 from fastmimic.stitching.switch import Cycle, Switch, best_switch
 from fastmimic.stitching.transition import make_transition
 
@@ -51,7 +52,7 @@ def stitch_motions(
             within 0.6 s and half a cycle of it, where they fit the next one best.
         config: settings of feet, reach and balance in the transitions, at the A1's size.
 
-    The result's `meta["stitch"]` holds the layout (`Layout`), the starts of the cycles and figures of the transitions;
+    The result's `provenance.stitch` holds the segments, the starts of the cycles and figures of the transitions;
     `parts` holds the motions. Raises `ConfigError` for a wrong number of motions or cycles, or more than `MAX_S`;
     `MotionError` for an unfit motion, a segment too short for its transitions, or a foot that never lifts off and would
     have to move.
@@ -90,27 +91,20 @@ def stitch_motions(
         n,
     )
     _check_room(layout)
-    name = "+".join(m.name for m in motions)
-    licences = sorted({str(m.meta["licence"]) for m in motions if m.meta.get("licence")})
+    licences = sorted({m.provenance.licence for m in motions if m.provenance.licence})
+    assumed = dict.fromkeys(a for m in motions for a in m.provenance.assumed)
     return Motion(
         rate_hz=rate,
         contact=contact,
         **arrays,
         cycle=None,
-        meta={
-            "name": name,
-            "robot": robot.name,
-            "source": {
-                "source": "stitched",
-                "assumed": list(dict.fromkeys(a for m in motions for a in m.meta.get("source", {}).get("assumed", []))),
-            },
-            "licence": "; ".join(licences) or None,
-            "stitch": {
-                "segments": layout.as_meta(),
-                "cycle_starts": _cycle_starts(layout, parts),
-                "transitions": [t.measured for t in transitions],
-            },
-        },
+        provenance=Provenance(
+            name="+".join(m.name for m in motions),
+            robot=robot.name,
+            source={"source": "stitched", "assumed": list(assumed)},
+            licence="; ".join(licences) or None,
+            stitch=StitchRecord(layout.segments, _cycle_starts(layout, parts), tuple(t.measured for t in transitions)),
+        ),
         parts=tuple(parts),
     )
 
@@ -165,7 +159,7 @@ def _layout(
             ]
             feet = (legs[0], legs[1], legs[2], legs[3])
         segments.append(
-            StitchedSegment(motion.name, index[i], counts[i], bounds[i], bounds[i + 1], shifts[i], trunk, feet)
+            StitchedSegment(motion.name, index[i], counts[i], bounds[i], bounds[i + 1], shifts[i], trunk, feet, None)
         )
     for segment, (a, b) in zip(segments, pairwise(bounds), strict=True):
         if b <= a:
@@ -281,11 +275,11 @@ def _feet(body: TrunkTrack) -> Array:
     return np.concatenate([body.toe_from_hip, body.toe_height[..., None]], axis=-1)
 
 
-def _cycle_starts(layout: Layout, parts: Sequence[Motion]) -> list[int]:
+def _cycle_starts(layout: Layout, parts: Sequence[Motion]) -> tuple[int, ...]:
     """Samples at which a cycle of their segment starts."""
-    return [
+    return tuple(
         t
         for segment in layout.segments
         for t in range(segment.first, segment.last)
         if t > 0 and (t - segment.shift) % parts[segment.part].n_samples == 0
-    ]
+    )

@@ -13,6 +13,7 @@ from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import quat_continuous
 from fastmimic.motion.contacts import Stance, Stances, stances_of
 from fastmimic.motion.motion import Motion
+from fastmimic.motion.provenance import Span
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.consistency import Consistency
 from fastmimic.retargeting.cycle import TrunkTrack
@@ -20,7 +21,7 @@ from fastmimic.retargeting.feet import plant_feet
 from fastmimic.retargeting.pose import Pose, joint_velocity, solve_pose
 from fastmimic.retargeting.reach import Reach, footholds
 from fastmimic.robot import Robot
-from fastmimic.stitching.layout import Layout, Span
+from fastmimic.stitching.layout import Layout
 from fastmimic.stitching.switch import Cycle
 
 _PAD: Final = 4  # samples beyond the rebuilt ones, for derivatives

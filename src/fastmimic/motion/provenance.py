@@ -1,0 +1,161 @@
+"""Where a motion comes from and how it was made: typed records, kept as JSON text in the motion's file."""
+
+from collections.abc import Iterator
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.errors import MotionError
+
+
+@dataclass(frozen=True)
+class Span:
+    """Samples [start, end) of a blend; for a foot, of a stance, or of a swing if `stands` is False."""
+
+    start: int
+    end: int
+    stands: bool = True
+
+    def smooth_step(self, sample: NDArray[np.int_]) -> Array:
+        """Blend weight (k,) at samples (k,): from 0 to 1 by a polynomial with continuous second derivative."""
+        u = np.clip((sample - self.start) / max(self.end - self.start, 1), 0.0, 1.0)
+        return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
+
+
+@dataclass(frozen=True)
+class StitchedSegment:
+    """One segment of a stitched motion.
+
+    Attributes:
+        name, part, cycles: of its motion: name, index into the whole's `parts`, and requested number of cycles.
+        first, last: samples, last exclusive; neighbours meet in the middle of their transition.
+        shift: sample t of the whole is sample (t − shift) mod n of the part.
+        trunk: blend of the trunk into this segment; None for the first.
+        feet: (4) stances or swings in which each leg switches to it; None for the first.
+        rebuilt: samples of the transition, which belong to no part; None for the first.
+    """
+
+    name: str
+    part: int
+    cycles: int
+    first: int
+    last: int
+    shift: int
+    trunk: Span | None
+    feet: tuple[Span, Span, Span, Span] | None
+    rebuilt: Span | None
+
+
+@dataclass(frozen=True)
+class DmpRecord:
+    """The DMPs that made a motion (`fastmimic.primitive.MotionDmp`), with a value for each of `names`: `goal` and
+    `amplitude` as modulated, `fitted_goal` as fitted to the demonstration. `primitive` is "discrete", or None."""
+
+    n_basis: int
+    basis_width_min_max: tuple[float, float]
+    alpha: float
+    fit_rms: dict[str, float]
+    names: tuple[str, ...]
+    goal: tuple[float, ...]
+    amplitude: tuple[float, ...]
+    fitted_goal: tuple[float, ...]
+    foot_samples_out_of_reach: tuple[int, ...]
+    foot_shift_to_reach_m: tuple[float, ...]
+    primitive: str | None = None
+
+    def __post_init__(self) -> None:
+        if not len(self.names) == len(self.goal) == len(self.amplitude) == len(self.fitted_goal):
+            raise MotionError("'dmp': 'goal', 'amplitude' and 'fitted_goal' must have a number for each of 'names'")
+
+    def modulation(self) -> Iterator[tuple[str, float, float, float]]:
+        """Name, goal, fitted goal and amplitude of each dimension."""
+        return zip(self.names, self.goal, self.fitted_goal, self.amplitude, strict=True)
+
+
+@dataclass(frozen=True)
+class StitchRecord:
+    """How a motion was stitched: its segments, the samples at which later cycles start, figures of the transitions; of
+    an optimised one the `parameters` by name and the DMPs of each segment."""
+
+    segments: tuple[StitchedSegment, ...]
+    cycle_starts: tuple[int, ...]
+    transitions: tuple[dict[str, Any], ...]
+    parameters: dict[str, float] | None = None
+    dmp: tuple[DmpRecord | None, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.dmp is not None and len(self.dmp) != len(self.segments):
+            raise MotionError("'stitch.dmp' must have an entry for each of 'stitch.segments'")
+
+
+@dataclass(frozen=True)
+class MadeWith:
+    """The method of an optimised motion, the name of its controller's parameters (None for its own ones), and the
+    robots that it was optimised over, if more than one (`Randomization.as_dict`)."""
+
+    method: str
+    config: str | None
+    randomization: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a motion comes from and how it was made.
+
+    `source` is the clip's own description (`Clip.meta`), `retarget` a `RetargetReport.as_dict`. The end of a motion
+    without a cycle is held for `held_s`. `extra` keeps the keys of other programs.
+    """
+
+    name: str = "motion"
+    robot: str | None = None
+    source: dict[str, Any] | None = None
+    licence: str | None = None
+    credit: str | None = None
+    retarget: dict[str, Any] | None = None
+    held_s: float | None = None
+    dmp: DmpRecord | None = None
+    stitch: StitchRecord | None = None
+    made_with: MadeWith | None = None
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types for `from_dict`, with `extra` at the top level. An unknown licence is null."""
+        found = {"licence": None} | _plain(self)
+        return found.pop("extra") | found
+
+    @classmethod
+    def from_dict(cls, found: Any) -> "Provenance":
+        """Reads what `as_dict` made. Raises `MotionError`, which names the key, for a malformed value."""
+        try:
+            own = msgspec.convert(found, dict[str, Any])
+            extra = {key: own.pop(key) for key in own.keys() - ({f.name for f in fields(cls)} - {"extra"})}
+            return msgspec.convert(own | {"extra": extra}, cls)
+        except msgspec.ValidationError as error:
+            raise MotionError(f"provenance: {error}") from None
+
+    @property
+    def assumed(self) -> list[str]:
+        """Assumptions made in reading the clip, as sentences."""
+        found = (self.source or {}).get("assumed", [])
+        return [str(sentence) for sentence in (found if isinstance(found, list | tuple) else [found])]
+
+    @property
+    def stitched(self) -> StitchRecord:
+        """`stitch`; raises `MotionError` if the motion was not stitched."""
+        if self.stitch is None:
+            raise MotionError(f"motion '{self.name}' is not a stitched one")
+        return self.stitch
+
+
+def _plain(value: Any) -> Any:
+    """JSON types; a dataclass leaves out what is None by default."""
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    if not is_dataclass(value):
+        return value
+    found = {f: _plain(getattr(value, f.name)) for f in fields(value)}
+    return {f.name: v for f, v in found.items() if v is not None or f.default is MISSING}
