@@ -42,6 +42,7 @@ class Method:
         base: name of the method that runs the motion before it is optimised; empty for the method itself.
         playable: whether a live session offers it.
         color, hatch, symbol: of its bars (Matplotlib's hatches) and points (Plotly's symbols).
+        dark_color: on a dark page; empty for `color`.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Method:
     base: str = ""
     playable: bool = False
     color: str = "#999999"
+    dark_color: str = ""
     hatch: str = "--"
     symbol: str = "circle"
 
@@ -104,6 +106,7 @@ METHODS: Final = Registry(
             own_feet=True,
             learned=True,
             color="#009e73",
+            dark_color="#20b98c",
             hatch="..",
             symbol="cross",
         ),
@@ -115,6 +118,7 @@ METHODS: Final = Registry(
             own_feet=True,
             playable=True,
             color="#e69f00",
+            dark_color="#e9b23c",
             hatch="//",
             symbol="square",
         ),
@@ -124,6 +128,7 @@ METHODS: Final = Registry(
             "the model-based controller follows the retargeted motion",
             playable=True,
             color="#d55e00",
+            dark_color="#e8792c",
             hatch="",
             symbol="triangle-up",
         ),
@@ -134,6 +139,7 @@ METHODS: Final = Registry(
             change=_horizon,
             playable=True,
             color="#cc79a7",
+            dark_color="#d890b6",
             hatch="\\\\",
             symbol="triangle-down",
         ),
@@ -144,6 +150,7 @@ METHODS: Final = Registry(
             FOOT_HEIGHT,
             base="mbc",
             color="#0072b2",
+            dark_color="#3d97d6",
             hatch="",
             symbol="diamond",
         ),
@@ -155,6 +162,7 @@ METHODS: Final = Registry(
             _horizon,
             base="lh",
             color="#56b4e9",
+            dark_color="#8fd0f5",
             hatch="xx",
             symbol="star",
         ),

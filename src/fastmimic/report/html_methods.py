@@ -11,7 +11,6 @@ from fastmimic.experiments.tables import Summary
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.report.html_plots import Figure, Key, Plot, bar_marker, layout_of, numbers, points, rows_axis, rule
 
-_THEMED: Final = {"rl", "raibert", "mbc", "lh", "mbc-dmp", "lh-dmp"}  # methods with a colour for each theme
 _BAR: Final = 0.84  # share of a group's width taken by bars
 _ALIKE: Final = 0.005  # rewards closer than this are called alike
 _SEED: Final = Key("each seed", "var(--ink)", symbol="circle-open")
@@ -213,8 +212,7 @@ def _legend(found: Sequence[Summary]) -> list[Key]:
 
 def _key(method: str) -> Key:
     known = METHODS[method]
-    color = f"var(--{method.replace('-', '')})" if method in _THEMED else known.color
-    return Key(known.label, color, symbol=known.symbol, pattern=known.hatch[:1])
+    return Key(known.label, f"var(--method-{method})", symbol=known.symbol, pattern=known.hatch[:1])
 
 
 def _methods(found: Sequence[Summary]) -> list[str]:

@@ -15,6 +15,7 @@ from markupsafe import Markup, escape
 
 from fastmimic import __version__
 from fastmimic.base.errors import ConfigError, OutputError
+from fastmimic.imitation.methods import METHODS
 from fastmimic.report.html_plots import Figure
 
 
@@ -58,7 +59,7 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.globals |= {"version": __version__, "asset": _asset, "plotly": plotly_bundle}
+    environment.globals |= {"version": __version__, "asset": _asset, "plotly": plotly_bundle, "all_methods": METHODS}
     environment.filters |= {"json": _json, "gzip": compressed, "embed": _embedded, "markdown": markdown}
     return environment
 

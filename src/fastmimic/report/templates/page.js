@@ -22,7 +22,7 @@
   // Colours are named in the data as var(--name) and taken from the style sheet, so that they follow the theme.
   const paint = (value, style) => {
     if (typeof value === "string") {
-      return value.replace(/var\((--[a-z0-9-]+)\)/g, (_, name) => style.getPropertyValue(name).trim());
+      return value.replace(/var\((--[\w-]+)\)/g, (_, name) => style.getPropertyValue(name).trim());
     }
     if (Array.isArray(value)) return typeof value[0] === "number" ? value : value.map((v) => paint(v, style));
     if (value && typeof value === "object") {
