@@ -1,7 +1,10 @@
 """Fixtures shared by all tests; what a run skipped, and how to include it."""
 
+import fcntl
 import os
+import tempfile
 from collections import defaultdict
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
@@ -54,6 +57,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if config.getoption("--skipped") and config.cache:
         wanted = set(config.cache.get(SKIPPED, []))
         items[:] = [item for item in items if item.nodeid in wanted or item.nodeid.split("::")[0] in wanted]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Tests that start a cluster wait for one another: Ray joins one that it finds on the machine."""
+    if item.get_closest_marker("cluster") is None:
+        return (yield)
+    with open(Path(tempfile.gettempdir()) / f"fastmimic-cluster-{os.getuid()}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return (yield)
 
 
 class Skips:

@@ -15,6 +15,8 @@ from fastmimic.dataset.build import BuildStep
 from fastmimic.dataset.repair import mend
 from fastmimic.executors import make_executor
 
+pytestmark = pytest.mark.cluster
+
 MOTIONS = ("trot", "pace", "walk", "side-step", "turn", "bound", "spin", "backward-trot")
 
 

@@ -12,6 +12,8 @@ from fastmimic.executors import Executor, JobOutcome, make_executor
 from fastmimic.executors.local import LocalExecutor
 from fastmimic.executors.ray_cluster import _result
 
+pytestmark = pytest.mark.cluster
+
 TESTS = str(Path(__file__).parents[1])
 
 
