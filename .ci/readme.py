@@ -54,10 +54,11 @@ if verb in ("imitate", "stitch"):
         else:
             rest += [name, value]
     rest += [] if "--no-video" in rest else ["--no-video"]
-if verb in ("evaluate", "render") and "--duration" not in rest:
-    rest += ["--duration", "0.5"]
+of_log = any(word.endswith("log.npz") for word in rest)  # is scored as long as it is
+if verb in ("evaluate", "render") and "--duration" not in rest and not of_log:
+    rest += ["--duration", "1.5" if "--log" in rest else "0.5"]
 if verb == "deploy":
-    rest += ["--lock-step", "--duration", "0.5"]
+    rest += ["--lock-step", "--duration", "1.5"]
 sys.exit(cli.main([verb, *rest]))
 """
 
