@@ -7,7 +7,7 @@
 Runs the product through its public face alone (`import fastmimic`, the command line), so that it outlives any change
 inside. Numbers are hashed as bytes: a single bit that moves is told. Times, versions and paths are left out. Another
 processor may round differently: write and check on the same machine. `benchmarks/hashes.json` is the state of this
-commit on an x86-64 machine with AVX2.
+commit on an x86-64 machine with AVX2; those of recordings need FASTMIMIC_DATA.
 """
 
 import argparse
