@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.clips.skeleton import KEYPOINTS
-from fastmimic.viewer.bodies import revolved
 
 if TYPE_CHECKING:
+    from trimesh import Trimesh
+
     from fastmimic.render.animal import Animal
     from fastmimic.viewer.take import Take
-
-Mesh = tuple[Array, NDArray[np.int64]]
 
 TRAIL_S: Final = 1.0
 TRAIL_POINTS: Final = 40
@@ -26,13 +25,16 @@ LEAST_FORCE: Final = 0.01  # share of the robot's weight below which a force has
 _GROUND_Z: Final = 0.004  # above the plane, so that the marks do not flicker
 
 
-def contact_meshes(size: float) -> dict[str, Mesh]:
-    """Flat meshes (vertices, faces): "wanted" a ring of radius `size`, m, "measured" a disc, "stance" a frame."""
-    ring = revolved(np.array([[1.0, 0.0], [0.74, 0.0]]))  # from outside to inside: they face up
-    disc = revolved(np.array([[0.56, 0.0], [0.0, 0.0]]))
-    frame, faces = revolved(np.array([[1.95, 0.0], [1.62, 0.0]]), 4)
-    frame[:, :2] = rotate_planar(np.pi / 4, frame[:, :2])
-    return {"wanted": (size * ring[0], ring[1]), "measured": (size * disc[0], disc[1]), "stance": (size * frame, faces)}
+def contact_meshes(size: float) -> "dict[str, Trimesh]":
+    """Flat meshes: "wanted" a ring of radius `size`, m, "measured" a disc, "stance" a frame."""
+    from trimesh.creation import revolve
+
+    def flat(outer: float, inner: float, corners: int = 20) -> "Trimesh":
+        return revolve([[size * outer, 0.0], [size * inner, 0.0]], sections=corners)  # in this order it faces up
+
+    frame = flat(1.95, 1.62, 4)
+    frame.vertices[:, :2] = rotate_planar(np.pi / 4, frame.vertices[:, :2])
+    return {"wanted": flat(1.0, 0.74), "measured": flat(0.56, 0.0), "stance": frame}
 
 
 def contact_places(take: "Take", row: int) -> Array:

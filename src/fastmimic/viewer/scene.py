@@ -217,14 +217,14 @@ class RobotScene:
             meshes = [
                 scene.add_mesh_simple(
                     f"{name}/{body.name}/{k}",
-                    part.vertices,
-                    part.faces,
-                    color=part.rgb,
+                    mesh.vertices,
+                    mesh.faces,
+                    color=rgb,
                     opacity=opacity,
                     cast_shadow=opacity is None,
                     receive_shadow=False,
                 )
-                for k, part in enumerate(body.parts)
+                for k, (mesh, rgb) in enumerate(body.parts)
             ]
             found.append((frame, meshes))
         return found
@@ -234,8 +234,8 @@ class RobotScene:
         return {
             kind: self._server.scene.add_batched_meshes_simple(
                 f"{name}/{kind}",
-                vertices,
-                faces,
+                mesh.vertices,
+                mesh.faces,
                 batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (4, 1)),
                 batched_positions=np.zeros((4, 3)),
                 batched_scales=np.ones(4),
@@ -245,7 +245,7 @@ class RobotScene:
                 cast_shadow=False,
                 receive_shadow=False,
             )
-            for kind, (vertices, faces) in contact_meshes(2.0 * self._robot.foot_radius).items()
+            for kind, mesh in contact_meshes(2.0 * self._robot.foot_radius).items()
         }
 
     def _add_lines(self, name: str) -> dict[str, Any]:
