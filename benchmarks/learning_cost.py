@@ -88,8 +88,7 @@ def read_evaluations(folder: Path) -> "list[Evaluated]":
     Raises:
         OutputError: there are none, or they cannot be read.
     """
-    from fastmimic.learning.training import Evaluated
-    from fastmimic.learning.training_folder import EVALUATIONS
+    from fastmimic.learning.training import EVALUATIONS, Evaluated
 
     path = folder / EVALUATIONS
     try:

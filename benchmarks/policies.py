@@ -33,7 +33,7 @@ from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS
 from fastmimic.experiments.comparison_folder import RUNS
 from fastmimic.experiments.comparison_run import Run, slug
 from fastmimic.experiments.transfer import STAGES, all_trials, transfer_table
-from fastmimic.learning.training_folder import EVALUATIONS
+from fastmimic.learning.training import EVALUATIONS
 from fastmimic.render.figure_style import save
 from fastmimic.runs.work_folder import ENVIRONMENT, MOTION
 

@@ -30,7 +30,7 @@ def _public() -> dict[str, tuple[str, str]]:
 
 def _register_environments() -> None:
     """Makes `gymnasium.make("fastmimic/Imitation-v0")` work, without importing Gymnasium for it."""
-    from fastmimic.learning.registration import register
+    from fastmimic.learning import register
 
     register()
 

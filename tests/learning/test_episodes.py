@@ -11,7 +11,7 @@ from fastmimic.episode.loop import ClosedLoop
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE, Start
 from fastmimic.learning.config import PolicyConfig
 from fastmimic.learning.episodes import Episodes, Outcome
-from fastmimic.learning.policy_controller import controlled_by
+from fastmimic.learning.policy import controlled_by
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion

@@ -12,10 +12,9 @@ from fastmimic.base.errors import CheckpointError, ConfigError  # noqa: E402
 from fastmimic.cli import main  # noqa: E402
 from fastmimic.learning import training  # noqa: E402
 from fastmimic.learning.config import OBSERVATION_SIZE  # noqa: E402
-from fastmimic.learning.learner import Learner  # noqa: E402
+from fastmimic.learning.learner import Learner, TrainingSettings  # noqa: E402
 from fastmimic.learning.policy import Policy  # noqa: E402
-from fastmimic.learning.settings import TrainingSettings  # noqa: E402
-from fastmimic.learning.training_folder import TrainingFolder  # noqa: E402
+from fastmimic.learning.training import TrainingFolder  # noqa: E402
 from fastmimic.motion.motion import Motion  # noqa: E402
 from fastmimic.robot import Robot  # noqa: E402
 from fastmimic.runs.loading import load_motion  # noqa: E402

@@ -19,7 +19,7 @@ from fastmimic.experiments.tables import comparison_table
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import METHODS, PAPER_METHODS
-from fastmimic.learning.policy_controller import controlled_by
+from fastmimic.learning.policy import controlled_by
 from fastmimic.motion.motion import Motion
 from fastmimic.report.comparison_files import write_comparison
 from fastmimic.robot import Robot

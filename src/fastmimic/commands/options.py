@@ -355,8 +355,7 @@ def policy_controller(path: Path, robot: Robot, motion: Motion) -> "MakeControll
     Raises:
         PolicyError: it cannot be read, or is for another robot or motion; the message names the file.
     """
-    from fastmimic.learning.policy import Policy
-    from fastmimic.learning.policy_controller import controlled_by
+    from fastmimic.learning.policy import Policy, controlled_by
 
     policy = Policy.load(path)
     try:

@@ -17,7 +17,7 @@ from fastmimic.robot import Robot
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from fastmimic.learning.settings import TrainingSettings
+    from fastmimic.learning.learner import TrainingSettings
     from fastmimic.learning.training import Advance, Evaluated
 
 PAPER_STEPS: Final = 100_000_000
@@ -66,8 +66,7 @@ class Train:
                 raise ConfigError(f"--{name.replace('_', '-')} must be at least 1, found {getattr(self, name)}")
         from fastmimic.base.machine import available_cores
         from fastmimic.learning.learner import check_installed, choose_device
-        from fastmimic.learning.training import train
-        from fastmimic.learning.training_folder import CHECKPOINT, open_training
+        from fastmimic.learning.training import CHECKPOINT, open_training, train
 
         settings = self._settings()
         check_installed()
@@ -106,7 +105,7 @@ class Train:
         return 0
 
     def _settings(self) -> "TrainingSettings":
-        from fastmimic.learning.settings import TrainingSettings
+        from fastmimic.learning.learner import TrainingSettings
         from fastmimic.simulation.ranges import parse_range
 
         return TrainingSettings(
@@ -124,19 +123,19 @@ def _identity(
 ) -> dict[str, Any]:
     """The settings that must match for a training to resume, JSON-serialisable."""
     import hashlib
-    import json
+
+    from fastmimic.base.text import plain
 
     content = hashlib.sha256(robot.content)
     for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "contact"):
         content.update(getattr(motion, name).tobytes())
-    plain: dict[str, Any] = json.loads(json.dumps(settings.as_dict()))
     return {
         "robot": robot.name,
         "motion": motion.name,
         "content": content.hexdigest()[:16],
         "device": device,
         "evaluate_every": evaluate_every,
-        **plain,
+        **plain(settings),
     }
 
 

@@ -9,67 +9,52 @@ import queue
 import signal
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any, Final
 
 from pebble import ProcessExpired, ProcessPool
 
-from fastmimic.base.errors import ConfigError, FastMimicError, WorkerError
+from fastmimic.base.errors import FastMimicError, WorkerError
 from fastmimic.base.machine import available_cores
-from fastmimic.executors.base import ATTEMPTS, JobOutcome, Report, Work, attempt
+from fastmimic.executors.base import ATTEMPTS, JobOutcome, Work, attempt, check_workers
 
 _POLL_S: Final = 0.5
 _AHEAD: Final = 2  # jobs handed out for each process, so that none waits for the next
 _ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_CONTEXT: Final = multiprocessing.get_context("spawn")
 
 
 class LocalExecutor:
-    """Processes on this machine."""
+    """Processes on this machine; `workers` is their number."""
 
     def __init__(self, workers: int | None = None, *, in_process: bool = True) -> None:
-        """`workers` are processes; one for each core if None. Raises `ConfigError` if fewer than one. With `in_process`
-        a single worker is this process itself, one job after another; otherwise it is a separate process, too, which is
+        """`workers` is one for each core if None; raises `ConfigError` if fewer than one. With `in_process` a single
+        worker is this process itself, one job after another; otherwise it is a separate process, too, which is
         restarted if it dies."""
-        if workers is not None and workers < 1:
-            raise ConfigError(f"workers must be at least 1, found {workers}")
-        self._workers = workers if workers is not None else available_cores()
+        check_workers(workers)
+        self.workers = workers if workers is not None else available_cores()
         self._in_process = in_process
-
-    @property
-    def workers(self) -> int:
-        """Processes."""
-        return self._workers
 
     def run(
         self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
     ) -> Generator[JobOutcome, None, None]:
         """As `Executor.run`."""
-        if self._workers == 1 and self._in_process:
-            return _here(work, jobs, progress)
-        return _spread(work, jobs, self._workers, progress)
-
-
-def _here(
-    work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None
-) -> Generator[JobOutcome, None, None]:
-    for index, job in enumerate(jobs):
-
-        def report(share: float, index: int = index) -> None:
-            if progress is not None:
-                progress(index, share)
-
-        yield JobOutcome(index, *attempt(work, job, report))
+        tell = progress if progress is not None else lambda index, share: None
+        if self.workers > 1 or not self._in_process:
+            yield from _spread(work, jobs, self.workers, tell)
+            return
+        for index, job in enumerate(jobs):
+            yield JobOutcome(index, *attempt(work, job, partial(tell, index)))
 
 
 def _spread(
-    work: Work, jobs: Iterable[Any], workers: int, progress: Callable[[int, float], None] | None
+    work: Work, jobs: Iterable[Any], workers: int, progress: Callable[[int, float], None]
 ) -> Generator[JobOutcome, None, None]:
-    context = multiprocessing.get_context("spawn")
-    steps: Any = context.Queue()
+    steps: Any = _CONTEXT.Queue()
     waiting = enumerate(jobs)
     running: dict[Future[Any], tuple[int, Any, int]] = {}  # its job's index, the job, and how often it was begun
-
-    with _one_thread_each(), _pool(workers, context, steps) as pool:
+    with _pool(workers, steps) as pool:
 
         def begin(index: int, job: Any, attempts: int) -> None:
             running[pool.schedule(_work, args=(work, index, job))] = (index, job, attempts)
@@ -81,9 +66,9 @@ def _spread(
         fill()
         while running:
             done, _ = wait(running, timeout=_POLL_S, return_when=FIRST_COMPLETED)
-            for index, share in _drained(steps):
-                if progress is not None:
-                    progress(index, share)
+            with suppress(queue.Empty):
+                while True:
+                    progress(*steps.get_nowait())
             for future in done:
                 index, job, attempts = running.pop(future)
                 try:
@@ -92,38 +77,26 @@ def _spread(
                     if attempts < ATTEMPTS:
                         begin(index, job, attempts + 1)
                         continue
-                    outcome = JobOutcome(index, error=_died(attempts, died))
+                    said = (
+                        f"its process died {attempts} times (exit status {died.exitcode}), perhaps for want of memory"
+                    )
+                    outcome = JobOutcome(index, error=WorkerError(f"{said}: fewer workers leave more to each"))
                 fill()
                 yield outcome
 
 
-def _died(attempts: int, died: ProcessExpired) -> FastMimicError:
-    return WorkerError(
-        f"its process died {attempts} times (exit status {died.exitcode}), perhaps for want of memory: fewer workers"
-        " leave more to each"
-    )
-
-
 @contextmanager
-def _pool(workers: int, context: Any, steps: Any) -> Iterator[ProcessPool]:
-    """A pool that stops its processes, without waiting, if its jobs are no longer wanted."""
-    pool = ProcessPool(workers, initializer=_begin, initargs=(steps,), context=context)
+def _pool(workers: int, steps: Any) -> Iterator[ProcessPool]:
+    """Processes with one thread each for linear algebra, unless the user said otherwise; stops them at the end without
+    waiting, as their jobs are done or no longer wanted."""
+    added = [name for name in _ONE_THREAD if name not in os.environ]
+    os.environ.update(dict.fromkeys(added, "1"))
+    pool = ProcessPool(workers, initializer=_begin, initargs=(steps,), context=_CONTEXT)
     try:
         yield pool
-        pool.close()
     finally:
         pool.stop()
         pool.join()
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Makes processes started in the block use one thread for linear algebra, unless the user said otherwise."""
-    added = [name for name in _ONE_THREAD if name not in os.environ]
-    os.environ.update(dict.fromkeys(added, "1"))
-    try:
-        yield
-    finally:
         for name in added:
             os.environ.pop(name, None)
 
@@ -145,13 +118,4 @@ def _work(work: Work, index: int, job: Any) -> tuple[Any, FastMimicError | None]
             os._exit(1)  # it was killed, and nobody will ask for the result
         _steps.put((index, share))
 
-    reporting: Report = report
-    return attempt(work, job, reporting)
-
-
-def _drained(steps: Any) -> Iterator[tuple[int, float]]:
-    while True:
-        try:
-            yield steps.get_nowait()
-        except queue.Empty:
-            return
+    return attempt(work, job, report)

@@ -9,11 +9,12 @@ import os
 import socket
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from itertools import islice
 from typing import Any, Final
 
 from fastmimic.base.errors import ClusterError, ConfigError, FastMimicError, WorkerError
 from fastmimic.base.machine import available_cores
-from fastmimic.executors.base import ATTEMPTS, JobOutcome, Work, attempt
+from fastmimic.executors.base import ATTEMPTS, JobOutcome, Work, attempt, check_workers
 
 _AHEAD: Final = 2  # jobs handed out for each core, so that none waits for the next
 _POLL_S: Final = 1.0
@@ -50,8 +51,7 @@ class RayExecutor:
         starts one here during a run. `workers` are the cores of the one started here, all if None; of a running
         cluster, the most jobs at a time. Raises `ConfigError` if fewer than one, nobody answers at the address, or Ray
         is not installed."""
-        if workers is not None and workers < 1:
-            raise ConfigError(f"workers must be at least 1, found {workers}")
+        check_workers(workers)
         ray = require_ray()
         if address is not None:
             _check_reachable(address)
@@ -81,11 +81,9 @@ class RayExecutor:
         try:
             while True:
                 with _cluster_there(ray):
-                    # asked for each time: machines come and go
-                    while (
-                        len(running) < _AHEAD * max(1, self.workers) and (next_one := next(waiting, None)) is not None
-                    ):
-                        running[task.remote(work, next_one[1])] = next_one[0]
+                    wanted = _AHEAD * max(1, self.workers) - len(running)  # asked each time: machines come and go
+                    for index, job in islice(waiting, max(0, wanted)):
+                        running[task.remote(work, job)] = index
                     if not running:
                         return
                     done, _ = ray.wait(list(running), timeout=_POLL_S)
@@ -103,18 +101,15 @@ class RayExecutor:
                 ray.shutdown()
 
     def _connect(self, ray: Any) -> None:
-        quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
+        place: dict[str, Any] = {"address": self._address}
+        failed = f"no Ray cluster at '{self._address}'"
+        if self._address is None:
+            place = {"num_cpus": self._limit or available_cores(), "include_dashboard": False}
+            failed = "Ray cannot be started here"
         try:
-            if self._address is None:
-                cores = self._limit if self._limit is not None else available_cores()
-                ray.init(num_cpus=cores, include_dashboard=False, **quiet)
-            else:
-                ray.init(address=self._address, **quiet)
+            ray.init(**place, logging_level=logging.ERROR, log_to_driver=False)
         except (ConnectionError, ValueError, RuntimeError, OSError, AssertionError) as error:
-            where = (
-                f"no Ray cluster at '{self._address}'" if self._address is not None else "Ray cannot be started here"
-            )
-            raise ConfigError(f"{where}: {_first_line(error)}; 'ray status' shows a running one") from None
+            raise ConfigError(f"{failed}: {_first_line(error)}; 'ray status' shows a running one") from None
 
 
 def _check_reachable(address: str) -> None:
@@ -147,40 +142,32 @@ def _result(ray: Any, reference: Any) -> tuple[Any, FastMimicError | None]:
             ) from None
         raise raised.as_instanceof_cause() from None
     except ray.exceptions.RayError as lost:
-        return None, WorkerError(_reason(ray, lost))
+        known = (said for name, said in _LOST.items() if isinstance(lost, _kinds(ray, name)))
+        return None, WorkerError(next(known, f"Ray lost it: {_first_line(lost)}"))
     return result, error
 
 
 @contextmanager
 def _cluster_there(ray: Any) -> Iterator[None]:
     """Raises `ClusterError` for failures that are not a single job's."""
-    kinds = ray.exceptions
     gone: tuple[type[Exception], ...] = (
         *_kinds(ray, "LocalRayletDiedError", "RaySystemError", "RpcError"),
         ConnectionError,
     )
     try:
         yield
-    except kinds.RuntimeEnvSetupError as error:
+    except ray.exceptions.RuntimeEnvSetupError as error:
         raise ClusterError(
             f"a machine of the cluster cannot set up the environment of a job: {_first_line(error)}"
         ) from None
     except _kinds(ray, "AuthenticationError") as error:
         raise ClusterError(f"the Ray cluster does not let us in: {_first_line(error)}") from None
     except gone as error:
-        if isinstance(error, kinds.RayTaskError):  # a job's own ConnectionError
+        if isinstance(error, ray.exceptions.RayTaskError):  # a job's own ConnectionError
             raise
         raise ClusterError(
             f"the Ray cluster is gone, or fails ({_first_line(error)}); 'ray status' shows a running one"
         ) from None
-
-
-def _reason(ray: Any, lost: Exception) -> str:
-    """Why a job has no result, in one line."""
-    for name, said in _LOST.items():
-        if isinstance(lost, _kinds(ray, name)):
-            return said
-    return f"Ray lost it: {_first_line(lost)}"
 
 
 def _kinds(ray: Any, *names: str) -> tuple[type[Exception], ...]:

@@ -216,7 +216,7 @@ def run_of(row: Row) -> Run:
 
 
 def _controlled_by(policy: "Policy") -> MakeController:
-    from fastmimic.learning.policy_controller import controlled_by  # imports Gymnasium, which other runs do not need
+    from fastmimic.learning.policy import controlled_by  # imports Gymnasium, which other runs do not need
 
     return controlled_by(policy)
 

@@ -1,6 +1,5 @@
 """Settings of a policy's observation, action, rates and gains, as in Peng et al. 2020."""
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -50,12 +49,9 @@ class PolicyConfig:
         """Actions per second."""
         return self.control_rate_hz / self.decimation
 
-    def as_dict(self) -> dict[str, Any]:
-        return dataclasses.asdict(self)
-
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "PolicyConfig":
-        """Inverse of `as_dict`; raises `ConfigError` for other content."""
+        """From `dataclasses.asdict`, as JSON; raises `ConfigError` for other content."""
         try:
             gains = {name: tuple(float(g) for g in values[name]) for name in ("stiffness", "damping")}
             return cls(**{**values, **gains})
@@ -82,15 +78,10 @@ SETTINGS: Final = record_dtype(
 def pack_settings(config: PolicyConfig, robot: Robot) -> NDArray[Any]:
     numerator, denominator = low_pass(config.filter_cutoff_hz, config.rate_hz)
     record = np.zeros(1, SETTINGS)
-    record["decimation"] = config.decimation
-    record["action_scale"] = config.action_scale
-    record["numerator"] = numerator
-    record["denominator"] = denominator[1:]
-    record["home"] = robot.home_joint_pos
-    record["lower"] = robot.joint_lower
-    record["upper"] = robot.joint_upper
-    record["stiffness"] = np.tile(config.stiffness, 4)
-    record["damping"] = np.tile(config.damping, 4)
+    record["decimation"], record["action_scale"] = config.decimation, config.action_scale
+    record["numerator"], record["denominator"] = numerator, denominator[1:]
+    record["home"], record["lower"], record["upper"] = robot.home_joint_pos, robot.joint_lower, robot.joint_upper
+    record["stiffness"], record["damping"] = np.tile(config.stiffness, 4), np.tile(config.damping, 4)
     return record
 
 
@@ -104,6 +95,5 @@ def low_pass(cutoff_hz: float, rate_hz: float) -> tuple[NDArray[np.float64], NDA
 
 def action_bounds(config: PolicyConfig, robot: Robot) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Least and greatest action (12,), for joint targets at the joints' limits."""
-    lower = (robot.joint_lower - robot.home_joint_pos) / config.action_scale
-    upper = (robot.joint_upper - robot.home_joint_pos) / config.action_scale
-    return lower, upper
+    home, scale = robot.home_joint_pos, config.action_scale
+    return (robot.joint_lower - home) / scale, (robot.joint_upper - home) / scale

@@ -1,6 +1,6 @@
 """Gymnasium environments: one robot (`fastmimic/Imitation-v0`), and n of them as one vectorised environment."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, action_bounds
-from fastmimic.learning.episodes import EPISODE_S, Episodes, Outcome
+from fastmimic.learning.episodes import EPISODE_S, Episodes
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
@@ -21,12 +21,29 @@ from fastmimic.simulation.ranges import parse_range
 Seen = NDArray[np.float32]
 
 
-def spaces(config: PolicyConfig, robot: Robot) -> tuple[gymnasium.Space[Any], gymnasium.Space[Any]]:
-    """Spaces of one robot's observation and action."""
-    lower, upper = action_bounds(config, robot)
+def _prepared(
+    n: int,
+    motion: str | Path | Motion,
+    robot: str | Robot,
+    config: PolicyConfig | None,
+    randomize: Sequence[str],
+    **options: Any,
+) -> tuple[Callable[[int], Episodes], gymnasium.Space[Any], gymnasium.Space[Any]]:
+    """A function that makes the episodes of n robots for a seed, and the spaces of one robot's observation and
+    action."""
+    robot = load_robot(robot)
+    motion = load_motion(motion, robot)
+    config = config if config is not None else PolicyConfig()
+    ranges = tuple(parse_range(text) for text in randomize)
+
+    def make(seed: int) -> Episodes:
+        return Episodes(robot, motion, n, config, seed=seed, randomize=ranges, **options)
+
+    lower, upper = (bound.astype(np.float32) for bound in action_bounds(config, robot))
     return (
+        make,
         gymnasium.spaces.Box(-np.inf, np.inf, (OBSERVATION_SIZE,), np.float32),
-        gymnasium.spaces.Box(lower.astype(np.float32), upper.astype(np.float32), (ACTION_SIZE,), np.float32),
+        gymnasium.spaces.Box(lower, upper, (ACTION_SIZE,), np.float32),
     )
 
 
@@ -62,19 +79,17 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
 
         Raises `FastMimicError` if there is no such robot, motion or range, or they do not fit together.
         """
-        self._robot = load_robot(robot)
-        self._motion = load_motion(motion, self._robot)
-        self._config = config if config is not None else PolicyConfig()
-        self._ranges = tuple(parse_range(text) for text in randomize)
-        self._options: dict[str, Any] = {"duration_s": duration_s, "perturbed": perturbed}
+        self._make, self.observation_space, self.action_space = _prepared(
+            1, motion, robot, config, randomize, duration_s=duration_s, perturbed=perturbed
+        )
+        self._randomized = bool(randomize)
         self._episodes = self._make(0)
         self.render_mode = render_mode
-        self.observation_space, self.action_space = spaces(self._config, self._robot)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:
         """Begins an episode; returns the observation and an empty info."""
         super().reset(seed=seed)
-        if self._ranges:
+        if self._randomized:
             self._episodes = self._make(int(self.np_random.integers(2**31)))
         self._episodes.random = self.np_random
         return self._episodes.reset()[0].copy(), {}
@@ -85,9 +100,6 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
         seen = outcome.final[0] if outcome.done[0] else outcome.seen[0].copy()
         terms = dict(zip(REWARD_TERMS, self._episodes.terms[0].tolist(), strict=True))
         return seen, float(outcome.reward[0]), bool(outcome.fell[0]), bool(outcome.ended[0]), {"terms": terms}
-
-    def _make(self, seed: int) -> Episodes:
-        return Episodes(self._robot, self._motion, 1, self._config, seed=seed, randomize=self._ranges, **self._options)
 
 
 class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
@@ -119,18 +131,11 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
 
         Raises `FastMimicError` as `ImitationEnv`.
         """
-        self._robot = load_robot(robot)
-        self._motion = load_motion(motion, self._robot)
-        self._config = config if config is not None else PolicyConfig()
-        self._options: dict[str, Any] = {
-            "duration_s": duration_s,
-            "perturbed": perturbed,
-            "randomize": tuple(parse_range(text) for text in randomize),
-            "threads": threads,
-        }
+        self._make, self.single_observation_space, self.single_action_space = _prepared(
+            num_envs, motion, robot, config, randomize, duration_s=duration_s, perturbed=perturbed, threads=threads
+        )
         self.num_envs = num_envs
         self.render_mode = render_mode
-        self.single_observation_space, self.single_action_space = spaces(self._config, self._robot)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._episodes = self._make(0)
@@ -153,29 +158,13 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
     ) -> tuple[Seen, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """One policy step of all robots: observations, rewards, falls, truncations (n, …), info."""
         outcome = self._episodes.step(np.asarray(actions, np.float64))
-        return (
-            outcome.seen.copy(),
-            outcome.reward.copy(),
-            outcome.fell.copy(),
-            outcome.ended.copy(),
-            self._info(outcome) if outcome.done.any() else {},
-        )
+        info: dict[str, Any] = {}
+        if (done := outcome.done).any():
+            final, score, steps = np.zeros_like(outcome.seen), np.zeros(len(done)), np.zeros(len(done), np.int64)
+            final[done], score[done], steps[done] = outcome.final, outcome.score, outcome.steps
+            episode = {"score": score, "steps": steps}
+            info = {"final_obs": final, "_final_obs": done, "episode": episode, "_episode": done}
+        return outcome.seen.copy(), outcome.reward.copy(), outcome.fell.copy(), outcome.ended.copy(), info
 
     def close_extras(self, **kwargs: Any) -> None:
         self._episodes.close()
-
-    def _info(self, outcome: Outcome) -> dict[str, Any]:
-        done = outcome.done
-        final = np.zeros_like(outcome.seen)
-        final[done] = outcome.final
-        score, steps = np.zeros(len(done)), np.zeros(len(done), np.int64)
-        score[done], steps[done] = outcome.score, outcome.steps
-        return {
-            "final_obs": final,
-            "_final_obs": done,
-            "episode": {"score": score, "steps": steps},
-            "_episode": done,
-        }
-
-    def _make(self, seed: int) -> Episodes:
-        return Episodes(self._robot, self._motion, self.num_envs, self._config, seed=seed, **self._options)

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig
-from fastmimic.learning.shard import Shard
-from fastmimic.learning.starts import DRAWS
+from fastmimic.learning.shard import DRAWS, Shard
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
@@ -115,8 +114,7 @@ class Episodes:
 
     def reset(self) -> Seen:
         """Begins n episodes; returns the observations, which the next step overwrites."""
-        everyone = np.arange(self.n)
-        self._begin(everyone)
+        self._begin(np.arange(self.n))
         return self._seen
 
     def step(self, actions: NDArray[Any]) -> Outcome:
@@ -125,10 +123,12 @@ class Episodes:
         if actions.shape != (self.n, ACTION_SIZE):
             raise ConfigError(f"actions of shape {actions.shape}; expected {(self.n, ACTION_SIZE)}")
         given = np.ascontiguousarray(actions, np.float64)
-        if self._pool is None:
-            self._step_part(0, given)
-        else:
-            list(self._pool.map(self._step_part, range(len(self._parts)), [given] * len(self._parts)))
+        arrays: tuple[NDArray[Any], ...] = (given, self._seen, self._reward, self._fell, self._ended)
+
+        def step(shard: Shard, part: slice) -> None:
+            shard.step(*(array[part] for array in arrays))
+
+        list((map if self._pool is None else self._pool.map)(step, self._shards, self._parts))
         rows = np.flatnonzero(self._fell | self._ended)
         final = self._seen[rows]
         counts = np.concatenate([shard.counts for shard in self._shards])[rows]
@@ -177,9 +177,3 @@ class Episodes:
             if mine.any():
                 noise = float(self._perturbed)
                 shard.begin(rows[mine] - part.start, draws[mine], noise, self._room, self._steps, self._seen[part])
-
-    def _step_part(self, index: int, actions: Array) -> None:
-        part = self._parts[index]
-        self._shards[index].step(
-            actions[part], self._seen[part], self._reward[part], self._fell[part], self._ended[part]
-        )

@@ -4,10 +4,11 @@ The algorithm is `rsl_rl.algorithms.PPO`, as in Isaac Lab and mjlab. rsl-rl's ow
 checkpoints hold neither the episodes' state nor the random generators'.
 """
 
+import math
 import tempfile
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
@@ -16,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import ConfigError
-from fastmimic.learning.config import ACTION_SIZE
-from fastmimic.learning.episodes import Episodes
+from fastmimic.learning.config import ACTION_SIZE, PolicyConfig
+from fastmimic.learning.episodes import EPISODE_S, Episodes
 from fastmimic.learning.policy import Policy
-from fastmimic.learning.settings import TrainingSettings
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
+from fastmimic.simulation.ranges import Range
 
 _SMALL: Final = 0.01  # scale of the last layer's initial weights: the first actions hold the home pose
 _ACTIVATION: Final = "elu"
@@ -45,6 +46,66 @@ def choose_device(name: str) -> str:
     except (RuntimeError, AssertionError) as error:
         raise ConfigError(f"device '{name}' cannot be used: {str(error).splitlines()[0]}") from None
     return name
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """Settings of PPO and its episodes.
+
+    Attributes:
+        seed: of weights, actions and episodes.
+        robots: simulated at once.
+        horizon: policy steps of each robot between two updates.
+        hidden: widths of the hidden layers of actor and critic.
+        learning_rate: initial value; it then adapts to `desired_kl`.
+        desired_kl: target change of the policy per update.
+        discount, trace: γ and λ.
+        entropy: weight of the entropy bonus.
+        exploration: initial standard deviation of the actions, in units of `PolicyConfig.action_scale`.
+        randomize: ranges for robots and grounds.
+        update_threads: of the linear algebra; the bits of the result depend on it.
+    """
+
+    seed: int = 0
+    robots: int = 64
+    horizon: int = 32
+    hidden: tuple[int, ...] = (512, 256)
+    epochs: int = 10
+    minibatches: int = 4
+    learning_rate: float = 1e-3
+    desired_kl: float = 0.04
+    discount: float = 0.95
+    trace: float = 0.95
+    entropy: float = 0.0
+    exploration: float = 0.5
+    episode_s: float = EPISODE_S
+    randomize: tuple[Range, ...] = ()
+    update_threads: int = 1
+    policy: PolicyConfig = field(default_factory=PolicyConfig)
+
+    def __post_init__(self) -> None:
+        whole = ("robots", "horizon", "epochs", "minibatches", "update_threads")
+        checks = (
+            *((getattr(self, name) >= 1, f"{name} must be at least 1, found {getattr(self, name)}") for name in whole),
+            (self.seed >= 0, f"seed must not be negative, found {self.seed}"),
+            (bool(self.hidden) and min(self.hidden) >= 1, f"hidden layers need a width, found {self.hidden}"),
+            (0 < self.discount < 1 and 0 <= self.trace <= 1, "discount must be in (0, 1) and trace in [0, 1]"),
+            (self.learning_rate > 0 and self.desired_kl > 0, "learning_rate and desired_kl must be positive"),
+            (self.exploration > 0 and self.entropy >= 0, "exploration must be positive, entropy not negative"),
+            (math.isfinite(self.episode_s) and self.episode_s > 0, f"episodes of {self.episode_s:g} s are none"),
+            (
+                self.robots * self.horizon >= self.minibatches,
+                f"{self.robots * self.horizon} steps cannot be divided into {self.minibatches} minibatches",
+            ),
+        )
+        for ok, message in checks:
+            if not ok:
+                raise ConfigError(f"training: {message}")
+
+    @property
+    def steps_per_iteration(self) -> int:
+        """Policy steps of all robots between two updates."""
+        return self.robots * self.horizon
 
 
 @dataclass(frozen=True)

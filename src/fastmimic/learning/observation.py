@@ -55,50 +55,61 @@ def observe(
         out: (n, `OBSERVATION_SIZE`).
     """
     for i in range(out.shape[0]):
-        table = tables[min(i, tables.shape[0] - 1)]
-        observe_robot(settings[0], table, clocks[i], observations[i], senses[i], rotation, out[i])
+        table, clock, obs, memory = tables[min(i, tables.shape[0] - 1)], clocks[i], observations[i], senses[i]
+        quat_to_matrix(obs.root_quat, rotation)
+        if memory.age < 0:
+            _begin(settings[0], obs, memory)
+        _push(rotation, obs, memory)
+        at = _history(memory.imu, out[i], 0)
+        at = _history(memory.joints, out[i], at)
+        at = _history(memory.actions, out[i], at)
+        yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
+        for k in range(_FRAMES.shape[0]):
+            at = _frame(table, clock, clock.sample + settings[0].decimation * _FRAMES[k], yaw, out[i], at)
 
 
 @kernel
 def act(settings: Any, actions: Array, senses: Any) -> None:
-    """Takes in the robots' actions (n, 12): clipped to the joints' limits, low-pass filtered."""
+    """Takes in the robots' actions (n, 12): clipped to the joints' limits, low-pass filtered. A robot's last action
+    replaces entries that are not finite."""
+    setting = settings[0]
+    b0, b1, b2 = setting.numerator[0], setting.numerator[1], setting.numerator[2]
+    a1, a2 = setting.denominator[0], setting.denominator[1]
     for i in range(actions.shape[0]):
-        act_robot(settings[0], actions[i], senses[i])
+        memory = senses[i]
+        for h in range(HISTORY - 1, 0, -1):
+            for j in range(12):
+                memory.actions[h, j] = memory.actions[h - 1, j]
+        for j in range(12):
+            wanted = setting.home[j] + setting.action_scale * actions[i, j]
+            if not np.isfinite(wanted):
+                wanted = memory.filter_in[0, j]
+            wanted = min(max(wanted, setting.lower[j]), setting.upper[j])
+            memory.actions[0, j] = (wanted - setting.home[j]) / setting.action_scale
+            filtered = b0 * wanted + b1 * memory.filter_in[0, j] + b2 * memory.filter_in[1, j]
+            filtered -= a1 * memory.filter_out[0, j] + a2 * memory.filter_out[1, j]
+            memory.filter_in[1, j], memory.filter_in[0, j] = memory.filter_in[0, j], wanted
+            memory.filter_out[1, j], memory.filter_out[0, j] = memory.filter_out[0, j], filtered
+            memory.before[j], memory.after[j] = memory.after[j], filtered
+        memory.age = 0
 
 
 @kernel
 def command(settings: Any, senses: Any, commands: Any) -> None:
-    """Joint commands of the present control step, (n,) of `COMMAND`, interpolated between the last two actions'
+    """Joint commands of the next control step, (n,) of `COMMAND`, interpolated between the last two actions'
     targets."""
+    setting = settings[0]
     for i in range(commands.shape[0]):
-        command_robot(settings[0], senses[i], commands[i])
-
-
-@inlined
-def observe_robot(
-    settings: Any, table: Any, clock: Any, obs: Any, senses: Any, rotation: Array, out: NDArray[np.float32]
-) -> None:
-    """`observe` of one robot."""
-    quat_to_matrix(obs.root_quat, rotation)
-    if senses.age < 0:
-        _begin(settings, obs, senses)
-    _push(rotation, obs, senses)
-    at = 0
-    for h in range(HISTORY):
-        for k in range(IMU_SIZE):
-            out[at] = senses.imu[h, k]
-            at += 1
-    for h in range(HISTORY):
+        memory, out = senses[i], commands[i]
+        memory.age += 1
+        share = min(memory.age / setting.decimation, 1.0)
         for j in range(12):
-            out[at] = senses.joints[h, j]
-            at += 1
-    for h in range(HISTORY):
-        for j in range(12):
-            out[at] = senses.actions[h, j]
-            at += 1
-    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
-    for k in range(_FRAMES.shape[0]):
-        at = _frame(table, clock, clock.sample + settings.decimation * _FRAMES[k], yaw, out, at)
+            target = memory.before[j] + share * (memory.after[j] - memory.before[j])
+            out.joint_pos[j] = min(max(target, setting.lower[j]), setting.upper[j])
+            out.joint_vel[j] = 0.0
+            out.torque[j] = 0.0
+            out.stiffness[j] = setting.stiffness[j]
+            out.damping[j] = setting.damping[j]
 
 
 @inlined
@@ -144,6 +155,16 @@ def _push(rotation: Array, obs: Any, senses: Any) -> None:
 
 
 @inlined
+def _history(history: Array, out: NDArray[np.float32], at: int) -> int:
+    """Writes a history; returns the next index of `out`."""
+    for h in range(HISTORY):
+        for k in range(history.shape[1]):
+            out[at] = history[h, k]
+            at += 1
+    return at
+
+
+@inlined
 def _frame(table: Any, clock: Any, sample: int, yaw: float, out: NDArray[np.float32], at: int) -> int:
     """Writes the reference motion at a sample, possibly of a later period; returns the next index of `out`."""
     n = table.shape[0]
@@ -178,39 +199,3 @@ def _frame(table: Any, clock: Any, sample: int, yaw: float, out: NDArray[np.floa
     for j in range(12):
         out[at + 7 + j] = then.joint_pos[j]
     return at + 19
-
-
-@inlined
-def act_robot(settings: Any, action: Array, senses: Any) -> None:
-    """`act` of one robot. The last action replaces entries that are not finite."""
-    for h in range(HISTORY - 1, 0, -1):
-        for j in range(12):
-            senses.actions[h, j] = senses.actions[h - 1, j]
-    b0, b1, b2 = settings.numerator[0], settings.numerator[1], settings.numerator[2]
-    a1, a2 = settings.denominator[0], settings.denominator[1]
-    for j in range(12):
-        wanted = settings.home[j] + settings.action_scale * action[j]
-        if not np.isfinite(wanted):
-            wanted = senses.filter_in[0, j]
-        wanted = min(max(wanted, settings.lower[j]), settings.upper[j])
-        senses.actions[0, j] = (wanted - settings.home[j]) / settings.action_scale
-        filtered = b0 * wanted + b1 * senses.filter_in[0, j] + b2 * senses.filter_in[1, j]
-        filtered -= a1 * senses.filter_out[0, j] + a2 * senses.filter_out[1, j]
-        senses.filter_in[1, j], senses.filter_in[0, j] = senses.filter_in[0, j], wanted
-        senses.filter_out[1, j], senses.filter_out[0, j] = senses.filter_out[0, j], filtered
-        senses.before[j], senses.after[j] = senses.after[j], filtered
-    senses.age = 0
-
-
-@inlined
-def command_robot(settings: Any, senses: Any, command: Any) -> None:
-    """`command` of one robot; advances it by a control step."""
-    senses.age += 1
-    share = min(senses.age / settings.decimation, 1.0)
-    for j in range(12):
-        target = senses.before[j] + share * (senses.after[j] - senses.before[j])
-        command.joint_pos[j] = min(max(target, settings.lower[j]), settings.upper[j])
-        command.joint_vel[j] = 0.0
-        command.torque[j] = 0.0
-        command.stiffness[j] = settings.stiffness[j]
-        command.damping[j] = settings.damping[j]

@@ -1,4 +1,5 @@
-"""A trained policy: a multilayer perceptron, its file, and its inference without a learning library.
+"""A trained policy: a multilayer perceptron, its file, its inference without a learning library, and a controller with
+it for the closed loop, in place of the model-based one.
 
 The file is an `.npz` without pickles: `format_version`, `meta_json`, `mean` and `deviation` of the observation, and for
 each layer `weight0` (inputs, outputs) and `bias0`, `weight1`, …, all float32. `meta_json` holds `robot`, `motion`,
@@ -8,8 +9,8 @@ each layer `weight0` (inputs, outputs) and `bias0`, `weight1`, …, all float32.
 
 import hashlib
 import json
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import asdict, dataclass, field
+from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -21,15 +22,22 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, PolicyError
 from fastmimic.base.files import read_arrays, replace_file
 from fastmimic.base.jit import inlined, kernel
-from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig
+from fastmimic.control.config import ControllerConfig, pack_config
+from fastmimic.control.gait import plan_leg
+from fastmimic.episode.loop import MakeController
+from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, pack_settings
+from fastmimic.learning.observation import act, command, make_senses, observe
 from fastmimic.motion.motion import Motion
+from fastmimic.reference.table import stack_tables
 from fastmimic.robot import Robot
+from fastmimic.robot.state import COMMAND, MEMORY
 
 Weights = NDArray[np.float32]
 
 FORMAT_VERSION: Final = 1
 ACTIVATIONS: Final = ("none", "relu", "elu", "tanh")
 POLICY_FILE: Final = "policy.npz"
+_PLAIN: Final = {"robot": str, "motion": str, "samples": int, "activation": str, "seed": int}  # of a `Policy`
 
 
 class Network(NamedTuple):
@@ -181,68 +189,50 @@ class Policy:
     @classmethod
     def _of(cls, arrays: dict[str, NDArray[Any]]) -> "Policy":
         meta = dict(json.loads(str(arrays["meta_json"])))
-        layers = range(sum(name.startswith("weight") for name in arrays))
-        robot, motion, activation = (str(meta.pop(name)) for name in ("robot", "motion", "activation"))
+        known: dict[str, Any] = {name: kind(meta.pop(name)) for name, kind in _PLAIN.items()}
         config = PolicyConfig.from_dict(dict(meta.pop("config")))
-        samples, seed = (int(meta.pop(name)) for name in ("samples", "seed"))
         del meta["observation_size"], meta["action_size"]  # the weights have them
-        return cls(
-            weights=tuple(np.asarray(arrays[f"weight{i}"], np.float32) for i in layers),
-            biases=tuple(np.asarray(arrays[f"bias{i}"], np.float32) for i in layers),
-            mean=np.asarray(arrays["mean"], np.float32),
-            deviation=np.asarray(arrays["deviation"], np.float32),
-            robot=robot,
-            motion=motion,
-            samples=samples,
-            activation=activation,
-            config=config,
-            seed=seed,
-            about=meta,
-        )
+
+        def array(name: str) -> Weights:
+            return np.asarray(arrays[name], np.float32)
+
+        layers = range(sum(name.startswith("weight") for name in arrays))
+        weights, biases = (tuple(array(f"{kind}{i}") for i in layers) for kind in ("weight", "bias"))
+        return cls(weights, biases, array("mean"), array("deviation"), config=config, about=meta, **known)
 
     def _meta(self) -> dict[str, Any]:
         return {
-            "robot": self.robot,
-            "motion": self.motion,
-            "samples": self.samples,
+            **{name: getattr(self, name) for name in _PLAIN},
             "observation_size": self.sizes[0],
             "action_size": self.sizes[-1],
-            "activation": self.activation,
-            "config": self.config.as_dict(),
-            "seed": self.seed,
+            "config": asdict(self.config),
         }
 
 
 @kernel
 def infer(network: Any, observations: NDArray[np.float32], actions: Array) -> None:
     """Actions (n, 12) for observations (n, k); each row depends only on its own observation, to the bit."""
+    last = network.sizes.shape[0] - 2
     for i in range(observations.shape[0]):
-        infer_robot(network, observations[i], actions[i])
-
-
-@kernel
-def infer_robot(network: Any, observation: NDArray[np.float32], action: Array) -> None:
-    """`infer` of one robot."""
-    source, target = network.work[0], network.work[1]
-    for k in range(network.sizes[0]):
-        source[k] = (observation[k] - network.mean[k]) / network.deviation[k]
-    at, last = 0, network.sizes.shape[0] - 2
-    for layer in range(last + 1):
-        inputs, outputs = network.sizes[layer], network.sizes[layer + 1]
-        bias = at + inputs * outputs
-        for j in range(outputs):
-            target[j] = network.parameters[bias + j]
-        for k in range(inputs):
-            row = network.parameters[at + k * outputs : at + (k + 1) * outputs]
-            x = source[k]
-            for j in range(outputs):  # independent sums over the outputs, so that the loop vectorises
-                target[j] += x * row[j]
-        if layer < last:
-            _activate(network.activation, target, outputs)
-        source, target = target, source
-        at = bias + outputs
-    for j in range(action.shape[0]):
-        action[j] = source[j]
+        source, target, at = network.work[0], network.work[1], 0
+        for k in range(network.sizes[0]):
+            source[k] = (observations[i, k] - network.mean[k]) / network.deviation[k]
+        for layer in range(last + 1):
+            inputs, outputs = network.sizes[layer], network.sizes[layer + 1]
+            bias = at + inputs * outputs
+            for j in range(outputs):
+                target[j] = network.parameters[bias + j]
+            for k in range(inputs):
+                row = network.parameters[at + k * outputs : at + (k + 1) * outputs]
+                x = source[k]
+                for j in range(outputs):  # independent sums over the outputs, so that the loop vectorises
+                    target[j] += x * row[j]
+            if layer < last:
+                _activate(network.activation, target, outputs)
+            source, target = target, source
+            at = bias + outputs
+        for j in range(actions.shape[1]):
+            actions[i, j] = source[j]
 
 
 @inlined
@@ -255,3 +245,68 @@ def _activate(kind: int, values: Array, n: int) -> None:
             values[j] = x if x > 0 else np.expm1(x)
         elif kind == 3:
             values[j] = np.tanh(x)
+
+
+@kernel
+def plan_legs(config: Any, tables: Any, clocks: Any, observations: Any, memories: Any) -> None:
+    """Runs the gait planner of all robots, so that leg states and early touch-downs mean the same as under the
+    model-based controller; a policy does not need it."""
+    for i in range(observations.shape[0]):
+        contact = tables[min(i, tables.shape[0] - 1)][clocks[i].sample].contact
+        for leg in range(4):
+            plan_leg(config[0], memories[i], leg, contact[leg] == 1, observations[i].foot_force[leg, 2])
+
+
+class PolicyController:
+    """n robots under one policy; steps like `fastmimic.control.controller.Controller`. Not for several threads.
+
+    Attributes:
+        config: the model-based controller's, for the loop's rate and the contact thresholds.
+        tables: (1 or n, t) of `SAMPLE`, the reference motions.
+        memory: (n,) of `MEMORY`, leg states of the gait planner.
+        command: (n,) of `COMMAND`, the last ones.
+    """
+
+    def __init__(self, policy: Policy, robot: Robot, motion: Motion, n: int, config: ControllerConfig) -> None:
+        """Raises `PolicyError` if the policy is for another robot, another motion, or another control rate."""
+        policy.check(robot, motion)
+        if abs(policy.config.control_rate_hz - config.rate_hz) > 1e-9:
+            raise PolicyError(
+                f"the policy's joint targets go out at {policy.config.control_rate_hz:g} Hz, and the loop runs at"
+                f" {config.rate_hz:g} Hz"
+            )
+        self.config = config
+        self.tables = stack_tables([motion], robot)
+        self.memory = np.zeros(n, MEMORY)
+        self.command = np.zeros(n, COMMAND)
+        self._config = pack_config(config, robot)
+        self._settings = pack_settings(policy.config, robot)
+        self._network = policy.network()
+        self._senses = make_senses(n)
+        self._rotation = np.zeros((3, 3))
+        self._seen = np.zeros((n, OBSERVATION_SIZE), np.float32)
+        self._action = np.zeros((n, ACTION_SIZE))
+
+    def reset(self, sample: NDArray[np.int64]) -> None:
+        """Clears the memory; leg states become those of the reference motion at `sample` (n,)."""
+        self.memory[...] = np.zeros((), MEMORY)
+        rows = np.minimum(np.arange(len(self.memory)), len(self.tables) - 1)
+        self.memory["stance"] = self.tables["contact"][rows, sample]
+        self.memory["since_switch"] = 1e3
+        self._senses[...] = make_senses(len(self._senses))
+
+    def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
+        """Commands for the next control step, (n,) of `COMMAND`, overwritten by the next call. Takes (n,) records of
+        `OBSERVATION` and of `CLOCK`."""
+        plan_legs(self._config, self.tables, clocks, observation, self.memory)
+        if not 0 <= self._senses["age"][0] < self._settings["decimation"][0]:  # of all robots, which begin together
+            observe(self._settings, self.tables, clocks, observation, self._senses, self._rotation, self._seen)
+            infer(self._network, self._seen, self._action)
+            act(self._settings, self._action, self._senses)
+        command(self._settings, self._senses, self.command)
+        return self.command
+
+
+def controlled_by(policy: Policy) -> MakeController:
+    """A factory of controllers for the closed loop."""
+    return partial(PolicyController, policy)

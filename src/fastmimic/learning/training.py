@@ -1,32 +1,112 @@
-"""A training run: iterations, evaluations in the common metric, checkpoints and logs."""
+"""A training run: its folder, iterations, evaluations in the common metric, checkpoints and logs."""
 
+import io
+import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from importlib import metadata
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from fastmimic.base.files import replace_file, write_text
+from fastmimic.base.errors import CheckpointError
+from fastmimic.base.files import check_folder, replace_file, write_text
 from fastmimic.base.machine import versions
-from fastmimic.base.text import csv_text
+from fastmimic.base.text import csv_text, plain
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import episode_duration, perturbed_start, start_room
-from fastmimic.learning.learner import Iteration, Learner
-from fastmimic.learning.policy import POLICY_FILE, Policy
-from fastmimic.learning.policy_controller import controlled_by
-from fastmimic.learning.settings import TrainingSettings
-from fastmimic.learning.training_folder import EVALUATIONS, EVENTS, ONNX, Stopwatch, TrainingFolder
+from fastmimic.learning.learner import Iteration, Learner, TrainingSettings
+from fastmimic.learning.policy import POLICY_FILE, Policy, controlled_by
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
+from fastmimic.runs.work_folder import CONFIG, WorkFolder
 
+CHECKPOINT: Final = "checkpoint.pt"
+ONNX: Final = "policy.onnx"
+EVALUATIONS: Final = "evaluations.csv"
+EVENTS: Final = "tensorboard"
+_VERSION: Final = 1
+_FILES: Final = (CHECKPOINT, ONNX, EVALUATIONS, POLICY_FILE, f"{EVENTS}/events.out.tfevents.*")
 CHECKPOINT_S: Final = 60.0  # s of wall time between checkpoints
 EVALUATION_STEPS: Final = 500_000  # policy steps between evaluations
 EVALUATION_S: Final = 10.0
 PERTURBED_EPISODES: Final = 8
 _EVALUATION_SEED: Final = 20230617  # of the perturbed starts, as in a comparison
 LIBRARY: Final = "rsl-rl"
+
+
+@dataclass(frozen=True)
+class TrainingFolder(WorkFolder):
+    """The files of a training."""
+
+    @classmethod
+    def at(cls, path: Path) -> "TrainingFolder":
+        return cls(path, "a training", CONFIG, "training", _FILES)
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is a checkpoint."""
+        return (self.path / CHECKPOINT).is_file()
+
+    def begin(self, record: Mapping[str, Any]) -> None:
+        """Writes `config.json`; raises `OutputError`."""
+        self.write(CONFIG, json.dumps(record, indent=1, sort_keys=True) + "\n")
+
+    def save(self, state: Mapping[str, Any]) -> None:
+        """Writes the checkpoint and replaces an earlier one."""
+        import torch
+
+        out = io.BytesIO()
+        torch.save({"version": _VERSION, **state}, out)
+        replace_file(self.path / CHECKPOINT, lambda file: file.write(out.getbuffer()))
+
+    def load(self) -> dict[str, Any]:
+        """Reads the checkpoint, without executing code in it; raises `CheckpointError` if it is missing or damaged."""
+        import torch
+
+        path = self.path / CHECKPOINT
+        try:
+            state = torch.load(path, map_location="cpu", weights_only=True)
+        except FileNotFoundError:
+            raise CheckpointError(f"{path}: no checkpoint to resume from; leave out --resume to start anew") from None
+        except Exception as error:  # noqa: BLE001  whatever a damaged archive makes PyTorch raise
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise CheckpointError(f"{path}: damaged checkpoint ({reason}); --overwrite starts anew") from None
+        if not isinstance(state, dict) or state.get("version") != _VERSION:
+            raise CheckpointError(f"{path}: not a checkpoint of this release; --overwrite starts anew")
+        return state
+
+
+def open_training(path: Path, same: Mapping[str, Any], *, resume: bool, overwrite: bool) -> TrainingFolder:
+    """Checks a folder before a training begins; writes nothing into it.
+
+    Args:
+        same: settings that must equal `training` in the folder's `config.json` to resume.
+
+    Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be
+    written.
+    """
+    folder = TrainingFolder.at(path)
+    folder.check(same, resume=resume, overwrite=overwrite, begun=folder.begun)
+    check_folder(path)
+    return folder
+
+
+class Stopwatch:
+    """Wall and processor time of this process, added to earlier times."""
+
+    def __init__(self, wall_s: float = 0.0, cpu_s: float = 0.0) -> None:
+        self._wall_s, self._cpu_s = wall_s - time.perf_counter(), cpu_s - time.process_time()
+
+    @property
+    def wall_s(self) -> float:
+        return self._wall_s + time.perf_counter()
+
+    @property
+    def cpu_s(self) -> float:
+        return self._cpu_s + time.process_time()
 
 
 @dataclass(frozen=True)
@@ -169,7 +249,7 @@ class _Training:
                 "wall_s": self._watch.wall_s,
                 "cpu_s": self._watch.cpu_s,
                 "device": self._learner.device,
-                "settings": self._learner.settings.as_dict(),
+                "settings": plain(self._learner.settings),
             },
         }
 
