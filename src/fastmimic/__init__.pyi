@@ -30,8 +30,8 @@ from fastmimic.estimation.estimator import Estimator as Estimator
 from fastmimic.executors import make_executor as make_executor
 from fastmimic.imitation.evaluate import Evaluation as Evaluation
 from fastmimic.imitation.evaluate import evaluate as evaluate
+from fastmimic.imitation.imitate import Imitation as Imitation
 from fastmimic.imitation.imitate import imitate as imitate
-from fastmimic.imitation.imitation_result import Imitation as Imitation
 from fastmimic.imitation.methods import METHODS as METHODS
 from fastmimic.imitation.methods import Method as Method
 from fastmimic.imitation.stitch import Stitching as Stitching

@@ -14,8 +14,7 @@ from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.plan import nominal_start
 from fastmimic.episode.reward import TERMS
 from fastmimic.imitation.evaluate import evaluate
-from fastmimic.imitation.imitate import imitate
-from fastmimic.imitation.imitation_result import Imitation
+from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion

@@ -14,7 +14,7 @@ from fastmimic.imitation.methods import METHODS
 from fastmimic.render.tracks import Track
 from fastmimic.report.run_figures import write_video
 from fastmimic.runs.loading import load_motion
-from fastmimic.runs.run_folder import RunFolder, default_folder, open_run
+from fastmimic.runs.work_folder import RunFolder, default_folder, open_run
 
 CONFIG = {"arguments": {"motion": "trot", "seed": 0}}
 

@@ -68,10 +68,10 @@ class CheckpointError(FastMimicError):
     """A checkpoint that is damaged or belongs to another problem."""
 
 
-def unknown(what: str, name: str, names: Iterable[str]) -> ConfigError:
+def unknown(what: str, name: str, names: Iterable[str], error: type[FastMimicError] = ConfigError) -> FastMimicError:
     """The error for an unknown name; it lists the known ones."""
     names = list(names)
-    return ConfigError(f"unknown {what} '{name}'; there are {', '.join(names)}{did_you_mean(name, names)}")
+    return error(f"unknown {what} '{name}'; there are {', '.join(names)}{did_you_mean(name, names)}")
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:

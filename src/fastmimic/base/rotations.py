@@ -1,4 +1,4 @@
-"""Rotations as unit quaternions (w, x, y, z), body → world, over arrays with any leading shape."""
+"""Rotations as unit quaternions (w, x, y, z), body → world, over arrays with any leading shape; planar motions."""
 
 import numpy as np
 
@@ -98,3 +98,24 @@ def roll_pitch_from_quat(q: Array) -> tuple[Array, Array]:
     w, x, y, z = q.T
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     return roll, np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+
+
+def planar_exp(twist: Array, share: Array) -> tuple[Array, Array]:
+    """SE(2) exponential: displacement (..., 2) and rotation (...), rad, at `share` (...) of the twist (vx, vy, ω)."""
+    angle = share * twist[2]
+    a, b = _coefficients(angle)
+    x, y = share * twist[0], share * twist[1]
+    return np.stack([a * x - b * y, b * x + a * y], axis=-1), angle
+
+
+def planar_log(displacement: Array) -> Array:
+    """SE(2) logarithm: the twist (vx, vy, ω) with the exponential (dx, dy, dyaw) at share 1; |dyaw| < 2π."""
+    x, y, angle = displacement
+    a, b = _coefficients(angle)
+    square = a * a + b * b
+    return np.array([(a * x + b * y) / square, (-b * x + a * y) / square, angle])
+
+
+def _coefficients(angle: Array) -> tuple[Array, Array]:
+    """sin θ/θ and (1 − cos θ)/θ, without dividing by θ."""
+    return np.sinc(angle / np.pi), angle / 2 * np.sinc(angle / (2 * np.pi)) ** 2

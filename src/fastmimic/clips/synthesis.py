@@ -13,8 +13,14 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import FRONT, LEFT
 from fastmimic.base.errors import ConfigError, did_you_mean
-from fastmimic.base.planar import planar_exp
-from fastmimic.base.rotations import quat_from_rotvec, quat_from_yaw, quat_multiply, quat_rotate, rotate_planar
+from fastmimic.base.rotations import (
+    planar_exp,
+    quat_from_rotvec,
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate,
+    rotate_planar,
+)
 from fastmimic.clips.clip import Clip
 
 RATE_HZ: Final = 120.0

@@ -157,7 +157,7 @@ class Deploy:
     def _places(self, robot: Robot, motion: Motion) -> tuple[Path, Path]:
         """The folder and the log's file."""
         from fastmimic.deploy.deployment_folder import LOG
-        from fastmimic.runs.run_folder import default_folder
+        from fastmimic.runs.work_folder import default_folder
 
         name = opt.folder_name("deploy", motion.name, robot.name, self.driver)
         folder = self.out if self.out is not None else default_folder(opt.RUNS, name, resume=False)

@@ -17,8 +17,8 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:  # loads the compiler
-    from fastmimic.imitation.imitation_result import Imitation
-    from fastmimic.runs.run_folder import RunFolder
+    from fastmimic.imitation.imitate import Imitation
+    from fastmimic.runs.work_folder import RunFolder
 
 
 @dataclass(frozen=True, kw_only=True)

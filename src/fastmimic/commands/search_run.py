@@ -13,7 +13,7 @@ from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:  # loads the compiler
-    from fastmimic.runs.run_folder import RunFolder
+    from fastmimic.runs.work_folder import RunFolder
 
 _NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", "quality")
 """Arguments that change where and how a run happens, but not its result."""
@@ -62,7 +62,7 @@ class SearchRun:
         from fastmimic.base.machine import versions
         from fastmimic.control.config import controller_config
         from fastmimic.imitation.methods import method_named
-        from fastmimic.runs.run_folder import default_folder, open_run
+        from fastmimic.runs.work_folder import default_folder, open_run
 
         resume = self.folder.resume
         default = opt.folder_name(name, robot.name, method, self.seed)

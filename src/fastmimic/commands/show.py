@@ -8,8 +8,8 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:  # loads the compiler
-    from fastmimic.imitation.imitation_result import Imitation
-    from fastmimic.runs.run_folder import RunFolder
+    from fastmimic.imitation.imitate import Imitation
+    from fastmimic.runs.work_folder import RunFolder
 
 MISSING: Final = "–"
 _PER_COLUMN: Final = ("drift_m_per_s", "early_contacts_per_s", "stance_slip_m", "foot_z_rmse_m", "foot_x_rmse_m")

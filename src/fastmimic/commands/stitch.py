@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # loads the compiler
     from fastmimic.imitation.stitch import Stitching
     from fastmimic.optimize.cma_es import Progress
     from fastmimic.runs.loading import MotionSource
-    from fastmimic.runs.run_folder import RunFolder
+    from fastmimic.runs.work_folder import RunFolder
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,8 +29,7 @@ from fastmimic.episode.plan import nominal_start, perturbed_start
 from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import Report
 from fastmimic.experiments.measurement import measure, named_values
-from fastmimic.imitation.imitate import imitate
-from fastmimic.imitation.imitation_result import Imitation
+from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 from fastmimic.optimize.cma_es import Progress

@@ -33,8 +33,7 @@ from fastmimic.experiments.measurement import (
     measure,
     named_values,
 )
-from fastmimic.imitation.imitate import imitate
-from fastmimic.imitation.imitation_result import Imitation
+from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import Progress

@@ -12,7 +12,7 @@ from fastmimic.episode.metrics import Metrics, swing_clearance
 from fastmimic.episode.plan import episode_duration, perturbed_start, start_room
 from fastmimic.episode.rollout import Rollout
 from fastmimic.episode.style import style_distance
-from fastmimic.imitation.imitation_result import Imitation
+from fastmimic.imitation.imitate import Imitation
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot

@@ -1,21 +1,28 @@
-"""`imitate`: turns a motion into an optimised motion that the robot can execute."""
+"""`imitate`: turns a motion into an optimised motion that the robot can execute, with rollouts and metrics."""
 
 import time
 from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+import numpy as np
+
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
+from fastmimic.base.machine import versions
+from fastmimic.base.text import plain
 from fastmimic.clips.clip import Clip
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import MakeController, run_episodes
+from fastmimic.episode.metrics import Metrics, swing_clearance
 from fastmimic.episode.plan import nominal_start
-from fastmimic.imitation.imitation_result import HeldOut, Imitation
+from fastmimic.episode.rollout import Rollout
 from fastmimic.imitation.methods import Method, check_controller, made_with, method_named
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.cma_es import CmaSettings, Progress, optimize
+from fastmimic.optimize.cma_es import CmaSettings, History, Progress, optimize
 from fastmimic.optimize.final_choice import FinalChoice
-from fastmimic.optimize.parameters import moved_by
+from fastmimic.optimize.parameters import Parameter, moved_by
 from fastmimic.optimize.problem import Objective
 from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization, randomization
 from fastmimic.optimize.stitched import make_problem
@@ -23,6 +30,120 @@ from fastmimic.primitive.rhythmic import N_BASIS
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
+
+_BEFORE_AND_AFTER: Final = ("early_contacts_per_s", "stance_slip_m", "foot_z_rmse_m", "foot_x_rmse_m", "qp_failures")
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """A randomised search's result on held-out robots: one episode per robot from the motion's start, with the
+    demonstration (`before`) and the optimised motion (`after`)."""
+
+    randomization: Randomization
+    before: Rollout
+    after: Rollout
+
+    def as_dict(self) -> dict[str, Any]:
+        """Settings and results, JSON-serialisable."""
+        found: dict[str, Any] = {"robots": len(self.before.reward)}
+        for name, rollout in (("before", self.before), ("after", self.after)):
+            m = Metrics.of(rollout)
+            found[name] = {"mean": m.reward_mean, "std": m.reward_std, "worst": m.reward_worst, "fell": m.fell}
+        return self.randomization.as_dict() | {"held_out": found}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Imitation:
+    """An optimised motion and the course of its optimisation.
+
+    Attributes:
+        motion: the optimised motion, with its demonstration.
+        before, after: one nominal episode of `duration_s` with the demonstration and with the optimised motion, logged.
+        parameters: the optimised parameters, with bounds.
+        values: (k,) their values, physical units.
+        wall_s: total time, s; includes the time before a resume.
+        held_out: results on other robots; None without randomisation.
+    """
+
+    motion: Motion
+    robot: Robot
+    method: str
+    config: ControllerConfig
+    before: Rollout
+    after: Rollout
+    parameters: tuple[Parameter, ...] = ()
+    values: Array = field(default_factory=lambda: np.zeros(0))
+    history: History | None = None
+    seed: int
+    duration_s: float
+    evaluations: int = 0
+    simulated_s: float
+    iterations: int = 0
+    wall_s: float
+    interrupted: bool = False
+    held_out: HeldOut | None = None
+
+    @property
+    def demonstration(self) -> Motion:
+        """The demonstration that scores the robot."""
+        return self.motion.target
+
+    def metrics(self) -> dict[str, Any]:
+        """All metrics of the run, JSON-serialisable; undefined ones (no swing, no step) are None."""
+        before, after = Metrics.of(self.before), Metrics.of(self.after)
+
+        def both(name: str) -> dict[str, Any]:
+            return {"before": getattr(before, name), "after": getattr(after, name)}
+
+        found = {
+            "motion": self.motion.name,
+            "robot": self.robot.name,
+            "method": self.method,
+            "config": self.config.name,
+            "seed": self.seed,
+            "duration_s": self.duration_s,
+            "reward": {
+                **both("reward_mean"),
+                "components_before": before.components,
+                "components_after": after.components,
+            },
+            **({"randomization": self.held_out.as_dict()} if self.held_out is not None else {}),
+            "fell": both("fell_once"),
+            "drift_m_per_s": both("drift_m_per_s"),
+            "swing_clearance_m": {
+                "demonstration": swing_clearance(self.demonstration, self.robot.foot_radius),
+                **both("swing_clearance_m"),
+            },
+            **{name: both(name) for name in _BEFORE_AND_AFTER},
+            "evaluations": self.evaluations,
+            "iterations": self.iterations,
+            "interrupted": self.interrupted,
+            **({"segments": self._segments()} if self.demonstration.parts else {}),
+            "wall_s": self.wall_s,
+            "simulated_s": self.simulated_s,
+            "realtime_factor": self.simulated_s / self.wall_s if self.wall_s > 0 else None,
+            "parameters": [asdict(p) | {"value": float(v)} for p, v in zip(self.parameters, self.values, strict=True)],
+            "versions": versions(),
+        }
+        return plain(found)
+
+    def _segments(self) -> list[dict[str, Any]]:
+        rate, found = self.demonstration.rate_hz, []
+        segments = self.demonstration.provenance.stitched.segments
+        for segment, *parts in zip(segments, self.before.parts, self.after.parts, strict=True):
+            before, after = (Metrics.of(part) for part in parts)
+            found.append(
+                {
+                    "motion": segment.name,
+                    "cycles": segment.cycles,
+                    "first_s": segment.first / rate,
+                    "last_s": segment.last / rate,
+                    "reward": {"before": before.reward_mean, "after": after.reward_mean},
+                    "fell": {"before": before.fell_once, "after": after.fell_once},
+                    "swing_clearance_m": {"before": before.swing_clearance_m, "after": after.swing_clearance_m},
+                }
+            )
+        return found
 
 
 def imitate(
@@ -81,19 +202,20 @@ def imitate(
         duration_s = (demonstration.n_samples - 1) / demonstration.rate_hz
     objective = Objective(duration_s=duration_s, randomization=over)
     before = run_episodes(robot, demonstration, duration_s=duration_s, config=config, log=True, controller=controller)
+    unoptimised = Imitation(
+        motion=demonstration,
+        robot=robot,
+        method=method,
+        config=config,
+        before=before,
+        after=before,
+        seed=seed,
+        duration_s=duration_s,
+        simulated_s=duration_s,
+        wall_s=time.perf_counter() - began,
+    )
     if not chosen.optimises:
-        return Imitation(
-            motion=demonstration,
-            robot=robot,
-            method=method,
-            config=config,
-            before=before,
-            after=before,
-            seed=seed,
-            duration_s=duration_s,
-            simulated_s=duration_s,
-            wall_s=time.perf_counter() - began,
-        )
+        return unoptimised
     problem = make_problem(
         robot,
         given,
@@ -111,18 +233,13 @@ def imitate(
     measured = time.perf_counter()
     held_out = None if over is None else _held_out(over, motion, robot, duration_s, config)
     measured_s = 0.0 if held_out is None else time.perf_counter() - measured
-    return Imitation(
+    return replace(
+        unoptimised,
         motion=motion,
-        robot=robot,
-        method=method,
-        config=config,
-        before=before,
         after=after,
         parameters=problem.parameters,
         values=optimum.x,
         history=optimum.history,
-        seed=seed,
-        duration_s=duration_s,
         evaluations=optimum.evaluations,
         simulated_s=optimum.simulated_s + 2 * duration_s * (1 if over is None else 1 + HELD_OUT_ROBOTS),
         iterations=len(optimum.history.best),

@@ -25,17 +25,13 @@ NOTHING: Final = "none"  # `Method.parameters` of a method without a search
 ConfigChange = Callable[[ControllerConfig], ControllerConfig]
 
 
-def _same(config: ControllerConfig) -> ControllerConfig:
-    return config
-
-
 @dataclass(frozen=True)
 class Method:
     """A way to make a robot imitate a motion.
 
     Attributes:
         parameters: `NOTHING`, or one of `fastmimic.optimize.parameters.PARAMETER_GROUPS`.
-        change: its change of the controller's configuration.
+        change: its change of the controller's configuration; None for no change.
         controller: makes a controller in place of the model-based one; None for that one.
         own_feet: whether the swing feet follow the method's own path instead of the motion's.
         learned: whether it needs a trained policy.
@@ -49,7 +45,7 @@ class Method:
     label: str
     summary: str
     parameters: str = NOTHING
-    change: ConfigChange = _same
+    change: ConfigChange | None = None
     controller: "MakeController | None" = None
     own_feet: bool = False
     learned: bool = False
@@ -81,7 +77,8 @@ class Method:
 
     def configure(self, config: ControllerConfig | str) -> ControllerConfig:
         """The controller parameters, given or by name, with the method's changes."""
-        return self.change(controller_config(config) if isinstance(config, str) else config)
+        given = controller_config(config) if isinstance(config, str) else config
+        return given if self.change is None else self.change(given)
 
 
 def _raibert(config: ControllerConfig) -> ControllerConfig:
@@ -206,10 +203,6 @@ def check_controller(method: Method, given: bool) -> None:
         raise ConfigError(f"method '{method.name}' does not use a policy; drop --policy")
 
 
-DEFAULT_METHOD: Final = "mbc"
-DEFAULT_CONFIG: Final = "default"
-
-
 def made_with(
     motion: Motion, method: str, config: ControllerConfig, randomization: Randomization | None = None
 ) -> Motion:
@@ -239,7 +232,7 @@ def controller_for(
 
     Raises `ConfigError` for an unknown name, or a motion made with parameters of no set if none are given.
     """
-    record = motion.provenance.made_with or MadeWith(DEFAULT_METHOD, DEFAULT_CONFIG)
+    record = motion.provenance.made_with or MadeWith("mbc", "default")
     config = record.config if config is None else config
     if config is None:
         raise ConfigError(
@@ -247,4 +240,4 @@ def controller_for(
             f" give the configuration to run it with ({', '.join(CONFIGS)}, or from Python the same parameters)"
         )
     chosen = method_named(record.method if method is None else method)
-    return chosen, chosen.configure(controller_config(config) if isinstance(config, str) else config)
+    return chosen, chosen.configure(config)

@@ -4,20 +4,20 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
 
-from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
+from fastmimic.base.errors import CheckpointError, ConfigError
+from fastmimic.base.files import remove_file
 from fastmimic.clips.clip import Clip
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout
-from fastmimic.imitation.imitate import imitate
-from fastmimic.imitation.imitation_result import Imitation
+from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.imitation.methods import check_controller, made_with, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import Checkpoint
@@ -28,8 +28,7 @@ from fastmimic.optimize.randomization import Randomization, randomization
 from fastmimic.optimize.stitched import StitchedProblem, parameters_of
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import MotionSource, load_motion
-from fastmimic.runs.run_folder import CHECKPOINTS, PART_CHECKPOINT
-from fastmimic.runs.work_folder import CHECKPOINT
+from fastmimic.runs.work_folder import CHECKPOINT, CHECKPOINTS, PART_CHECKPOINT
 from fastmimic.stitching.join import stitch_motions
 
 PART_POPULATION: Final = 10
@@ -108,29 +107,29 @@ def stitch(
         raise ConfigError(f"workers must be at least 1, found {workers}")
     if isinstance(cycles, int) and cycles < 1:
         raise ConfigError(f"every motion needs at least one cycle, found {cycles}")
-    say = stage if stage is not None else _ignore
+    say = stage if stage is not None else _silent
     checkpoints = Path(folder) if folder is not None else None
-    loaded = _load(sources, robot)
-    motions = [loaded[k] for k in _keys(sources)]
+    motions = _load(sources, robot)
     counts = [cycles] * len(motions) if isinstance(cycles, int) else cycles
     say("stitching " + ", ".join(m.name for m in motions))
     demonstration = stitch_motions(robot, [m.target for m in motions], counts)
-    given, whole, parts = demonstration, None, _Parts({}, 0, 0.0, 0.0, 0.0)
+    given, whole, parts = demonstration, None, _Parts()
+    settings: dict[str, Any] = {
+        "method": method,
+        "config": config,
+        "iterations": iterations,
+        "population": PART_POPULATION,
+        "seed": seed,
+        "workers": workers,
+        "progress": progress,
+        "randomize": over,
+        "choice": choice,
+    }
     if chosen.optimises or any(m.demonstration is not None for m in motions):
         if chosen.optimises:
             if checkpoints is not None and not resume:
-                _remove_checkpoints(checkpoints)
-            settings = {
-                "method": method,
-                "config": config,
-                "iterations": iterations,
-                "population": PART_POPULATION,
-                "seed": seed,
-                "workers": workers,
-                "progress": progress,
-                "randomize": over,
-                "choice": choice,
-            }
+                for path in checkpoints.glob(CHECKPOINTS):
+                    remove_file(path)
             parts = _optimised_parts(motions, robot, part_iterations, checkpoints, resume, settings, say)
         found = [parts.values.get(id(m)) for m in motions]
         starts = [parameters_of(m) if own is None else own for m, own in zip(motions, found, strict=True)]
@@ -142,27 +141,17 @@ def stitch(
             group=needed_group(chosen.parameters if chosen.optimises else FOOT_HEIGHT, *starts),
         )
         given = whole.motion(whole.start)
+    if population is not None:
+        settings["population"] = population
     if chosen.optimises and whole is not None:
-        population = population if population is not None else usual_population(len(whole.parameters))
+        if population is None:  # CMA-ES's default (Hansen 2006)
+            settings["population"] = 4 + int(3 * np.log(len(whole.parameters)))
         say("all together")
     elsewhere = parts.passed_s
     checkpoint = checkpoints / CHECKPOINT if checkpoints is not None else None
+    again = resume and checkpoint is not None and checkpoint.is_file()
     imitated = time.perf_counter()
-    result = imitate(
-        given,
-        robot,
-        method=method,
-        config=config,
-        iterations=iterations,
-        population=population if population is not None else PART_POPULATION,
-        seed=seed,
-        workers=workers,
-        checkpoint=checkpoint,
-        resume=resume and checkpoint is not None and checkpoint.is_file(),
-        progress=progress,
-        randomize=over,
-        choice=choice,
-    )
+    result = imitate(given, robot, checkpoint=checkpoint, resume=again, **settings)
     elsewhere += time.perf_counter() - imitated
     own = dict(vars(result))
     individual = result.before
@@ -179,24 +168,16 @@ def stitch(
     return Stitching(**own, individual=individual)
 
 
-def usual_population(parameters: int) -> int:
-    """CMA-ES's default population, 4 + 3 ln k (Hansen 2006)."""
-    return 4 + int(3 * np.log(parameters))
-
-
-def _keys(sources: Sequence[str | Path | Clip | Motion | MotionSource]) -> list[object]:
-    """Keys that identify the sources: the same name or object is the same motion."""
-    return [str(s) if isinstance(s, str | Path) else id(s) for s in sources]
-
-
-def _load(sources: Sequence[str | Path | Clip | Motion | MotionSource], robot: Robot) -> dict[object, Motion]:
+def _load(sources: Sequence[str | Path | Clip | Motion | MotionSource], robot: Robot) -> list[Motion]:
+    """The motions; the same name or object is the same motion, loaded once."""
     if isinstance(sources, str | Path):
         raise ConfigError(f"stitching takes a list of motions, found '{sources}'")
     found: dict[object, Motion] = {}
-    for key, source in zip(_keys(sources), sources, strict=True):
+    keys = [str(source) if isinstance(source, str | Path) else id(source) for source in sources]
+    for key, source in zip(keys, sources, strict=True):
         if key not in found:
             found[key] = load_motion(source, robot)
-    return found
+    return [found[key] for key in keys]
 
 
 @dataclass
@@ -204,11 +185,11 @@ class _Parts:
     """Results of the single motions: `values` by motion id and parameter name, summed costs, and the time that passed,
     s."""
 
-    values: dict[int, dict[str, float]]
-    evaluations: int
-    simulated_s: float
-    wall_s: float
-    passed_s: float
+    values: dict[int, dict[str, float]] = field(default_factory=dict)
+    evaluations: int = 0
+    simulated_s: float = 0.0
+    wall_s: float = 0.0
+    passed_s: float = 0.0
 
 
 def _optimised_parts(
@@ -222,7 +203,7 @@ def _optimised_parts(
 ) -> _Parts:
     began = time.perf_counter()
     begun = resume and folder is not None and (folder / CHECKPOINT).is_file()
-    out = _Parts({}, 0, 0.0, 0.0, 0.0)
+    out = _Parts()
     distinct = list({id(m): m for m in motions}.values())
     with _part_checkpoints(folder, copied=begun) as place:
         todo = []
@@ -280,13 +261,5 @@ def _part_checkpoints(folder: Path | None, copied: bool) -> Iterator[Path | None
             raise CheckpointError(str(error).replace(copies, str(folder))) from None
 
 
-def _remove_checkpoints(folder: Path) -> None:
-    for path in folder.glob(CHECKPOINTS):
-        try:
-            path.unlink()
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be removed ({error.strerror or error})") from None
-
-
-def _ignore(text: str) -> None:
-    """Default callback."""
+def _silent(stage: str) -> None:
+    """Says nothing about the stage."""

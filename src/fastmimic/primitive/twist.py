@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.planar import planar_exp, planar_log
-from fastmimic.base.rotations import rotate_planar
+from fastmimic.base.rotations import planar_exp, planar_log, rotate_planar
 
 
 @dataclass(frozen=True, eq=False)

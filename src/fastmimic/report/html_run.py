@@ -18,8 +18,7 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
-from fastmimic.runs.run_folder import VIDEO, RunFolder
-from fastmimic.runs.work_folder import CONFIG, METRICS, MOTION
+from fastmimic.runs.work_folder import CONFIG, METRICS, MOTION, VIDEO, RunFolder
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,12 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic.episode.rollout import Rollout
-from fastmimic.imitation.imitation_result import Imitation
+from fastmimic.imitation.imitate import Imitation
 from fastmimic.imitation.methods import method_named
 from fastmimic.render.figure_style import save
 from fastmimic.render.tracks import Track, realised_feet, rollout_track
 from fastmimic.report.figures import convergence_figure, tracking_figure
-from fastmimic.runs.run_folder import CONVERGENCE, TRACKING, VIDEO, RunFolder
+from fastmimic.runs.work_folder import CONVERGENCE, TRACKING, VIDEO, RunFolder
 
 TRACKING_CYCLES: Final = 2  # in the tracking figure
 TRANSITION_S: Final = 2.0  # length of a stitched motion's tracking figure

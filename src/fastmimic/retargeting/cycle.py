@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.planar import planar_exp, planar_log
-from fastmimic.base.rotations import roll_pitch_from_quat, rotate_planar, yaw_from_quat
+from fastmimic.base.rotations import planar_exp, planar_log, roll_pitch_from_quat, rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.scaled_clip import ScaledClip
 from fastmimic.retargeting.signal import closing_error, extrapolate_next, resample_open, resample_periodic

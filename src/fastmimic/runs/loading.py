@@ -10,7 +10,6 @@ from fastmimic.clips.catalogue import motion_names, open_clip
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.npz import is_robot_motion
 from fastmimic.motion.motion import Motion
-from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.runs.work_folder import CONFIG, MOTION
 
@@ -62,6 +61,8 @@ class MotionSource:
         """The motion for a robot; see `load_motion`."""
         given = {k: v for k, v in overrides.items() if v is not None and v is not False}
         if self.motion is None:
+            from fastmimic.retargeting.retarget import retarget  # loads the compiler
+
             return retarget(self.open_clip(robot, **given), robot)[0]
         if given:
             raise ConfigError(

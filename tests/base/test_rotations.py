@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fastmimic.base.planar import planar_exp, planar_log
+from fastmimic.base.rotations import planar_exp, planar_log
 
 
 @given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-6, 6))
