@@ -144,8 +144,8 @@ def stitch(
     if population is not None:
         settings["population"] = population
     if chosen.optimises and whole is not None:
-        if population is None:  # CMA-ES's default (Hansen 2006)
-            settings["population"] = 4 + int(3 * np.log(len(whole.parameters)))
+        if population is None:
+            settings["population"] = usual_population(len(whole.parameters))
         say("all together")
     elsewhere = parts.passed_s
     checkpoint = checkpoints / CHECKPOINT if checkpoints is not None else None
@@ -166,6 +166,11 @@ def stitch(
     # the optimiser's result includes the time before a resume
     own["wall_s"] += parts.wall_s + time.perf_counter() - began - elsewhere
     return Stitching(**own, individual=individual)
+
+
+def usual_population(parameters: int) -> int:
+    """CMA-ES's default population, 4 + 3 ln k (Hansen 2006)."""
+    return 4 + int(3 * np.log(parameters))
 
 
 def _load(sources: Sequence[str | Path | Clip | Motion | MotionSource], robot: Robot) -> list[Motion]:
