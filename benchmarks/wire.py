@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from fastmimic.deploy.dds import Participant, Reader, Writer
-from fastmimic.deploy.go2.crc import crc32
+from fastmimic.deploy.dds.cyclone import Participant, Reader, Writer
 from fastmimic.deploy.go2.messages import (
     LOW_COMMAND_TOPIC,
     LOW_STATE_TOPIC,
@@ -24,6 +23,7 @@ from fastmimic.deploy.go2.messages import (
     LowCommand,
     LowState,
     StateWire,
+    crc32,
 )
 from fastmimic.estimation.reading import READING
 from fastmimic.robot import load_robot

@@ -23,7 +23,7 @@ def parameter_tables() -> str:
     from fastmimic.base.configuration import describe
     from fastmimic.base.text import markdown_table
     from fastmimic.control import config, config_parts
-    from fastmimic.deploy.safety_limits import SafetyLimits
+    from fastmimic.deploy.safety import SafetyLimits
     from fastmimic.estimation.config import EstimatorConfig
     from fastmimic.learning.config import PolicyConfig
     from fastmimic.simulation.sensors import SensorConfig

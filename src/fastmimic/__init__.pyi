@@ -19,9 +19,9 @@ from fastmimic.dataset import DatasetSource as DatasetSource
 from fastmimic.dataset import MotionDataset as MotionDataset
 from fastmimic.dataset import build_dataset as build_dataset
 from fastmimic.dataset import find_sources as find_sources
-from fastmimic.deploy.a1.driver import A1Driver as A1Driver
+from fastmimic.deploy.a1_driver import A1Driver as A1Driver
 from fastmimic.deploy.go2.driver import Go2Driver as Go2Driver
-from fastmimic.deploy.robot_sim.ground_truth import load_ground_truth as load_ground_truth
+from fastmimic.deploy.log import load_ground_truth as load_ground_truth
 from fastmimic.episode.reward import REWARD_TERMS as REWARD_TERMS
 from fastmimic.episode.reward import RewardTerm as RewardTerm
 from fastmimic.episode.rollout import Log as Log

@@ -10,7 +10,7 @@ import pytest
 import fastmimic
 from fastmimic.base.configuration import parameters
 from fastmimic.control.config import ControllerConfig
-from fastmimic.deploy.safety_limits import SafetyLimits
+from fastmimic.deploy.safety import SafetyLimits
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.simulation.sensors import SensorConfig
 

@@ -7,11 +7,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.deploy.computer import StopSwitch, VirtualClock
 from fastmimic.deploy.deployment import Deployment, DeployOptions, deploy
 from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage
-from fastmimic.deploy.emergency_stop import StopSwitch
-from fastmimic.deploy.loop_clock import VirtualClock
-from fastmimic.deploy.safety_limits import SafetyLimits
+from fastmimic.deploy.safety import SafetyLimits
 from fastmimic.deploy.sequence import MotionSequence
 from fastmimic.deploy.sim import SimDriver
 from fastmimic.deploy.state_machine import StateMachine

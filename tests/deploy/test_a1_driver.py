@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.a1.driver import A1Driver
+from fastmimic.deploy.a1_driver import A1Driver
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 

@@ -9,14 +9,14 @@ from deploy.rig import Rig, once
 from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.control.config import default_config
 from fastmimic.control.config_parts import RecoveryConfig
+from fastmimic.deploy.computer import VirtualClock
 from fastmimic.deploy.deployment import Deployment
 from fastmimic.deploy.log import DeploymentLog
-from fastmimic.deploy.loop_clock import VirtualClock
 from fastmimic.deploy.safety import StopReason
 from fastmimic.deploy.scoring import figures, score_log
 from fastmimic.deploy.sequence import Follower, MotionSequence, make_sequence
 from fastmimic.deploy.sim import SimDriver
-from fastmimic.deploy.simulated_link import LinkFaults
+from fastmimic.deploy.simulated_robot import LinkFaults
 from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion

@@ -15,7 +15,8 @@ pytest.importorskip("cyclonedds", reason="CycloneDDS is not installed")
 
 from deploy.dds_domains import free_domain, unicast_ports
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.dds import MAX_PARTICIPANTS, Message, Participant, Reader, Writer, program
+from fastmimic.deploy.dds.cyclone import MAX_PARTICIPANTS, Participant, Reader, Writer
+from fastmimic.deploy.dds.types import Message, program
 from fastmimic.deploy.driver import damping_command
 from fastmimic.deploy.go2 import services
 from fastmimic.deploy.go2.driver import Go2Driver
@@ -322,11 +323,10 @@ def test_a_full_domain_is_said_to_be_that(go2: Robot) -> None:
 def test_a_missing_library_is_one_line_with_the_command_that_mends_it(
     go2: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fastmimic.deploy.dds import domain
-    from fastmimic.deploy.dds.cyclone import cyclone
+    from fastmimic.deploy.dds import cyclone
 
     monkeypatch.setitem(__import__("sys").modules, "cyclonedds.internal", None)
-    monkeypatch.setattr(domain, "cyclone", cyclone.__wrapped__)
+    monkeypatch.setattr(cyclone, "cyclone", cyclone.cyclone.__wrapped__)
     with pytest.raises(DriverError, match=r"pip install 'fastmimic\[go2\]'"):
         Go2Driver(go2).open()
 

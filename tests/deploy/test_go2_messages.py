@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fastmimic.deploy.go2.crc import POLYNOMIAL, crc32
 from fastmimic.deploy.go2.messages import (
     FOOT_COUNTS_PER_N,
     STOP_POSITION,
@@ -18,6 +17,7 @@ from fastmimic.deploy.go2.messages import (
     LowCommand,
     LowState,
     StateWire,
+    crc32,
     roll_pitch_yaw,
 )
 from fastmimic.estimation.reading import READING
@@ -25,6 +25,7 @@ from fastmimic.robot.state import COMMAND
 
 pytestmark = pytest.mark.nojit
 
+POLYNOMIAL = 0x04C11DB7
 COMMAND_FORMAT = "<4B4IH2x" + 20 * "B3x5f3I" + "4B55Bx2I"
 STATE_FORMAT = "<4B4IH2x13fB3x" + 20 * "B3x7fB3x3I" + "4BiH4B15H" + "8hI41B3xf2B2x2f4H2I"
 """The messages as Unitree's SDK packs them for their checksum (unitree_sdk2_python, utils/crc.py)."""

@@ -21,11 +21,11 @@ import pytest
 pytest.importorskip("cyclonedds", reason="CycloneDDS is not installed")
 
 from deploy.dds_domains import free_domain
-from fastmimic.deploy.dds import configuration
+from fastmimic.deploy.dds.cyclone import configuration
 from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.driver import Go2Driver
-from fastmimic.deploy.robot_sim.ground_truth import GroundTruthLog
-from fastmimic.deploy.robot_sim.sim_server import SimServer, SimSettings
+from fastmimic.deploy.log import GroundTruthLog
+from fastmimic.deploy.sim_server import SimServer, SimSettings
 from fastmimic.robot import load_robot
 from fastmimic.robot.state import COMMAND
 

@@ -20,13 +20,12 @@ pytest.importorskip("cyclonedds", reason="CycloneDDS is not installed")
 from deploy.dds_domains import free_domain
 from fastmimic.base.errors import ConfigError, DriverError, OutputError
 from fastmimic.cli import main
-from fastmimic.deploy.dds import Participant
+from fastmimic.deploy.dds.cyclone import Participant
 from fastmimic.deploy.go2 import services
 from fastmimic.deploy.go2.driver import Go2Driver
-from fastmimic.deploy.robot_sim.ground_truth import GroundTruthLog, load_ground_truth
-from fastmimic.deploy.robot_sim.sim_server import PHYSICS_RATE_HZ, SimServer, SimSettings, go2_body
-from fastmimic.deploy.simulated_body import SimulatedBody
-from fastmimic.deploy.simulated_link import LinkFaults, SimulatedLink
+from fastmimic.deploy.log import GroundTruthLog, load_ground_truth
+from fastmimic.deploy.sim_server import PHYSICS_RATE_HZ, SimServer, SimSettings, go2_body
+from fastmimic.deploy.simulated_robot import LinkFaults, SimulatedBody, SimulatedLink
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.state import COMMAND, OBSERVATION
 from fastmimic.simulation.sensors import ideal_sensors

@@ -15,13 +15,12 @@ from deploy.rig import Rig, assert_damped, once
 from fastmimic.base.configuration import describe
 from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.base.text import markdown_table
+from fastmimic.deploy.computer import StopSwitch
 from fastmimic.deploy.deployment import Deployment
 from fastmimic.deploy.driver import StateMessage
-from fastmimic.deploy.emergency_stop import StopSwitch
-from fastmimic.deploy.safety import Guard, StopReason
-from fastmimic.deploy.safety_limits import SafetyLimits, read_limits
+from fastmimic.deploy.safety import Guard, SafetyLimits, StopReason, read_limits
 from fastmimic.deploy.sim import SimDriver
-from fastmimic.deploy.simulated_link import LinkFaults
+from fastmimic.deploy.simulated_robot import LinkFaults
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot, load_robot

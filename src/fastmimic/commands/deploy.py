@@ -18,10 +18,10 @@ from fastmimic.robot import Robot
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from fastmimic.deploy.computer import StopSwitch
     from fastmimic.deploy.deployment import Deployment
     from fastmimic.deploy.driver import RobotDriver
-    from fastmimic.deploy.emergency_stop import StopSwitch
-    from fastmimic.deploy.safety_limits import SafetyLimits
+    from fastmimic.deploy.safety import SafetyLimits
     from fastmimic.deploy.state_machine import StateMachine
 
 EXIT_VIOLATION: Final = 3
@@ -58,7 +58,7 @@ class Deploy:
     motion: Annotated[Positional[str], opt.option("MOTION")]
     """A robot motion (.npz), the folder of a run, a clip, a name from 'fastmimic motions', or "stand". A stitched
     motion runs once."""
-    driver: Annotated[str, opt.option("NAME", lambda: f"Robot: {opt.one_of('deploy.drivers', 'DRIVERS')} (simulated).")]
+    driver: Annotated[str, opt.option("NAME", lambda: f"Robot: {opt.one_of('deploy.driver', 'DRIVERS')} (simulated).")]
     interface: Annotated[str | None, opt.option("NAME")] = None
     """Network interface of the robot. Default: lo, for a simulated one."""
     domain: Annotated[int | None, opt.option("N")] = None
@@ -95,9 +95,9 @@ class Deploy:
 
     def run(self) -> int:
         """Runs the motion, writes the folder, prints the figures; returns the exit status."""
-        from fastmimic.deploy.deployment_folder import open_deployment
-        from fastmimic.deploy.drivers import SIM, check_driver
-        from fastmimic.deploy.safety_limits import read_limits
+        from fastmimic.deploy.driver import SIM, check_driver
+        from fastmimic.deploy.log import open_deployment
+        from fastmimic.deploy.safety import read_limits
         from fastmimic.runs.work_folder import MOTION
 
         check_driver(self.driver)
@@ -133,7 +133,7 @@ class Deploy:
 
     def _load(self) -> tuple[Robot, Motion]:
         """The driver's robot, and the motion for it."""
-        from fastmimic.deploy.drivers import robot_driven
+        from fastmimic.deploy.driver import robot_driven
         from fastmimic.reference.standing import standing
         from fastmimic.robot import load_robot
         from fastmimic.runs.loading import find_motion
@@ -156,7 +156,7 @@ class Deploy:
 
     def _places(self, robot: Robot, motion: Motion) -> tuple[Path, Path]:
         """The folder and the log's file."""
-        from fastmimic.deploy.deployment_folder import LOG
+        from fastmimic.deploy.log import LOG
         from fastmimic.runs.work_folder import default_folder
 
         name = opt.folder_name("deploy", motion.name, robot.name, self.driver)
@@ -164,12 +164,11 @@ class Deploy:
         return folder, folder / LOG if self.log is None else opt.check_writable(self.log, ".npz")
 
     def _deploy(self, robot: Robot, motion: Motion, limits: "SafetyLimits", policy: Any) -> "Deployment":
+        from fastmimic.deploy.computer import LoopClock, StopSwitch, VirtualClock
         from fastmimic.deploy.deployment import DeployOptions, deploy
-        from fastmimic.deploy.drivers import SIM, make_driver
-        from fastmimic.deploy.emergency_stop import StopSwitch
-        from fastmimic.deploy.loop_clock import LoopClock, VirtualClock, real_clock
+        from fastmimic.deploy.driver import SIM, make_driver
 
-        clock: LoopClock = VirtualClock() if self.simulated.lock_step else real_clock(self.real_time)
+        clock: LoopClock = VirtualClock() if self.simulated.lock_step else LoopClock(self.real_time)
         switch, ask, dry = StopSwitch(), None, self.dry_run
         if self.driver == SIM:
             driver = self._simulated(robot, clock)
@@ -203,7 +202,7 @@ class Deploy:
 
     def _simulated(self, robot: Robot, clock: Any) -> "RobotDriver":
         from fastmimic.deploy.sim import SimDriver
-        from fastmimic.deploy.simulated_link import LinkFaults
+        from fastmimic.deploy.simulated_robot import LinkFaults
         from fastmimic.simulation.conditions import Conditions
 
         given = self.simulated
@@ -215,7 +214,7 @@ class Deploy:
     def _write_result(self, found: "Deployment", folder: Path) -> None:
         from fastmimic.base.files import write_json
         from fastmimic.base.machine import versions
-        from fastmimic.deploy.deployment_folder import RESULT
+        from fastmimic.deploy.log import RESULT
 
         about = {k: v for k, v in found.log.meta.items() if k != "result"}
         write_json(
@@ -223,7 +222,7 @@ class Deploy:
         )
 
     def _report(self, found: "Deployment", log: Path) -> None:
-        from fastmimic.deploy.summary import command_table, summary_rows
+        from fastmimic.deploy.scoring import command_table, summary_rows
 
         if self.dry_run:
             for line in command_table(found.log):

@@ -103,8 +103,7 @@ class Evaluate:
     def _deployed(self) -> int:
         """Scores a deployment from its log."""
         from fastmimic.control.config import ControllerConfig
-        from fastmimic.deploy.log import DeploymentLog
-        from fastmimic.deploy.robot_sim.ground_truth import load_ground_truth
+        from fastmimic.deploy.log import DeploymentLog, load_ground_truth
         from fastmimic.deploy.scoring import evaluation_of, true_states
         from fastmimic.robot import ROBOT_NAMES, load_robot
 

@@ -78,8 +78,8 @@ class RobotSim:
 
     def run(self) -> int:
         """Runs until Ctrl-C or the end; returns the exit status."""
-        from fastmimic.deploy.robot_sim.ground_truth import GroundTruthLog
-        from fastmimic.deploy.robot_sim.sim_server import SimServer
+        from fastmimic.deploy.log import GroundTruthLog
+        from fastmimic.deploy.sim_server import SimServer
         from fastmimic.robot import load_robot
 
         settings = self._settings()
@@ -106,9 +106,9 @@ class RobotSim:
 
     def _settings(self) -> Any:
         """The checked settings of the server."""
-        from fastmimic.deploy.dds import check_interface
-        from fastmimic.deploy.robot_sim.sim_server import SimSettings
-        from fastmimic.deploy.simulated_link import LinkFaults
+        from fastmimic.deploy.dds.cyclone import check_interface
+        from fastmimic.deploy.sim_server import SimSettings
+        from fastmimic.deploy.simulated_robot import LinkFaults
         from fastmimic.robot import ROBOT_NAMES
         from fastmimic.simulation.sensors import ideal_sensors
 

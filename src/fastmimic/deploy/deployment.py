@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.control.config import ControllerConfig
+from fastmimic.deploy.computer import LoopClock, StopSwitch, undisturbed
 from fastmimic.deploy.driver import RobotDriver
-from fastmimic.deploy.emergency_stop import StopSwitch
 from fastmimic.deploy.log import LOST_ROWS, DeploymentLog, Recorder
-from fastmimic.deploy.loop_clock import LoopClock, real_clock, undisturbed
 from fastmimic.deploy.realtime_loop import EndCondition, Loop, LoopOutcome
-from fastmimic.deploy.safety import DryRunGuard, Guard, StopReason
-from fastmimic.deploy.safety_limits import SafetyLimits
-from fastmimic.deploy.scoring import figures, score_log, true_states
+from fastmimic.deploy.safety import Guard, SafetyLimits, StopReason
+from fastmimic.deploy.scoring import result_of, true_states
 from fastmimic.deploy.sequence import MotionSequence, make_sequence
-from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
+from fastmimic.deploy.state_machine import StateMachine
 from fastmimic.episode.loop import MakeController
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.imitation.methods import check_controller, controller_for
@@ -29,7 +27,6 @@ from fastmimic.robot import Robot
 
 DEFAULT_S: Final = 10.0
 _MARGIN_S: Final = 30.0  # more than standing up, sitting down and damping take
-FELL: Final = (StopReason.TILT, StopReason.HEIGHT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,11 +88,12 @@ class DeployOptions:
                 raise ConfigError(f"motion '{motion.name}' does not repeat; leave out {given[0]}")
             return EndCondition(), motion.period_s
         if self.cycles is not None:
-            return EndCondition(cycles=self.cycles), self.cycles * motion.period_s
+            steps = self.cycles * motion.n_samples
+            return EndCondition(steps, StopReason.CYCLES), self.cycles * motion.period_s
         if self.endless:
             return EndCondition(), math.inf
         duration_s = DEFAULT_S if self.duration_s is None else self.duration_s
-        return EndCondition(steps=max(1, round(duration_s * motion.rate_hz))), duration_s
+        return EndCondition(max(1, round(duration_s * motion.rate_hz))), duration_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,11 +147,11 @@ def deploy(
     ending, seconds = options.end_condition(motion)
     limits = options.limits if options.limits is not None else SafetyLimits.of(robot)
     rate_hz = config.rate_hz
-    guard = (DryRunGuard if options.dry_run else Guard)(robot, limits, rate_hz)
+    guard = Guard(robot, limits, rate_hz, dry=options.dry_run)
     sequence = sequence if sequence is not None else make_sequence(robot, motion, config)
     machine = StateMachine(robot, sequence, guard, config, estimator=options.estimator, policy=options.policy)
     recorder = Recorder(_periods_logged(sequence, seconds, options.logged_s, rate_hz))
-    clock = clock if clock is not None else real_clock(options.real_time)
+    clock = clock if clock is not None else LoopClock(options.real_time)
     with driver, undisturbed(real_time=options.real_time) as refused:
         for line in refused:
             note(line)
@@ -179,9 +177,8 @@ def deploy(
         log = dataclasses.replace(log, truth=true_states(log, truth, np.arange(len(truth))))
     if recorder.periods > len(log.rows):
         note(LOST_ROWS.format((recorder.periods - len(log.rows)) / rate_hz, len(log.rows) / rate_hz))
-    meta["result"] = _result(robot, log, config, outcome, recorder.periods)
-    noted = tuple(found.text for found in guard.noted.values()) if isinstance(guard, DryRunGuard) else ()
-    return Deployment(outcome, log, noted)
+    meta["result"] = result_of(robot, log, config, outcome, recorder.periods)
+    return Deployment(outcome, log, tuple(found.text for found in guard.noted.values()))
 
 
 def _periods_logged(sequence: MotionSequence, seconds: float, most_s: float, rate_hz: float) -> int:
@@ -189,46 +186,3 @@ def _periods_logged(sequence: MotionSequence, seconds: float, most_s: float, rat
     around = sequence.blend_in.last + sequence.blend_out.last + sequence.motion.n_samples
     whole = around / rate_hz + _MARGIN_S + seconds
     return round(min(whole, most_s) * rate_hz)
-
-
-def _result(
-    robot: Robot, log: DeploymentLog, config: ControllerConfig, outcome: LoopOutcome, periods: int
-) -> dict[str, Any]:
-    rows, dt = log.rows, 1.0 / log.rate_hz
-    estimated = score_log(robot, log, config)
-    true = None if log.truth is None else score_log(robot, log, config, log.truth)
-    computed = rows[rows["phase"] == DeploymentPhase.FOLLOW]
-    solved = rows["solve_s"][(rows["solve_s"] > 0) & (rows["phase"] == DeploymentPhase.FOLLOW)]
-    sent = rows[rows["sent"]]
-    undamped = rows[rows["phase"] != DeploymentPhase.DAMP]
-    found = {
-        "fell": outcome.stopped_by in FELL or bool(true is not None and true.fell[0]),
-        "stopped_by": outcome.stopped_by.value,
-        "stopped_because": outcome.text or None,
-        "stopped_in": outcome.phase.text,
-        "periods": periods,
-        "rate_hz": log.rate_hz,
-        "deadline_misses": outcome.deadline_misses,
-        "periods_skipped": outcome.skipped,
-        "period_error_us": percentiles(np.abs(np.diff(undamped["time_s"]) - dt), 1e6),
-        "control_us": percentiles(computed["control_s"], 1e6),
-        "solve_us": percentiles(solved, 1e6),
-        "read_us": percentiles(rows["read_s"], 1e6),
-        "write_us": percentiles(sent["write_s"], 1e6),
-        "round_trip_us": percentiles(sent["round_trip_s"][sent["fresh"]], 1e6),
-        "packets": dataclasses.asdict(outcome.packets),
-        "commands_cut": int((rows["cut"] > 0).sum()),
-        "cycles": float(rows["in_motion"].sum() / log.motion.n_samples),
-    }
-    found |= figures(estimated)
-    found["reward_truth_mean"] = None if true is None else float(true.reward[0])
-    found["swing_clearance_truth_m"] = figures(true)["swing_clearance_m"] if true is not None else None
-    return found
-
-
-def percentiles(values: NDArray[np.float64], unit: float) -> dict[str, float | None]:
-    """Median, 99th percentile and maximum, multiplied by `unit`; None without values."""
-    if not len(values):
-        return {"median": None, "p99": None, "max": None}
-    median, p99 = np.percentile(values, (50, 99))
-    return {"median": float(median * unit), "p99": float(p99 * unit), "max": float(np.max(values) * unit)}

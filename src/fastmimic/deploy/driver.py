@@ -6,17 +6,26 @@ Drivers convert the vendor's units, order and signs to the project's (`fastmimic
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.errors import DriverError
+from fastmimic.base.errors import ConfigError, DriverError, did_you_mean
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 
 FIRST_STATE_S: Final = 3.0  # timeout of the first state
 ENCODER_ERROR: Final = 0.3  # rad; tolerance beyond a joint's range
+
+SIM: Final = "sim"
+WIRED: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
+    "go2": ("fastmimic.deploy.go2.driver", "Go2Driver", ("interface", "domain")),
+    "a1": ("fastmimic.deploy.a1_driver", "A1Driver", ()),
+}
+"""Drivers of the built-in robots: module, class, and names of the driver's own options."""
+DRIVERS: Final = (*WIRED, SIM)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +63,7 @@ class Packets:
 class RobotDriver:
     """Base of all drivers; a context manager that opens and closes the connection.
 
-    A driver implements `open`, `close`, `_newest`, `_wait` and `_send`. `open` raises `DriverError` for whatever a user
-    can correct: a missing extra, an unknown interface, another robot, no state within `FIRST_STATE_S`.
+    A driver implements `_connect`, `close`, `_newest`, `_wait` and `_send`.
     """
 
     packets: Packets
@@ -78,8 +86,14 @@ class RobotDriver:
         self.packets = Packets()
 
     def open(self) -> None:
-        """Connects and waits for the first state. Sends no command."""
-        raise NotImplementedError
+        """Connects and waits for the first state. Sends no command. Raises `DriverError` for whatever a user can
+        correct: a missing extra, an unknown interface, another robot, no state within `timeout_s`."""
+        try:
+            self._connect()
+        except BaseException:
+            self.close()
+            raise
+        self.packets = Packets()
 
     def close(self) -> None:
         """Disconnects; sends nothing. May be called twice."""
@@ -101,6 +115,10 @@ class RobotDriver:
 
     def _now(self) -> float:
         return time.perf_counter()
+
+    def _connect(self) -> None:
+        """Opens the connection and waits for the first state; raises `DriverError`."""
+        raise NotImplementedError
 
     def _newest(self) -> StateMessage | None:
         """The newest acceptable state since the last call."""
@@ -139,3 +157,26 @@ def implausible_joint(robot: Robot, joint_pos: NDArray[np.float64]) -> str:
         f"{robot.joint_names[j]} is at {joint_pos[j]:.2f} rad, outside the {robot.name}'s {robot.joint_lower[j]:.2f} …"
         f" {robot.joint_upper[j]:.2f} rad: another robot, or its joints are not calibrated"
     )
+
+
+def check_driver(name: str) -> None:
+    """Raises `ConfigError` for an unknown driver."""
+    if name not in DRIVERS:
+        raise ConfigError(f"unknown driver '{name}'; there are {', '.join(DRIVERS)}{did_you_mean(name, DRIVERS)}")
+
+
+def robot_driven(driver: str) -> str | None:
+    """The built-in robot of a driver; None for any robot."""
+    return driver if driver in WIRED else None
+
+
+def make_driver(driver: str, robot: Robot, **options: Any) -> RobotDriver:
+    """A driver (one of `WIRED`) of a real robot, not yet open; `options` are those of `RobotDriver` and its own. Raises
+    `ConfigError` for an unknown option, `DriverError` for a missing dependency."""
+    module, name, own = WIRED[driver]
+    unknown = next((option for option in options if option not in (*own, "release", "say", "timeout_s")), None)
+    if unknown is not None:
+        known = f"; it has {', '.join(f'--{option}' for option in own)}" if own else ""
+        raise ConfigError(f"driver '{driver}' has no --{unknown}{known}")
+    made: RobotDriver = getattr(import_module(module), name)(robot, **options)
+    return made

@@ -1,9 +1,13 @@
-"""The log of a deployment, one row per period in preallocated memory, and its file."""
+"""The files of a deployment: its log, one row per period, and the true states of a simulated robot.
+
+Its folder holds `log.npz`, `motion.npz`, and `deployment.json`, which is written last.
+"""
 
 import io
 import json
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -11,26 +15,23 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.errors import DeploymentError, MotionError
+from fastmimic.base.errors import DeploymentError, MotionError, OutputError
 from fastmimic.base.files import read_arrays, replace_file
 from fastmimic.episode.run_log import RunLog
 from fastmimic.estimation.reading import READING
 from fastmimic.motion.motion import Motion
 from fastmimic.robot.state import COMMAND, OBSERVATION
+from fastmimic.runs.work_folder import created
 
-FORMAT_VERSION: Final = 1
+LOG: Final = "log.npz"
+RESULT: Final = "deployment.json"
+FORMAT_VERSION: Final = 1  # of the log, and of the true states
 _MARK: Final = "deployment_version"
 _MOTION: Final = "motion_npz"
 
 ROW: Final = np.dtype(
     [
-        ("time_s", "f8"),
-        ("late_s", "f8"),
-        ("read_s", "f8"),
-        ("control_s", "f8"),
-        ("write_s", "f8"),
-        ("round_trip_s", "f8"),
-        ("age_s", "f8"),
+        *((name, "f8") for name in ("time_s", "late_s", "read_s", "control_s", "write_s", "round_trip_s", "age_s")),
         ("sequence", "i8"),
         ("fresh", "?"),
         ("phase", "i1"),
@@ -53,6 +54,20 @@ ROW: Final = np.dtype(
 state's arrival to the command's departure; the state's age, sequence number and novelty; the `DeploymentPhase`, whether
 in the motion itself, the reference's sample and origin; state, estimate, command, whether sent, and how many numbers
 were cut; stance legs, commanded ground reaction forces (heading frame, N), planning time and counts."""
+
+GROUND_TRUTH: Final = np.dtype(
+    [
+        ("time", "f8"),
+        ("tick", "i8"),
+        ("observation", OBSERVATION),
+        ("command", COMMAND),
+        ("damped", "?"),
+        ("service", "?"),
+    ]
+)
+"""One measured state, whether or not it arrived: time since the start, s; tick (the driver's sequence number); true
+state; command of the motors; whether they damped for lack of commands; whether the motion service was active."""
+_SINGLE: Final = ("time", "tick", "damped", "service")
 
 LOST_ROWS: Final = "the first {:.0f} s are not in the log, which holds the last {:.0f} s"
 
@@ -118,12 +133,16 @@ class DeploymentLog:
 
     def save(self, path: str | Path) -> None:
         """Writes an `.npz` without pickles; raises `OutputError`."""
+        with tempfile.TemporaryDirectory() as folder:
+            motion = Path(folder) / "motion.npz"
+            self.motion.save(motion)
+            content = motion.read_bytes()
         arrays: dict[str, Any] = {
             _MARK: np.int64(FORMAT_VERSION),
             "meta_json": np.str_(json.dumps(self.meta, sort_keys=True)),
+            _MOTION: np.frombuffer(content, np.uint8),
+            **columns("", self.rows),
         }
-        arrays[_MOTION] = np.frombuffer(_as_bytes(self.motion), np.uint8)
-        arrays |= columns("", self.rows)
         if self.truth is not None:
             arrays |= columns("truth_", self.truth)
         replace_file(path, lambda file: np.savez_compressed(file, **arrays))
@@ -156,13 +175,6 @@ def is_deployment_log(path: str | Path) -> bool:
         return False
 
 
-def _as_bytes(motion: Motion) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "motion.npz"
-        motion.save(path)
-        return path.read_bytes()
-
-
 def columns(prefix: str, rows: NDArray[Any]) -> dict[str, Any]:
     """A structured array's fields as plain arrays; nested fields join both names."""
     found: dict[str, Any] = {}
@@ -185,3 +197,61 @@ def from_columns(prefix: str, dtype: np.dtype[Any], arrays: Mapping[str, Any]) -
     for name, part in parts.items():
         rows[name] = part
     return rows
+
+
+def load_ground_truth(path: str | Path) -> NDArray[Any]:
+    """(t,) of `GROUND_TRUTH` as `GroundTruthLog.save` wrote it; raises `OutputError` for another file."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if int(file["format_version"]) != FORMAT_VERSION:
+                raise OutputError(f"{path}: version {int(file['format_version'])}, expected {FORMAT_VERSION}")
+            rows = np.zeros(len(file["time"]), GROUND_TRUTH)
+            rows["observation"] = from_columns("", OBSERVATION, file)
+            rows["command"] = from_columns("command_", COMMAND, file)
+            for name in _SINGLE:
+                rows[name] = file[name]
+            return rows
+    except (OSError, ValueError, KeyError) as error:
+        raise OutputError(f"{path}: not a log of 'fastmimic robot-sim' ({type(error).__name__})") from None
+
+
+class GroundTruthLog:
+    """Collects rows of `GROUND_TRUTH`.
+
+    The file is an `.npz` without pickles: `format_version`; `time`, `tick`, `damped`, `service` (t,); the fields of
+    `OBSERVATION` under their names, such as `root_pos` (t, 3); those of `COMMAND` prefixed by `command_`.
+    """
+
+    def __init__(self) -> None:
+        self._rows: list[NDArray[Any]] = []
+
+    def add(
+        self, time: float, tick: int, observation: NDArray[Any], command: NDArray[Any], damped: bool, service: bool
+    ) -> None:
+        """Adds a measurement; the arrays are (1,) and copied."""
+        row = np.zeros(1, GROUND_TRUTH)
+        row["time"], row["tick"], row["damped"], row["service"] = time, tick, damped, service
+        row["observation"], row["command"] = observation, command
+        self._rows.append(row)
+
+    def rows(self) -> NDArray[Any]:
+        """(t,) of `GROUND_TRUTH`."""
+        return np.concatenate([np.zeros(0, GROUND_TRUTH), *self._rows])
+
+    def save(self, path: str | Path) -> None:
+        """Writes the file; raises `OutputError`."""
+        rows = self.rows()
+        arrays: dict[str, Any] = {"format_version": np.array(FORMAT_VERSION)}
+        arrays |= {name: rows[name] for name in _SINGLE}
+        arrays |= columns("", rows["observation"]) | columns("command_", rows["command"])
+        replace_file(path, lambda file: np.savez(file, **arrays))
+
+
+@contextmanager
+def open_deployment(folder: Path) -> Iterator[None]:
+    """Prepares a folder, which may hold an earlier deployment; if the block fails, the folder is unchanged. Raises
+    `OutputError` if it holds something else or cannot be written to."""
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / RESULT).is_file():
+        raise OutputError(f"{folder} holds something else than a deployment; choose another --out")
+    with created(folder):
+        yield

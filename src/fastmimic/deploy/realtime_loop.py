@@ -1,16 +1,16 @@
 """The real-time loop: reads the robot's state and sends its command at a fixed rate, checked, timed and logged."""
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
+from fastmimic.deploy.computer import LoopClock, StopSwitch
 from fastmimic.deploy.driver import FIRST_STATE_S, Packets, RobotDriver, StateMessage, damping_command
-from fastmimic.deploy.emergency_stop import StopSwitch
 from fastmimic.deploy.log import Recorder
-from fastmimic.deploy.loop_clock import LoopClock
 from fastmimic.deploy.safety import StopReason, Violation
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 
@@ -21,20 +21,11 @@ class CalledOffError(DriverError):
     """The operator cancelled the start; nothing was sent."""
 
 
-@dataclass(frozen=True)
-class EndCondition:
-    """When the motion ends: after complete cycles, or control steps in the motion; None for no such end."""
+class EndCondition(NamedTuple):
+    """After how many control steps in the motion it ends, and why."""
 
-    cycles: int | None = None
-    steps: int | None = None
-
-    def reached(self, machine: StateMachine) -> StopReason | None:
-        """Why the motion ends now, if it does."""
-        if self.cycles is not None and machine.cycles >= self.cycles:
-            return StopReason.CYCLES
-        if self.steps is not None and machine.follower.steps >= self.steps:
-            return StopReason.DURATION
-        return None
+    steps: float = math.inf
+    reason: StopReason = StopReason.DURATION
 
 
 @dataclass(frozen=True)
@@ -139,13 +130,13 @@ class Loop:
             if violation is not None:
                 return self._end(violation)
             if ended_by is None and machine.phase <= DeploymentPhase.FOLLOW:
-                ended_by = self._ending.reached(machine) if machine.in_motion else None
-                ended_by = StopReason.ASKED if self._switch.leave else ended_by
+                if self._switch.leave:
+                    ended_by = StopReason.ASKED
+                elif machine.in_motion and machine.follower.steps >= self._ending.steps:
+                    ended_by = self._ending.reason
                 if ended_by is not None:
                     machine.leave()
-        if ended_by is None:
-            ended_by = StopReason.END
-        return self._outcome(ended_by, "", DeploymentPhase.DONE)
+        return self._outcome(ended_by or StopReason.END, "", DeploymentPhase.DONE)
 
     def _outcome(self, reason: StopReason, text: str, phase: DeploymentPhase) -> LoopOutcome:
         now, before = asdict(self._driver.packets), asdict(self._before)
@@ -176,12 +167,12 @@ class Loop:
         fresh = self._read()
         read = clock.now()
         assert self._state is not None
-        violation = self._guard.check_age(read - self._state.received)
+        violation = self._guard.check_number(StopReason.STALE_STATE, read - self._state.received)
         if violation is not None and self._late > self._dt:
             # this computer paused: a newer state may be about to be delivered
             fresh = self._read(self._dt)
             read = clock.now()
-            violation = self._guard.check_age(read - self._state.received)
+            violation = self._guard.check_number(StopReason.STALE_STATE, read - self._state.received)
         state = self._state
         phase, command = machine.phase, self._damping
         if violation is None:
@@ -189,7 +180,8 @@ class Loop:
             violation = machine.violation
         ready = clock.now()
         if violation is None:
-            violation = self._guard.check_lateness(max(self._late, ready - self._deadline - self._dt))
+            late = max(self._late, ready - self._deadline - self._dt)
+            violation = self._guard.check_number(StopReason.OVERRUN, late)
         send = violation is None and not self._dry
         if send:
             self._driver.write(command)

@@ -1,18 +1,106 @@
-"""The safety checks: every state before the controller sees it, every command before it is sent."""
+"""The safety limits and their checks: each state before the controller sees it, each command before it is sent."""
 
+import dataclasses
+import math
+import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.configuration import pack, record_fields
+from fastmimic.base.configuration import changed, check, documented, pack, parameter, record_fields
 from fastmimic.base.conventions import JOINT_NAMES
+from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import inlined, kernel, record_dtype
-from fastmimic.deploy.safety_limits import SafetyLimits
 from fastmimic.reference.table import CLOCK, SAMPLE
 from fastmimic.robot import Robot
+from fastmimic.robot.scaling import joint_ratio
+
+
+@documented
+@dataclass(frozen=True)
+class SafetyLimits:
+    """Limits of a deployment. Beyond any of them the joints are damped.
+
+    Shares refer to the robot's limits in its model. The defaults are an A1's; `SafetyLimits.of` scales them.
+    """
+
+    joint_margin: float = parameter(0.1, unit="rad", about="how far a joint may be beyond its range (`joint_position`)")
+    joint_speed: float = parameter(1.5, above=0.0, about="share of the joint's speed limit (`joint_velocity`)")
+    torque: float = parameter(
+        0.95, above=0.0, about="share of the motor's limit that it may exceed for `torque_time_s` at most (`torque`)"
+    )
+    torque_time_s: float = parameter(0.3, above=0.0, unit="s", about="how long a motor may exceed `torque` (`torque`)")
+    torque_peak: float = parameter(1.5, above=0.0, about="share of the motor's limit that is never exceeded (`torque`)")
+    tilt: float = parameter(
+        0.6,
+        above=0.0,
+        high=math.pi / 2,
+        unit="rad",
+        about="angle between the trunk's vertical and the reference's, or the world's while standing up and sitting"
+        " down (`tilt`)",
+    )
+    height_least: float = parameter(
+        0.6, above=0.0, about="least height of the base as a share of the reference's (`height`)"
+    )
+    height_most: float = parameter(
+        1.4, above=0.0, about="greatest height of the base as a share of the reference's (`height`)"
+    )
+    stale_s: float = parameter(0.02, above=0.0, unit="s", about="age of the newest state (`stale_state`)")
+    # In simulation a trot survives a pause of 50 ms, in which the robot's own watchdog damps the motors.
+    overrun_s: float = parameter(0.05, above=0.0, unit="s", about="how late a command may be (`overrun`)")
+    qp_failures: int = parameter(
+        5, low=1, about="failures of the stance QP in a row (`qp_failure`); it also replaces a failed horizon QP"
+    )
+    posture: float = parameter(
+        0.35, above=0.0, unit="rad", about="a joint's distance from the standing posture before stepping (`posture`)"
+    )
+    stiffness_most: float = parameter(
+        300.0, above=0.0, unit="N·m/rad", about="greatest stiffness of a command; scaled with the robot; cut"
+    )
+    damping_most: float = parameter(
+        20.0, above=0.0, unit="N·m·s/rad", about="greatest damping of a command; scaled with the robot; cut"
+    )
+    damping: float = parameter(
+        3.0, above=0.0, unit="N·m·s/rad", about="damping of the joints after a violation; scaled with the robot"
+    )
+    damping_s: float = parameter(1.5, unit="s", about="how long the joints are damped after a violation")
+
+    def __post_init__(self) -> None:
+        check(self, "safety limit ")
+        if self.height_least >= self.height_most:
+            raise ConfigError(
+                f"safety limit height_least ({self.height_least:g}) must be below height_most ({self.height_most:g})"
+            )
+
+    @classmethod
+    def of(cls, robot: Robot) -> "SafetyLimits":
+        """The defaults for a robot, with gains in proportion to the inertia that its joints move."""
+        ratio, an_a1 = joint_ratio(robot), cls()
+        gains = {name: ratio * getattr(an_a1, name) for name in ("stiffness_most", "damping_most", "damping")}
+        return dataclasses.replace(an_a1, **gains)
+
+
+def read_limits(robot: Robot, file: str | Path | None = None, settings: Sequence[str] = ()) -> SafetyLimits:
+    """A robot's limits, changed by a TOML file and then by texts `name=value`; raises `ConfigError` for bad ones."""
+    changes: dict[str, Any] = {}
+    if file is not None:
+        try:
+            changes = tomllib.loads(Path(file).read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"{file}: cannot be read as TOML ({error})") from None
+    for text in settings:
+        name, _, value = text.partition("=")
+        try:
+            changes[name.strip()] = float(value)
+        except ValueError:
+            raise ConfigError(f"--limit takes NAME=VALUE, e.g. tilt=0.5; found '{text}'") from None
+    where = str(file) if file is not None and not settings else "--limit"
+    return changed(SafetyLimits.of(robot), changes, where)
 
 
 class StopReason(Enum):
@@ -69,6 +157,13 @@ _JOINT_CHECKS: Final = {
     _PEAK: (StopReason.TORQUE, "torque", "N·m"),
     _TORQUE: (StopReason.TORQUE, "torque", "N·m"),
 }
+_NUMBER_CHECKS: Final = {
+    StopReason.STALE_STATE: ("stale_s", 1e3, "no state of the robot for {:.0f} ms; {:.0f} are allowed"),
+    StopReason.OVERRUN: ("overrun_s", 1e3, "a command was {:.1f} ms late; {:.0f} are allowed"),
+    StopReason.QP_FAILURE: ("qp_failures", 1, "the stance QP failed {} times in a row; {} are allowed"),
+    StopReason.POSTURE: ("posture", 1, "{:.2f} rad off the standing posture; {:g} are allowed"),
+}
+"""The limit of a number, the factor of both in the message, and the message."""
 
 
 @inlined
@@ -164,16 +259,21 @@ def _cut_command(records: Any, commands: Any) -> int:
 
 
 class Guard:
-    """Checks states and commands of one robot against the limits; `cut` counts the numbers cut in the last command."""
+    """Checks states and commands of one robot against the limits.
 
-    def __init__(self, robot: Robot, limits: SafetyLimits, rate_hz: float) -> None:
-        self.limits = limits
-        record = np.zeros(1, _LIMITS)
-        record["joint_lower"], record["joint_upper"] = robot.joint_lower, robot.joint_upper
-        record["speed_limit"], record["torque_limit"] = robot.joint_speed_limit, robot.torque_limit
-        record["dt"] = 1.0 / rate_hz
-        pack(limits, record)
-        self._record = record
+    Attributes:
+        cut: how many numbers were cut in the last command.
+        noted: in a dry run, the first violation of each kind; only missing states and commands not finite stop it.
+    """
+
+    def __init__(self, robot: Robot, limits: SafetyLimits, rate_hz: float, *, dry: bool = False) -> None:
+        self.limits, self._dry = limits, dry
+        self.noted: dict[StopReason, Violation] = {}
+        self._record = np.zeros(1, _LIMITS)
+        self._record["joint_lower"], self._record["joint_upper"] = robot.joint_lower, robot.joint_upper
+        self._record["speed_limit"], self._record["torque_limit"] = robot.joint_speed_limit, robot.torque_limit
+        self._record["dt"] = 1.0 / rate_hz
+        pack(limits, self._record)
         self._strained = np.zeros(12)
         self._upright, self._still = np.zeros(1, SAMPLE), np.zeros(1, CLOCK)
         self._upright["root_quat"] = 1.0, 0.0, 0.0, 0.0
@@ -182,19 +282,20 @@ class Guard:
     def reset(self) -> None:
         self._strained[:] = 0.0
 
-    def check_age(self, age_s: float) -> Violation | None:
-        """Checks the age of the newest state, s."""
-        if age_s <= self.limits.stale_s:
+    def check_number(self, reason: StopReason, value: float, where: str = "") -> Violation | None:
+        """Checks a number: age of the newest state, s (`STALE_STATE`); delay of a command beyond its period's end, s
+        (`OVERRUN`); consecutive failures of the stance QP (`QP_FAILURE`); distance from a posture, rad (`POSTURE`)."""
+        name, factor, text = _NUMBER_CHECKS[reason]
+        limit = getattr(self.limits, name)
+        if value <= limit:
             return None
-        text = f"no state of the robot for {1e3 * age_s:.0f} ms; {1e3 * self.limits.stale_s:.0f} are allowed"
-        return Violation(StopReason.STALE_STATE, text)
+        return self._found(reason, where + text.format(factor * value, factor * limit))
 
-    def check_lateness(self, late_s: float) -> Violation | None:
-        """Checks how long after its period's end a command is sent, s."""
-        if late_s <= self.limits.overrun_s:
-            return None
-        text = f"a command was {1e3 * late_s:.1f} ms late; {1e3 * self.limits.overrun_s:.0f} are allowed"
-        return self._found(StopReason.OVERRUN, text)
+    def check_posture(self, reading: NDArray[Any], target: NDArray[np.float64]) -> Violation | None:
+        """Checks that the joints are near a posture (12,), rad."""
+        error = np.abs(reading["joint_pos"][0] - target)
+        joint = int(np.argmax(error))
+        return self.check_number(StopReason.POSTURE, error[joint], f"{JOINT_NAMES[joint]}: ")
 
     def check_state(
         self, reading: NDArray[Any], table: NDArray[Any] | None = None, clock: NDArray[Any] | None = None
@@ -226,22 +327,6 @@ class Guard:
         text = f"the base is {height:.3f} m above the ground; {least:.3f} to {most:.3f} m are allowed"
         return self._found(StopReason.HEIGHT, text)
 
-    def check_solver(self, failed_in_a_row: int) -> Violation | None:
-        """Checks the number of consecutive failures of the stance QP."""
-        if failed_in_a_row <= self.limits.qp_failures:
-            return None
-        text = f"the stance QP failed {failed_in_a_row} times in a row; {self.limits.qp_failures} are allowed"
-        return self._found(StopReason.QP_FAILURE, text)
-
-    def check_posture(self, reading: NDArray[Any], target: NDArray[np.float64]) -> Violation | None:
-        """Checks that the joints are near a posture (12,), rad."""
-        error = np.abs(reading["joint_pos"][0] - target)
-        joint = int(np.argmax(error))
-        if error[joint] <= self.limits.posture:
-            return None
-        found = f"{error[joint]:.2f} rad off the standing posture; {self.limits.posture:g} are allowed"
-        return self._found(StopReason.POSTURE, f"{JOINT_NAMES[joint]}: {found}")
-
     def cut_command(self, command: NDArray[Any]) -> Violation | None:
         """Cuts a command (1,) of `COMMAND` to the limits, in place."""
         self.cut = _cut_command(self._record, command)
@@ -250,16 +335,8 @@ class Guard:
         return Violation(StopReason.NOT_FINITE, "a command of the controller is not finite")
 
     def _found(self, reason: StopReason, text: str) -> Violation | None:
-        return Violation(reason, text)
-
-
-class DryRunGuard(Guard):
-    """For dry runs: keeps the first violation of each kind in `noted` and does not stop."""
-
-    def __init__(self, robot: Robot, limits: SafetyLimits, rate_hz: float) -> None:
-        super().__init__(robot, limits, rate_hz)
-        self.noted: dict[StopReason, Violation] = {}
-
-    def _found(self, reason: StopReason, text: str) -> Violation | None:
-        self.noted.setdefault(reason, Violation(reason, text))
+        violation = Violation(reason, text)
+        if not self._dry or reason is StopReason.STALE_STATE:
+            return violation
+        self.noted.setdefault(reason, violation)
         return None

@@ -45,20 +45,17 @@ class SequencePart:
     """A part of the sequence.
 
     Attributes:
+        text: what the robot does in it.
         table: (1, t) of `SAMPLE`.
         first, last: its first and last sample; in a cyclic motion `last` may be below `first`.
-        clock: (1,) of `CLOCK`, at the table's start.
+        clock: (1,) of `CLOCK`, at the table's start; if it repeats, the part ends after `Follower.leaving` is set.
     """
 
+    text: str
     table: NDArray[Any]
     first: int
     last: int
     clock: NDArray[Any]
-
-    @property
-    def repeats(self) -> bool:
-        """Whether it repeats until `Follower.leaving` is set."""
-        return bool(self.clock["repeats"][0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +69,7 @@ class MotionSequence:
     stand: Array
 
 
-@dataclass(frozen=True, eq=False)
-class _CourseSlice:
+class _CourseSlice(NamedTuple):
     """Rows `first` to `last`, exclusive, of a cyclic course; `last` may be beyond its end."""
 
     course: NDArray[Any]
@@ -123,7 +119,7 @@ class Follower:
         if part is way.blend_out:
             self.done = sample >= part.last
             return False
-        left = sample == part.last and (not part.repeats or self.leaving)
+        left = sample == part.last and (self.leaving or not part.clock["repeats"][0])
         if left:
             following = way.main if part is way.blend_in else way.blend_out
             position, quat = world_root(part.table[0], self.clock["sample"], self.clock["origin"])
@@ -154,7 +150,7 @@ def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> Mot
     blend_in = _slices(library, STAND, hops, 0, hold)
     blend_in.append(_CourseSlice(whole, arrive, arrive + ahead))
     table, at = _table(robot, blend_in, config.rate_hz)
-    into = _part(table, 0, at[-1])
+    into = _blending("into", motion, table, at[-1])
 
     hops = _way(library, end, STAND)
     n = last.motion.n_samples
@@ -164,9 +160,9 @@ def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> Mot
     blend_out = _slices(library, end, hops, begins, 0)
     blend_out.append(_CourseSlice(stand.course, hops[-1][1].arrive, hops[-1][1].arrive + hold + ahead))
     table, at = _table(robot, blend_out, config.rate_hz)
-    out = _part(table, 0, at[-1] + hold)
+    out = _blending("out of", motion, table, at[-1] + hold)
 
-    main = SequencePart(reference_table(motion, robot)[None], arrive, ends, make_clocks(motion, 1))
+    main = SequencePart(motion.name, reference_table(motion, robot)[None], arrive, ends, make_clocks(motion, 1))
     return MotionSequence(motion, into, main, out, np.array(stand.motion.joint_pos[0]))
 
 
@@ -182,9 +178,9 @@ def _standing(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionS
         )
     course = course_of(stand, robot)
     table, _ = _table(robot, [_CourseSlice(course, 0, hold + _looked_ahead(config))], config.rate_hz)
-    way = _part(table, 0, hold)
-    main = SequencePart(reference_table(motion, robot)[None], 0, 0, make_clocks(motion, 1))
-    return MotionSequence(motion, way, main, _part(table, 0, hold), stand.joint_pos[0].copy())
+    into, out = _blending("into", motion, table, hold), _blending("out of", motion, table, hold)
+    main = SequencePart(motion.name, reference_table(motion, robot)[None], 0, 0, make_clocks(motion, 1))
+    return MotionSequence(motion, into, main, out, stand.joint_pos[0].copy())
 
 
 class _End(NamedTuple):
@@ -276,17 +272,12 @@ def _table(robot: Robot, slices: list[_CourseSlice], rate_hz: float) -> tuple[ND
             pose[:2] += rotate_planar(float(pose[2]), course["step"][at])
             pose[2] += course["turn"][at]
     table, where = np.array(rows, SAMPLE), np.array(poses)
-    return _placed(table, where), begins
-
-
-def _placed(table: NDArray[Any], pose: Array) -> NDArray[Any]:
-    """Rows (t,) of `SAMPLE`, each in the heading frame of its own root, at (t, 3) x, y, yaw."""
-    table["root_pos"][:, :2] = pose[:, :2]
-    table["root_quat"] = quat_multiply(quat_from_yaw(pose[:, 2]), table["root_quat"])
+    table["root_pos"][:, :2] = where[:, :2]
+    table["root_quat"] = quat_multiply(quat_from_yaw(where[:, 2]), table["root_quat"])
     for name in _VECTORS:
-        table[name][:, :2] = rotate_planar(pose[:, 2], table[name][:, :2])
-    return table
+        table[name][:, :2] = rotate_planar(where[:, 2], table[name][:, :2])
+    return table, begins
 
 
-def _part(table: NDArray[Any], first: int, last: int) -> SequencePart:
-    return SequencePart(table[None], first, last, np.zeros(1, CLOCK))
+def _blending(way: str, motion: Motion, table: NDArray[Any], last: int) -> SequencePart:
+    return SequencePart(f"blending {way} {motion.name}", table[None], 0, last, np.zeros(1, CLOCK))

@@ -5,10 +5,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.deploy.computer import LoopClock, VirtualClock
 from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage
-from fastmimic.deploy.loop_clock import LoopClock, VirtualClock
-from fastmimic.deploy.simulated_body import SimulatedBody
-from fastmimic.deploy.simulated_link import LinkFaults, Receiver, SimulatedLink
+from fastmimic.deploy.simulated_robot import LinkFaults, Receiver, SimulatedBody, SimulatedLink
 from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
@@ -23,7 +22,7 @@ _MOST_BEHIND_S: Final = 0.25
 
 class SimDriver(RobotDriver):
     """One simulated robot, which advances to the clock's time when it is read: in lock step with a `VirtualClock`, in
-    real time with a `RealClock`.
+    real time with a `LoopClock`.
 
     Attributes:
         packets: of the states, and of the commands sent.

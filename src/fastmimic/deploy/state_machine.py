@@ -10,7 +10,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import yaw_from_quat
 from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.control.controller import Controller
-from fastmimic.deploy.safety import DryRunGuard, Guard, Violation
+from fastmimic.deploy.safety import Guard, StopReason, Violation
 from fastmimic.deploy.sequence import Follower, MotionSequence
 from fastmimic.episode.loop import LoopController, MakeController
 from fastmimic.estimation.config import EstimatorConfig
@@ -26,42 +26,25 @@ _LEGS: Final = np.ones((1, 4), np.int64)
 
 
 class DeploymentPhase(IntEnum):
-    """The phases; DAMP follows a violation or an emergency stop."""
+    """The phases: number, words, and duration, s, where it is fixed. DAMP follows a violation or an emergency stop."""
 
-    HOLD = 0
-    FOLD = 1
-    RISE = 2
-    SETTLE = 3
-    FOLLOW = 4
-    SIT = 5
-    RELEASE = 6
-    DONE = 7
-    DAMP = 8
+    text: str
+    lasts_s: float
 
-    @property
-    def text(self) -> str:
-        return _TEXTS[self]
+    def __new__(cls, number: int, text: str, lasts_s: float = 0.0) -> "DeploymentPhase":
+        phase = int.__new__(cls, number)
+        phase._value_, phase.text, phase.lasts_s = number, text, lasts_s
+        return phase
 
-
-_TEXTS: Final = (
-    "stiffening the joints",
-    "folding its legs",
-    "standing up",
-    "standing",
-    "following the motion",
-    "sitting down",
-    "releasing the joints",
-    "done",
-    "damped",
-)
-_LASTS_S: Final = {
-    DeploymentPhase.HOLD: 0.4,
-    DeploymentPhase.FOLD: 1.2,
-    DeploymentPhase.RISE: 1.5,
-    DeploymentPhase.SETTLE: 0.6,
-    DeploymentPhase.SIT: 1.8,
-    DeploymentPhase.RELEASE: 0.5,
-}
+    HOLD = 0, "stiffening the joints", 0.4
+    FOLD = 1, "folding its legs", 1.2
+    RISE = 2, "standing up", 1.5
+    SETTLE = 3, "standing", 0.6
+    FOLLOW = 4, "following the motion"
+    SIT = 5, "sitting down", 1.8
+    RELEASE = 6, "releasing the joints", 0.5
+    DONE = 7, "done"
+    DAMP = 8, "damped"
 
 
 class StateMachine:
@@ -73,7 +56,6 @@ class StateMachine:
         dt: the control period, s.
         observation: (1,) of `OBSERVATION`, the controller's input; all 0 before the robot stands.
         violation: found in the last step, or None.
-        cycles: complete cycles of the motion.
     """
 
     def __init__(
@@ -88,9 +70,7 @@ class StateMachine:
     ) -> None:
         """
         Args:
-            guard: checks states and commands.
             config: of the controller.
-            estimator: of the estimator.
             policy: makes the controller of the motion itself; the model-based one blends in and out.
         """
         motion = sequence.motion
@@ -106,11 +86,6 @@ class StateMachine:
         self._path, _ = rising_path(robot, sequence.stand)
         self._stiffness, self._damping = standing_gains(robot)
         self._command = np.zeros(1, COMMAND)
-        self._part_texts = (
-            (sequence.blend_in, f"blending into {motion.name}"),
-            (sequence.main, motion.name),
-            (sequence.blend_out, f"blending out of {motion.name}"),
-        )
         self._nothing = np.zeros(1, OBSERVATION)
         self._from = sequence.stand
         self._estimating, self._folded, self._leave_early = False, True, False
@@ -129,9 +104,9 @@ class StateMachine:
     def warm_up(self, reading: NDArray[Any]) -> None:
         """Runs all phases once to compile and cache everything, and begins again."""
         way, guard = self.sequence, self.guard
-        self.guard = DryRunGuard(self.robot, guard.limits, 1.0 / self.dt)
+        self.guard = Guard(self.robot, guard.limits, 1.0 / self.dt, dry=True)
         for phase in DeploymentPhase:
-            if phase in _LASTS_S:
+            if phase.lasts_s:
                 self._estimating = False
                 self._go(phase, reading)
                 self.step(reading)
@@ -153,18 +128,12 @@ class StateMachine:
     @property
     def doing(self) -> str:
         """The current phase, or the part of the sequence, in words."""
-        if self.phase is not DeploymentPhase.FOLLOW:
-            return self.phase.text
-        return next(text for part, text in self._part_texts if part is self.follower.part)
+        return self.follower.part.text if self.phase is DeploymentPhase.FOLLOW else self.phase.text
 
     @property
     def in_motion(self) -> bool:
         """Whether the robot executes the motion itself, neither blending in nor out."""
         return self.phase is DeploymentPhase.FOLLOW and self.follower.in_motion
-
-    @property
-    def cycles(self) -> int:
-        return self.follower.steps // self.sequence.motion.n_samples
 
     def leave(self) -> None:
         """Makes the robot blend out and sit down as soon as the motion allows."""
@@ -202,7 +171,7 @@ class StateMachine:
             self.phase, self._steps = DeploymentPhase.SIT, 0
             return self._command
         command = self.controller.step(observation, follower.clock)
-        self.violation = self.guard.check_solver(int(self._failed[0]))
+        self.violation = self.guard.check_number(StopReason.QP_FAILURE, int(self._failed[0]))
         return self._cut(command)
 
     def _cut(self, command: NDArray[Any]) -> NDArray[Any]:
@@ -213,7 +182,7 @@ class StateMachine:
     def _posture(self, reading: NDArray[Any]) -> NDArray[Any]:
         """The command of a phase without the controller; at its end the next phase begins."""
         phase, path, stiffness = self.phase, self._path, 1.0
-        share = (self._steps + 1) * self.dt / _LASTS_S[phase] if phase in _LASTS_S else 1.0
+        share = (self._steps + 1) * self.dt / phase.lasts_s if phase.lasts_s else 1.0
         self._steps += 1
         if phase is DeploymentPhase.HOLD:
             joints, stiffness = self._from, smooth(share)
@@ -251,7 +220,7 @@ class StateMachine:
                 self._start_following()
                 self.phase = DeploymentPhase.FOLLOW
         elif self.phase is not DeploymentPhase.DONE:
-            self._go(DeploymentPhase(self.phase + 1), reading)
+            self._go(list(DeploymentPhase)[self.phase + 1], reading)
 
     def _go(self, phase: DeploymentPhase, reading: NDArray[Any]) -> None:
         self.phase, self._steps = phase, 0

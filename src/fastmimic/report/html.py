@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.base.files import read_json, write_text
-from fastmimic.deploy.deployment_folder import RESULT as DEPLOYMENT
+from fastmimic.deploy.log import RESULT as DEPLOYMENT
 from fastmimic.experiments.comparison_run import POLICY
 from fastmimic.runs.work_folder import CONFIG, ENVIRONMENT, METRICS, TABLE
 

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, DeploymentError
 from fastmimic.base.files import read_json
-from fastmimic.deploy.deployment_folder import LOG, RESULT
-from fastmimic.deploy.log import DeploymentLog
+from fastmimic.deploy.log import LOG, RESULT, DeploymentLog
+from fastmimic.deploy.scoring import summary_rows
 from fastmimic.deploy.state_machine import DeploymentPhase
-from fastmimic.deploy.summary import summary_rows
 from fastmimic.report.html_limits import against_limit
 from fastmimic.report.html_page import render
 from fastmimic.report.html_plots import Figure, Key, Plot, curve, greatest, layout_of, numbers

@@ -5,29 +5,3 @@ with CycloneDDS 0.10.2 (robots, Unitree's SDK), and it builds messages field by 
 left out, and peers match by the type's name. Messages are serialised from memory in C's layout, which NumPy and
 checksums use too.
 """
-
-from fastmimic.deploy.dds.domain import (
-    LOOPBACK,
-    MAX_DOMAIN,
-    MAX_PARTICIPANTS,
-    Participant,
-    check_interface,
-    configuration,
-)
-from fastmimic.deploy.dds.endpoints import Reader, TextReader, Writer
-from fastmimic.deploy.dds.types import Message, messages_of, program
-
-__all__ = [
-    "LOOPBACK",
-    "MAX_DOMAIN",
-    "MAX_PARTICIPANTS",
-    "Message",
-    "Participant",
-    "Reader",
-    "TextReader",
-    "Writer",
-    "check_interface",
-    "configuration",
-    "messages_of",
-    "program",
-]

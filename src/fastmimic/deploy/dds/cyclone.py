@@ -1,13 +1,29 @@
-"""CycloneDDS's C library: its functions, and the structures that they fill in."""
+"""CycloneDDS through its C library: domains, participants, readers and writers."""
 
+import contextlib
 import ctypes
 import functools
+import socket
+import threading
 from collections.abc import Callable
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
+from fastmimic.deploy.dds.types import Message, described, fixed_size
 
 T = TypeVar("T")
+
+LOOPBACK: Final = "lo"
+MAX_DOMAIN: Final = 230  # above, the domain's UDP ports would exceed the range
+MAX_PARTICIPANTS: Final = 10  # per computer and domain; 0.10.2 looks for no more
+
+_NOT_NOW: Final = -4  # DDS_RETCODE_PRECONDITION_NOT_MET
+_PUBLICATIONS: Final = 0x7FFF0000 + 3  # the built-in topic of everybody's writers
+_KEEP_LAST, _BEST_EFFORT, _RELIABLE, _XCDR1 = 0, 0, 1, 0
+_ANY_STATE: Final = 0x7F
 
 
 class SampleInfo(ctypes.Structure):
@@ -32,6 +48,19 @@ class Matched(ctypes.Structure):
         ("current", ctypes.c_uint32),
         ("current_change", ctypes.c_int32),
         ("last", ctypes.c_uint64),
+    ]
+
+
+class _Endpoint(ctypes.Structure):
+    """dds_builtintopic_endpoint_t."""
+
+    _fields_ = [
+        ("key", ctypes.c_uint8 * 16),
+        ("participant_key", ctypes.c_uint8 * 16),
+        ("participant", ctypes.c_uint64),
+        ("topic_name", ctypes.c_char_p),
+        ("type_name", ctypes.c_char_p),
+        ("qos", ctypes.c_void_p),
     ]
 
 
@@ -100,3 +129,236 @@ def loaned(reader: int, depth: int, structure: Any, convert: Callable[[Any], T])
     finally:
         if taken > 0:
             dds.dds_return_loan(reader, pointers, taken)
+
+
+def configuration(interface: str) -> str:
+    """CycloneDDS's configuration for a network interface: peers are found by port on loopback, else by multicast."""
+    general, discovery = f'<Interfaces><NetworkInterface name="{interface}"/></Interfaces>', ""
+    if interface == LOOPBACK:
+        general += "<AllowMulticast>false</AllowMulticast>"
+        discovery = (
+            "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
+            f"<MaxAutoParticipantIndex>{MAX_PARTICIPANTS - 1}</MaxAutoParticipantIndex>"
+            '<Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
+        )
+    return f'<CycloneDDS><Domain Id="any"><General>{general}</General>{discovery}</Domain></CycloneDDS>'
+
+
+def check_interface(interface: str) -> None:
+    """Raises `DriverError` if this computer has no network interface of that name."""
+    names = [name for _, name in socket.if_nameindex()]
+    if interface not in names:
+        raise DriverError(f"no network interface '{interface}' on this computer: there are {', '.join(names)}")
+
+
+class _OpenDomain:
+    """A domain of this process; CycloneDDS allows one configuration each."""
+
+    def __init__(self, handle: int, interface: str) -> None:
+        self.handle, self.interface, self.users = handle, interface, 0
+
+
+_domains: Final[dict[int, _OpenDomain]] = {}
+_domains_lock: Final = threading.Lock()
+
+
+def enter_domain(domain: int, interface: str) -> None:
+    dds = cyclone()
+    with _domains_lock:
+        found = _domains.get(domain)
+        if found is None:
+            handle = dds.dds_create_domain(domain, configuration(interface).encode())
+            if handle < 0:
+                raise DriverError(_why_not(handle, domain, interface))
+            found = _domains[domain] = _OpenDomain(handle, interface)
+        elif found.interface != interface:
+            raise DriverError(
+                f"DDS domain {domain} is already open on '{found.interface}' in this process, not on '{interface}'"
+            )
+        found.users += 1
+
+
+def _why_not(code: int, domain: int, interface: str) -> str:
+    if code == _NOT_NOW:
+        return f"DDS domain {domain} has been opened by something else in this process"
+    if interface == LOOPBACK and _full(domain):
+        return (
+            f"no place left in DDS domain {domain} on '{interface}': {MAX_PARTICIPANTS} programs of this computer use"
+            " it; end some, or use another domain"
+        )
+    reason = cyclone().dds_strretcode(code).decode()
+    return f"DDS cannot use '{interface}' ({reason}): is it up, and has it an IPv4 address?"
+
+
+def _full(domain: int) -> bool:
+    """Whether all unicast UDP ports of a domain's participants are taken; RTPS 2.5, section 9.6.2."""
+    for number in range(MAX_PARTICIPANTS):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", 7400 + 250 * domain + 10 + 2 * number))
+            return False
+    return True
+
+
+def leave_domain(domain: int) -> None:
+    with _domains_lock:
+        found = _domains[domain]
+        found.users -= 1
+        if found.users == 0:
+            del _domains[domain]
+            cyclone().dds_delete(found.handle)
+
+
+class Participant:
+    """A participant in a DDS domain (0 … `MAX_DOMAIN`; robots are in 0). A context manager; not thread-safe. Raises
+    `DriverError` without CycloneDDS, for an unknown interface or domain, or if the domain is full."""
+
+    def __init__(self, domain: int, interface: str = LOOPBACK) -> None:
+        if not 0 <= domain <= MAX_DOMAIN:
+            raise DriverError(f"a DDS domain is a number from 0 to {MAX_DOMAIN}, found {domain}")
+        check_interface(interface)
+        dds = cyclone()
+        enter_domain(domain, interface)
+        self.domain, self.interface = domain, interface
+        self._topics: dict[str, tuple[type[Message], int]] = {}
+        self._kept: list[Any] = []
+        self.handle = dds.dds_create_participant(domain, None, None)
+        if self.handle < 0:
+            leave_domain(domain)
+            raise DriverError(_why_not(self.handle, domain, interface))
+
+    def topic(self, name: str, message: type[Message]) -> int:
+        """The handle of a topic, created at the first call."""
+        known = self._topics.get(name)
+        if known is None:
+            descriptor, memory = described(message)
+            self._kept += [descriptor, memory]
+            handle = cyclone().dds_create_topic(self.handle, ctypes.byref(descriptor), name.encode(), None, None)
+            known = self._topics[name] = (message, checked(handle, f"topic {name}"))
+        assert known[0] is message
+        return known[1]
+
+    def publishers(self, topic: str) -> list[str]:
+        """The types of all known writers of a topic, including our own."""
+        dds = cyclone()
+        reader = checked(dds.dds_create_reader(self.handle, _PUBLICATIONS, None, None), "the built-in topic")
+        found = loaned(reader, 256, _Endpoint, lambda e: (e.topic_name.decode(), e.type_name.decode()))
+        dds.dds_delete(reader)
+        return [kind for name, kind in found if name == topic]
+
+    def close(self) -> None:
+        """Leaves the domain with all readers and writers; may be called twice."""
+        if self.handle > 0:
+            cyclone().dds_delete(self.handle)
+            self.handle = 0
+            leave_domain(self.domain)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _endpoint(
+    kind: str, participant: Participant, topic: str, message: type[Message], reliable: bool, depth: int
+) -> int:
+    """The handle of a new "reader" or "writer", with CDR version 1, as 0.10 writes."""
+    dds = cyclone()
+    qos = dds.dds_create_qos()
+    dds.dds_qset_reliability(qos, _RELIABLE if reliable else _BEST_EFFORT, 0)
+    dds.dds_qset_history(qos, _KEEP_LAST, depth)
+    dds.dds_qset_data_representation(qos, 1, (ctypes.c_int16 * 1)(_XCDR1))
+    create = getattr(dds, f"dds_create_{kind}")
+    handle = create(participant.handle, participant.topic(topic, message), qos, None)
+    dds.dds_delete_qos(qos)
+    return checked(handle, f"a {kind} of {topic}")
+
+
+class Writer:
+    """Sends messages of one topic; reliable for readers that request it, but never waits.
+
+    Attributes:
+        message: the message that `write` sends.
+        record: (1,) the same memory as a NumPy structure.
+    """
+
+    def __init__(self, participant: Participant, topic: str, message: type[Message], depth: int = 1) -> None:
+        self._participant = participant
+        self.message = message()
+        self.record = np.frombuffer(memoryview(self.message), np.dtype(message)) if fixed_size(message) else None
+        self._handle = _endpoint("writer", participant, topic, message, True, depth)
+        self._address = ctypes.addressof(self.message)
+        self._write = cyclone().dds_write
+
+    def write(self) -> bool:
+        """Sends `message`; False if it had to be dropped."""
+        return bool(self._write(self._handle, self._address) == 0)
+
+    def matched(self) -> int:
+        """The number of readers."""
+        status = Matched()
+        cyclone().dds_get_publication_matched_status(self._handle, ctypes.byref(status))
+        return int(status.current)
+
+
+class Reader:
+    """Receives messages of one topic and a fixed size, into its own memory; of a queue beyond `depth` the oldest are
+    lost.
+
+    Attributes:
+        samples: (depth,) NumPy structures; those of the last `take` come first.
+        words: (depth, size / 4) the same memory as 32-bit words. Padding is zero.
+        valid: (depth,) True for a message, False for the notice that its writer has gone.
+        publication: (depth,) its writer.
+    """
+
+    def __init__(self, participant: Participant, topic: str, message: type[Message], depth: int = 64) -> None:
+        assert fixed_size(message)
+        dds, size = cyclone(), ctypes.sizeof(message)
+        self._participant, self._depth = participant, depth
+        self._memory = (message * depth)()
+        self._infos = (SampleInfo * depth)()
+        first = ctypes.addressof(self._memory)
+        self._pointers = (ctypes.c_void_p * depth)(*(first + i * size for i in range(depth)))
+        self.samples: NDArray[Any] = np.frombuffer(memoryview(self._memory), np.dtype(message))
+        self.words: NDArray[np.uint32] = np.frombuffer(memoryview(self._memory), np.uint32).reshape(depth, size // 4)
+        infos = np.frombuffer(memoryview(self._infos), np.dtype(SampleInfo))
+        self.valid: NDArray[np.bool_] = infos["valid"]
+        self.publication: NDArray[np.uint64] = infos["publication"]
+        self._handle = _endpoint("reader", participant, topic, message, False, depth)
+        condition = checked(dds.dds_create_readcondition(self._handle, _ANY_STATE), "a read condition")
+        self._waitset = checked(dds.dds_create_waitset(participant.handle), "a waitset")
+        checked(dds.dds_waitset_attach(self._waitset, condition, 0), "a waitset")
+        self._take, self._wait = dds.dds_take, dds.dds_waitset_wait
+        self._arguments = (self._handle, ctypes.addressof(self._pointers), ctypes.addressof(self._infos), depth, depth)
+
+    def take(self) -> int:
+        """Takes what has arrived, oldest first; returns the number of entries of `samples` and `valid` filled."""
+        return checked(self._take(*self._arguments), "taking messages")
+
+    def wait(self, timeout_s: float) -> bool:
+        """Waits for a message; returns whether one arrived."""
+        return bool(checked(self._wait(self._waitset, None, 0, round(max(timeout_s, 0.0) * 1e9)), "waiting") > 0)
+
+    def matched(self) -> int:
+        """The number of writers."""
+        status = Matched()
+        cyclone().dds_get_subscription_matched_status(self._handle, ctypes.byref(status))
+        return int(status.current)
+
+    def close(self) -> None:
+        """Stops listening."""
+        cyclone().dds_delete(self._waitset)
+        cyclone().dds_delete(self._handle)
+
+
+class TextReader:
+    """Receives messages with strings or sequences, in the library's memory."""
+
+    def __init__(self, participant: Participant, topic: str, message: type[Message], depth: int = 16) -> None:
+        self._participant, self._message, self._depth = participant, message, depth
+        self._handle = _endpoint("reader", participant, topic, message, True, depth)
+
+    def take(self, convert: Callable[[Any], T]) -> list[T]:
+        """Applies `convert` to each message that has arrived; the message is freed afterwards."""
+        return loaned(self._handle, self._depth, self._message, convert)

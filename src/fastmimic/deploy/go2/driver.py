@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.dds import LOOPBACK, Participant, Reader, Writer
-from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage, implausible_joint
+from fastmimic.deploy.dds.cyclone import LOOPBACK, Participant, Reader, Writer
+from fastmimic.deploy.driver import RobotDriver, StateMessage, implausible_joint
 from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowCommand, Received, StateWire
 from fastmimic.deploy.go2.services import release_motion_service
@@ -46,28 +46,23 @@ class Go2Driver(RobotDriver):
         self.released: str | None = None
         self._participant: Participant | None = None
 
-    def open(self) -> None:
-        """See `RobotDriver`; raises `DriverError` also for two robots in the domain or another commanding program."""
+    def _connect(self) -> None:
+        """Raises `DriverError` also for two robots in the domain or another commanding program."""
         participant = self._participant = Participant(self._domain, self._interface)
-        try:
-            self._reader = Reader(participant, messages.LOW_STATE_TOPIC, messages.LowState, _DEPTH)
-            self._writer = Writer(participant, messages.LOW_COMMAND_TOPIC, LowCommand)
-            assert self._writer.record is not None
-            self._command = CommandWire(self._writer.record)
-            self._command.clear()
-            self._state = StateWire(self._reader.samples)
-            self._checked = self._counted = True
-            self._sequence, self._publisher = -1, 0
-            self._await_states(participant)
-            if self._release:
-                self.released = release_motion_service(participant, self._lies, self._say)
-                self._check_alone(participant)
-            self._reader.take()  # states of before are old
-            self._sequence = -1
-            self.packets = Packets()
-        except BaseException:
-            self.close()
-            raise
+        self._reader = Reader(participant, messages.LOW_STATE_TOPIC, messages.LowState, _DEPTH)
+        self._writer = Writer(participant, messages.LOW_COMMAND_TOPIC, LowCommand)
+        assert self._writer.record is not None
+        self._command = CommandWire(self._writer.record)
+        self._command.clear()
+        self._state = StateWire(self._reader.samples)
+        self._checked = self._counted = True
+        self._sequence, self._publisher = -1, 0
+        self._await_states(participant)
+        if self._release:
+            self.released = release_motion_service(participant, self._lies, self._say)
+            self._check_alone(participant)
+        self._reader.take()  # states of before are old
+        self._sequence = -1
 
     def close(self) -> None:
         if self._participant is not None:

@@ -7,15 +7,14 @@ body's.
 """
 
 import math
+import zlib
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.jit import kernel
-from fastmimic.deploy.dds import messages_of
-from fastmimic.deploy.go2.crc import TABLE, checksum, crc32
+from fastmimic.deploy.dds.types import messages_of
 
 LOW_COMMAND_TOPIC: Final = "rt/lowcmd"
 LOW_STATE_TOPIC: Final = "rt/lowstate"
@@ -27,12 +26,21 @@ STOP_VELOCITY: Final = 16000.0  # no velocity: the damping does not act
 RATE_HZ: Final = 500.0  # of states and commands
 TICKS_PER_STATE: Final = 2  # a tick is 1 ms
 FOOT_COUNTS_PER_N: Final = 1.0  # assumed: the vendor gives no unit of the foot sensors
+_BITS_REVERSED: Final = bytes(int(f"{octet:08b}"[::-1], 2) for octet in range(256))
 
 _TYPES: Final = messages_of(Path(__file__).with_name("unitree.idl").read_text(encoding="utf-8"))
 LowCommand: Final = _TYPES["unitree_go::msg::dds_::LowCmd_"]
 LowState: Final = _TYPES["unitree_go::msg::dds_::LowState_"]
 Request: Final = _TYPES["unitree_api::msg::dds_::Request_"]
 Response: Final = _TYPES["unitree_api::msg::dds_::Response_"]
+
+
+def crc32(words: NDArray[np.uint32]) -> int:
+    """Unitree's checksum of a message (n,) in C's layout, as little-endian words, without the last, which holds it:
+    CRC-32/MPEG-2 (polynomial 0x04c11db7, from 0xffffffff) over big-endian words, which is zlib's with all bits
+    reversed."""
+    reversed_crc = zlib.crc32(words[:-1].byteswap().tobytes().translate(_BITS_REVERSED)) ^ 0xFFFFFFFF
+    return int(f"{reversed_crc:032b}"[::-1], 2)
 
 
 class CommandWire:
@@ -96,11 +104,8 @@ class StateWire:
             ("joint_vel", motors["dq"][:, :12]),
             ("torque", motors["tau_est"][:, :12]),
         ]
-        self._rpy = imu["rpy"]
-        self._feet = record["foot_force"]
-        self._words, self._floats, self._shorts = (
-            record.view(kind).reshape(len(record), -1) for kind in (np.uint32, np.float32, np.int16)
-        )
+        self._rpy, self._feet, self._ticks = imu["rpy"], record["foot_force"], record["tick"]
+        self._words = record.view(np.uint32).reshape(len(record), -1)
 
     def clear(self) -> None:
         """Sets the unused fields to a healthy robot's values."""
@@ -121,14 +126,23 @@ class StateWire:
         for name, wire in self._fields:
             wire[0] = reading[name][0]
         self._rpy[0] = roll_pitch_yaw(reading["quat"][0])
-        counts = np.clip(np.rint(FOOT_COUNTS_PER_N * reading["foot_force"][0]), -32768, 32767)
-        self._feet[0] = counts
-        self.record["tick"] = tick & 0xFFFFFFFF
+        self._feet[0] = np.clip(np.rint(FOOT_COUNTS_PER_N * reading["foot_force"][0]), -32768, 32767)
+        self._ticks[0] = tick & 0xFFFFFFFF
         self._words[0, -1] = crc32(self._words[0])
 
     def read(self, i: int, reading: NDArray[Any]) -> "Received":
         """Puts message i into (1,) of `READING`; returns what the checks need."""
-        return Received(*_read_state(self._words[i], self._floats[i], self._shorts[i], _STATE_WORDS, TABLE, reading))
+        for name, wire in self._fields:
+            reading[name][0] = wire[i]
+        reading["foot_force"][0] = self._feet[i]
+        reading["foot_force"] /= FOOT_COUNTS_PER_N
+        w, x, y, z = reading["quat"][0].tolist()
+        norm = w * w + x * x + y * y + z * z
+        oriented = 0.8 < norm < 1.2
+        if oriented:
+            reading["quat"] /= math.sqrt(norm)
+        sound = oriented and bool(np.isfinite(reading.view(np.float64)).all())
+        return Received(int(self._words[i, -1]), crc32(self._words[i]), sound, int(self._ticks[i]))
 
 
 class Received(NamedTuple):
@@ -144,45 +158,6 @@ class Received(NamedTuple):
     expected: int
     sound: bool
     tick: int
-
-
-def _state_words() -> NDArray[np.int64]:
-    """Word offsets: quaternion, gyroscope, accelerometer; q, dq, tau_est of motor 0; motor stride; foot forces;
-    tick."""
-    state = np.dtype(LowState)
-    imu, motors = state["imu_state"], state["motor_state"].base
-    at = {name: state.fields[name][1] for name in ("imu_state", "motor_state", "foot_force", "tick")}
-    octets = [at["imu_state"] + imu.fields[name][1] for name in ("quaternion", "gyroscope", "accelerometer")]
-    octets += [at["motor_state"] + motors.fields[name][1] for name in ("q", "dq", "tau_est")]
-    return np.array([*octets, motors.itemsize, at["foot_force"], at["tick"]], np.int64) // 4
-
-
-_STATE_WORDS: Final = _state_words()
-
-
-@kernel
-def _read_state(words: Any, floats: Any, shorts: Any, at: Any, table: Any, out: Any) -> tuple[Any, Any, bool, Any]:
-    reading = out[0]
-    norm = 0.0
-    for k in range(4):
-        reading.quat[k] = floats[at[0] + k]
-        norm += reading.quat[k] * reading.quat[k]
-        reading.foot_force[k] = shorts[2 * at[7] + k] / FOOT_COUNTS_PER_N
-    sound = norm > 0.8 and norm < 1.2
-    if sound:
-        for k in range(4):
-            reading.quat[k] /= np.sqrt(norm)
-    for k in range(3):
-        reading.gyro[k], reading.accel[k] = floats[at[1] + k], floats[at[2] + k]
-        sound = sound and np.isfinite(reading.gyro[k]) and np.isfinite(reading.accel[k])
-    for j in range(12):
-        motor = j * at[6]
-        reading.joint_pos[j], reading.joint_vel[j] = floats[at[3] + motor], floats[at[4] + motor]
-        reading.torque[j] = floats[at[5] + motor]
-        sound = sound and np.isfinite(reading.joint_pos[j]) and np.isfinite(reading.joint_vel[j])
-        sound = sound and np.isfinite(reading.torque[j])
-    last = len(words) - 1
-    return np.int64(words[last]), checksum(words, last, table), sound, np.int64(words[at[8]])
 
 
 def roll_pitch_yaw(quat: NDArray[np.float64]) -> tuple[float, float, float]:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.dds import LOOPBACK, Participant, TextReader, Writer
+from fastmimic.deploy.dds.cyclone import LOOPBACK, Participant, TextReader, Writer
 from fastmimic.deploy.go2.messages import Request, Response
 
 MOTION_SWITCHER: Final = "motion_switcher"

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage, implausible_joint
+from fastmimic.deploy.driver import RobotDriver, StateMessage, implausible_joint
 from fastmimic.estimation.reading import READING
 
 MODULE: Final = "robot_interface"
@@ -35,20 +35,15 @@ class A1Driver(RobotDriver):
     _interface: Any = None
     _sequence = -1
 
-    def open(self) -> None:
-        """See `RobotDriver`; raises `DriverError` also without the binding, or for another module of that name."""
+    def _connect(self) -> None:
+        """Raises `DriverError` also without the binding, or for another module of that name."""
         interface = _binding()
         try:
             self._interface = interface(LOW_LEVEL)
         except TypeError:  # the older binding has only low-level control
             self._interface = interface()
         self._sequence, self._command = -1, np.zeros(60, np.float32)
-        try:
-            self._await_state()
-        except BaseException:
-            self.close()
-            raise
-        self.packets = Packets()
+        self._await_state()
 
     def close(self) -> None:
         self._interface = None

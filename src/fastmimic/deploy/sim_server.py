@@ -12,12 +12,11 @@ import numpy as np
 
 from fastmimic.base.configuration import check, documented, parameter
 from fastmimic.base.errors import ConfigError, DriverError
-from fastmimic.deploy.dds import LOOPBACK, Participant, Reader, Writer
+from fastmimic.deploy.dds.cyclone import LOOPBACK, Participant, Reader, Writer
 from fastmimic.deploy.go2 import messages, services
 from fastmimic.deploy.go2.messages import RATE_HZ, TICKS_PER_STATE, CommandWire, LowCommand, StateWire, roll_pitch_yaw
-from fastmimic.deploy.robot_sim.ground_truth import GroundTruthLog
-from fastmimic.deploy.simulated_body import STARTS, WATCHDOG_S, SimulatedBody
-from fastmimic.deploy.simulated_link import LinkFaults, SimulatedLink
+from fastmimic.deploy.log import GroundTruthLog
+from fastmimic.deploy.simulated_robot import STARTS, WATCHDOG_S, LinkFaults, SimulatedBody, SimulatedLink
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
@@ -59,7 +58,7 @@ class SimCounts:
 
     Attributes:
         states_sent: published.
-        states_lost: lost by a fault.
+        states_lost, states_corrupted, commands_lost: by faults of the link.
         commands_received: obeyed.
         commands_rejected: with a wrong checksum, head or level, or not finite.
         commands_ignored: received while the motion service was active.
@@ -68,9 +67,11 @@ class SimCounts:
 
     states_sent: int = 0
     states_lost: int = 0
+    states_corrupted: int = 0
     commands_received: int = 0
     commands_rejected: int = 0
     commands_ignored: int = 0
+    commands_lost: int = 0
     damped: int = 0
 
 
@@ -113,20 +114,15 @@ class SimServer:
         settings = self.settings
         self._reader = Reader(participant, messages.LOW_COMMAND_TOPIC, LowCommand, 16)
         self._writer = Writer(participant, messages.LOW_STATE_TOPIC, messages.LowState)
-        self._state = np.zeros(1, np.dtype(messages.LowState))
-        self._wire = StateWire(self._state)
-        self._wire.clear()
+        self._state = StateWire(np.zeros(1, np.dtype(messages.LowState)))
+        self._state.clear()
         self._out = SimulatedLink(settings.states, 1.0 / RATE_HZ, 0)
         self._in = SimulatedLink(settings.commands, 1.0 / RATE_HZ, 1)
-        self._received = np.zeros(1, np.dtype(LowCommand))
-        self._received_wire = CommandWire(self._received)
+        self._received = CommandWire(np.zeros(1, np.dtype(LowCommand)))
         self._command = np.zeros(1, COMMAND)
         self._tick = self._heard = 0
         self._was_damped = True
-        # compiles the kernels before they are needed in real time
-        self._wire.write(self.body.reading, 0)
-        self._received_wire.intact(0)
-        self.body.sensors.to_motors(self._command)
+        self.body.sensors.to_motors(self._command)  # compiles it before it is needed in real time
         service = self.body.service
         handlers: dict[str, dict[int, Callable[[], Any]]] = {
             services.MOTION_SWITCHER: {
@@ -173,18 +169,11 @@ class SimServer:
 
     def summary(self) -> dict[str, Any]:
         """The run's figures, JSON-serialisable."""
-        truth, counts = self.body.observation[0], self.counts
+        truth = self.body.observation[0]
         return {
             "duration_s": round(self.body.time, 3),
             "realtime_factor": round(self.realtime_factor, 4),
-            "states_sent": counts.states_sent,
-            "states_lost": counts.states_lost,
-            "states_corrupted": self._out.corrupted,
-            "commands_received": counts.commands_received,
-            "commands_rejected": counts.commands_rejected,
-            "commands_ignored": counts.commands_ignored,
-            "commands_lost": self._in.lost,
-            "damped": counts.damped,
+            **dataclasses.asdict(self.counts),
             "damped_s": round(self.body.damped_s, 3),
             "motion_service": self.body.service.active,
             "fell": self.body.fell,
@@ -212,8 +201,9 @@ class SimServer:
             if self._reader.valid[i]:
                 self._heard += 1
                 self._in.send(now, self._heard, self._reader.samples[i : i + 1])
+        self.counts.commands_lost = self._in.lost
         for packet in self._in.arrived(now):
-            self._received[...] = np.frombuffer(packet.content, self._received.dtype)
+            self._received.record[...] = np.frombuffer(packet.content, self._received.record.dtype)
             if not self._dead:
                 self._obey()
         if self.body.steps % _SERVICE_PERIOD == 0 and not self._dead:
@@ -222,13 +212,13 @@ class SimServer:
 
     def _obey(self) -> None:
         """Obeys the command received if it is intact and the motion service is not active."""
-        if not self._received_wire.intact(0):
+        if not self._received.intact(0):
             self.counts.commands_rejected += 1
         elif self.body.service.active:
             self.counts.commands_ignored += 1
         else:
             self.counts.commands_received += 1
-            self._received_wire.read(0, self._command)
+            self._received.read(0, self._command)
             self.body.obey(self._command)
 
     def _publish(self) -> None:
@@ -241,8 +231,8 @@ class SimServer:
         if self._log is not None:
             self._log.add(body.time, self._tick, body.observation, body.command, body.damped, body.service.active)
         if not self._dead:
-            self._wire.write(reading, self._tick)
-            self._out.send(body.time, self._tick, self._state)
+            self._state.write(reading, self._tick)
+            self._out.send(body.time, self._tick, self._state.record)
 
     def _send(self) -> None:
         """Publishes the states that have passed the link."""
@@ -251,7 +241,7 @@ class SimServer:
         for packet in self._out.arrived(self.body.time):
             record[...] = np.frombuffer(packet.content, record.dtype)
             self.counts.states_sent += int(self._writer.write())
-        self.counts.states_lost = self._out.lost
+        self.counts.states_lost, self.counts.states_corrupted = self._out.lost, self._out.corrupted
 
 
 def _check_alone(participant: Participant) -> None:

@@ -1,0 +1,188 @@
+"""What the loop needs of the computer: a clock, real-time scheduling, and the operator's keys and signals."""
+
+import contextlib
+import ctypes
+import gc
+import os
+import select
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any, Final, Self
+
+SPIN_S: Final = 0.0005  # before a deadline the loop polls the clock: a sleep ends this late
+SHORT_SPIN_S: Final = 0.0001  # with real-time scheduling: sleeps end in time, and Linux throttles polling
+PRIORITY: Final = 60  # in `SCHED_FIFO`: below the kernel's threads
+EMERGENCY_KEYS: Final = " \r\nqQ"  # damp at once: the robot sinks to the ground
+LEAVE_KEYS: Final = "sS"  # blend out and sit down
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+_MCL_CURRENT_AND_FUTURE: Final = 3
+
+
+class LoopClock:
+    """The computer's monotonic clock, s."""
+
+    def __init__(self, real_time: bool = False) -> None:
+        """`real_time`: whether the process has real-time scheduling."""
+        self._spin_s = SHORT_SPIN_S if real_time else SPIN_S
+
+    def now(self) -> float:
+        return time.perf_counter()
+
+    def sleep_until(self, moment: float) -> None:
+        """Returns at that moment, or at once if it has passed; shortly before it, it spins."""
+        left = moment - time.perf_counter() - self._spin_s
+        if left > 0.0:
+            time.sleep(left)
+        while time.perf_counter() < moment:
+            pass
+
+
+class VirtualClock(LoopClock):
+    """A clock that advances only by sleeping: loop and simulated robot run in lock step, as fast as possible."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.time_s = 0.0
+
+    def now(self) -> float:
+        return self.time_s
+
+    def sleep_until(self, moment: float) -> None:
+        self.time_s = max(self.time_s, moment)
+
+
+@contextmanager
+def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
+    """Disables Python's garbage collector; `real_time` requests real-time scheduling and locked memory. Yields a
+    sentence for each request refused."""
+    refused: list[str] = []
+    gc.collect()
+    was_enabled = gc.isenabled()
+    gc.freeze()
+    gc.disable()
+    before = _ask_for_real_time(refused) if real_time else {}
+    try:
+        yield refused
+    finally:
+        _restore(before)
+        gc.unfreeze()
+        if was_enabled:
+            gc.enable()
+
+
+def _ask_for_real_time(refused: list[str]) -> dict[int, tuple[int, int]]:
+    """Requests real-time scheduling and locked memory; returns each thread's former scheduler and priority."""
+    if not hasattr(os, "sched_setscheduler"):
+        refused.append("this system has no real-time scheduler")
+        return {}
+    before = {}
+    tasks = Path("/proc/self/task")
+    threads = [int(task.name) for task in tasks.iterdir()] if tasks.is_dir() else [0]  # 0: the calling thread
+    try:
+        for thread in threads:
+            kept = os.sched_getscheduler(thread), os.sched_getparam(thread).sched_priority
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(PRIORITY))
+            before[thread] = kept
+    except OSError as error:
+        refused.append(
+            f"no real-time scheduling ({error.strerror}): give this user an 'rtprio' of {PRIORITY} in"
+            " /etc/security/limits.conf, or the process CAP_SYS_NICE"
+        )
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_MCL_CURRENT_AND_FUTURE) != 0:
+        refused.append(
+            f"memory cannot be locked ({os.strerror(ctypes.get_errno())}): raise 'memlock' in"
+            " /etc/security/limits.conf, or give the process CAP_IPC_LOCK"
+        )
+    return before
+
+
+def _restore(before: dict[int, tuple[int, int]]) -> None:
+    """Restores the scheduling of the remaining threads."""
+    for thread, (policy, priority) in before.items():
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(thread, policy, os.sched_param(priority))
+    if before:
+        ctypes.CDLL(None).munlockall()
+
+
+class StopSwitch:
+    """A context manager that watches the terminal and the process's signals.
+
+    Within it, SIGINT and SIGTERM are counted and do not end the program. Keys need no Enter if standard input is a
+    terminal.
+
+    Attributes:
+        signals: number of signals so far.
+        key: whether an emergency key was pressed.
+        leave: whether the key to sit down was pressed.
+    """
+
+    def __init__(self, stream: Any = None) -> None:
+        """Reads keys from `stream`; standard input if None."""
+        self._stream = stream if stream is not None else sys.stdin
+        self._file: int | None = None
+        self._saved: Any = None
+        self._handlers: dict[int, Any] = {}
+        self.signals, self.key, self.leave = 0, False, False
+
+    def poll(self) -> None:
+        """Reads the pressed keys; takes some microseconds."""
+        if self._file is None:
+            return
+        while select.select([self._file], [], [], 0.0)[0]:
+            try:
+                pressed = os.read(self._file, 64)
+            except OSError:
+                pressed = b""
+            if not pressed:  # the terminal is gone
+                self._file = None
+                return
+            for character in pressed.decode(errors="replace"):
+                self.key = self.key or character in EMERGENCY_KEYS
+                self.leave = self.leave or character in LEAVE_KEYS
+
+    def wait_for_consent(self) -> bool:
+        """Waits for a key or a signal; returns whether it was Enter."""
+        while not self.signals and self._file is not None:
+            if not select.select([self._file], [], [], 0.1)[0]:
+                continue
+            pressed = os.read(self._file, 64)
+            if not pressed:
+                break
+            return pressed[:1] in (b"\r", b"\n")
+        return False
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            self._handlers = {number: signal.signal(number, self._count) for number in _SIGNALS}
+        try:
+            descriptor = self._stream.fileno()
+            if os.isatty(descriptor):
+                import termios
+                import tty
+
+                self._saved = termios.tcgetattr(descriptor)
+                tty.setcbreak(descriptor)
+                self._file = descriptor
+        except (ImportError, OSError, ValueError, AttributeError):  # no terminal, or not a system that has them
+            self._file = None
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+        if self._saved is not None:
+            import termios
+
+            termios.tcsetattr(self._stream.fileno(), termios.TCSADRAIN, self._saved)
+        self._file = self._saved = None
+
+    def _count(self, number: int, frame: FrameType | None) -> None:
+        self.signals += 1

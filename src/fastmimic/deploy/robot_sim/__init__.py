@@ -1,1 +1,0 @@
-"""A simulated robot in its own process, with a real robot's interface, to rehearse with."""
