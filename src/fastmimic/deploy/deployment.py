@@ -156,7 +156,7 @@ def deploy(
         for line in refused:
             note(line)
         with switch if switch is not None else StopSwitch() as hand:
-            loop = Loop(driver, machine, recorder, clock, ending=ending, switch=hand, dry=options.dry_run, watch=watch)
+            loop = Loop(driver, machine, recorder, clock, ending, hand, options.dry_run, watch)
             outcome = loop.run(on_ready)
     meta = {
         "rate_hz": rate_hz,

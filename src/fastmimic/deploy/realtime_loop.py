@@ -17,10 +17,6 @@ from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 _AT_ONCE: Final = 2  # signals that end the damping early
 
 
-class CalledOffError(DriverError):
-    """The operator cancelled the start; nothing was sent."""
-
-
 class EndCondition(NamedTuple):
     """After how many control steps in the motion it ends, and why."""
 
@@ -47,52 +43,48 @@ class LoopOutcome:
     packets: Packets
 
 
+@dataclass(eq=False)
 class Loop:
-    """One run. Nothing is sent before `run`; afterwards the robot is damped or limp."""
+    """One run. Nothing is sent before `run`; afterwards the robot is damped or limp.
 
-    def __init__(
-        self,
-        driver: RobotDriver,
-        machine: StateMachine,
-        recorder: Recorder,
-        clock: LoopClock,
-        *,
-        ending: EndCondition,
-        switch: StopSwitch,
-        dry: bool = False,
-        watch: Callable[[StateMachine, NDArray[Any]], None] | None = None,
-    ) -> None:
-        """
-        Args:
-            driver: open.
-            machine: computes the commands; its guard checks them.
-            recorder: takes a row for each period.
-            clock: of the deadlines and of the driver's states.
-            dry: whether nothing is sent.
-            watch: called at the end of each period with the machine and the command (1,) of `COMMAND`.
-        """
-        self._driver, self._machine, self._guard = driver, machine, machine.guard
-        self._recorder, self._clock, self._dt = recorder, clock, machine.dt
-        self._ending, self._switch, self._dry, self._watch = ending, switch, dry, watch
+    Attributes:
+        driver: open.
+        machine: computes the commands; its guard checks them.
+        recorder: takes a row for each period.
+        clock: of the deadlines and of the driver's states.
+        dry: whether nothing is sent.
+        watch: called at the end of each period with the machine and the command (1,) of `COMMAND`.
+    """
+
+    driver: RobotDriver
+    machine: StateMachine
+    recorder: Recorder
+    clock: LoopClock
+    ending: EndCondition
+    switch: StopSwitch
+    dry: bool = False
+    watch: Callable[[StateMachine, NDArray[Any]], None] | None = None
+
+    def __post_init__(self) -> None:
+        self._guard, self._dt = self.machine.guard, self.machine.dt
         self._damping = damping_command(self._guard.limits.damping)
         self._state: StateMessage | None = None
-        self._before = Packets()
-        self._late = 0.0
+        self._before, self._late = Packets(), 0.0
         self._misses = self._skipped = 0
 
     def run(self, on_ready: Callable[[], bool] | None = None) -> LoopOutcome:
         """Runs until the robot lies again; `on_ready` is called when all is prepared, and cancels by returning False.
 
         Raises:
-            CalledOffError: cancelled, or stopped before anything was sent.
-            DriverError: no state within `FIRST_STATE_S`, or a robot that is not fit to begin; nothing was sent.
+            DriverError: cancelled, no state within `FIRST_STATE_S`, or a robot that is not fit to begin; nothing was
+                sent.
         """
         self._prepare()
         agreed = on_ready is None or on_ready()
         if not agreed or self._emergency() is not None:
-            raise CalledOffError("cancelled; nothing was sent")
+            raise DriverError("cancelled; nothing was sent")
         self._begin()
-        self._start = self._deadline = self._clock.now() + 2 * self._dt
+        self._start = self._deadline = self.clock.now() + 2 * self._dt
         try:
             return self._follow()
         except DriverError as error:
@@ -102,51 +94,51 @@ class Loop:
             raise
 
     def _prepare(self) -> None:
-        state = self._driver.read(FIRST_STATE_S)
+        state = self.driver.read(FIRST_STATE_S)
         if state is None:
             raise DriverError(
                 f"no state of the robot within {FIRST_STATE_S:g} s: is it switched on, in low-level mode, and on this"
                 " network?"
             )
-        self._machine.warm_up(state.reading)
-        self._began = self._start = self._deadline = self._clock.now()
+        self.machine.warm_up(state.reading)
+        self._began = self._start = self._deadline = self.clock.now()
         self._record(state, True, DeploymentPhase.HOLD, False, self._damping, False, (0.0, 0.0, 0.0))
-        self._recorder.periods = 0
+        self.recorder.periods = 0
 
     def _begin(self) -> None:
-        self._state = self._driver.read(FIRST_STATE_S)
+        self._state = self.driver.read(FIRST_STATE_S)
         if self._state is None:
             raise DriverError(f"the robot's states stopped: none for {FIRST_STATE_S:g} s")
-        self._before = replace(self._driver.packets)
-        found = self._machine.begin(self._state.reading)
+        self._before = replace(self.driver.packets)
+        found = self.machine.begin(self._state.reading)
         if found is not None:
             raise DriverError(f"the robot is not fit to begin: {found.text}")
 
     def _follow(self) -> LoopOutcome:
-        machine, ended_by = self._machine, None
+        machine, ended_by = self.machine, None
         while machine.phase is not DeploymentPhase.DONE:
             self._wait()
             violation = self._emergency() or self._period()
             if violation is not None:
                 return self._end(violation)
             if ended_by is None and machine.phase <= DeploymentPhase.FOLLOW:
-                if self._switch.leave:
+                if self.switch.leave:
                     ended_by = StopReason.ASKED
-                elif machine.in_motion and machine.follower.steps >= self._ending.steps:
-                    ended_by = self._ending.reason
+                elif machine.in_motion and machine.follower.steps >= self.ending.steps:
+                    ended_by = self.ending.reason
                 if ended_by is not None:
                     machine.leave()
         return self._outcome(ended_by or StopReason.END, "", DeploymentPhase.DONE)
 
     def _outcome(self, reason: StopReason, text: str, phase: DeploymentPhase) -> LoopOutcome:
-        now, before = asdict(self._driver.packets), asdict(self._before)
+        now, before = asdict(self.driver.packets), asdict(self._before)
         packets = Packets(**{name: count - before[name] for name, count in now.items()})
         return LoopOutcome(reason, text, phase, self._misses, self._skipped, packets)
 
     def _wait(self) -> None:
         """Waits for the next period; skips those already over."""
-        self._clock.sleep_until(self._deadline)
-        self._began = self._clock.now()
+        self.clock.sleep_until(self._deadline)
+        self._began = self.clock.now()
         self._late = self._began - self._deadline
         if self._late >= self._dt:
             missed = int(self._late / self._dt)
@@ -154,16 +146,16 @@ class Loop:
             self._deadline += missed * self._dt
 
     def _emergency(self) -> Violation | None:
-        self._switch.poll()
-        if self._switch.key:
+        self.switch.poll()
+        if self.switch.key:
             return Violation(StopReason.KEY, "emergency stop by a key")
-        if self._switch.signals:
+        if self.switch.signals:
             return Violation(StopReason.SIGNAL, "emergency stop by a signal")
         return None
 
     def _period(self) -> Violation | None:
         """One period: read, compute, check, write, record."""
-        clock, machine = self._clock, self._machine
+        clock, machine = self.clock, self.machine
         fresh = self._read()
         read = clock.now()
         assert self._state is not None
@@ -182,21 +174,21 @@ class Loop:
         if violation is None:
             late = max(self._late, ready - self._deadline - self._dt)
             violation = self._guard.check_number(StopReason.OVERRUN, late)
-        send = violation is None and not self._dry
+        send = violation is None and not self.dry
         if send:
-            self._driver.write(command)
+            self.driver.write(command)
         done = clock.now()
         self._record(state, fresh, phase, machine.in_motion, command, send, (read, ready, done))
         if done > self._deadline + self._dt:
             self._misses += 1
         self._deadline += self._dt
-        if self._watch is not None and machine.phase is not DeploymentPhase.DONE:
-            self._watch(machine, command)
+        if self.watch is not None and machine.phase is not DeploymentPhase.DONE:
+            self.watch(machine, command)
         return violation
 
     def _read(self, timeout_s: float = 0.0) -> bool:
         """Takes the newest state; returns whether there is a new one."""
-        state = self._driver.read(timeout_s)
+        state = self.driver.read(timeout_s)
         if state is None:
             return False
         self._state = state
@@ -212,7 +204,7 @@ class Loop:
         sent: bool,
         times: tuple[float, float, float],
     ) -> None:
-        row, machine, began = self._recorder.next_row(), self._machine, self._began
+        row, machine, began = self.recorder.next_row(), self.machine, self._began
         read, ready, done = times
         memory, clock = machine.controller.memory[0], machine.follower.clock[0]
         row["time_s"], row["late_s"] = began - self._start, self._late
@@ -226,29 +218,23 @@ class Loop:
         row["early_touchdowns"], row["qp_failures"] = memory["early_touchdowns"], memory["qp_failures"]
 
     def _end(self, violation: Violation) -> LoopOutcome:
-        phase = self._machine.phase
+        phase = self.machine.phase
         try:
             for _ in range(max(1, round(self._guard.limits.damping_s / self._dt))):
-                self._damped_period()
-                if self._switch.signals >= _AT_ONCE:
+                self._damp_once()
+                self._began = sent = self.clock.now()
+                fresh = self._read()
+                assert self._state is not None
+                times = sent, sent, self.clock.now()
+                self._record(self._state, fresh, DeploymentPhase.DAMP, False, self._damping, not self.dry, times)
+                self._deadline = max(self._deadline, sent) + self._dt
+                self.clock.sleep_until(self._deadline)
+                if self.switch.signals >= _AT_ONCE:
                     break
         except DriverError:
             pass  # connection lost; the robot's watchdog damps it
         return self._outcome(violation.reason, violation.text, phase)
 
-    def _damped_period(self) -> None:
-        clock = self._clock
-        self._damp_once()
-        sent = clock.now()
-        fresh = self._read()
-        state = self._state
-        assert state is not None
-        times = (sent, sent, clock.now())
-        self._began = sent
-        self._record(state, fresh, DeploymentPhase.DAMP, False, self._damping, not self._dry, times)
-        self._deadline = max(self._deadline, sent) + self._dt
-        clock.sleep_until(self._deadline)
-
     def _damp_once(self) -> None:
-        if not self._dry:
-            self._driver.write(self._damping)
+        if not self.dry:
+            self.driver.write(self._damping)

@@ -4,18 +4,19 @@ import ctypes
 import re
 from typing import Any, ClassVar, Final
 
-_CODES: Final = {
-    ctypes.c_uint8: (1, 0),
-    ctypes.c_bool: (14, 0),
-    ctypes.c_uint16: (2, 0),
-    ctypes.c_int16: (2, 8),
-    ctypes.c_uint32: (3, 0),
-    ctypes.c_int32: (3, 8),
-    ctypes.c_float: (3, 4),
-    ctypes.c_int64: (4, 8),
-    ctypes.c_char_p: (5, 0),
+_PRIMITIVES: Final[dict[str, tuple[Any, int, int]]] = {
+    "octet": (ctypes.c_uint8, 1, 0),
+    "boolean": (ctypes.c_bool, 14, 0),
+    "short": (ctypes.c_int16, 2, 8),
+    "unsigned short": (ctypes.c_uint16, 2, 0),
+    "long": (ctypes.c_int32, 3, 8),
+    "unsigned long": (ctypes.c_uint32, 3, 0),
+    "long long": (ctypes.c_int64, 4, 8),
+    "float": (ctypes.c_float, 3, 4),
+    "string": (ctypes.c_char_p, 5, 0),
 }
-"""Type codes and flags (signed 8, floating point 4); dds/ddsc/dds_opcodes.h."""
+"""IDL's types in C, with type codes and flags (signed 8, floating point 4); dds/ddsc/dds_opcodes.h."""
+_CODES: Final = {kind: (code, flags) for kind, code, flags in _PRIMITIVES.values()}
 _ADR, _SEQUENCE, _ARRAY, _END = 1 << 24, 7 << 16, 8 << 16, 0
 _FIXED_SIZE: Final = 1 << 4
 
@@ -37,18 +38,6 @@ class Octets(ctypes.Structure):
     ]
 
 
-_IDL_TYPES: Final[dict[str, Any]] = {
-    "octet": ctypes.c_uint8,
-    "boolean": ctypes.c_bool,
-    "short": ctypes.c_int16,
-    "unsigned short": ctypes.c_uint16,
-    "long": ctypes.c_int32,
-    "unsigned long": ctypes.c_uint32,
-    "long long": ctypes.c_int64,
-    "float": ctypes.c_float,
-    "string": ctypes.c_char_p,
-    "sequence<octet>": Octets,
-}
 _TOKEN: Final = re.compile(r"module (\w+) {|struct (\w+) {([^}]*)}|}")
 _MEMBER: Final = re.compile(r"(\w[\w<> ]*?)\s+(\w+)(?:\[(\d+)\])?;")
 
@@ -56,10 +45,10 @@ _MEMBER: Final = re.compile(r"(\w[\w<> ]*?)\s+(\w+)(?:\[(\d+)\])?;")
 def messages_of(idl: str) -> dict[str, Any]:
     """The structures of an IDL, as `Message` classes by their full names.
 
-    It may contain modules, structures, comments, the types of `_IDL_TYPES` and arrays of one dimension.
+    It may contain modules, structures, comments, `_PRIMITIVES`, `sequence<octet>` and arrays of one dimension.
     """
-    found: dict[str, Any] = {}
-    known, modules = dict(_IDL_TYPES), []
+    known: dict[str, Any] = {name: kind for name, (kind, _, _) in _PRIMITIVES.items()} | {"sequence<octet>": Octets}
+    found, modules = {}, []
     for module, struct, body in _TOKEN.findall(re.sub(r"//.*", "", idl)):
         if module:
             modules.append(module)

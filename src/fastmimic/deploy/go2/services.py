@@ -60,9 +60,9 @@ class ServiceClient:
         self._requests.write()
         end = time.monotonic() + ANSWER_S
         while time.monotonic() < end:
-            for identity, code, data in self._responses.take(_heard):
+            for identity, answer in self._responses.take(_heard):
                 if identity == number:
-                    return Answer(code, data)
+                    return answer
             time.sleep(0.005)
         raise DriverError(f"the robot's service '{self._service}' does not answer request {api_id}")
 
@@ -149,17 +149,13 @@ def _active_mode(switcher: ServiceClient) -> str | None:
     return str(answer.data.get("name") or "") or None
 
 
-def _heard(response: Any) -> tuple[int, int, dict[str, Any]]:
-    return response.header.identity.id, response.header.status.code, _json(response.data)
+def _heard(response: Any) -> tuple[int, Answer]:
+    try:
+        data = json.loads((response.data or b"").decode(errors="replace") or "{}")
+    except ValueError:
+        data = {}
+    return response.header.identity.id, Answer(response.header.status.code, data if isinstance(data, dict) else {})
 
 
 def _asked(request: Any) -> tuple[int, int]:
     return request.header.identity.id, request.header.identity.api_id
-
-
-def _json(text: bytes | None) -> dict[str, Any]:
-    try:
-        found = json.loads((text or b"").decode(errors="replace") or "{}")
-    except ValueError:
-        return {}
-    return found if isinstance(found, dict) else {}
