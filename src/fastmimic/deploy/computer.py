@@ -70,7 +70,11 @@ def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
     try:
         yield refused
     finally:
-        _restore(before)
+        for thread, (policy, priority) in before.items():
+            with contextlib.suppress(OSError):  # it may have ended
+                os.sched_setscheduler(thread, policy, os.sched_param(priority))
+        if before:
+            ctypes.CDLL(None).munlockall()
         gc.unfreeze()
         if was_enabled:
             gc.enable()
@@ -101,15 +105,6 @@ def _ask_for_real_time(refused: list[str]) -> dict[int, tuple[int, int]]:
             " /etc/security/limits.conf, or give the process CAP_IPC_LOCK"
         )
     return before
-
-
-def _restore(before: dict[int, tuple[int, int]]) -> None:
-    """Restores the scheduling of the remaining threads."""
-    for thread, (policy, priority) in before.items():
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(thread, policy, os.sched_param(priority))
-    if before:
-        ctypes.CDLL(None).munlockall()
 
 
 class StopSwitch:

@@ -30,13 +30,8 @@ DRIVERS: Final = (*WIRED, SIM)
 
 @dataclass(frozen=True, eq=False)
 class StateMessage:
-    """One state message.
-
-    Attributes:
-        reading: (1,) of `fastmimic.estimation.reading.READING`; a copy.
-        sequence: the robot's own count of its messages.
-        received: arrival, s on the clock of `time.perf_counter`.
-    """
+    """A copy of the reading, (1,) of `READING`; the robot's own count of its messages; the arrival, s on the driver's
+    clock."""
 
     reading: NDArray[Any]
     sequence: int
@@ -45,19 +40,12 @@ class StateMessage:
 
 @dataclass
 class Packets:
-    """Messages since the driver was opened.
+    """Messages since the driver was opened."""
 
-    Attributes:
-        sent: commands written.
-        received: states accepted.
-        lost: states missing between the sequence numbers received.
-        rejected: states with a wrong checksum, duplicates, out of order, or not finite.
-    """
-
-    sent: int = 0
-    received: int = 0
-    lost: int = 0
-    rejected: int = 0
+    sent: int = 0  # commands written
+    received: int = 0  # states accepted
+    lost: int = 0  # states missing between the sequence numbers received
+    rejected: int = 0  # states with a wrong checksum, duplicates, out of order, or not finite
 
 
 class RobotDriver:

@@ -26,21 +26,14 @@ class EndCondition(NamedTuple):
 
 @dataclass(frozen=True)
 class LoopOutcome:
-    """How a run of the loop ended.
-
-    Attributes:
-        text: a line on what was not planned; else empty.
-        deadline_misses: periods that sent their command too late.
-        skipped: periods left out because an earlier one took too long.
-        packets: messages since the first period.
-    """
+    """How a run of the loop ended."""
 
     stopped_by: StopReason
-    text: str
+    text: str  # a line on what was not planned; else empty
     phase: DeploymentPhase
-    deadline_misses: int
-    skipped: int
-    packets: Packets
+    deadline_misses: int  # periods that sent their command too late
+    skipped: int  # periods left out because an earlier one took too long
+    packets: Packets  # since the first period
 
 
 @dataclass(eq=False)

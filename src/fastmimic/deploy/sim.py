@@ -22,12 +22,7 @@ _MOST_BEHIND_S: Final = 0.25
 
 class SimDriver(RobotDriver):
     """One simulated robot, which advances to the clock's time when it is read: in lock step with a `VirtualClock`, in
-    real time with a `LoopClock`.
-
-    Attributes:
-        packets: of the states, and of the commands sent.
-        body: the simulated robot. Its steps are the sequence numbers of the states.
-    """
+    real time with a `LoopClock`. The steps of its `body` are the sequence numbers of the states."""
 
     def __init__(
         self,
@@ -43,12 +38,9 @@ class SimDriver(RobotDriver):
         Args:
             clock: a virtual one if None.
             rate_hz: of its states.
-            conditions: its sensors, world and seed.
+            conditions: its sensors, world and seed. Raises `ConfigError` if the simulator cannot realise them.
             faults: of the link in both directions.
-            start: "lying" or "standing".
-
-        Raises:
-            ConfigError: no such start, or conditions that the simulator cannot realise.
+            start: "lying" or "standing"; raises `ConfigError` for others.
         """
         super().__init__(robot)
         self._clock: LoopClock = clock if clock is not None else VirtualClock()

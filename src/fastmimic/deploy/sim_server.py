@@ -54,25 +54,16 @@ class SimSettings:
 
 @dataclass
 class SimCounts:
-    """Messages, from the robot's side.
-
-    Attributes:
-        states_sent: published.
-        states_lost, states_corrupted, commands_lost: by faults of the link.
-        commands_received: obeyed.
-        commands_rejected: with a wrong checksum, head or level, or not finite.
-        commands_ignored: received while the motion service was active.
-        damped: how often the motors began to damp because commands stopped.
-    """
+    """Messages, from the robot's side. Those lost or corrupted are so by faults of the link."""
 
     states_sent: int = 0
     states_lost: int = 0
     states_corrupted: int = 0
-    commands_received: int = 0
-    commands_rejected: int = 0
-    commands_ignored: int = 0
+    commands_received: int = 0  # obeyed
+    commands_rejected: int = 0  # with a wrong checksum, head or level, or not finite
+    commands_ignored: int = 0  # received while the motion service was active
     commands_lost: int = 0
-    damped: int = 0
+    damped: int = 0  # how often the motors began to damp because commands stopped
 
 
 def robot_sensors() -> SensorConfig:

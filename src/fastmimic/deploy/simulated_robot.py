@@ -77,14 +77,8 @@ class SimulatedBody:
         start: str = STARTS[0],
         watchdog_s: float = WATCHDOG_S,
     ) -> None:
-        """
-        Args:
-            simulation: of this one robot, stepped at `rate_hz`.
-            sensors: of this one robot.
-            rate_hz: of `step`.
-            start: one of `STARTS`; raises `ConfigError` for others.
-            watchdog_s: without commands for longer, the motors damp.
-        """
+        """`simulation` and `sensors` are of this one robot, stepped at `rate_hz`. The motors damp when no command came
+        for `watchdog_s`. Raises `ConfigError` if `start` is none of `STARTS`."""
         if start not in STARTS:
             raise ConfigError(f"a simulated robot starts {' or '.join(STARTS)}, not '{start}'")
         self.robot, self.simulation, self.sensors = robot, simulation, sensors

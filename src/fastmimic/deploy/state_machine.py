@@ -242,11 +242,10 @@ class StateMachine:
         follower = self.follower
         chosen = self._own if follower.in_motion else self._model_based
         begins = follower.part is self.sequence.blend_in
+        chosen.tables = follower.part.table
         if chosen is not self.controller or begins:
             self.controller, self._failed = chosen, chosen.memory["failed_in_a_row"]
-            chosen.tables = follower.part.table
             chosen.reset(follower.clock["sample"])
-        chosen.tables = follower.part.table
 
 
 def _height(robot: Robot, joints: Array) -> float:

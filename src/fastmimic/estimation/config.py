@@ -25,10 +25,7 @@ class EstimatorConfig:
         about="age of IMU and joint readings when they arrive; the estimate is extrapolated by it",
     )
     rate_time: float = parameter(
-        0.008,
-        unit="s",
-        above=0.0,
-        about="span of the rates of change of angular velocity and joint speeds for that",
+        0.008, unit="s", above=0.0, about="span of the rates of change of angular velocity and joint speeds for that"
     )
     orientation_time: float = parameter(
         0.1,

@@ -10,7 +10,6 @@ from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix, times
 from fastmimic.estimation.config import EstimatorConfig, pack_config
-from fastmimic.estimation.contact import estimate_contact
 from fastmimic.estimation.kalman import (
     STATES,
     anchor,
@@ -162,6 +161,27 @@ def _sense(config: Any, state: Any, reading: Any, scratch: Any) -> None:
 
 
 @inlined
+def _estimate_contact(config: Any, state: Any, leg: int, force: float, planned: bool) -> None:
+    """Advances one foot's contact by one control step; `force` is measured in N, `planned` means scheduled stance. The
+    sensor's offset is learnt while the leg swings, as it cannot be told from a load otherwise; the rest goes through
+    hysteresis. A foot bears the base's estimate if it is loaded in scheduled stance: a loaded foot in early swing is
+    being pulled away."""
+    state.swing_time[leg] = 0.0 if planned else state.swing_time[leg] + config.dt
+    state.filtered[leg] += config.force_gain * (force - state.filtered[leg])
+    load = state.filtered[leg] - state.tare[leg]
+    if state.loaded[leg] == 1:
+        if load < config.release_force:
+            state.loaded[leg] = 0
+    elif load > config.contact_force:
+        state.loaded[leg] = 1
+    if state.loaded[leg] == 0 and state.swing_time[leg] > config.tare_delay:
+        state.tare[leg] += config.tare_gain * load
+    state.force[leg] = max(load, 0.0) if state.loaded[leg] == 1 else 0.0
+    bears = planned and state.loaded[leg] == 1
+    state.stance_time[leg] = state.stance_time[leg] + config.dt if bears else 0.0
+
+
+@inlined
 def _lean_on_ground(config: Any, state: Any, scratch: Any) -> None:
     """Turns the frame into the plane of the standing feet, by their kinematic heights above it (normalised LMS). While
     a rotation (e_x, e_y) is missing, feet at (x, y) from the base seem higher by e_y x − e_x y."""
@@ -245,7 +265,7 @@ def estimate_step(config: Any, states: Any, readings: Any, planned: Any, outs: A
         predict(state.estimate, state.cov, scratch.accel, scratch.roll, c.accel_var, c.foot_var, c.dt)
         for leg in range(4):
             stood = state.stance_time[leg] > 0.0
-            estimate_contact(c, state, leg, reading.foot_force[leg], planned[i, leg] == 1)
+            _estimate_contact(c, state, leg, reading.foot_force[leg], planned[i, leg] == 1)
             if not stood:
                 anchor(state.estimate, state.cov, leg, scratch.foot[leg], c.position_var)
         for leg in range(4):

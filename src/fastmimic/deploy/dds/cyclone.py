@@ -306,8 +306,7 @@ class Reader:
     lost.
 
     Attributes:
-        samples: (depth,) NumPy structures; those of the last `take` come first.
-        words: (depth, size / 4) the same memory as 32-bit words. Padding is zero.
+        samples: (depth,) NumPy structures, their padding zero; those of the last `take` come first.
         valid: (depth,) True for a message, False for the notice that its writer has gone.
         publication: (depth,) its writer.
     """
@@ -321,7 +320,6 @@ class Reader:
         first = ctypes.addressof(self._memory)
         self._pointers = (ctypes.c_void_p * depth)(*(first + i * size for i in range(depth)))
         self.samples: NDArray[Any] = np.frombuffer(memoryview(self._memory), np.dtype(message))
-        self.words: NDArray[np.uint32] = np.frombuffer(memoryview(self._memory), np.uint32).reshape(depth, size // 4)
         infos = np.frombuffer(memoryview(self._infos), np.dtype(SampleInfo))
         self.valid: NDArray[np.bool_] = infos["valid"]
         self.publication: NDArray[np.uint64] = infos["publication"]

@@ -146,18 +146,12 @@ class StateWire:
 
 
 class Received(NamedTuple):
-    """What the checks of a state message need.
+    """What the checks of a state message need."""
 
-    Attributes:
-        checksum, expected: the checksum in the message and the right one.
-        sound: whether it is finite, with a valid quaternion.
-        tick: ms.
-    """
-
-    checksum: int
+    checksum: int  # in the message
     expected: int
-    sound: bool
-    tick: int
+    sound: bool  # finite, with a valid quaternion
+    tick: int  # ms
 
 
 def roll_pitch_yaw(quat: NDArray[np.float64]) -> tuple[float, float, float]:
