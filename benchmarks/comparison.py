@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 from marked import put
 
@@ -52,7 +53,7 @@ OPTIONS = {
         *("--seeds", "1", "--iterations", "100"),
     ),
 }
-SEARCH = {"iterations": 10, "population": 10, "duration_s": 5.0}
+SEARCH: dict[str, Any] = {"iterations": 10, "population": 10, "duration_s": 5.0}
 
 
 def write(which: str, out: Path) -> None:

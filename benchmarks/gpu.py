@@ -66,7 +66,7 @@ def record(robot: fm.Robot, motion: fm.Motion) -> tuple[Course, mujoco.MjModel]:
         models.append(simulation.model)
         return observation
 
-    MujocoSimulation.step = recording  # type: ignore[method-assign]
+    MujocoSimulation.step = recording  # type: ignore[method-assign, assignment]
     try:
         start = perturbed_start(RECORDED, motion.joint_pos.shape[0], np.random.default_rng(0))
         run_episodes(robot, motion, start=start, duration_s=RECORDED_S)

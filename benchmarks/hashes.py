@@ -51,7 +51,7 @@ MOTION_ARRAYS = (
     "joint_vel",
 )
 ROLLOUT_ARRAYS = ("reward", "terms", "fell", "steps", "drift", "clearance", "slip", "early_contacts", "foot_rmse")
-FIGURES = (
+FIGURES: tuple[str, ...] = (
     "reward_mean",
     "reward_std",
     "components",
@@ -68,9 +68,24 @@ FIGURES += (
     "estimate_height_rmse_m",
 )
 """Of `evaluate --json`, where they are there."""
-COLUMNS = ("reward", "reward_std", "reward_perturbed", "reward_before", "fell", "fell_perturbed", "drift_m_per_s")
-COLUMNS += ("swing_clearance_m", "swing_clearance_least_share", "stance_slip_m", "style_distance", "reward_root_pose")
-COLUMNS += ("style_distance_realised", "foot_z_rmse_after_m", "foot_x_rmse_after_m", "evaluations", "simulated_s")
+COLUMNS: tuple[str, ...] = (
+    "reward",
+    "reward_std",
+    "reward_perturbed",
+    "reward_before",
+    "fell",
+    "fell_perturbed",
+    "drift_m_per_s",
+)
+COLUMNS += ("swing_clearance_m", "swing_clearance_least_share", "stance_slip_m", "style_distance")
+COLUMNS += (
+    "reward_root_pose",
+    "style_distance_realised",
+    "foot_z_rmse_after_m",
+    "foot_x_rmse_after_m",
+    "evaluations",
+    "simulated_s",
+)
 """Of a comparison's `results.csv`."""
 
 Case = tuple[str, str]
@@ -87,8 +102,8 @@ def digest(*values: Any) -> str:
 
 
 def of_motion(motion: fm.Motion) -> str:
-    cycle = [] if motion.cycle is None else motion.cycle
-    return digest(*(getattr(motion, name) for name in MOTION_ARRAYS), np.array(cycle, float), motion.rate_hz)
+    cycle = np.array([] if motion.cycle is None else motion.cycle, float)
+    return digest(*(getattr(motion, name) for name in MOTION_ARRAYS), cycle, motion.rate_hz)
 
 
 def of_evaluation(evaluation: fm.Evaluation) -> str:
@@ -127,13 +142,14 @@ def rewards() -> Iterator[Case]:
 def searches() -> Iterator[Case]:
     options: dict[str, Any] = {"iterations": 3, "population": 4, "duration_s": 0.8}
     with tempfile.TemporaryDirectory() as scratch:
-        for name, more in {
+        methods: dict[str, dict[str, Any]] = {
             "trot": {},
             "turn, 4 robots": {"randomize": 3},
             "pace, mbc-dmp-path": {"method": "mbc-dmp-path"},
             "side-step, mbc-dmp-body": {"method": "mbc-dmp-body"},
             "trot, lh-dmp": {"method": "lh-dmp"},
-        }.items():
+        }
+        for name, more in methods.items():
             file = Path(scratch) / "checkpoint.npz"
             file.unlink(missing_ok=True)
             result = fm.imitate(name.split(",")[0], "a1", checkpoint=file, **options, **more)

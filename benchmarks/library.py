@@ -182,7 +182,7 @@ def warm(say: Callable[[str], None]) -> list[dict[str, Any]]:
                     "distance": distance(pieces[name], pieces[near]),
                     "seed": seed,
                     "unmodulated": cold[name, seed].history.baseline,
-                    "given": found.history.start,
+                    "given": found.history.start if found.history else None,
                     "cold": best_so_far(cold[name, seed]).tolist(),
                     "warm": best_so_far(found).tolist(),
                 }

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from marked import put
-from motion_survey import random_cycles, summary, survey, table
+from motion_survey import Surveyed, random_cycles, summary, survey, table
 
 import fastmimic as fm
 from fastmimic.base.files import replace_file
@@ -39,7 +39,7 @@ def main() -> None:
         "Named motions": [open_clip(name, robot=robot) for name in motion_names()],
         "Random cycles": random_cycles(args.cycles, np.random.default_rng(args.seed)),
     }
-    rows = {}
+    rows: dict[str, list[Surveyed]] = {}
     for title, group in clips.items():
         rows[title] = []
         for clip in group:

@@ -22,6 +22,7 @@ from rollout import environment
 import fastmimic as fm
 from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.control.config_parts import HorizonConfig
+from fastmimic.control.controller import Controller
 from fastmimic.control.daqp import OPTIMAL, solve_qp
 from fastmimic.episode.loop import ClosedLoop
 from fastmimic.episode.plan import perturbed_start
@@ -83,6 +84,7 @@ def closed_loop(
     times: list[float] = []
     problems: list[Problem] = []
     step, controller = loop.controller.step, loop.controller
+    assert isinstance(controller, Controller)
 
     def recording(observation: Any, clocks: Any) -> Any:
         commands = step(observation, clocks)

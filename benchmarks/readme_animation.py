@@ -71,6 +71,7 @@ def main() -> None:
     parser.add_argument("--size", default="900x300")
     parser.add_argument("--quality", default="high")
     args = parser.parse_args()
+    width, height = (int(side) for side in args.size.split("x"))
 
     robot = load_robot(args.robot)
     clip = open_clip(args.motion, robot=robot)
@@ -86,7 +87,7 @@ def main() -> None:
     rollout = fm.evaluate(motion, robot, duration_s=steps / rate, log=True).rollout
     if rollout.fell[0]:
         parser.error(f"the robot falls in {args.motion}")
-    track = rollout_track(rollout, "simulated", note="MBC-DMP")
+    track = rollout_track(rollout, result.config.release_force(robot), "simulated", note="MBC-DMP")
     rows = slice(settled, steps)
     assert track.contact is not None
     simulated = Track(
@@ -120,7 +121,7 @@ def main() -> None:
         args.out,
         rate_hz=rate,
         fps=max(1, round(loop_s * args.fps)) / loop_s,  # a whole number of frames in a loop
-        size=tuple(int(side) for side in args.size.split("x")),
+        size=(width, height),
         quality=args.quality,
         columns=3,
         clock=False,

@@ -22,15 +22,21 @@ import fastmimic as fm
 from fastmimic.base.machine import available_cores
 from fastmimic.episode.loop import ClosedLoop
 from fastmimic.episode.plan import nominal_start
+from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
 REPEATS = 7
+
+
+def simulation_of(loop: ClosedLoop) -> MujocoSimulation:
+    assert isinstance(loop.simulation, MujocoSimulation)
+    return loop.simulation
 
 
 class Replay:
     """Physics alone: steps a recorded closed loop's commands."""
 
     def __init__(self, loop: ClosedLoop, steps: int) -> None:
-        self.simulation, self.steps, self.loop = loop.simulation, steps, loop
+        self.simulation, self.steps, self.loop = simulation_of(loop), steps, loop
         self.course: list[tuple[np.ndarray, np.ndarray]] = []
         step = self.simulation.step
 
@@ -46,7 +52,7 @@ class Replay:
     def run(self) -> float:
         """Seconds in `Batch.step` over the recorded course."""
         simulation, loop = self.simulation, self.loop
-        loop._reset(None, nominal_start(loop.n))
+        loop.place(nominal_start(loop.n))
         spent = 0.0
         for ctrl, bias in self.course:
             simulation._ctrl[:] = ctrl
@@ -78,7 +84,7 @@ def closed_over_physics(robot: fm.Robot, motion: fm.Motion, n: int, steps: int, 
         "ratio_median": statistics.median(ratios),
         "ratio_min": min(ratios),
         "ratio_max": max(ratios),
-        "physics_us_per_robot_substep": min(bare) / (n * steps * loops[0].simulation.substeps) * 1e6,
+        "physics_us_per_robot_substep": min(bare) / (n * steps * simulation_of(loops[0]).substeps) * 1e6,
     }
 
 

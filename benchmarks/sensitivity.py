@@ -21,7 +21,7 @@ from marked import put
 from numpy.typing import NDArray
 
 import fastmimic as fm
-from fastmimic.episode.plan import perturbed_start
+from fastmimic.episode.plan import Start, perturbed_start
 from fastmimic.episode.style import style_distance
 from fastmimic.motion.contacts import stances_of
 from fastmimic.optimize.parameters import FEET_AND_TRUNK
@@ -77,8 +77,12 @@ def timings(problem: ImitationProblem) -> Iterator[Change]:
             continue
         for share in SHARES:
             shift = share * TIMING * n
-            yield Change("phase of a foot", warped(problem, table, leg, lambda t, d=shift: t + d))
+            yield Change("phase of a foot", warped(problem, table, leg, shifted(shift)))
             yield Change("duty factor of a foot", warped(problem, table, leg, longer_stances(stances, n, shift)))
+
+
+def shifted(by: float) -> Callable[[Array], Array]:
+    return lambda t: t + by
 
 
 def longer_stances(stances: list[Any], n: int, by: float) -> Callable[[Array], Array]:
@@ -92,7 +96,7 @@ def longer_stances(stances: list[Any], n: int, by: float) -> Callable[[Array], A
     order = np.argsort(old)
     old_edges, new_edges = np.array(old, float)[order], np.array(new, float)[order]
     around = [np.concatenate([e - n, e, e + n, e + 2 * n]) for e in (new_edges, old_edges)]
-    return lambda t: np.interp(t, *around)
+    return lambda t: np.interp(t, around[0], around[1])
 
 
 def warped(problem: ImitationProblem, table: NDArray[Any], leg: int, warp: Callable[[Array], Array]) -> NDArray[Any]:
@@ -119,10 +123,8 @@ def scores(problem: ImitationProblem, tables: NDArray[Any]) -> Array:
     found = []
     for episode in range(EPISODES):
         same = start.part(slice(episode, episode + 1))
-        of_all = type(same)(
-            *(np.repeat(a, len(tables), axis=0) for a in (same.sample, same.joint_offset)),
-            np.repeat(same.velocity_offset, len(tables), axis=0),
-        )
+        each = np.zeros(len(tables), int)
+        of_all = Start(same.sample[each], same.joint_offset[each], same.velocity_offset[each])
         found.append(np.concatenate([problem.score(r) for r in problem.rollout(tables, of_all, steps)]))
     return np.mean(found, axis=0)
 

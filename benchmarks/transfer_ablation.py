@@ -31,7 +31,7 @@ from fastmimic.robot.state import pack_model
 from fastmimic.simulation.conditions import Conditions
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "robustness.md"
-OTHERS = ("dog:trot", "dog:pace", "dog:right-turn", "anim:turn", "anim:in-place")
+OTHERS: tuple[str, ...] = ("dog:trot", "dog:pace", "dog:right-turn", "anim:turn", "anim:in-place")
 OTHERS += ("trot", "pace", "turn", "side-step", "walk", "bound", "spin")
 DURATION_S = 10.0
 

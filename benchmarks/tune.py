@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 
 import fastmimic as fm
-from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.machine import available_cores
 from fastmimic.clips.data import data_folder
 from fastmimic.control.config import ControllerConfig, default_config, pack_config
+from fastmimic.control.controller import Controller
 from fastmimic.episode.loop import ClosedLoop
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.plan import perturbed_start
@@ -89,7 +89,7 @@ class Judge:
     """Scores configurations on the tuning motions. One thread at a time."""
 
     def __init__(self, robot: fm.Robot, motions: list[fm.Motion]) -> None:
-        self.weight = robot.mass * GRAVITY
+        self.robot = robot
         self.loops = [ClosedLoop(robot, m, EPISODES) for m in motions]
         self.starts = [perturbed_start(EPISODES, m.n_samples, np.random.default_rng(5)) for m in motions]
         self.clearance = [swing_clearance(m, robot.foot_radius) for m in motions]
@@ -99,7 +99,8 @@ class Judge:
         config = configured(u)
         parts = []
         for loop, start, wanted in zip(self.loops, self.starts, self.clearance, strict=True):
-            loop.controller._config = pack_config(config, self.weight)
+            assert isinstance(loop.controller, Controller)
+            loop.controller._config = pack_config(config, self.robot)
             rollout = loop.run(None, start, round(EPISODE_S * config.rate_hz))
             missing = np.maximum(0.0, 0.95 - rollout.clearance / wanted)
             lost = float(np.nanmean(missing)) if np.isfinite(missing).any() else 0.0

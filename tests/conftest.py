@@ -5,6 +5,7 @@ import os
 import tempfile
 from collections import defaultdict
 from collections.abc import Generator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -61,12 +62,23 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Tests that start a cluster wait for one another: Ray joins one that it finds on the machine."""
-    if item.get_closest_marker("cluster") is None:
+    """A `real_time` test waits until no other test runs, and others wait for it: its processes need the whole machine.
+    Tests that start a cluster wait for one another: Ray joins one that it finds on the machine."""
+    alone = item.get_closest_marker("real_time") is not None
+    with ExitStack() as held:
+        with locked("turn"):  # who waits to be alone holds up those who come later
+            held.enter_context(locked("machine", fcntl.LOCK_EX if alone else fcntl.LOCK_SH))
+        if item.get_closest_marker("cluster") is not None:
+            held.enter_context(locked("cluster"))
         return (yield)
-    with open(Path(tempfile.gettempdir()) / f"fastmimic-cluster-{os.getuid()}.lock", "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        return (yield)
+
+
+@contextmanager
+def locked(name: str, how: int = fcntl.LOCK_EX) -> Generator[None, None, None]:
+    """Holds a lock that all test processes of this user know."""
+    with open(Path(tempfile.gettempdir()) / f"fastmimic-{name}-{os.getuid()}.lock", "w") as lock:
+        fcntl.flock(lock, how)
+        yield
 
 
 class Skips:
