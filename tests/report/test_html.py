@@ -28,7 +28,7 @@ pytest.importorskip("jinja2", reason="Jinja2 is not installed: pip install 'fast
 
 from fastmimic.report.html import make_report
 from fastmimic.report.html_comparison import read_rows
-from fastmimic.report.html_limits import motor_torque
+from fastmimic.report.html_episodes import motor_torque
 from fastmimic.report.html_page import markdown
 from fastmimic.report.html_search import convergence, parameters
 from searches import QUICK_COMMAND

@@ -1,21 +1,18 @@
-"""The page of a comparison."""
+"""The pages of a comparison and of other experiments."""
 
 import csv
 from pathlib import Path
 from typing import Any, Final
 
-from markupsafe import Markup
-
 from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.base.files import read_json
-from fastmimic.base.text import NONE
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.comparison_folder import ABLATION_FIGURE, ABLATION_TABLE, COMPARISON, RUNS, TRACKING_FIGURE
 from fastmimic.experiments.comparison_run import Row, finished_row
 from fastmimic.experiments.tables import summaries
 from fastmimic.imitation.methods import method_named
 from fastmimic.report import html_methods
-from fastmimic.report.html_page import render
+from fastmimic.report.html_page import HtmlReport, render
 from fastmimic.report.html_plots import Figure
 from fastmimic.runs.work_folder import ENVIRONMENT, RESULTS_CSV, TABLE
 
@@ -35,47 +32,56 @@ _EACH: Final = (  # column of results.csv, heading, digits, scale
     ("cpu_s", "processor time, s", 1, 1.0),
     ("evaluations", "episodes", 0, 1.0),
 )
-_PICTURES: Final = {
-    COMPARISON: "Reward of each method on each motion.",
-    TRACKING_FIGURE: "A foot before and after optimisation, and the errors of all feet.",
-    ABLATION_FIGURE: "What each part of the method contributes.",
-}
 
 
-def comparison_page(path: Path) -> tuple[str, tuple[str, ...]]:
-    """The page of a comparison's folder, and a sentence for each thing missing in it. Raises `ConfigError` if
-    `environment.json` or `results.csv` cannot be read, or Plotly is not installed."""
-    environment = read_json(path / ENVIRONMENT)
+def comparison_page(path: Path) -> HtmlReport:
+    """The page of a comparison's folder. Raises `ConfigError` if `environment.json` or `results.csv` cannot be read, or
+    Plotly is not installed."""
+    about = read_json(path / ENVIRONMENT)
+    missing: list[str] = []
     try:
-        settings = environment["settings"]
-        methods, motions = list(environment["methods"]), list(environment["motions"])
+        settings, motions = about["settings"], list(about["motions"])
+        settings = {"motions": ", ".join(motions), "methods": ", ".join(about["methods"]), **settings}
     except (KeyError, TypeError) as error:
         raise ConfigError(f"{path / ENVIRONMENT}: cannot be read ({error})") from None
-    missing: list[str] = []
     rows = _rows(path, missing)
-    whole = [row for row in rows if not row["variant"]]
-    parts: dict[str, Any] = {"methods": _methods(path, whole, missing), "ablations": None}
+    parts = {"methods": _methods(path, [row for row in rows if not row["variant"]], missing)}
     of = {row["motion"] for row in rows if row["variant"]}
-    if of or environment.get("ablations"):
+    if of or about.get("ablations"):
         own = [row for row in rows if row["motion"] in of and row["method"] == ABLATED]
-        parts["ablations"] = _ablations(path, own, missing)
-    columns, lines, left = _each(rows)
-    page = render(
+        figures = [html_methods.ablations(summaries(own))] if own else []
+        parts["ablations"] = _part(path, figures, [] if own else [ABLATION_FIGURE], ABLATION_TABLE, missing)
+    return render(
         "comparison.html",
-        [figure for part in parts.values() if part for figure in part["figures"]],
+        [figure for part in parts.values() for figure in part["figures"]],
         title="Comparison",
-        lead=f"{len(methods)} methods on {len(motions)} motions; {settings.get('robot')}, {settings.get('config')}"
-        f" controller, {environment.get('seeds')} seed(s) where something is optimised.",
         missing=missing,
-        columns=columns,
-        rows=lines,
-        left=left,
-        settings={"motions": ", ".join(motions), "methods": ", ".join(methods), **settings},
-        machine=environment.get("machine", {}),
-        versions=environment.get("versions", {}),
-        **parts,
+        about=about,
+        settings=settings,
+        parts=parts,
+        rows=rows,
+        columns=[column for column in _EACH if any(row.get(column[0]) is not None for row in rows)],
     )
-    return page, tuple(missing)
+
+
+def results_page(path: Path) -> HtmlReport:
+    """The page of an experiment with a table and figures, `stress` or `transfer`."""
+    about, missing = read_json(path / ENVIRONMENT), []
+    table = _text(path / TABLE)
+    if table is None:
+        missing.append(f"{path / TABLE} is missing: without the table; --resume writes it when something is done")
+    pictures = sorted(path.glob("*.png"))
+    if not pictures:
+        missing.append(f"{path} has no figures: without them")
+    title = str(about["experiment"]).capitalize()
+    return render("results.html", [], title=title, missing=missing, about=about, pictures=pictures, table=table)
+
+
+def _text(path: Path) -> str | None:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return None
 
 
 def _methods(path: Path, rows: list[Row], missing: list[str]) -> dict[str, Any]:
@@ -92,22 +98,14 @@ def _methods(path: Path, rows: list[Row], missing: list[str]) -> dict[str, Any]:
     return _part(path, figures, pictures, TABLE, missing)
 
 
-def _ablations(path: Path, rows: list[Row], missing: list[str]) -> dict[str, Any]:
-    figures = [html_methods.ablations(summaries(rows))] if rows else []
-    return _part(path, figures, [] if rows else [ABLATION_FIGURE], ABLATION_TABLE, missing)
-
-
 def _part(path: Path, figures: list[Figure], names: list[str], table: str, missing: list[str]) -> dict[str, Any]:
     """A part of the page: its plots, existing pictures, and table in Markdown."""
     there = [name for name in names if (path / name).is_file()]
     missing += [f"{path / name} is missing: without that figure" for name in names if name not in there]
-    pictures = [(path / name, _PICTURES[name]) for name in there]
-    try:
-        text = (path / table).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        text = ""
+    text = _text(path / table)
+    if text is None:
         missing.append(f"{path / table} is missing: without that table; 'compare --resume' writes it when it is done")
-    return {"figures": figures, "pictures": pictures, "table": text}
+    return {"figures": figures, "pictures": [path / name for name in there], "table": text or ""}
 
 
 def read_rows(text: str) -> list[Row]:
@@ -144,24 +142,3 @@ def _rows(path: Path, missing: list[str]) -> list[Row]:
     kept = f"{len(found)} finished runs are shown" if found else "without plots"
     missing.append(f"{path / RESULTS_CSV} is missing, as in a comparison that is not finished: {kept}")
     return found
-
-
-def _each(rows: list[Row]) -> tuple[list[str], list[list[Any]], int]:
-    """A line per run with exact values as data: headings, cells, and the number of text columns."""
-    columns = [column for column in _EACH if any(row.get(column[0]) is not None for row in rows)]
-    texts = ["motion", "method", *(["variant"] if any(row["variant"] for row in rows) else [])]
-    lines = []
-    for row in rows:
-        cells: list[Any] = [Markup("<code>{}</code>").format(row["motion"]), method_named(row["method"]).label]
-        cells += [row[name] for name in texts[2:]]
-        cells.append(f"{row['seed']:g}")
-        for key, _, digits, scale in columns:
-            value = row.get(key)
-            if value is None:
-                cells.append(NONE)
-            elif isinstance(value, bool):
-                cells.append({"value": int(value), "text": "yes" if value else "no"})
-            else:
-                cells.append({"value": repr(value), "text": f"{scale * value:.{digits}f}"})
-        lines.append(cells)
-    return [*texts, "seed", *(name for _, name, _, _ in columns)], lines, len(texts)

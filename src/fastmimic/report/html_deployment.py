@@ -12,17 +12,17 @@ from fastmimic.base.files import read_json
 from fastmimic.deploy.log import LOG, RESULT, DeploymentLog
 from fastmimic.deploy.scoring import summary_rows
 from fastmimic.deploy.state_machine import DeploymentPhase
-from fastmimic.report.html_limits import against_limit
-from fastmimic.report.html_page import render
-from fastmimic.report.html_plots import Figure, Key, Plot, curve, greatest, layout_of, numbers
+from fastmimic.report.html_episodes import against_limit
+from fastmimic.report.html_page import HtmlReport, render
+from fastmimic.report.html_plots import Figure, Key, Plot, greatest, layout_of, numbers, time_plot
 
 ROBOT: Final = Key("the robot", "var(--after)")
 BINS: Final = 60
 _SHOWN: Final = 99.9  # percentile at which the histograms end; the last bar holds the rest
 
 
-def deployment_page(path: Path) -> tuple[str, tuple[str, ...]]:
-    """The page of a deployment's folder, and a sentence for each thing missing in it; raises `ConfigError`."""
+def deployment_page(path: Path) -> HtmlReport:
+    """The page of a deployment's folder; raises `ConfigError`."""
     about = read_json(path / RESULT)
     try:
         result = about["result"]
@@ -32,102 +32,83 @@ def deployment_page(path: Path) -> tuple[str, tuple[str, ...]]:
     missing: list[str] = []
     sections: dict[str, list[Figure]] = {"base": [], "times": [], "limits": []}
     try:
-        sections = _sections(DeploymentLog.load(_log_file(path, about)), result)
+        given = about.get("arguments", {}).get("log")
+        sections = _sections(DeploymentLog.load(Path(given) if given else path / LOG), result)
     except DeploymentError as error:
         missing.append(f"{error}: without the plots")
-    page = render(
+    return render(
         "deployment.html",
         [figure for found in sections.values() for figure in found],
         title=title,
-        lead=_lead(result),
         missing=missing,
+        about=about,
         summary=dict(summary_rows(result)),
         sections=sections,
         arguments={k.replace("_", "-"): v for k, v in about["arguments"].items() if v not in (None, False, "", [])},
-        versions=about.get("versions", {}),
-        limits=about["limits"],
     )
-    return page, tuple(missing)
-
-
-def _log_file(path: Path, about: dict[str, Any]) -> Path:
-    given = about.get("arguments", {}).get("log")
-    return Path(given) if given else path / LOG
-
-
-def _lead(result: dict[str, Any]) -> str:
-    if result["stopped_because"]:
-        return f"Stopped while {result['stopped_in']}: {result['stopped_because']}."
-    return f"Ended as planned ({result['stopped_by']}), after {result['cycles']:.1f} cycles."
 
 
 def _sections(log: DeploymentLog, result: dict[str, Any]) -> dict[str, list[Figure]]:
     rows = log.rows
     time = rows["time_s"]
-    timed = bool(result["control_us"]["max"])  # on a virtual clock nothing takes any time
     span = float(time[0]), float(time[-1])
+    timed = bool(result["control_us"]["max"])  # on a virtual clock nothing takes any time
+    loads = (
+        ("torque", "Motor torque, as the robot says", "N·m", rows["reading"]["torque"], log.meta["torque_limit"]),
+        (
+            "speed",
+            "Joint speed, as the robot says",
+            "rad/s",
+            rows["reading"]["joint_vel"],
+            log.meta["joint_speed_limit"],
+        ),
+    )
     return {
-        "base": [_base(time, rows, log)],
-        "times": [_periods(time, rows, log), _histograms(rows)] if timed else [],
-        "limits": [
-            against_limit((name, f"{title}, as the robot says", unit), [(time, values, ROBOT)], limit, span)
-            for name, title, unit, values, limit in (
-                ("torque", "Motor torque", "N·m", rows["reading"]["torque"], log.meta["torque_limit"]),
-                ("speed", "Joint speed", "rad/s", rows["reading"]["joint_vel"], log.meta["joint_speed_limit"]),
-            )
-        ],
+        "base": [_base(time, span, log)],
+        "times": [_periods(time, span, log), _histograms(rows)] if timed else [],
+        "limits": [against_limit(*names, time, [(values, ROBOT)], limit, span) for *names, values, limit in loads],
     }
 
 
-def _base(time: Array, rows: NDArray[Any], log: DeploymentLog) -> Figure:
+def _base(time: Array, span: tuple[float, float], log: DeploymentLog) -> Figure:
+    rows = log.rows
     following = rows["phase"] == DeploymentPhase.FOLLOW
     height = np.where(following, rows["estimate"]["root_pos"][:, 2], np.nan)
     q = rows["reading"]["quat"]
     tilt = np.arccos(np.clip(1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2), -1.0, 1.0))
-    span = float(time[0]), float(time[-1])
-    data = [curve(time, height, ROBOT)]
-    key = Key("truth", "var(--before)", "2px,5px")
-    legend = [ROBOT]
+    heights = [(height, ROBOT)]
     if log.truth is not None:
-        data.insert(0, curve(time, log.truth["root_pos"][:, 2], key))
-        legend.append(key)
-    plots = [
-        Plot("Height", data, layout_of("time (s)", "height of the base (m)", 240, span)),
-        Plot("Tilt", [curve(time, tilt, ROBOT, peak=True)], layout_of("time (s)", "tilt (rad)", 240, span)),
-    ]
+        heights.append((log.truth["root_pos"][:, 2], Key("truth", "var(--before)", "2px,5px")))
     return Figure(
         "base",
         f"Height and tilt: at most {greatest(tilt):.2f} rad from the vertical",
         "The height is the estimate, which there is while the controller is at work.",
-        plots,
+        [
+            time_plot("Height", "height of the base (m)", time, heights, span, height=240),
+            time_plot("Tilt", "tilt (rad)", time, [(tilt, ROBOT)], span, height=240, peak=True),
+        ],
         2,
-        legend,
+        [key for _, key in heights],
     )
 
 
-def _periods(time: Array, rows: NDArray[Any], log: DeploymentLog) -> Figure:
-    error = np.full(len(rows), np.nan)
+def _periods(time: Array, span: tuple[float, float], log: DeploymentLog) -> Figure:
+    error = np.full(len(time), np.nan)
     error[1:] = 1e6 * np.abs(np.diff(time) - 1.0 / log.rate_hz)
-    span = float(time[0]), float(time[-1])
-    layout = layout_of("time (s)", f"|period − {1e3 / log.rate_hz:g} ms| (µs)", 240, span)
-    layout["yaxis"]["type"] = "log"
     least = 0.1  # µs, for the logarithm
-    plots = [
-        Plot("Period error", [curve(time, np.fmax(error, least), ROBOT, peak=True)], layout),
-        Plot(
-            "Age of the state when it was used",
-            [curve(time, 1e3 * rows["age_s"], ROBOT, peak=True)],
-            layout_of("time (s)", "age (ms)", 240, span),
-        ),
-    ]
+    drawn = [(np.fmax(error, least), ROBOT)]
+    unit = f"|period − {1e3 / log.rate_hz:g} ms| (µs)"
+    periods = time_plot("Period error", unit, time, drawn, span, height=240, peak=True)
+    periods.layout["yaxis"]["type"] = "log"
+    ages = [(1e3 * log.rows["age_s"], ROBOT)]
+    age = time_plot("Age of the state when it was used", "age (ms)", time, ages, span, height=240, peak=True)
     found = error[1:]
+    said = f": 99 % are within {np.percentile(found, 99):.0f} µs, the worst was {greatest(found):.0f} µs off"
     return Figure(
         "periods",
-        f"Periods: 99 % are within {np.percentile(found, 99):.0f} µs, the worst was {greatest(found):.0f} µs off"
-        if len(found)
-        else "Periods",
+        f"Periods{said if len(found) else ''}",
         "The greatest value of so many periods that the page stays small.",
-        plots,
+        [periods, age],
         2,
     )
 

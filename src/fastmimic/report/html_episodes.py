@@ -1,50 +1,31 @@
-"""The plots of an episode: feet, gait, reward."""
+"""The plots of an episode: feet, gait, reward, and the load on the motors."""
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Final
 
 import numpy as np
 
-from fastmimic.base.conventions import LEGS
+from fastmimic.base.arrays import Array
+from fastmimic.base.conventions import GRAVITY, JOINTS_PER_LEG, LEGS
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.reward import REWARD_TERMS, reward_weights
+from fastmimic.episode.rollout import Log
 from fastmimic.render.tracks import realised_feet
-from fastmimic.report.html_plots import (
-    DEMONSTRATION,
-    ONLY,
-    STANCE,
-    Figure,
-    Key,
-    Plot,
-    arrow,
-    bar_marker,
-    curve,
-    first_window,
-    intervals,
-    keys,
-    layout_of,
-    line,
-    log_of,
-    numbers,
-    rows_axis,
-    rule,
-    segment_lines,
-    series,
-    shades,
-    short,
-    times,
-    whole_episode,
-)
+from fastmimic.report import html_plots as draw
+from fastmimic.report.html_plots import BEFORE, DEMONSTRATION, LIMIT, ONLY, STANCE, Figure, Key, Plot, arrow, numbers
 from fastmimic.report.html_run import RerunEpisodes
+from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
+
+LOADED: Final = 0.05  # share of the robot's weight above which friction is plotted
 
 
 def feet(e: RerunEpisodes) -> list[Figure]:
     """Height and fore-aft position of the four feet, two figures."""
-    log = log_of(e.before)
-    time = times(log)
-    window = first_window(e)
+    time, window = e.times, e.first_window
     shown = (time >= window[0]) & (time <= window[1])
-    wanted = log.demonstration["foot_pos"][0]
-    realised = [realised_feet(r, e.robot) for r, _ in series(e)]
+    wanted = e.log.demonstration["foot_pos"][0]
+    realised = [realised_feet(rollout, e.robot) for rollout, *_ in e.series]
     figures = []
     for axis, name, what in ((2, "foot-z", "Foot height"), (0, "foot-x", "Fore-aft position of the feet")):
         values = np.concatenate([wanted[shown], *(f[shown] for f in realised)])[:, :, axis]
@@ -52,18 +33,22 @@ def feet(e: RerunEpisodes) -> list[Figure]:
         half = 0.56 * max(float(np.max(high - low)), 0.01)
         plots = []
         for leg, label in enumerate(LEGS):
-            data = [curve(time, wanted[:, leg, axis], DEMONSTRATION)]
-            errors = []
-            for path, (rollout, key) in zip(realised, series(e), strict=True):
-                data.insert(1, curve(time, path[:, leg, axis], key))  # the dots of before over the line of after
-                errors.append(1e3 * float(rollout.foot_rmse[0, leg, axis]))
+            # the dots of before over the line of after, and the demonstration below both
+            found = zip([*realised, wanted], [*e.keys, DEMONSTRATION], strict=True)
+            errors = [1e3 * float(rollout.foot_rmse[0, leg, axis]) for rollout, *_ in e.series]
             centre = float(low[leg] + high[leg]) / 2
-            layout = layout_of(
-                "time (s)", f"{'xyz'[axis]}, body frame (m)", 230, window, (centre - half, centre + half)
+            plot = draw.time_plot(
+                label,
+                f"{'xyz'[axis]}, body frame (m)",
+                time,
+                [(path[:, leg, axis], key) for path, key in found],
+                window,
+                (centre - half, centre + half),
+                shapes=[*draw.shades(time, e.log.wanted[0, :, leg]), *e.segment_lines],
+                note=f"RMS error {arrow(errors, 1)} mm",
             )
-            layout["shapes"] = shades(time, log.wanted[0, :, leg]) + segment_lines(e)
-            plots.append(Plot(label, data, layout, f"RMS error {arrow(errors, 1)} mm"))
-        rms = [1e3 * float(np.sqrt(np.mean(r.foot_rmse[0, :, axis] ** 2))) for r, _ in series(e)]
+            plots.append(plot)
+        rms = [1e3 * float(np.sqrt(np.mean(rollout.foot_rmse[0, :, axis] ** 2))) for rollout, *_ in e.series]
         figures.append(
             Figure(
                 name,
@@ -72,7 +57,7 @@ def feet(e: RerunEpisodes) -> list[Figure]:
                 " one scale.",
                 plots,
                 4,
-                (DEMONSTRATION, *keys(e), STANCE),
+                (DEMONSTRATION, *e.keys, STANCE),
             )
         )
     return figures
@@ -80,30 +65,20 @@ def feet(e: RerunEpisodes) -> list[Figure]:
 
 def paths(e: RerunEpisodes) -> Figure:
     """The feet from the side: fore-aft position against height."""
-    log = log_of(e.before)
-    time = times(log)
-    window = first_window(e)
+    time, window = e.times, e.first_window
     shown = (time >= window[0]) & (time <= window[1])
-    wanted = log.demonstration["foot_pos"][0]
-    realised = [realised_feet(rollout, e.robot) for rollout, _ in series(e)]
+    drawn = [
+        (e.log.demonstration["foot_pos"][0], DEMONSTRATION),
+        *((realised_feet(rollout, e.robot), key) for rollout, _, key in reversed(e.series)),
+    ]
     lifted = swing_clearance(e.motion.target, e.robot.foot_radius)
     plots = []
     shares: list[list[float]] = []
     for leg, label in enumerate(LEGS):
-        drawn = [(wanted, DEMONSTRATION), *zip(reversed(realised), reversed(keys(e)), strict=True)]
-        data = [
-            line(
-                numbers(path[shown, leg, 0]),
-                path[shown, leg, 2],
-                key,
-                width=1.7,
-                hovertemplate="x %{x:.3f} m, z %{y:.3f} m",
-            )
-            for path, key in drawn
-        ]
-        layout = layout_of("x, body frame (m)", "z, body frame (m)", 230)
-        layout["hovermode"] = "closest"
-        share = [100 * float(rollout.clearance[0, leg] / lifted[leg]) for rollout, _ in series(e)]
+        hover = {"width": 1.7, "hovertemplate": "x %{x:.3f} m, z %{y:.3f} m"}
+        data = [draw.line(numbers(path[shown, leg, 0]), path[shown, leg, 2], key, **hover) for path, key in drawn]
+        layout = draw.layout_of("x, body frame (m)", "z, body frame (m)", 230, hovermode="closest")
+        share = [100 * float(rollout.clearance[0, leg] / lifted[leg]) for rollout, *_ in e.series]
         shares.append(share)
         plots.append(Plot(label, data, layout, f"lifted {arrow(share, 0)} %"))
     least = [float(np.nanmin(s)) if np.isfinite(s).any() else float("nan") for s in np.array(shares).T]
@@ -114,7 +89,7 @@ def paths(e: RerunEpisodes) -> Figure:
         " like is its shape; a motion that is only shuffled is flat. The scales of x and z differ.",
         plots,
         4,
-        (DEMONSTRATION, *keys(e)),
+        (DEMONSTRATION, *e.keys),
     )
 
 
@@ -130,15 +105,14 @@ def gait(e: RerunEpisodes) -> Figure:
     border = Key("", "var(--line)")
     shares: list[float] = []
     plots = []
-    for rollout, key in series(e):
-        log = log_of(rollout)
+    for rollout, log, key in e.series:
         alive = int(rollout.steps[0])
         loaded = log.observation["foot_force"][0, :, :, 2] > threshold
         data = []
         for source, row, word in zip((log.wanted[0], log.stance[0], loaded), rows, words, strict=True):
             base, length, names = [], [], []
             for leg, label in enumerate(LEGS):
-                for a, b in intervals(source[:alive, leg]):
+                for a, b in draw.intervals(source[:alive, leg]):
                     base.append(a / log.rate_hz)
                     length.append((b - a) / log.rate_hz)
                     names.append(f"{label} {word}")
@@ -151,18 +125,16 @@ def gait(e: RerunEpisodes) -> Figure:
                     "base": numbers(base),
                     "x": numbers(length),
                     "width": 0.72,
-                    "marker": bar_marker(row, fgopacity=0.6, size=6, solidity=0.2),
+                    "marker": draw.bar_marker(row, fgopacity=0.6, size=6, solidity=0.2),
                     "hovertemplate": "%{y}: from %{base:.3f} s for %{x:.3f} s<extra></extra>",
                 }
             )
-        layout = layout_of("time (s)", "", 330, first_window(e))
-        order = [f"{leg} {word}" for leg in LEGS for word in words]
-        layout["yaxis"] |= {**rows_axis(order), "showgrid": False}
-        layout["hovermode"] = "closest"
-        layout["barmode"] = "overlay"
-        layout["shapes"] = [*(rule(border, y=3 * leg - 0.5, width=1) for leg in range(1, 4)), *segment_lines(e)]
+        borders = [draw.rule(border, y=3 * leg - 0.5, width=1) for leg in range(1, 4)]
+        more = {"hovermode": "closest", "barmode": "overlay", "shapes": [*borders, *e.segment_lines]}
+        layout = draw.layout_of("time (s)", "", 330, e.first_window, **more)
+        layout["yaxis"] |= {**draw.rows_axis([f"{leg} {word}" for leg in LEGS for word in words]), "showgrid": False}
         shares.append(100 * float(np.mean(log.stance[0, :alive] == log.wanted[0, :alive])) if alive else 0.0)
-        plots.append(Plot(short(key) if key is not ONLY else "", data, layout))
+        plots.append(Plot("" if key is ONLY else _short(key), data, layout))
     return Figure(
         "gait",
         f"Gait: the legs are in the state that the motion wants {arrow(shares, 1)} % of the time",
@@ -179,30 +151,27 @@ def reward(e: RerunEpisodes) -> Figure:
     plots = []
     weights = reward_weights()
     for i, name in enumerate(("reward", *REWARD_TERMS)):
-        data: list[dict[str, Any]] = []
-        means = []
-        for rollout, key in series(e):
-            log = log_of(rollout)
-            values = log.reward[0] if i == 0 else log.terms[0, :, i - 1]
-            data.insert(0, curve(times(log), values, key))
-            means.append(float(rollout.reward[0] if i == 0 else rollout.terms[0, i - 1]))
-        label = "Reward" if i == 0 else f"{name.replace('_', ' ').capitalize()}, weight {weights[i - 1]:g}"
-        lowest = min(v for d in data for v in d["y"] if v is not None)
-        layout = layout_of(
-            "time (s)",
+        found = [(log.reward[0] if i == 0 else log.terms[0, :, i - 1], key) for _, log, key in e.series]
+        means = [float(rollout.reward[0] if i == 0 else rollout.terms[0, i - 1]) for rollout, *_ in e.series]
+        plot = draw.time_plot(
+            "Reward" if i == 0 else f"{name.replace('_', ' ').capitalize()}, weight {weights[i - 1]:g}",
             "reward (0 to 1)" if i == 0 else "term (0 to 1)",
-            210,
-            whole_episode(e),
-            yrange=(max(-0.02, lowest - 0.06 * (1 - lowest) - 0.01), 1.012),
+            e.times,
+            found,
+            e.whole_episode,
+            height=210,
+            shapes=e.segment_lines,
+            note=f"mean {arrow(means, 3)}",
         )
-        layout["shapes"] = segment_lines(e)
-        plots.append(Plot(label, data, layout, f"mean {arrow(means, 3)}"))
+        lowest = min(v for curve in plot.data for v in curve["y"] if v is not None)
+        plot.layout["yaxis"]["range"] = numbers((max(-0.02, lowest - 0.06 * (1 - lowest) - 0.01), 1.012))
+        plots.append(plot)
     falls = [
-        f"{short(key).lower()} falls after {rollout.steps[0] / log_of(rollout).rate_hz:.2f} s"
-        for rollout, key in series(e)
+        f"{_short(key).lower()} falls after {rollout.steps[0] / log.rate_hz:.2f} s"
+        for rollout, log, key in e.series
         if rollout.fell[0]
     ]
-    lowest_term = int(np.argmin(series(e)[-1][0].terms[0] * weights - weights))
+    lowest_term = int(np.argmin(e.series[-1][0].terms[0] * weights - weights))
     seen = ", ".join(falls) or f"most is left to gain in the {list(REWARD_TERMS.values())[lowest_term].label} term"
     return Figure(
         "reward",
@@ -211,5 +180,162 @@ def reward(e: RerunEpisodes) -> Figure:
         " after a fall it is 0. The vertical scales differ.",
         plots,
         3,
-        keys(e),
+        e.keys,
     )
+
+
+def _short(key: Key) -> str:
+    return "The robot" if key is ONLY else key.label.split(":")[0].capitalize()
+
+
+def limits(e: RerunEpisodes) -> list[Figure]:
+    """Joint torque and joint speed against the motors' limits, two figures."""
+    torques, speeds = [], []
+    for rollout, log, key in e.series:
+        alive = rollout.steps[0]
+        torque, speed = motor_torque(log, e.robot.torque_limit), log.observation["joint_vel"][0].copy()
+        torque[alive:] = speed[alive:] = np.nan
+        torques.append((torque, key))
+        speeds.append((speed, key))
+    cut = "Torque of the motor law at the start of each control step, cut off at the limit."
+    beyond = "The simulation does not cut speeds off: above the limit a real motor would not follow."
+    return [
+        against_limit(*told, e.times, found, limit, e.whole_episode, hint, e.segment_lines)
+        for told, found, limit, hint in (
+            (("torque", "Motor torque", "N·m"), torques, e.robot.torque_limit, cut),
+            (("speed", "Joint speed", "rad/s"), speeds, e.robot.joint_speed_limit, beyond),
+        )
+    ]
+
+
+def against_limit(
+    name: str,
+    title: str,
+    unit: str,
+    time: Array,
+    found: Sequence[tuple[Array, Key]],
+    limit: Array,
+    span: tuple[float, float],
+    hint: str = "",
+    shapes: Sequence[dict[str, Any]] = (),
+) -> Figure:
+    """The greatest value of the four legs, joint by joint, against the motors' limits.
+
+    Args:
+        name: id of the figure.
+        unit: of the values.
+        time: (t,), s.
+        found: of each series the values (t, 12), and its style.
+        limit: (12,).
+        span: times shown, s.
+        hint: additional text.
+        shapes: drawn in each plot.
+    """
+    plots, used = [], [0.0] * len(found)
+    for j, joint in enumerate(JOINTS_PER_LEG):
+        most = float(np.min(np.reshape(limit, (4, 3))[:, j]))
+        largest = [(np.abs(values).reshape(-1, 4, 3)[:, :, j].max(axis=1), key) for values, key in found]
+        peaks = [draw.greatest(values) for values, _ in largest]
+        used = [float(np.fmax(before, peak / most)) for before, peak in zip(used, peaks, strict=True)]
+        plot = draw.time_plot(
+            joint.capitalize(),
+            f"greatest of four ({unit})",
+            time,
+            largest,
+            span,
+            (0, 1.08 * max(most, *peaks)),
+            shapes=[draw.rule(LIMIT, y=most), *shapes],
+            note=f"peak {arrow(peaks, 1)}, limit {most:g} {unit}",
+            peak=True,
+        )
+        plots.append(plot)
+    beyond = ", beyond it" if max(used) > 1.0 else ""
+    return Figure(
+        name,
+        f"{title}: at most {arrow([100 * u for u in used], 0)} % of the limit{beyond}",
+        f"The greatest absolute value among the four legs. {hint}".strip(),
+        plots,
+        3,
+        (*(key for _, key in found), LIMIT),
+    )
+
+
+def friction(e: RerunEpisodes) -> Figure:
+    """Tangential over normal force of each loaded foot."""
+    loaded = LOADED * e.robot.mass * GRAVITY
+    assumed, ground = e.config.stance.friction, GROUND_FRICTION
+    mu = Key(f"μ that the controller assumes, {assumed:g}", "var(--limit)", "dashdot")
+    real = Key(f"μ of the simulated ground, {ground:g}", "var(--muted)", "dot")
+    plots, top = [], []
+    for leg, label in enumerate(LEGS):
+        found, typical = [], []
+        for rollout, log, key in e.series:
+            force = log.observation["foot_force"][0, :, leg]
+            use = np.full(len(force), np.nan)
+            on = force[:, 2] > loaded
+            on[rollout.steps[0] :] = False
+            use[on] = np.hypot(force[on, 0], force[on, 1]) / force[on, 2]
+            found.append((use, key))
+            typical.append(float(np.nanpercentile(use, 95)) if on.any() else float("nan"))
+        top.append(typical)
+        plot = draw.time_plot(
+            label,
+            "tangential / normal force",
+            e.times,
+            found,
+            e.first_window,
+            (0, 1.15 * max(assumed, ground)),
+            shapes=[draw.rule(mu, y=assumed), draw.rule(real, y=ground), *e.segment_lines],
+            note=f"95 % below {arrow(typical, 2)}",
+            peak=True,
+        )
+        plots.append(plot)
+    worst = [draw.greatest(np.array(column)) for column in zip(*top, strict=True)]
+    return Figure(
+        "friction",
+        f"Friction use: {arrow(worst, 2)} at most for 95 % of the time on any foot; the ground has μ {ground:g}",
+        f"Only feet that carry more than {100 * LOADED:g} % of the weight ({loaded:.0f} N); gaps are swings. Where a"
+        " curve reaches the ground's μ the foot slides.",
+        plots,
+        4,
+        (*e.keys, mu, real),
+    )
+
+
+def solve_times(e: RerunEpisodes) -> Figure | None:
+    """Duration of planning ahead; None without any."""
+    data, legend, medians, worst = [], [], [], []
+    for _, log, key in e.series:
+        at = np.flatnonzero(log.solve_time[0] > 0)
+        if not len(at):
+            return None
+        ms = 1e3 * log.solve_time[0, at]
+        symbol, size = ("circle-open", 7.5) if key is BEFORE else ("diamond", 5.0)
+        legend.append(replace(key, symbol=symbol))
+        data.append(draw.points(numbers((at + 1) / log.rate_hz), numbers(ms), legend[-1], "%{y}: %{x:.4g}", size=size))
+        medians.append(float(np.median(ms)))
+        worst.append(float(np.percentile(ms, 99)))
+    layout = draw.layout_of("time (s)", "solve time (ms)", 260, e.whole_episode)
+    layout["yaxis"]["type"] = "log"
+    return Figure(
+        "solve-times",
+        f"Planning ahead takes {arrow(medians, 2)} ms in the median, 99 % stay below {arrow(worst, 2)} ms",
+        f"One point a plan, {e.config.horizon.solve_rate_hz:g} a second, measured while this page was made, on the"
+        " machine that made it.",
+        [Plot("", data, layout)],
+        1,
+        legend,
+    )
+
+
+def motor_torque(log: Log, limit: Array) -> Array:
+    """Torque of the motors, limited to (12,) N·m, at the start of each control step of the first episode: (t, 12), N·m;
+    NaN in the first step, where the state is not logged."""
+    command, seen = log.command[0], log.observation[0]
+    torque = np.full(command["torque"].shape, np.nan)
+    torque[1:] = (
+        command["torque"][1:]
+        + command["stiffness"][1:] * (command["joint_pos"][1:] - seen["joint_pos"][:-1])
+        + command["damping"][1:] * (command["joint_vel"][1:] - seen["joint_vel"][:-1])
+    )
+    return np.asarray(np.clip(torque, -limit, limit))

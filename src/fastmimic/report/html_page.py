@@ -4,7 +4,8 @@ import base64
 import gzip
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -15,16 +16,33 @@ from markupsafe import Markup, escape
 
 from fastmimic import __version__
 from fastmimic.base.errors import ConfigError, OutputError
+from fastmimic.base.files import write_text
+from fastmimic.base.text import NONE
 from fastmimic.imitation.methods import METHODS
 from fastmimic.report.html_plots import Figure
 
 
-def render(template: str, figures: Iterable[Figure], *, title: str, replay: str = "", **data: Any) -> str:
+@dataclass(frozen=True)
+class HtmlReport:
+    """A finished page: its HTML, and a sentence for each thing missing in the folder and thus in the page."""
+
+    html: str
+    missing: tuple[str, ...]
+
+    def save(self, path: str | Path) -> None:
+        """Writes the page, replacing an earlier one; raises `OutputError`."""
+        write_text(path, self.html)
+
+
+def render(
+    template: str, figures: Iterable[Figure], *, title: str, missing: Sequence[str], replay: str = "", **data: Any
+) -> HtmlReport:
     """Fills a page; `data` is for the template.
 
     Args:
         template: name of a file in `templates/`.
         figures: all figures of the page.
+        missing: a sentence for each thing missing.
         replay: an HTML page to be opened inside this one; empty for none.
 
     Raises:
@@ -36,7 +54,8 @@ def render(template: str, figures: Iterable[Figure], *, title: str, replay: str 
         for figure in figures
         for i, plot in enumerate(figure.plots, start=1)
     }
-    return _environment().get_template(template).render(title=title, plots=plots, replay=replay, **data)
+    shared = {"title": title, "missing": tuple(missing), "plots": plots, "replay": replay}
+    return HtmlReport(_environment().get_template(template).render(**shared, **data), tuple(missing))
 
 
 def plotly_bundle() -> str:
@@ -59,7 +78,8 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.globals |= {"version": __version__, "asset": _asset, "plotly": plotly_bundle, "all_methods": METHODS}
+    environment.globals |= {"version": __version__, "asset": _asset, "plotly": plotly_bundle}
+    environment.globals |= {"all_methods": METHODS, "NONE": NONE}
     environment.filters |= {"json": _json, "gzip": compressed, "embed": _embedded, "markdown": markdown}
     return environment
 
@@ -94,7 +114,7 @@ def markdown(text: str) -> Markup:
         lines = block.splitlines()
         if block.startswith("|"):
             header, _, *rows = ([_inline(cell.strip()) for cell in line.strip("| ").split(" | ")] for line in lines)
-            html.append(Markup('<div class="dense">{}</div>').format(table(header, rows, left=2, sortable=True)))
+            html.append(Markup('<div class="dense">{}</div>').format(table(header, rows)))
         elif block.startswith("- "):
             items = Markup("").join(Markup("<li>{}</li>").format(_inline(line[2:])) for line in lines)
             html.append(Markup("<ul>{}</ul>").format(items))

@@ -1,4 +1,4 @@
-"""Plots as plain Plotly: figures, series, lines, axes and time windows. Colours are names in the style sheet."""
+"""Plots as plain Plotly: figures, series, lines and axes. Colours are names in the style sheet."""
 
 import math
 from collections.abc import Sequence
@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.episode.rollout import Log, Rollout
-from fastmimic.report.html_run import RerunEpisodes
 
 
 @dataclass(frozen=True)
@@ -67,49 +65,6 @@ DEMONSTRATION: Final = Key("demonstration", "var(--demo)", "dash")
 STANCE: Final = Key("stance wanted", "var(--stance)", pattern="")
 LIMIT: Final = Key("limit", "var(--limit)", "dashdot")
 POINTS: Final = 1000  # maximum of a curve: a page must open on a phone
-CYCLES: Final = 2  # shown at first
-TRANSITION_S: Final = 2.0  # of a stitched motion, shown at first
-
-
-def first_window(e: RerunEpisodes) -> tuple[float, float]:
-    """The times shown at first, s: the last cycles, or the first transition."""
-    log = log_of(e.before)
-    total = log.wanted.shape[1] / log.rate_hz
-    starts = e.motion.target.segment_starts
-    if len(starts) > 1:
-        start = max(0.0, starts[1] / log.rate_hz - TRANSITION_S / 2)
-        return start, min(total, start + TRANSITION_S)
-    alive = max(int(r.steps[0]) for r, _ in series(e)) / log.rate_hz
-    start = max(0.0, alive - CYCLES * e.motion.period_s)
-    return start, max(alive, start + 0.1)
-
-
-def whole_episode(e: RerunEpisodes) -> tuple[float, float]:
-    """From 0 to the end of the episodes, s."""
-    log = log_of(e.before)
-    return 0.0, log.wanted.shape[1] / log.rate_hz
-
-
-def series(e: RerunEpisodes) -> list[tuple[Rollout, Key]]:
-    return [(e.before, ONLY)] if e.after is None else [(e.before, BEFORE), (e.after, AFTER)]
-
-
-def keys(e: RerunEpisodes) -> tuple[Key, ...]:
-    return tuple(key for _, key in series(e))
-
-
-def short(key: Key) -> str:
-    return "The robot" if key is ONLY else key.label.split(":")[0].capitalize()
-
-
-def log_of(rollout: Rollout) -> Log:
-    assert rollout.log is not None, "the plots need rollouts with their logs"
-    return rollout.log
-
-
-def times(log: Log) -> Array:
-    """(t,) s, of the states after each step."""
-    return np.arange(1, log.wanted.shape[1] + 1) / log.rate_hz
 
 
 def greatest(values: Array) -> float:
@@ -174,14 +129,32 @@ def layout_of(
     height: int = 240,
     xrange: tuple[float, float] | None = None,
     yrange: tuple[float, float] | None = None,
+    **more: Any,
 ) -> dict[str, Any]:
     xaxis: dict[str, Any] = {"title": {"text": x}}
     yaxis: dict[str, Any] = {"title": {"text": y}}
-    if xrange is not None:
-        xaxis["range"] = numbers(xrange)
-    if yrange is not None:
-        yaxis["range"] = numbers(yrange)
-    return {"height": height, "xaxis": xaxis, "yaxis": yaxis}
+    for axis, shown in ((xaxis, xrange), (yaxis, yrange)):
+        if shown is not None:
+            axis["range"] = numbers(shown)
+    return {"height": height, "xaxis": xaxis, "yaxis": yaxis, **more}
+
+
+def time_plot(
+    title: str,
+    y: str,
+    time: Array,
+    found: Sequence[tuple[Array, Key]],
+    span: tuple[float, float],
+    yrange: tuple[float, float] | None = None,
+    *,
+    height: int = 230,
+    shapes: Sequence[dict[str, Any]] = (),
+    note: str = "",
+    peak: bool = False,
+) -> Plot:
+    """Series of values at the times (t,), s, the first one on top; see `curve` for `peak`."""
+    data = [curve(time, values, key, peak=peak) for values, key in reversed(found)]
+    return Plot(title, data, layout_of("time (s)", y, height, span, yrange, shapes=list(shapes)), note)
 
 
 def intervals(on: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -227,13 +200,6 @@ def rows_axis(names: Sequence[str]) -> dict[str, Any]:
         "tickmode": "linear",
         "dtick": 1,
     }
-
-
-def segment_lines(e: RerunEpisodes) -> list[dict[str, Any]]:
-    """Lines between the segments of a stitched motion."""
-    rate = log_of(e.before).rate_hz
-    border = Key("", "var(--muted)", "dash")
-    return [rule(border, x=s / rate, width=1) for s in e.motion.target.segment_starts if s]
 
 
 def numbers(values: Any, digits: int = 5) -> list[float | None]:

@@ -5,8 +5,9 @@ check this.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,10 +16,14 @@ from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.base.files import read_json
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
-from fastmimic.episode.rollout import Rollout
+from fastmimic.episode.rollout import Log, Rollout
 from fastmimic.motion.motion import Motion
+from fastmimic.report.html_plots import AFTER, BEFORE, ONLY, Key, rule
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.work_folder import CONFIG, METRICS, MOTION, VIDEO, RunFolder
+
+CYCLES: Final = 2  # shown at first
+TRANSITION_S: Final = 2.0  # of a stitched motion, shown at first
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +61,55 @@ class RerunEpisodes:
         """Whether the motion has no cycle for synchronising the reference with the robot."""
         target = self.motion.target
         return target.cycle is None and len(target.cycle_starts) == 1
+
+    @cached_property
+    def series(self) -> tuple[tuple[Rollout, Log, Key], ...]:
+        """Each episode with its log and its style."""
+        if self.after is None:
+            return ((self.before, _log_of(self.before), ONLY),)
+        return ((self.before, _log_of(self.before), BEFORE), (self.after, _log_of(self.after), AFTER))
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        return tuple(key for *_, key in self.series)
+
+    @property
+    def log(self) -> Log:
+        """Of the first episode: schedule and demonstration are those of both."""
+        return self.series[0][1]
+
+    @property
+    def times(self) -> Array:
+        """(t,) s, of the states after each step."""
+        return np.arange(1, self.log.wanted.shape[1] + 1) / self.log.rate_hz
+
+    @property
+    def whole_episode(self) -> tuple[float, float]:
+        """From 0 to the end of the episodes, s."""
+        return 0.0, self.log.wanted.shape[1] / self.log.rate_hz
+
+    @property
+    def first_window(self) -> tuple[float, float]:
+        """The times shown at first, s: the last cycles, or the first transition."""
+        _, total = self.whole_episode
+        starts, rate_hz = self.motion.target.segment_starts, self.log.rate_hz
+        if len(starts) > 1:
+            start = max(0.0, starts[1] / rate_hz - TRANSITION_S / 2)
+            return start, min(total, start + TRANSITION_S)
+        alive = max(int(rollout.steps[0]) for rollout, *_ in self.series) / rate_hz
+        start = max(0.0, alive - CYCLES * self.motion.period_s)
+        return start, max(alive, start + 0.1)
+
+    @property
+    def segment_lines(self) -> list[dict[str, Any]]:
+        """Lines between the segments of a stitched motion."""
+        border = Key("", "var(--muted)", "dash")
+        return [rule(border, x=s / self.log.rate_hz, width=1) for s in self.motion.target.segment_starts if s]
+
+
+def _log_of(rollout: Rollout) -> Log:
+    assert rollout.log is not None, "the plots need rollouts with their logs"
+    return rollout.log
 
 
 @dataclass(frozen=True, eq=False)
