@@ -18,7 +18,7 @@ from marked import put
 from fastmimic.cli import main as fastmimic
 from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.experiments.comparison_run import slug
-from fastmimic.report.stress_figures import SUCCESS_FIGURE
+from fastmimic.report.experiment_figures import SUCCESS_FIGURE
 from fastmimic.runs.work_folder import ENVIRONMENT, TABLE
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 

@@ -17,7 +17,7 @@ from marked import put
 
 from fastmimic.cli import main as fastmimic
 from fastmimic.experiments.compare import PAPER_MOTIONS
-from fastmimic.report.transfer_figures import FIGURE
+from fastmimic.report.experiment_figures import TRANSFER_FIGURE as FIGURE
 from fastmimic.runs.work_folder import ENVIRONMENT, TABLE
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

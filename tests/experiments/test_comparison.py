@@ -23,7 +23,7 @@ from fastmimic.experiments.tables import COLUMNS, ablation_table, comparison_tab
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.imitation.methods import METHODS, PAPER_METHODS
 from fastmimic.motion.motion import Motion
-from fastmimic.report.comparison_files import write_comparison
+from fastmimic.report.comparison_figures import write_comparison
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import load_motion
 from searches import QUICK_CHOICE

@@ -10,6 +10,7 @@ import pytest
 
 from control.motions import gait
 from fastmimic.base.errors import ConfigError, OutputError
+from fastmimic.base.text import csv_text
 from fastmimic.episode.plan import Start
 from fastmimic.experiments import stress
 from fastmimic.experiments.results import load_part, save_part
@@ -19,13 +20,12 @@ from fastmimic.experiments.stress import (
     disturbances_of,
     stress_table,
     sweep,
-    to_csv,
     tolerances,
 )
 from fastmimic.experiments.subject import Search, Subject, check_methods, make_subject
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion
-from fastmimic.report.stress_figures import stress_figure
+from fastmimic.report.experiment_figures import stress_figure
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
@@ -126,7 +126,7 @@ class TestTolerance:
         assert "| top-speed, rad/s | 15 … ∞ | 22 … ∞ | none |" in table
         assert "**Unfinished: 1 sweeps are missing.**" in table
         assert "MBC 0.900, 100% without a fall; Raibert 0.000, 0% without a fall" in table
-        assert len(to_csv(rows).splitlines()) == 1 + 18
+        assert len(csv_text(COLUMNS, rows).splitlines()) == 1 + 18
 
     def test_figures_have_a_panel_for_each_disturbance(self) -> None:
         rows = made_up("mbc", "payload", [1.0] * 10) + made_up("mbc", "top-speed", [0.5] * 9)

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'fastmimic[pybullet]'")
 
 from control.motions import gait
+from fastmimic.base.text import csv_text
 from fastmimic.episode.loop import run_episodes
 from fastmimic.experiments.subject import Search, Subject, make_subject
 from fastmimic.experiments.transfer import (
@@ -20,12 +21,11 @@ from fastmimic.experiments.transfer import (
     TransferSettings,
     identified_config,
     run_trials,
-    to_csv,
     transfer_table,
     transferred,
     trial_starts,
 )
-from fastmimic.report.transfer_figures import transfer_figure
+from fastmimic.report.experiment_figures import transfer_figure
 from fastmimic.robot import Robot
 
 SETTINGS = TransferSettings(trials=2, duration_s=0.6)
@@ -129,7 +129,7 @@ class TestResults:
         assert "| turn (paper) | MBC-DMP | 0.803 ± 0.012 |  |  | on the robot 0.627 ± 0.096 | -22 % |" in table
         assert "Unfinished: 2" in table
         assert "friction 0.6" in table
-        assert len(to_csv(self.made_up()).splitlines()) == 9
+        assert len(csv_text(COLUMNS, self.made_up()).splitlines()) == 9
 
     def test_the_figure_has_a_panel_for_each_motion_and_the_paper(self) -> None:
         figure = transfer_figure(self.made_up())

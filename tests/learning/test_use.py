@@ -21,7 +21,7 @@ from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import METHODS, PAPER_METHODS
 from fastmimic.learning.policy import controlled_by
 from fastmimic.motion.motion import Motion
-from fastmimic.report.comparison_files import write_comparison
+from fastmimic.report.comparison_figures import write_comparison
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion
 from learning.hand_made import follower

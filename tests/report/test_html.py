@@ -18,9 +18,10 @@ import pytest
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import write_json
+from fastmimic.base.text import csv_text
 from fastmimic.cli import main
 from fastmimic.commands.report import recorded
-from fastmimic.experiments.tables import COLUMNS, to_csv
+from fastmimic.experiments.tables import COLUMNS
 
 pytest.importorskip("plotly", reason="Plotly is not installed: pip install 'fastmimic[report]'")
 
@@ -330,14 +331,14 @@ def compared(tmp_path: Path) -> Path:
     folder.mkdir()
     said = {"settings": {"robot": "a1"}, "methods": ["mbc", "mbc-dmp"], "motions": ["trot", "pace"], "seeds": 2}
     write_json(folder / "environment.json", {**said, "ablations": ["no-adaptation"]})
-    (folder / "results.csv").write_text(to_csv(ROWS))
+    (folder / "results.csv").write_text(csv_text(COLUMNS, ROWS))
     for name in ("table.md", "ablations.md"):
         (folder / name).write_text("| motion | reward |\n| --- | --- |\n| `trot` | **0.500** |\n| `pace` | 0.9 ± 0 |\n")
     return folder
 
 
 def test_results_are_read_as_they_were_written() -> None:
-    assert read_rows(to_csv(ROWS)) == ROWS
+    assert read_rows(csv_text(COLUMNS, ROWS)) == ROWS
 
 
 def test_a_comparison_draws_the_numbers_of_its_results(compared: Path) -> None:
@@ -369,7 +370,11 @@ def test_a_comparison_that_is_not_finished_shows_what_there_is(compared: Path) -
 
 
 def test_results_of_something_else_are_one_line(compared: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for text in ("reward\n1\n", to_csv(ROWS).replace("0.9,", "O.9,"), to_csv(ROWS).replace("mbc", "cbm")):
+    for text in (
+        "reward\n1\n",
+        csv_text(COLUMNS, ROWS).replace("0.9,", "O.9,"),
+        csv_text(COLUMNS, ROWS).replace("mbc", "cbm"),
+    ):
         (compared / "results.csv").write_text(text)
         capsys.readouterr()
         assert main(["report", str(compared)]) == 2

@@ -12,7 +12,7 @@ from fastmimic.base.files import write_json
 from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import METHODS
 from fastmimic.render.tracks import Track
-from fastmimic.report.run_figures import write_video
+from fastmimic.report.figures import write_video
 from fastmimic.runs.loading import load_motion
 from fastmimic.runs.work_folder import RunFolder, default_folder, open_run
 

@@ -65,7 +65,7 @@ class Compare:
         from fastmimic.base.machine import available_cores
         from fastmimic.experiments.compare import prepare
         from fastmimic.experiments.comparison_folder import ABLATION_TABLE, open_comparison
-        from fastmimic.report.comparison_files import write_comparison
+        from fastmimic.report.comparison_figures import write_comparison
         from fastmimic.runs.work_folder import TABLE
 
         workers = self.workers if self.workers is not None else available_cores()
@@ -117,7 +117,7 @@ class Compare:
 
 def _leave(folder: "ComparisonFolder", prepared: "Prepared") -> None:
     """Writes the results so far of an interrupted or failed comparison, and prints how to continue."""
-    from fastmimic.report.comparison_files import write_comparison
+    from fastmimic.report.comparison_figures import write_comparison
 
     try:
         rows = prepared.finished()

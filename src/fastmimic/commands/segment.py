@@ -51,7 +51,7 @@ class SegmentTake:
                 )
         if figure is not None:
             from fastmimic.render.figure_style import save
-            from fastmimic.report.segments import segments_figure
+            from fastmimic.report.inspection import segments_figure
 
             save(segments_figure(clip, segments, Path(self.take).stem), figure)
             if not self.json:

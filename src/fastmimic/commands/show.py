@@ -81,7 +81,7 @@ def least_share(realised: Sequence[float | None], wanted: Sequence[float | None]
 
 def write_run(result: "Imitation", folder: "RunFolder", config: Mapping[str, Any]) -> None:
     """Writes everything but the video, in place of an earlier run; raises `OutputError`."""
-    from fastmimic.report.run_figures import draw_run
+    from fastmimic.report.figures import draw_run
 
     folder.clear_results()
     draw_run(result, folder)
@@ -97,7 +97,7 @@ def put_result(result: "Imitation", folder: "RunFolder", iterations: int, *, vid
         iterations: the number that was asked for.
         video: its quality; None for no video.
     """
-    from fastmimic.report.run_figures import write_video
+    from fastmimic.report.figures import write_video
 
     put_comparison(result)
     if video is not None:

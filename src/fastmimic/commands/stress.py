@@ -49,7 +49,7 @@ class Stress(opt.ExperimentOptions):
         from fastmimic.experiments.results import open_results
         from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of
         from fastmimic.experiments.subject import check_methods
-        from fastmimic.report.stress_figures import WRITTEN, write_stress
+        from fastmimic.report.experiment_figures import STRESS_FILES, write_stress
         from fastmimic.simulation.simulators import check_simulator
 
         check_methods(self.methods, self.policy is not None)
@@ -71,7 +71,7 @@ class Stress(opt.ExperimentOptions):
         check_simulator(robot, self.simulator)
         about = {"motion": motion.name, **asdict(settings)}
         resume, overwrite = self.folder.resume, self.folder.overwrite
-        folder = open_results(self.out, "stress", SWEEPS, WRITTEN, about, resume=resume, overwrite=overwrite)
+        folder = open_results(self.out, "stress", SWEEPS, STRESS_FILES, about, resume=resume, overwrite=overwrite)
         planned = [(method, name) for method in self.methods for name in names]
         with self.writing(folder, lambda: write_stress(folder, settings, planned)):
             for k, method in enumerate(self.methods):

@@ -46,7 +46,7 @@ class Transfer(opt.ExperimentOptions):
         from fastmimic.experiments.results import load_part, open_results, save_part
         from fastmimic.experiments.subject import check_methods
         from fastmimic.experiments.transfer import PARTS, TransferSettings, part_file, run_trials
-        from fastmimic.report.transfer_figures import WRITTEN, write_transfer
+        from fastmimic.report.experiment_figures import TRANSFER_FILES, write_transfer
         from fastmimic.simulation.simulators import SECOND_SIMULATOR, check_simulator
 
         if not self.motions:
@@ -69,7 +69,7 @@ class Transfer(opt.ExperimentOptions):
         policy = opt.policy_with_digest(self.policy, *loaded[0])
         about = {"robot": loaded[0][0].name, **asdict(settings)}
         resume, overwrite = self.folder.resume, self.folder.overwrite
-        folder = open_results(self.out, "transfer", PARTS, WRITTEN, about, resume=resume, overwrite=overwrite)
+        folder = open_results(self.out, "transfer", PARTS, TRANSFER_FILES, about, resume=resume, overwrite=overwrite)
         planned = [(name, method) for name in names for method in self.methods]
         with self.writing(folder, lambda: write_transfer(folder, planned)):
             for robot, motion in loaded:

@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.text import csv_text
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import Start, episode_duration, nominal_start, start_room
 from fastmimic.experiments.comparison_run import Row, slug
@@ -216,11 +215,6 @@ def _tolerance(method: str, disturbance: str, rows: list[Row]) -> Tolerance:
         values[-1],
         float(rows[nominal]["success"]),
     )
-
-
-def to_csv(rows: Iterable[Row]) -> str:
-    """One line per level."""
-    return csv_text(COLUMNS, rows)
 
 
 def stress_table(rows: Sequence[Row], settings: StressSettings, missing: int) -> str:

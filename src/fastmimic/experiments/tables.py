@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from fastmimic.base.text import NONE, csv_text, markdown_table, number
+from fastmimic.base.text import NONE, markdown_table, number
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.experiments.ablations import ABLATED, ablation_named
@@ -71,11 +71,6 @@ def summaries(rows: Iterable[Row]) -> list[Summary]:
     variants = list(dict.fromkeys(variant for _, _, variant in groups))
     order = sorted(groups, key=lambda k: (motions.index(k[0]), variants.index(k[2]), list(METHODS).index(k[1])))
     return [Summary(*key, tuple(groups[key])) for key in order]
-
-
-def to_csv(rows: Sequence[Row]) -> str:
-    """One line per run; missing values are empty."""
-    return csv_text(COLUMNS, rows)
 
 
 def comparison_table(rows: Sequence[Row], expected: int) -> str:

@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.errors import ConfigError, LogError
-from fastmimic.base.text import csv_text
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import Start, episode_duration, perturbed_start
@@ -235,11 +234,6 @@ def transferred(rows: Sequence[Row]) -> list[Transferred]:
             )
         )
     return found
-
-
-def to_csv(rows: Iterable[Row]) -> str:
-    """One line per trial."""
-    return csv_text(COLUMNS, rows)
 
 
 def transfer_table(rows: Sequence[Row], missing: int) -> str:

@@ -4,9 +4,11 @@ Colours are Okabe and Ito's (2008), safe for colour-blind readers; line styles a
 matplotlib's object interface is used: no pyplot, no rcParams.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -62,6 +64,20 @@ def tidy(axes: Axes, title: str = "", xlabel: str = "", ylabel: str = "") -> Non
     axes.spines[["left", "bottom"]].set_color("#bbbbbb")
     axes.grid(True, color="#e3e3e3", linewidth=0.6)
     axes.set_axisbelow(True)
+
+
+def write_at(
+    axes: Axes, text: str, place: tuple[float, float], offset: tuple[float, float], size: float, **more: Any
+) -> None:
+    """Writes `text`, centred `offset` points from a place."""
+    style = {"ha": "center", "color": INK} | more
+    axes.annotate(text, place, xytext=offset, textcoords="offset points", fontsize=size, **style)
+
+
+def legend_below(figure: Figure, axes: Axes | None = None, more: Sequence[Artist] = (), size: float = 9) -> None:
+    """Writes the labels of `axes` and of `more` in a line below all panels."""
+    handles = [*(axes.get_legend_handles_labels()[0] if axes is not None else ()), *more]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=size, frameon=False)
 
 
 def save(figure: Figure, path: str | Path) -> None:

@@ -1,7 +1,7 @@
-"""The figures of a comparison: rewards by method, tracking before and after optimisation, ablations."""
+"""The tables and figures of a comparison: rewards by method, tracking before and after optimisation, ablations."""
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,20 +11,101 @@ from matplotlib.patches import Patch
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
+from fastmimic.base.errors import OutputError
+from fastmimic.base.files import remove_file
+from fastmimic.base.text import csv_text
 from fastmimic.experiments.ablations import ABLATED
-from fastmimic.experiments.tables import Summary
+from fastmimic.experiments.compare import ComparisonPlan
+from fastmimic.experiments.comparison_folder import (
+    ABLATION_FIGURE,
+    ABLATION_TABLE,
+    COMPARISON,
+    RUNS,
+    TRACKING_FIGURE,
+    WRITTEN,
+    ComparisonFolder,
+)
+from fastmimic.experiments.comparison_run import TRACKING, Row, Run, run_of
+from fastmimic.experiments.tables import COLUMNS, Summary, ablation_table, comparison_table, summaries
 from fastmimic.imitation.methods import METHODS, method_named
-from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, new_figure, tidy
+from fastmimic.render.figure_style import (
+    AFTER,
+    BEFORE,
+    DEMONSTRATION,
+    INK,
+    MUTED,
+    legend_below,
+    new_figure,
+    save,
+    tidy,
+    write_at,
+)
+from fastmimic.runs.work_folder import RESULTS_CSV, TABLE
 
+SHOWN: Final = "dog:pace"  # the tracking figure's motion, as in the paper; else the first one compared
+_PERTURBED: Final[dict[str, Any]] = {"marker": "o", "markerfacecolor": "white", "markeredgecolor": INK}
 _BAR: Final = 0.84  # share of a group's width taken by bars
 _LABEL: Final = 0.04  # height of a bar's number, in units of the reward
 _CIRCLE: Final = 0.02  # height of a circle with its gap to the number, in units of the reward
 _TRACKED_LEG: Final = "RL"  # of the paper's tracking figures
 
 
+def write_comparison(
+    folder: ComparisonFolder, plan: ComparisonPlan, rows: Sequence[Row], kept: Sequence[Row] = ()
+) -> None:
+    """Writes the tables and figures of all rows, replacing earlier ones; says so if runs are missing. `kept` are rows
+    of the folder's other finished runs. Raises `OutputError`."""
+    missing = {*plan.runs} - {run_of(row) for row in rows}
+    found = folder.in_order([*kept, *rows])
+    written = [RESULTS_CSV]
+    folder.write(RESULTS_CSV, csv_text(COLUMNS, found))
+    whole = [row for row in found if not row["variant"]]
+    if whole:
+        expected = len(whole) + sum(not run.variant for run in missing)
+        folder.write(TABLE, comparison_table(whole, expected))
+        figure = comparison_figure(summaries(whole), f"Reward by method, {whole[0]['robot']}")
+        save(figure, folder.path / COMPARISON)
+        written += [TABLE, COMPARISON, *_write_tracking(folder, whole)]
+    of = {row["motion"] for row in found if row["variant"]} | {*(plan.motions if plan.ablations else ())}
+    own = [row for row in found if row["method"] == ABLATED and row["motion"] in of]
+    if own:
+        left = sum(run.method == ABLATED and run.motion in of for run in missing)
+        folder.write(ABLATION_TABLE, ablation_table(own, len(own) + left))
+        title = f"What the parts of {method_named(ABLATED).label} are worth, {own[0]['robot']}"
+        save(ablation_figure(summaries(own), title), folder.path / ABLATION_FIGURE)
+        written += [ABLATION_TABLE, ABLATION_FIGURE]
+    for name in WRITTEN:
+        if name not in written:
+            remove_file(folder.path / name)
+
+
+def _write_tracking(folder: ComparisonFolder, rows: Sequence[Row]) -> list[str]:
+    """Of the paper's method, or else the first optimising one; nothing without one."""
+    methods = [row["method"] for row in rows if method_named(row["method"]).optimises]
+    if not methods:
+        return []
+    method = ABLATED if ABLATED in methods else methods[0]
+    own = [row for row in rows if row["method"] == method]
+    row = next((row for row in own if row["motion"] == SHOWN), own[0])
+    run = Run(row["motion"], method, "", row["seed"])
+    try:
+        with np.load(folder.path / RUNS / run.folder / TRACKING, allow_pickle=False) as file:
+            courses = {name: file[name] for name in ("demonstration", "before", "after")}
+            rate_hz, start_s = float(file["rate_hz"]), float(file["start_s"])
+    except (OSError, ValueError, KeyError) as error:
+        raise OutputError(
+            f"{folder.path / RUNS / run.folder / TRACKING}: cannot be read ({error}); remove that folder, and"
+            " --resume makes it anew"
+        ) from None
+    title = f"Tracking before and after {method_named(method).label}, {row['robot']} (course: {run.motion})"
+    save(tracking_bars(summaries(own), courses, rate_hz, start_s, title), folder.path / TRACKING_FIGURE)
+    return [TRACKING_FIGURE]
+
+
 def comparison_figure(summaries: Sequence[Summary], title: str) -> Figure:
     """Reward of every method on every motion, grouped by motion, methods in the paper's order; without variants."""
-    motions, methods = _names(summaries)
+    motions = list(dict.fromkeys(s.motion for s in summaries))
+    methods = [name for name in METHODS if any(s.method == name for s in summaries)]
     found = {(s.motion, s.method): s for s in summaries}
     figure = new_figure(max(7.5, 1.2 + 0.42 * len(motions) * (len(methods) + 1)), 4.6, title)
     axes = figure.subplots()
@@ -41,18 +122,20 @@ def comparison_figure(summaries: Sequence[Summary], title: str) -> Figure:
     tidy(axes, "Bars: one nominal episode, mean ± std over the seeds. Circles: perturbed starts", "", "reward (0 to 1)")
     axes.grid(False, axis="x")
     axes.tick_params(axis="x", labelsize=9.5, length=0)
-    handles: list[Patch | Line2D] = [
+    bars = [
         Patch(facecolor=m.color, hatch=m.hatch, edgecolor="white", label=m.label)
         for m in (METHODS[name] for name in methods)
     ]
-    handles += [
-        Line2D(
-            [], [], marker="o", markerfacecolor="white", markeredgecolor=INK, linestyle="", label="perturbed starts"
-        ),
+    legend_below(figure, more=[*bars, *_marks()])
+    return figure
+
+
+def _marks() -> list[Line2D]:
+    """The legend of what is drawn at a bar."""
+    return [
+        Line2D([], [], **_PERTURBED, linestyle="", label="perturbed starts"),
         Line2D([], [], marker="$×$", color=INK, linestyle="", label="fell in the nominal episode"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=9, frameon=False)
-    return figure
 
 
 def _bar(axes: Axes, x: float, width: float, s: Summary, color: str, hatch: str) -> None:
@@ -62,20 +145,12 @@ def _bar(axes: Axes, x: float, width: float, s: Summary, color: str, hatch: str)
     if std is not None:
         axes.errorbar(x, mean, std, color=INK, capsize=2.5, linewidth=1.1)
     if rough is not None:
-        axes.plot(x, rough, marker="o", markersize=4.5, markerfacecolor="white", markeredgecolor=INK)
+        axes.plot(x, rough, **_PERTURBED, markersize=4.5)
     top = mean + (std or 0.0)
     text = f"{mean:.3f}{_falls(s)}".replace(" ", "\n", 1)
     tall = _LABEL * len(text.splitlines()) + _CIRCLE
     near = rough is not None and -_CIRCLE < rough - top < tall  # the circle would be where the number goes
-    axes.annotate(
-        text,
-        (x, max(rough, top) if near and rough is not None else top),
-        xytext=(0, 5 if near else 3),
-        textcoords="offset points",
-        ha="center",
-        fontsize=7,
-        color=INK,
-    )
+    write_at(axes, text, (x, max(rough, top) if near and rough is not None else top), (0, 5 if near else 3), 7)
 
 
 def tracking_bars(
@@ -103,8 +178,7 @@ def tracking_bars(
         tidy(axes, f"{_TRACKED_LEG} foot {name}", "time (s)", f"foot {name}, body frame (m)")
         axes.set_xlim(time[0], time[-1])
         _error_bars(grid[row, 1], summaries, name)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
+    legend_below(figure, grid[0, 0])
     return figure
 
 
@@ -122,15 +196,8 @@ def _error_bars(axes: Axes, summaries: Sequence[Summary], axis: str) -> None:
             axes.errorbar(i + 0.2, 1e3 * after, 1e3 * std, color=INK, capsize=2.5, linewidth=1.1)
         highest = 1e3 * max(before, after + (std or 0.0))
         fell = "\n(fell before)" if (s.mean("fell_before") or 0.0) > 0 else ""
-        axes.annotate(
-            _change(before, after) + fell,
-            (i, highest),
-            xytext=(0, 3),
-            textcoords="offset points",
-            ha="center",
-            fontsize=8.5,
-            color=INK,
-        )
+        percent = round(100 * (after - before) / before) if before > 0 else 0
+        write_at(axes, (f"{percent:+d} %" if percent else "±0 %") + fell, (i, highest), (0, 3), 8.5)
         top = max(top, highest)
     axes.set_xticks(range(len(summaries)), [s.motion for s in summaries])
     axes.set_ylim(0, 1.25 * top if top > 0 else 1.0)
@@ -142,12 +209,6 @@ def _falls(s: Summary) -> str:
     """A cross after falls in nominal episodes, with the share of the seeds if not all fell."""
     fell = s.mean("fell") or 0.0
     return "" if fell == 0 else " ×" if fell == 1 else f" × {100 * fell:.0f} %"
-
-
-def _change(before: float, after: float) -> str:
-    """The change in percent."""
-    percent = round(100 * (after - before) / before) if before > 0 else 0
-    return f"{percent:+d} %" if percent else "±0 %"
 
 
 def ablation_figure(summaries: Sequence[Summary], title: str) -> Figure:
@@ -171,13 +232,7 @@ def ablation_figure(summaries: Sequence[Summary], title: str) -> Figure:
         tidy(axes, motion, "reward", "")
         axes.grid(False, axis="y")
     grid[0, 0].invert_yaxis()
-    handles = [
-        Line2D(
-            [], [], marker="o", markerfacecolor="white", markeredgecolor=INK, linestyle="", label="perturbed starts"
-        ),
-        Line2D([], [], marker="$×$", color=INK, linestyle="", label="fell in the nominal episode"),
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8.5, frameon=False)
+    legend_below(figure, more=_marks(), size=8.5)
     return figure
 
 
@@ -188,20 +243,5 @@ def _row(axes: Axes, y: float, s: Summary) -> None:
     if std is not None:
         axes.errorbar(mean, y, xerr=std, color=INK, capsize=2.5, linewidth=1.1)
     if rough is not None:
-        axes.plot(rough, y, marker="o", markersize=4.5, markerfacecolor="white", markeredgecolor=INK, clip_on=False)
-    axes.annotate(
-        f"{mean:.3f}{_falls(s)}",
-        (1, y),
-        xytext=(5, 0),
-        textcoords="offset points",
-        va="center",
-        fontsize=7.5,
-        color=INK,
-        annotation_clip=False,
-    )
-
-
-def _names(summaries: Sequence[Summary]) -> tuple[list[str], list[str]]:
-    motions = list(dict.fromkeys(s.motion for s in summaries))
-    methods = [name for name in METHODS if any(s.method == name for s in summaries)]
-    return motions, methods
+        axes.plot(rough, y, **_PERTURBED, markersize=4.5, clip_on=False)
+    write_at(axes, f"{mean:.3f}{_falls(s)}", (1, y), (5, 0), 7.5, ha="left", va="center", annotation_clip=False)

@@ -1,4 +1,8 @@
-"""The two figures of an imitation: convergence of the optimiser, and tracking of the feet."""
+"""The figures and the video of a run: convergence of the optimiser, tracking of the feet."""
+
+import time
+from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,9 +13,27 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
-from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, STANCE, new_figure, save, tidy
+from fastmimic.episode.rollout import Rollout
+from fastmimic.imitation.imitate import Imitation
+from fastmimic.imitation.methods import method_named
+from fastmimic.render.figure_style import (
+    AFTER,
+    BEFORE,
+    DEMONSTRATION,
+    INK,
+    MUTED,
+    STANCE,
+    legend_below,
+    new_figure,
+    save,
+    tidy,
+    write_at,
+)
+from fastmimic.render.tracks import Track, realised_feet, rollout_track
+from fastmimic.runs.work_folder import CONVERGENCE, TRACKING, VIDEO, RunFolder
 
-__all__ = ["convergence_figure", "save", "tracking_figure"]
+TRACKING_CYCLES: Final = 2  # in the tracking figure
+TRANSITION_S: Final = 2.0  # length of a stitched motion's tracking figure
 
 
 def convergence_figure(
@@ -57,27 +79,16 @@ def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, bas
         k, mean - std, mean + std, color=BEFORE.color, alpha=0.18, linewidth=0, label="candidates, ± 1 std"
     )
     axes.plot(k, mean, **BEFORE.kwargs(), marker=marker, markersize=4, label="candidates, mean")
-    axes.plot(
-        k,
-        best,
-        **AFTER.kwargs(),
-        marker=marker,
-        markersize=4,
-        label="best of the iteration" if randomized else "best so far",
-    )
+    label = "best of the iteration" if randomized else "best so far"
+    axes.plot(k, best, **AFTER.kwargs(), marker=marker, markersize=4, label=label)
     axes.axhline(baseline, color=DEMONSTRATION.color, linestyle=DEMONSTRATION.linestyle, linewidth=1.4)
-    axes.annotate(
-        f"not optimised, first robots {baseline:.3f}" if randomized else f"not optimised {baseline:.3f}",
-        (1, baseline),
-        xycoords=("axes fraction", "data"),
-        xytext=(-2, 3),
-        textcoords="offset points",
-        ha="right",
-        fontsize=8.5,
-        color=DEMONSTRATION.color,
-    )
+    said = f"not optimised{', first robots' if randomized else ''} {baseline:.3f}"
+    style = {"xycoords": ("axes fraction", "data"), "ha": "right", "color": DEMONSTRATION.color}
+    write_at(axes, said, (1, baseline), (-2, 3), 8.5, **style)
     title = f"Objective of the search, other robots in each of {len(best)} iterations"
-    tidy(axes, title if randomized else _reward_title(best, baseline), ylabel="reward − penalty for lost clearance")
+    if not randomized:
+        title = f"Objective of the search: {baseline:.3f} → {best[-1]:.3f} after {len(best)} iterations"
+    tidy(axes, title, ylabel="reward − penalty for lost clearance")
     axes.legend(loc="lower right", bbox_to_anchor=(1, 0.04), fontsize=8.5, frameon=True, framealpha=0.9)
     drawn = np.concatenate([best, mean, mean - std, mean + std, [baseline]])
     drawn = drawn[np.isfinite(drawn)]
@@ -96,11 +107,6 @@ def _label_step_sizes(axes: Axes, sigma: Array) -> None:
     axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=5))
     axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
     axes.yaxis.set_minor_locator(NullLocator())
-
-
-def _reward_title(best: Array, baseline: float) -> str:
-    final = best[-1]
-    return f"Objective of the search: {baseline:.3f} → {final:.3f} after {len(best)} iterations"
 
 
 def _marker(k: Array) -> str:
@@ -143,11 +149,14 @@ def tracking_figure(
             for feet, line, label in styles:
                 axes.plot(time, feet[:, leg], **line.kwargs(), label=label)
             errors = [rmse(feet[:, leg], drawn[0][:, leg]) for feet in drawn[1:]]
-            tidy(axes, _tracking_title(name, "xyz"[axis], errors))
+            before_mm, after_mm = (f"{1000 * e:.1f}" if np.isfinite(e) else "–" for e in errors)
+            tidy(axes, f"{name} {'xyz'[axis]}: RMSE {before_mm} → {after_mm} mm")
             axes.set_xlim(start, end if end > start else start + 1.0)
         _same_span(grid[row], drawn, (time >= start) & (time <= end))
-    _name_axes(grid)
-    _legend(figure, grid[0, 0])
+        grid[row, 0].set_ylabel(f"foot {'xyz'[axis]}, body frame (m)", fontsize=9, color=MUTED)
+    for axes in grid[1]:
+        axes.set_xlabel("time (s)", fontsize=9, color=MUTED)
+    legend_below(figure, grid[0, 0], [Patch(color=STANCE, label="stance in the demonstration")])
     return figure
 
 
@@ -158,18 +167,6 @@ def _same_span(row: NDArray[np.object_], drawn: list[Array], shown: NDArray[np.b
     half = 0.54 * max(float(np.max(high - low)), 0.01)
     for axes, centre in zip(row, (low + high) / 2, strict=True):
         axes.set_ylim(centre - half, centre + half)
-
-
-def _name_axes(grid: NDArray[np.object_]) -> None:
-    grid[0, 0].set_ylabel("foot z, body frame (m)", fontsize=9, color=MUTED)
-    grid[1, 0].set_ylabel("foot x, body frame (m)", fontsize=9, color=MUTED)
-    for axes in grid[1]:
-        axes.set_xlabel("time (s)", fontsize=9, color=MUTED)
-
-
-def _tracking_title(leg: str, axis: str, errors: list[float]) -> str:
-    before, after = (f"{1000 * e:.1f}" if np.isfinite(e) else "–" for e in errors)
-    return f"{leg} {axis}: RMSE {before} → {after} mm"
 
 
 def rmse(values: Array, reference: Array) -> float:
@@ -188,13 +185,80 @@ def shade(axes: Axes, time_s: Array, stance: NDArray[np.bool_]) -> None:
         axes.axvspan(ends[start], ends[end], color=STANCE, linewidth=0, zorder=0)
 
 
-def _legend(figure: Figure, axes: Axes) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(
-        [*handles, Patch(color=STANCE)],
-        [*labels, "stance in the demonstration"],
-        loc="outside lower center",
-        ncols=4,
-        fontsize=9,
-        frameon=False,
+def draw_run(result: Imitation, folder: RunFolder) -> None:
+    """Writes the figures of a run; raises `OutputError`."""
+    title = f"{result.motion.name} on {result.robot.name}"
+    h = result.history
+    if h is not None and len(h.best):
+        iteration = range(1, len(h.best) + 1)
+        best = h.best if h.randomized else np.maximum(h.best, h.start)
+        figure = convergence_figure(
+            list(iteration), best, h.mean, h.std, h.sigma, h.baseline, title, randomized=h.randomized
+        )
+        save(figure, folder.path / CONVERGENCE)
+    save(_tracked(result, title), folder.path / TRACKING)
+
+
+def write_video(
+    result: Imitation,
+    folder: RunFolder,
+    progress: Callable[[int, int], None] | None = None,
+    quality: str = "preview",
+) -> bool:
+    """Adds the video, and its time to the metrics; False, with a warning in the log, if nothing can draw. `progress` is
+    called with (frames done, frames in all); `quality` is one of `fastmimic.render.quality.QUALITIES`. Raises
+    `OutputError`."""
+    from fastmimic.render.video import render_video
+
+    began = time.perf_counter()
+    assert result.before.log is not None
+    info = render_video(
+        result.robot,
+        _tracks(result),
+        folder.path / VIDEO,
+        rate_hz=result.before.log.rate_hz,
+        progress=progress,
+        quality=quality,
+    )
+    if info is not None:
+        folder.write_metrics(result.metrics(), time.perf_counter() - began)
+    return info is not None
+
+
+def _tracks(result: Imitation) -> list[Track]:
+    """The episodes before and, if something was optimised, after."""
+
+    def track(rollout: Rollout, title: str, method: str) -> Track:
+        loaded = result.config.release_force(result.robot)
+        return rollout_track(rollout, loaded, title, note=f"{result.motion.name} · {method_named(method).label}")
+
+    if result.history is not None:  # before it, there was only the method's controller
+        return [
+            track(result.before, "before: as retargeted", method_named(result.method).unoptimised.name),
+            track(result.after, "after: optimised", result.method),
+        ]
+    as_it_is = "as retargeted" if result.motion.demonstration is None else "as its motions were optimised"
+    return [track(result.before, as_it_is, result.method)]
+
+
+def _tracked(result: Imitation, title: str) -> Figure:
+    log = result.after.log
+    assert log is not None
+    time_s = np.arange(1, log.wanted.shape[1] + 1) / log.rate_hz
+    alive_s = max(int(result.before.steps[0]), int(result.after.steps[0])) / log.rate_hz
+    starts = result.demonstration.segment_starts
+    if len(starts) > 1:  # the first transition
+        shown_s = TRANSITION_S
+        start = max(0.0, starts[1] / log.rate_hz - 0.5 * shown_s)
+    else:
+        shown_s = TRACKING_CYCLES * result.demonstration.period_s
+        start = max(0.0, min(alive_s, float(time_s[-1])) - shown_s)
+    return tracking_figure(
+        time_s,
+        log.demonstration["foot_pos"][0],
+        realised_feet(result.before, result.robot),
+        realised_feet(result.after, result.robot),
+        log.wanted[0],
+        title,
+        window_s=(start, start + min(shown_s, float(time_s[-1]))),
     )

@@ -66,7 +66,10 @@ def _sections(log: DeploymentLog, result: dict[str, Any]) -> dict[str, list[Figu
     return {
         "base": [_base(time, span, log)],
         "times": [_periods(time, span, log), _histograms(rows)] if timed else [],
-        "limits": [against_limit(*names, time, [(values, ROBOT)], limit, span) for *names, values, limit in loads],
+        "limits": [
+            against_limit(name, title, unit, time, [(values, ROBOT)], limit, span)
+            for name, title, unit, values, limit in loads
+        ],
     }
 
 

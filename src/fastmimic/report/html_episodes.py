@@ -75,8 +75,11 @@ def paths(e: RerunEpisodes) -> Figure:
     plots = []
     shares: list[list[float]] = []
     for leg, label in enumerate(LEGS):
-        hover = {"width": 1.7, "hovertemplate": "x %{x:.3f} m, z %{y:.3f} m"}
-        data = [draw.line(numbers(path[shown, leg, 0]), path[shown, leg, 2], key, **hover) for path, key in drawn]
+        hover = "x %{x:.3f} m, z %{y:.3f} m"
+        data = [
+            draw.line(numbers(path[shown, leg, 0]), path[shown, leg, 2], key, width=1.7, hovertemplate=hover)
+            for path, key in drawn
+        ]
         layout = draw.layout_of("x, body frame (m)", "z, body frame (m)", 230, hovermode="closest")
         share = [100 * float(rollout.clearance[0, leg] / lifted[leg]) for rollout, *_ in e.series]
         shares.append(share)
@@ -130,8 +133,8 @@ def gait(e: RerunEpisodes) -> Figure:
                 }
             )
         borders = [draw.rule(border, y=3 * leg - 0.5, width=1) for leg in range(1, 4)]
-        more = {"hovermode": "closest", "barmode": "overlay", "shapes": [*borders, *e.segment_lines]}
-        layout = draw.layout_of("time (s)", "", 330, e.first_window, **more)
+        layout = draw.layout_of("time (s)", "", 330, e.first_window, hovermode="closest", barmode="overlay")
+        layout["shapes"] = [*borders, *e.segment_lines]
         layout["yaxis"] |= {**draw.rows_axis([f"{leg} {word}" for leg in LEGS for word in words]), "showgrid": False}
         shares.append(100 * float(np.mean(log.stance[0, :alive] == log.wanted[0, :alive])) if alive else 0.0)
         plots.append(Plot("" if key is ONLY else _short(key), data, layout))

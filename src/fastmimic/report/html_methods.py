@@ -71,7 +71,7 @@ def rewards(found: Sequence[Summary]) -> Figure:
         " are the same for every method, and no optimisation has seen them.",
         [_bars(found, measure) for measure in _REWARDS],
         1,
-        (*_legend(found), _SEED),
+        (*map(_key, _methods(found)), _SEED),
     )
 
 
@@ -84,7 +84,7 @@ def manners(found: Sequence[Summary]) -> Figure:
         " line across a bar is the error before the optimisation.",
         [_bars(found, measure, height=270) for measure in _HOW],
         2,
-        (*_legend(found), _SEED, _BEFORE),
+        (*map(_key, _methods(found)), _SEED, _BEFORE),
     )
 
 
@@ -100,17 +100,15 @@ def cost(found: Sequence[Summary]) -> Figure | None:
             data.append({**trace, "text": [f"{row['motion']}, seed {row['seed']:g}" for row in rows]})
     if not data:
         return None
-    layout = layout_of("processor time (s)", "reward (0 to 1)", 330)
+    layout = layout_of("processor time (s)", "reward (0 to 1)", 330, hovermode="closest")
     layout["xaxis"]["type"] = "log"
-    layout["hovermode"] = "closest"
-    legend = [replace(_key(name), pattern=None) for name in _methods(found)]
     return Figure(
         "cost",
         "What a reward costs: the processor time of each run, optimisation and evaluation",
         "One point a run, on the machine named below. Methods that optimise nothing need only the evaluation.",
         [Plot("", data, layout)],
         1,
-        legend,
+        [replace(_key(name), pattern=None) for name in _methods(found)],
     )
 
 
@@ -127,12 +125,16 @@ def ablations(found: Sequence[Summary]) -> Figure:
     for motion in dict.fromkeys(s.motion for s in found):
         own = [s for s in found if s.motion == motion]
         names = [s.variant or ABLATED for s in own]
-        nominal = _marks([s.mean("reward") for s in own], names, _NOMINAL, "reward", 10)
-        perturbed = _marks([s.mean("reward_perturbed") for s in own], names, _ROUGH, "perturbed starts", 8)
+        data = []
+        for column, key, hover, size in (
+            ("reward", _NOMINAL, "reward", 10),
+            ("reward_perturbed", _ROUGH, "perturbed starts", 8),
+        ):
+            means = numbers([np.nan if (mean := s.mean(column)) is None else mean for s in own], 17)
+            data.append(points(means, names, key, f"%{{y}}: {hover} %{{x:.3f}}<extra></extra>", size=size))
         stds = numbers([s.std("reward") or 0.0 for s in own])
-        data = [nominal | {"error_x": {"type": "data", "array": stds, **_INK_BARS}}, perturbed]
-        layout = layout_of("reward", "", 90 + 24 * len(variants))
-        layout["hovermode"] = "closest"
+        data[0]["error_x"] = {"type": "data", "array": stds, **_INK_BARS}
+        layout = layout_of("reward", "", 90 + 24 * len(variants), hovermode="closest")
         layout["yaxis"] |= rows_axis([v or ABLATED for v in variants])
         whole = next((s.mean("reward") for s in own if not s.variant), None)
         if whole is not None:
@@ -188,7 +190,7 @@ def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Plot
                 before.append({"type": "line", **ends, "line": {"color": "var(--ink)", "width": 2}})
     seeds = points(numbers(dots[0]), numbers(dots[1], 17), _SEED, "%{text}: %{y:.4g}<extra></extra>", size=5)
     data.append({**seeds, "text": dots[2]})
-    layout = layout_of("motion", measure.unit, height)
+    layout = layout_of("motion", measure.unit, height, hovermode="closest", barmode="overlay", shapes=before)
     layout["xaxis"] |= {
         "tickmode": "array",
         "tickvals": list(range(len(motions))),
@@ -197,17 +199,7 @@ def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Plot
         "showgrid": False,
     }
     layout["yaxis"] |= {"rangemode": "tozero"} if measure.top is None else {"range": [0, measure.top]}
-    layout["hovermode"], layout["barmode"], layout["shapes"] = "closest", "overlay", before
     return Plot(measure.title, data, layout)
-
-
-def _marks(x: Sequence[float | None], names: Sequence[str], key: Key, hover: str, size: int) -> dict[str, Any]:
-    values = numbers([np.nan if v is None else v for v in x], 17)
-    return points(values, names, key, f"%{{y}}: {hover} %{{x:.3f}}<extra></extra>", size=size)
-
-
-def _legend(found: Sequence[Summary]) -> list[Key]:
-    return [_key(name) for name in _methods(found)]
 
 
 def _key(method: str) -> Key:

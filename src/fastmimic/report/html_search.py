@@ -113,9 +113,8 @@ def parameters(found: Sequence[dict[str, Any]]) -> Figure:
                 for value, key, size in (("initial", _FITTED, 15), ("value", _FOUND, 10))
             ),
         ]
-        layout = layout_of(axis, "", height=70 + 26 * len(own))
+        layout = layout_of(axis, "", height=70 + 26 * len(own), hovermode="closest")
         layout["yaxis"] |= {**rows_axis(names), "showgrid": False}
-        layout["hovermode"] = "closest"
         plots.append(Plot(title, data, layout))
     at = sum(min(p["value"] - p["lower"], p["upper"] - p["value"]) < 0.01 * (p["upper"] - p["lower"]) for p in found)
     ending = "none at a bound" if not at else f"{at} at a bound, where the search would have gone further"
