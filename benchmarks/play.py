@@ -19,7 +19,7 @@ import numpy as np
 
 from fastmimic.play.motions import DEFAULTS, load_motions
 from fastmimic.play.session import LiveSession
-from fastmimic.reference.modulation_limits import Limits
+from fastmimic.reference.modulation import Limits
 from fastmimic.reference.motion_set import IN_PLACE, MotionSet
 from fastmimic.reference.standing import STAND
 from fastmimic.robot import Robot, load_robot

@@ -10,9 +10,8 @@ import pytest
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.clips.catalogue import RECORDED, open_clip
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.footfall import FOOTFALLS, footfall_of
 from fastmimic.clips.periodicity import SegmentConfig
-from fastmimic.clips.segment import DISCRETE, GAITS, STAND, TURN, Segment, find_segments
+from fastmimic.clips.segment import DISCRETE, FOOTFALLS, GAITS, STAND, TURN, Segment, find_segments, footfall_of
 
 CUTS = {  # of the recordings: file, first frame, end, and whether it turns
     "pace": ("dog_walk00", 162, 201, False),

@@ -15,7 +15,7 @@ from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar
 from fastmimic.cli import main
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import detect_format, read_clip
-from fastmimic.clips.formats.robot_points import robot_points
+from fastmimic.clips.formats.points import robot_points
 from fastmimic.motion.export import DECIMALS, export_motion, sample
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot

@@ -20,12 +20,11 @@ from fastmimic.play.pacing import MOST_BEHIND_S, Pacer
 from fastmimic.play.session import LiveSession, playable_methods
 from fastmimic.primitive import FOOT_Z, MotionDmp
 from fastmimic.reference.course import course_of, since_middle
-from fastmimic.reference.modulation_limits import LIFT, SPEED, TURN_ACCELERATION
+from fastmimic.reference.modulation import LIFT, SPEED, TURN_ACCELERATION, make_tempo
 from fastmimic.reference.motion_set import IN_PLACE, MotionSet
 from fastmimic.reference.standing import STAND
 from fastmimic.reference.stream import MODULATION, Stream, make_place
 from fastmimic.reference.table import SAMPLE, reference_table
-from fastmimic.reference.tempo import make_tempo
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.viewer.take import world_feet

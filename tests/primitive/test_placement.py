@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fastmimic.primitive import RhythmicDmp
-from fastmimic.primitive.basis import basis_widths, normalised_basis, place_basis
+from fastmimic.primitive.rhythmic import basis_widths, normalised_basis, place_basis
 from primitive.integrator import DmpIntegrator
 
 LONG = 3000  # samples: 6 s at 500 Hz

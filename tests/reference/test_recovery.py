@@ -16,8 +16,7 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import Start
 from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.resync import advance_recovering
-from fastmimic.reference.table import advance_clocks, make_clocks, reference_table
+from fastmimic.reference.table import advance_clocks, advance_recovering, make_clocks, reference_table
 from fastmimic.robot import Robot
 from fastmimic.robot.state import OBSERVATION
 from fastmimic.runs.loading import load_motion

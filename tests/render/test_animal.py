@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fastmimic.clips.catalogue import open_clip
-from fastmimic.clips.skeleton import DOG, KEYPOINTS
+from fastmimic.clips.clip import DOG, KEYPOINTS
 from fastmimic.motion.motion import Motion
 from fastmimic.render.animal import animal_track
 from fastmimic.render.tracks import motion_track

@@ -14,7 +14,7 @@ from video_files import RATE_HZ, read_video, stream_facts
 
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.clips.catalogue import open_clip
-from fastmimic.clips.skeleton import KEYPOINTS
+from fastmimic.clips.clip import KEYPOINTS
 from fastmimic.render import video
 from fastmimic.render.animal import animal_track
 from fastmimic.render.offscreen import Offscreen, in_any_thread

@@ -14,13 +14,13 @@ from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, rotvec_from_quat
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import read_clip
-from fastmimic.clips.formats.robot_points import robot_points
+from fastmimic.clips.formats.points import robot_points
 from fastmimic.clips.synthesis import generate
 from fastmimic.motion.ground import ground_demand, push_directions
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.balance import BalanceConfig
+from fastmimic.retargeting.cycle import resample_open, resample_periodic
 from fastmimic.retargeting.retarget import RetargetConfig, RetargetReport, retarget
-from fastmimic.retargeting.signal import resample_open, resample_periodic
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
 

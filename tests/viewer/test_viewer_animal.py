@@ -6,7 +6,7 @@ import numpy as np
 
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.clips.catalogue import open_clip
-from fastmimic.clips.skeleton import KEYPOINTS
+from fastmimic.clips.clip import KEYPOINTS
 from fastmimic.motion.motion import Motion
 from fastmimic.render.animal import Animal
 from fastmimic.retargeting.retarget import choose_scale

@@ -42,11 +42,7 @@ RECORDED: Final = {
     "dog:trot": RecordedMotion("dog, trot", "1.8 m/s", _KEYPOINTS, "dog_walk03_joint_pos.txt", (448, 481)),
     "dog:canter": RecordedMotion("dog, canter", "3.2 m/s", _KEYPOINTS, "dog_run00_joint_pos.txt", (430, 459)),
     "dog:right-turn": RecordedMotion(
-        "dog, walking turn to the right",
-        "0.84 m/s, -1.06 rad/s",
-        _KEYPOINTS,
-        "dog_walk09_joint_pos.txt",
-        (1085, 1124),
+        "dog, walking turn to the right", "0.84 m/s, -1.06 rad/s", _KEYPOINTS, "dog_walk09_joint_pos.txt", (1085, 1124)
     ),
     "dog:left-turn": RecordedMotion(
         "dog, turn to the left nearly on the spot",
@@ -152,8 +148,10 @@ def check_name(name: str, folder: str | Path | None = None) -> None:
 
 
 def _file(path: str | Path, options: ReadOptions) -> Clip:
-    if not os.path.exists(path) and not _looks_like_path(str(path)):
-        raise _unknown(str(path))
+    name = str(path)
+    looks_like_path = "/" in name or "\\" in name or Path(name).suffix.lower() in suffixes()
+    if not looks_like_path and not os.path.exists(path):
+        raise _unknown(name)
     clip = read_with(path, options)
     dataset = dataset_of(path)
     if dataset is None:
@@ -163,28 +161,19 @@ def _file(path: str | Path, options: ReadOptions) -> Clip:
 
 def _built_in(name: str, options: ReadOptions, gait_options: Mapping[str, float | None]) -> Clip:
     clip = generate(name, **gait_options)
-    meta = {"format": "built-in", "source": "built in", "licence": BUILT_IN_LICENCE, "assumed": []}
-    clip = replace(clip, meta=meta | clip.meta | {"name": name})
     clip = clip if options.scale is None else with_scale(clip, options.scale)
     return clip if options.frames is None else _cut(name, clip, options.frames)
 
 
 def _recorded(name: str, options: ReadOptions, folder: str | Path | None) -> Clip:
-    motion = RECORDED[name]
-    path = _recording(name, folder)
+    motion, path = RECORDED[name], _recording(name, folder)
     clip = read_with(path, replace(options, robot=None, frames=motion.frames))
     dataset = next(d for d in DATASETS if d.name == motion.dataset)
     assumed = list(clip.meta["assumed"])
     if dataset_of(path) is None:
         assumed.append(f"{path} is not the published file (its SHA-256 differs)")
-    provenance = {
-        "name": name,
-        "source": motion.source,
-        "licence": dataset.licence,
-        "credit": dataset.credit,
-        "assumed": assumed,
-    }
-    clip = replace(clip, is_cycle=True, meta=clip.meta | provenance)
+    provenance = {"name": name, "source": motion.source, "licence": dataset.licence, "credit": dataset.credit}
+    clip = replace(clip, is_cycle=True, meta=clip.meta | provenance | {"assumed": assumed})
     return clip if options.frames is None else _cut(name, clip, options.frames)
 
 
@@ -216,10 +205,6 @@ def _refuse(name: str, why: str, options: Mapping[str, float | str | None]) -> N
     given = [option for option, value in options.items() if value is not None]
     if given:
         raise ClipError(f"{' and '.join(given)} cannot be set for '{name}': {why}")
-
-
-def _looks_like_path(name: str) -> bool:
-    return "/" in name or "\\" in name or Path(name).suffix.lower() in suffixes()
 
 
 def _speed(spec: GaitSpec) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from fastmimic.base.errors import DataError, did_you_mean
 
@@ -182,13 +182,10 @@ def _download(root: Path, local: str, digest: str, url: str, progress: Progress 
         registry = pooch.create(path=root, base_url="", registry={local: digest}, urls={local: url})
         return Path(registry.fetch(local, downloader=downloader))
     except requests.exceptions.HTTPError as error:
-        response = error.response
-        status = response.status_code if response is not None else 0
-        if status == requests.codes.not_found:
+        response: Any = error.response
+        if response.status_code == requests.codes.not_found:
             return None
-        raise DataError(
-            f"{url}: the server answered {status} ({response.reason if response is not None else error})"
-        ) from None
+        raise DataError(f"{url}: the server answered {response.status_code} ({response.reason})") from None
     except requests.exceptions.Timeout:
         raise DataError(f"{url}: no answer within {TIMEOUT_S:g} s; try again later") from None
     except requests.exceptions.ChunkedEncodingError:

@@ -1,6 +1,6 @@
 """Cuts an animal's take into locomotion cycles, standing and movement that does not repeat, and names the gaits.
 `periodicity` finds the repetitions and their period. Neighbouring cycles with similar tempo, speed, turning and
-footfall form a segment; `footfall` names its gait."""
+footfall form a segment; `footfall_of` names its gait."""
 
 import math
 from dataclasses import dataclass
@@ -13,8 +13,36 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.footfall import FOOTFALLS, footfall_of
 from fastmimic.clips.periodicity import SegmentConfig, aperiodicity_of, cheapest_track
+
+FOOTFALLS: Final = ("walk", "trot", "pace", "canter", "gallop", "bound")
+_SQUARE: Final = 0.125  # cycles: half way between pace, walk and trot
+
+
+def footfall_of(phases: Array) -> str:
+    """The gait of legs with phases (4,), cycles, in the common order; one of `FOOTFALLS` (Hildebrand 1965).
+
+    In a symmetrical gait left and right are half a cycle apart. The fore foot's lag behind the hind foot of its side,
+    in cycles, then distinguishes pace (0), walk (1/4) and trot (1/2).
+    """
+
+    def apart(a: int, b: int) -> float:
+        return float(abs((phases[a] - phases[b] + 0.5) % 1.0 - 0.5))
+
+    fr, fl, rr, rl = range(4)
+    fore, hind = apart(fr, fl), apart(rr, rl)
+    if fore > 0.5 - 1.5 * _SQUARE and hind > 0.5 - 1.5 * _SQUARE:  # symmetrical
+        diagonal = (apart(fr, rl) + apart(fl, rr)) / 2
+        lateral = (apart(fr, rr) + apart(fl, rl)) / 2
+        if lateral < _SQUARE:
+            return "pace"
+        return "trot" if diagonal < _SQUARE else "walk"
+    if fore < _SQUARE / 2 and hind < _SQUARE / 2:
+        return "bound"
+    if min(apart(fr, rl), apart(fl, rr)) < _SQUARE / 2:
+        return "canter"  # three beats: one diagonal lands together
+    return "gallop"
+
 
 STAND: Final = "stand"
 DISCRETE: Final = "discrete"
@@ -269,10 +297,7 @@ def _with_the_rest(take: _Take, segments: list[Segment], aperiodicity: Array, co
     still = _still(take, config)
     least = np.nanmin(np.where(np.isfinite(aperiodicity), aperiodicity, np.inf), axis=1)
     found = list(segments)
-    for kind, mask, shortest in (
-        (STAND, free & still, config.stand_s),
-        (DISCRETE, free & ~still, config.discrete_s),
-    ):
+    for kind, mask, shortest in ((STAND, free & still, config.stand_s), (DISCRETE, free & ~still, config.discrete_s)):
         for start, end in _runs(mask):
             if end - start >= shortest * take.rate_hz:
                 certain = least[start:end]

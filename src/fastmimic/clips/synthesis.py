@@ -72,52 +72,28 @@ class GaitSpec:
     yaw: float = 0.02
 
 
-_TROT = GaitSpec(
-    about="trot: diagonal legs together",
-    speed=1.25,
-    period=0.5,
-    duty=0.52,
-    lift=0.07,
-    bob=0.009,
-    roll=0.02,
-    sway=0.002,
-)
+_TROT = GaitSpec("trot: diagonal legs together", speed=1.25, duty=0.52, lift=0.07, bob=0.009, roll=0.02, sway=0.002)
 GAITS: Final[dict[str, GaitSpec]] = {
     "trot": _TROT,
     "pace": GaitSpec(
-        about="pace: legs of a side together",
+        "pace: legs of a side together",
         speed=0.95,
         period=0.6,
         duty=0.56,
         phase=(0.0, 0.5, 0.02, 0.52),
-        lift=0.06,
         bob=0.005,
         sway=0.008,
         roll=0.03,
         pitch=0.012,
     ),
     "turn": GaitSpec(
-        about="trot in a left-hand curve",
-        speed=0.6,
-        yaw_rate=1.1,
-        period=0.55,
-        duty=0.58,
-        lift=0.06,
-        bob=0.006,
-        roll=0.015,
+        "trot in a left-hand curve", speed=0.6, yaw_rate=1.1, period=0.55, duty=0.58, bob=0.006, roll=0.015
     ),
     "side-step": GaitSpec(
-        about="trot sideways, to the left",
-        lateral_speed=0.45,
-        period=0.5,
-        duty=0.56,
-        lift=0.06,
-        half_width=0.08,
-        bob=0.005,
-        yaw=0.0,
+        "trot sideways, to the left", lateral_speed=0.45, duty=0.56, half_width=0.08, bob=0.005, yaw=0.0
     ),
     "walk": GaitSpec(
-        about="walk: one leg after another",
+        "walk: one leg after another",
         speed=0.6,
         period=0.8,
         duty=0.68,
@@ -128,28 +104,18 @@ GAITS: Final[dict[str, GaitSpec]] = {
         roll=0.02,
     ),
     "bound": GaitSpec(
-        about="bound: front legs together, then hind legs",
+        "bound: front legs together, then hind legs",
         speed=1.0,
         period=0.42,
         duty=0.5,
         phase=(0.0, 0.0, 0.5, 0.5),
-        lift=0.06,
         bob=0.004,
         pitch=0.05,
         bob_harmonic=1,
         yaw=0.0,
     ),
     "backward-trot": replace(_TROT, about="trot backwards", speed=-0.6, duty=0.56, lift=0.06, bob=0.006),
-    "spin": GaitSpec(
-        about="turn to the left on the spot",
-        yaw_rate=2.0,
-        period=0.5,
-        duty=0.56,
-        lift=0.06,
-        half_width=0.06,
-        bob=0.005,
-        yaw=0.0,
-    ),
+    "spin": GaitSpec("turn to the left on the spot", yaw_rate=2.0, duty=0.56, half_width=0.06, bob=0.005, yaw=0.0),
 }
 """The built-in gaits by name."""
 
@@ -236,10 +202,7 @@ def _toe(spec: GaitSpec, leg: int, share: Array, twist: Array, animal: float) ->
     since = np.mod(share - spec.phase[leg], 1.0)  # since touch-down
     step = np.round(share - since - spec.phase[leg])  # index of the present or last stance
     middle = step + spec.phase[leg] + spec.duty / 2
-    here, there = (
-        _foothold(spec, leg, middle, twist, animal),
-        _foothold(spec, leg, middle + 1.0, twist, animal),
-    )
+    here, there = (_foothold(spec, leg, at, twist, animal) for at in (middle, middle + 1.0))
     u = np.clip((since - spec.duty) / (1.0 - spec.duty), 0.0, 1.0)
     xy = here + _forward(u)[:, None] * (there - here)
     lift = spec.lift * animal * (1.0 if FRONT[leg] else spec.hind_lift)

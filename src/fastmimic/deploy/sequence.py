@@ -17,16 +17,15 @@ from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.course import course_of
-from fastmimic.reference.course_transition import CourseTransition
+from fastmimic.reference.course import CourseTransition, course_of
 from fastmimic.reference.motion_set import MotionSet
-from fastmimic.reference.resync import advance_recovering
 from fastmimic.reference.standing import STAND, standing
 from fastmimic.reference.stream import MODULATION, Stream, make_place
 from fastmimic.reference.table import (
     CLOCK,
     SAMPLE,
     advance_clocks,
+    advance_recovering,
     make_clocks,
     place_clocks,
     reference_table,

@@ -21,8 +21,14 @@ from fastmimic.episode.rollout import Rollout, summarised
 from fastmimic.episode.scorer import Scorer
 from fastmimic.estimation.estimator import START
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.resync import advance_recovering
-from fastmimic.reference.table import advance_clocks, make_clocks, place_clocks, stack_tables, world_root
+from fastmimic.reference.table import (
+    advance_clocks,
+    advance_recovering,
+    make_clocks,
+    place_clocks,
+    stack_tables,
+    world_root,
+)
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.simulation.conditions import Conditions

@@ -10,8 +10,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.jit import kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.estimation.estimator import Estimator
-from fastmimic.reference.resync import advance_recovering
-from fastmimic.reference.table import advance_clocks
+from fastmimic.reference.table import advance_clocks, advance_recovering
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, episode_generator
 from fastmimic.simulation.disturbances import make_world

@@ -212,10 +212,4 @@ def body_states(frames: Frames, robot: Robot) -> dict[str, NDArray[Any]]:
             mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, k, velocity, 0)
             ang[i, k - 1], lin[i, k - 1] = velocity[:3], velocity[3:]
     names = np.array([model.body(k).name for k in bodies])
-    return {
-        "body_names": names,
-        "body_pos_w": pos,
-        "body_quat_w": quat,
-        "body_lin_vel_w": lin,
-        "body_ang_vel_w": ang,
-    }
+    return {"body_names": names, "body_pos_w": pos, "body_quat_w": quat, "body_lin_vel_w": lin, "body_ang_vel_w": ang}

@@ -8,10 +8,30 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, quat_rotate_inverse, rotate_planar, yaw_from_quat
-from fastmimic.motion.derivatives import differentiate, pad_open, pad_periodic
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.dynamics import inverse_dynamics
+
+
+def differentiate(padded: Array, dt: float) -> Array:
+    """Fourth-order central differences (t, ...) of `padded` (t + 4, ...), which has two extra samples at each end."""
+    return (padded[:-4] - 8 * padded[1:-3] + 8 * padded[3:-1] - padded[4:]) / (12 * dt)
+
+
+def pad(values: Array, periodic: bool) -> Array:
+    """Two more samples at each end of (t, ...): those of the neighbouring periods, or extrapolated quadratically."""
+    if periodic:
+        return np.concatenate([values[-2:], values, values[:2]])
+
+    def beyond(a: Array, b: Array, c: Array) -> Array:
+        return 3 * a - 3 * b + c
+
+    front1 = beyond(values[0], values[1], values[2])
+    front2 = beyond(front1, values[0], values[1])
+    back1 = beyond(values[-1], values[-2], values[-3])
+    back2 = beyond(back1, values[-1], values[-2])
+    return np.concatenate([[front2, front1], values, [back1, back2]])
+
 
 _PYRAMID: Final = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
 
@@ -66,10 +86,8 @@ def _accelerations(motion: Motion) -> tuple[Array, Array, Array]:
     """Of the root (t, 3), its rotation (t, 3), world, and of the joints (t, 12)."""
 
     def of(velocity: Array, planar: bool) -> Array:
-        if motion.cycle is None:
-            return differentiate(pad_open(velocity), motion.dt)
-        padded = pad_periodic(velocity)
-        if planar:
+        padded = pad(velocity, motion.cycle is not None)
+        if planar and motion.cycle is not None:
             padded[:2, :2] = rotate_planar(-motion.cycle[2], padded[:2, :2])
             padded[-2:, :2] = rotate_planar(motion.cycle[2], padded[-2:, :2])
         return differentiate(padded, motion.dt)

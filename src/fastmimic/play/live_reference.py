@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError
-from fastmimic.reference.course_transition import CourseTransition
-from fastmimic.reference.modulation_limits import Limits
+from fastmimic.reference.course import CourseTransition
+from fastmimic.reference.modulation import Limits
 from fastmimic.reference.motion_set import Entry, MotionSet
 from fastmimic.reference.standing import STAND
 from fastmimic.reference.stream import MODULATION, Stream, make_place

@@ -22,7 +22,7 @@ from fastmimic.play.getting_up import GettingUp, GettingUpPhase
 from fastmimic.play.live_reference import LiveReference
 from fastmimic.play.snapshot import Snapshot, take_snapshot
 from fastmimic.play.world import LiveWorld
-from fastmimic.reference.modulation_limits import Limits
+from fastmimic.reference.modulation import Limits
 from fastmimic.reference.motion_set import MotionSet
 from fastmimic.reference.standing import STAND
 from fastmimic.reference.table import CLOCK, SAMPLE

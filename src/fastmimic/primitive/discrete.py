@@ -25,13 +25,11 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
 from fastmimic.base.jit import kernel
-from fastmimic.primitive.fixed_order import product, solve_positive_definite
-from fastmimic.primitive.rhythmic import ALPHA, N_BASIS
-from fastmimic.primitive.samples import checked_samples
+from fastmimic.primitive.regression import checked_samples, least_squares, product
+from fastmimic.primitive.rhythmic import ALPHA, N_BASIS, RIDGE
 
 MAX_S: Final = 30.0  # longest motion; memory and time of the fit grow with its square
 MAX_TAU_S: Final = 1.0
-RIDGE: Final = 1e-8  # weight of the regularisation, as in the rhythmic primitive
 _FUNCTIONS_PER_S: Final = 40.0  # least number; the knots of retargeted swings lie 25 ms apart
 _ROWS_PER_FUNCTION: Final = 5  # samples of the fit for each function; more do not improve it
 _CHUNK: Final = 256
@@ -71,12 +69,7 @@ class DiscreteDmp:
 
     @classmethod
     def fit(
-        cls,
-        samples: Array,
-        duration_s: float,
-        n_basis: int = N_BASIS,
-        ridge: float = RIDGE,
-        alpha: float = ALPHA,
+        cls, samples: Array, duration_s: float, n_basis: int = N_BASIS, ridge: float = RIDGE, alpha: float = ALPHA
     ) -> "DiscreteDmp":
         """Fits a movement by regularised least squares on y itself, which is linear in w.
 
@@ -107,8 +100,7 @@ class DiscreteDmp:
         centres = _centres(n, alpha)
         response = _response(None, centres, len(y), spring, alpha / 3)[rows]
         gain = spring**2 + (0.5 * n) ** 2  # forcing grows with the square of a motion's frequency
-        normal = product(response.T, response) / len(rows) + ridge / (n * gain**2) * np.eye(n)
-        forces = solve_positive_definite(normal, product(response.T, left[rows]) / len(rows))
+        forces = least_squares(response, left[rows], ridge, gain)
         weights = (forces / centres[:, None]).T / (duration_s / min(duration_s, MAX_TAU_S)) ** 2
         return cls(weights, y[0], start_rate, y[-1], float(duration_s), alpha)
 

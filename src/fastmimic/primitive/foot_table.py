@@ -29,14 +29,14 @@ def foot_table(robot: Robot, foot_pos_b: Array, rate_hz: float, periodic: bool =
     abduction or hip are at their limits, to the foot position of the limited joints."""
     feet = np.array(foot_pos_b, dtype=np.float64, order="C")
     n, t = feet.shape[:2]
-    joint_pos, joint_vel = np.empty((n, t, 12)), np.empty((n, t, 12))
+    joint_pos = np.empty((n, t, 12))
     shift, count = np.zeros((n, 4)), np.zeros((n, 4), dtype=np.int64)
     limits = np.stack([robot.joint_lower, robot.joint_upper])
     _reach(robot.geometry.rows, limits, feet, joint_pos, shift, count)
     if periodic:
-        _differentiate(joint_pos, rate_hz, joint_vel)
+        joint_vel = (np.roll(joint_pos, -1, axis=1) - np.roll(joint_pos, 1, axis=1)) * (0.5 * rate_hz)
     else:
-        joint_vel[:] = np.gradient(joint_pos, 1.0 / rate_hz, axis=1)
+        joint_vel = np.asarray(np.gradient(joint_pos, 1.0 / rate_hz, axis=1))
     return FootTable(feet, joint_pos, joint_vel, shift, count)
 
 
@@ -75,14 +75,3 @@ def _reach(rows: Array, limits: Array, feet: Array, q: Array, shift: Array, coun
                     p[0], p[1], p[2] = x, y, z
                     shift[n, leg] = max(shift[n, leg], moved)
                     count[n, leg] += moved > 1e-5
-
-
-@kernel
-def _differentiate(q: Array, rate_hz: float, out: Array) -> None:
-    """Periodic central differences along axis 1."""
-    samples = q.shape[1]
-    for n in range(q.shape[0]):
-        for t in range(samples):
-            following, previous = (t + 1) % samples, (t - 1) % samples
-            for j in range(q.shape[2]):
-                out[n, t, j] = (q[n, following, j] - q[n, previous, j]) * (0.5 * rate_hz)

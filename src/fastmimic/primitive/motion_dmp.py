@@ -11,9 +11,9 @@ from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import DmpRecord
 from fastmimic.primitive.coordinates import (
     FEET,
-    FOOT_Z,
     GROUPS,
     NAMES,
+    PlanarTwist,
     phases,
     root_from_coordinates,
     to_coordinates,
@@ -22,7 +22,6 @@ from fastmimic.primitive.coordinates import (
 from fastmimic.primitive.discrete import DiscreteDmp, DiscreteTerms
 from fastmimic.primitive.foot_table import FootTable, foot_table
 from fastmimic.primitive.rhythmic import N_BASIS, RhythmicDmp
-from fastmimic.primitive.twist import PlanarTwist
 from fastmimic.robot.robot import Robot
 
 
@@ -172,6 +171,3 @@ def _parameters(name: str, values: Array, shape: tuple[int, ...]) -> Array:
     if not np.all(np.isfinite(array)):
         raise MotionError(f"{name} holds a value that is not finite")
     return array
-
-
-__all__ = ["FOOT_Z", "NAMES", "MotionDmp"]

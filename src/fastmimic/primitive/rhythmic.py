@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.primitive.basis import basis_widths, normalised_basis, place_basis
-from fastmimic.primitive.fixed_order import product, solve_positive_definite
-from fastmimic.primitive.samples import checked_samples
+from fastmimic.primitive.regression import checked_samples, least_squares, product
 
 N_BASIS: Final = 100
 ALPHA: Final = 25.0  # as in Ijspeert et al. 2013; critically damped with β = α/4
 RIDGE: Final = 1e-8  # weight of the regularisation: keeps w/αβ at the motion's size without loss of accuracy
+_FLOOR: Final = 0.2  # share of the basis functions that is spread evenly
+_SAMPLES_PER_FUNCTION: Final = 4  # least number of samples between two functions
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +45,7 @@ class RhythmicDmp:
 
     @classmethod
     def fit(
-        cls,
-        samples: Array,
-        period_s: float,
-        n_basis: int = N_BASIS,
-        ridge: float = RIDGE,
-        alpha: float = ALPHA,
+        cls, samples: Array, period_s: float, n_basis: int = N_BASIS, ridge: float = RIDGE, alpha: float = ALPHA
     ) -> "RhythmicDmp":
         """Fits one cycle by regularised least squares on the limit cycle itself.
 
@@ -71,7 +66,7 @@ class RhythmicDmp:
         centres = place_basis(y, n_basis)
         weights = np.empty_like(centres)
         for row, dims in _distinct(centres):
-            weights[dims] = _least_squares(row, y[:, dims] - goal[dims], ridge, alpha)
+            weights[dims] = _fitted_weights(row, y[:, dims] - goal[dims], ridge, alpha)
         return cls(weights, centres, goal, float(period_s), alpha)
 
     @property
@@ -148,16 +143,14 @@ def _filtered(forcing: Array, alpha: float) -> NDArray[np.complex128]:
     return harmonics / (alpha**2 / 4 - k**2 + 1j * alpha * k)
 
 
-def _least_squares(centres: Array, deviation: Array, ridge: float, alpha: float) -> Array:
+def _fitted_weights(centres: Array, deviation: Array, ridge: float, alpha: float) -> Array:
     """Weights (d, n) with limit cycles closest to `deviation` (t, d), the samples minus their mean."""
-    t, n = len(deviation), len(centres)
+    t = len(deviation)
     basis = normalised_basis(_fine_phases(centres), centres, basis_widths(centres))
     harmonics = _filtered(basis, alpha)
     finer = 2 * len(harmonics) // t + 1  # a grid that holds all harmonics and every sample
     response = np.fft.irfft(harmonics, t * finer, axis=0)[::finer] * (t * finer)  # (t, n)
-    gain = alpha**2 / 4
-    normal = product(response.T, response) / t + ridge / (n * gain**2) * np.eye(n)
-    weights = solve_positive_definite(normal, product(response.T, deviation) / t).T
+    weights = least_squares(response, deviation, ridge, alpha**2 / 4).T
     # the basis sums to one, so this only removes the mean of f
     return weights - product(weights, basis.mean(axis=0)[:, None])
 
@@ -168,3 +161,59 @@ def _series(phase: Array | float, harmonics: NDArray[np.complex128]) -> Array:
     weights = np.where(np.arange(len(harmonics)) > 0, 2.0, 1.0)  # k and −k together
     even = product(weights * np.cos(angle), harmonics.real)
     return even - product(weights * np.sin(angle), harmonics.imag)
+
+
+def place_basis(samples: Array, n_basis: int) -> Array:
+    """Centres c (d, n_basis) of the basis functions for one cycle (t, d) of samples, rad, ascending.
+
+    A cycle of one stride gets evenly spaced functions, as in the paper. In a loop of several strides and pauses (a
+    swing of 0.2 s in 6 s would get three of 100), their density grows with the square root of the curvature, which
+    equalises the error of a second-order approximation (de Boor 1973).
+    """
+    t = len(samples)
+    densest = max(1.0, t / (_SAMPLES_PER_FUNCTION * n_basis))
+    if densest == 1.0:
+        return np.tile(2 * np.pi * np.arange(n_basis) / n_basis, (samples.shape[1], 1))
+    return np.stack([_equidistributed(_density(y, n_basis, densest), n_basis) for y in samples.T])
+
+
+def basis_widths(centres: Array) -> Array:
+    """Widths h (d, n): 1/√h is the distance to the neighbours."""
+    following = np.roll(centres, -1, axis=-1)
+    following[..., -1] += 2 * np.pi
+    gap = following - centres
+    return (0.5 * (gap + np.roll(gap, 1, axis=-1))) ** -2.0
+
+
+def normalised_basis(phase: Array, centres: Array, widths: Array) -> Array:
+    """ψᵢ/Σψ with ψᵢ = exp(h (cos(φ − cᵢ) − 1)) at phases (...) → (..., *centres.shape)."""
+    angle = phase[(..., *(None,) * centres.ndim)] - centres
+    psi = np.exp(widths * (np.cos(angle) - 1))
+    return psi / psi.sum(axis=-1, keepdims=True)
+
+
+def _density(y: Array, n_basis: int, densest: float) -> Array:
+    """Density (t,) of the functions over the cycle, mean 1, at most `densest`."""
+    t = len(y)
+    k = np.arange(t // 2 + 1)
+    smoothing = np.exp(-0.5 * (k * 0.25 * (2 * np.pi / n_basis)) ** 2)  # a quarter of the even distance
+
+    def smooth(values: Array) -> Array:
+        return np.fft.irfft(np.fft.rfft(values) * smoothing, t)
+
+    spectrum = np.fft.rfft(y - y.mean())
+    curvature = smooth(np.abs(np.fft.irfft(-(k**2) * spectrum * smoothing, t)))
+    density = np.sqrt(np.maximum(curvature, 0.0))
+    if density.mean() < 1e-12:
+        return np.ones(t)
+    density = smooth(_FLOOR + (1 - _FLOOR) * density / density.mean())
+    excess = float(np.max(density)) - 1
+    return 1 + (density - 1) * min(1.0, (densest - 1) / excess) if excess > 1e-9 else np.ones(t)
+
+
+def _equidistributed(density: Array, n_basis: int) -> Array:
+    """Phases (n,) with the same integral of `density` (t,) between neighbours."""
+    t = len(density)
+    step = 0.5 * (density + np.roll(density, -1))
+    cumulative = np.concatenate([[0.0], np.cumsum(step)])
+    return np.interp(np.arange(n_basis) / n_basis * cumulative[-1], cumulative, 2 * np.pi * np.arange(t + 1) / t)

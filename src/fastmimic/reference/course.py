@@ -1,7 +1,9 @@
 """A motion in its own moving frame, so that it can be modulated while it runs. Each sample is in the heading frame of
 the reference's root, and the root's path is the step to the next sample. A cycle is then periodic and a motion
-continuous into a transition, so phase, speed, turn and swing height can change at any moment without a jump."""
+continuous into a transition, so phase, speed, turn and swing height can change at any moment without a jump.
+Stitching's transitions between motions are courses, too."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
 
@@ -9,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.errors import MotionError
 from fastmimic.base.jit import record_dtype
 from fastmimic.base.rotations import (
     quat_from_yaw,
@@ -23,6 +26,8 @@ from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import reference_table
 from fastmimic.retargeting.cycle import steps
 from fastmimic.robot import Robot
+from fastmimic.stitching.join import default_cycles, stitch_motions
+from fastmimic.stitching.layout import Layout
 from fastmimic.stitching.switch import Cycle
 
 COURSE: Final = record_dtype(
@@ -67,7 +72,9 @@ def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
         course[name] = turned_about_z(table[name], -yaw)
     course["foot"] = quat_rotate(course["tilt"][:, None], table["foot_pos"])
     course["foot"][..., 2] += course["root_z"][:, None]
-    course["lift"] = _lift(motion.target, course["foot"][..., 2], robot.foot_radius)
+    target = motion.target  # the swing height multiplies the demonstration's heights
+    raised = np.maximum(target.foot_pos_w[..., 2] - robot.foot_radius, 0.0)
+    course["lift"] = np.where(target.contact, 0.0, raised)
     course["contact"], course["remaining"] = table["contact"], table["remaining"]
     course["since_middle"] = np.stack(
         [since_middle(motion.contact[:, leg], motion.rate_hz, periodic) for leg in range(4)], axis=-1
@@ -75,12 +82,6 @@ def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
     course["travel"] = _travel(motion)
     course["sync"] = table["sync"]
     return course
-
-
-def _lift(motion: Motion, height: Array, foot_radius: float) -> Array:
-    """Height (t, 4) of the demonstration's feet above their footholds, m; the swing height multiplies it."""
-    feet = motion.foot_pos_w
-    return np.where(motion.contact, 0.0, np.maximum(feet[..., 2] - foot_radius, 0.0)) * np.ones_like(height)
 
 
 def _travel(motion: Motion) -> Array:
@@ -102,22 +103,89 @@ def since_middle(contact: NDArray[np.bool_], rate_hz: float, periodic: bool) -> 
     out = np.zeros(n)
     if contact.all() or not contact.any():
         return out
-    copies = 3 if periodic else 1
-    wide = np.tile(contact, copies)
+    wide = np.tile(contact, 3 if periodic else 1)
     stances = stances_of(wide, periodic=False)
     values = np.zeros(len(wide))
     for touch_down, lift_off in stances:
         t = np.arange(touch_down, lift_off)
         values[t] = (t - 0.5 * (touch_down + lift_off)) / rate_hz
     for before, after in pairwise(stances):
-        t = np.arange(before.lift_off, after.touch_down)
+        t, samples = np.arange(before.lift_off, after.touch_down), after.touch_down - before.lift_off
         start, end = 0.5 * before.duration / rate_hz, -0.5 * after.duration / rate_hz
-        values[t] = _return(start, end, t - before.lift_off, after.touch_down - before.lift_off, rate_hz)
+        u, duration = (t - before.lift_off) / samples, samples / rate_hz
+        smooth = u**3 * (10 - 15 * u + 6 * u**2)  # a quintic, with slope 1 and no curvature at either end
+        values[t] = start + duration * u + (end - start - duration) * smooth
     return np.asarray(values[n : 2 * n] if periodic else values)
 
 
-def _return(start: float, end: float, t: NDArray[np.int_], samples: int, rate_hz: float) -> Array:
-    """From `start` to `end` with slope 1 and no curvature at either end (a quintic)."""
-    u, duration = t / samples, samples / rate_hz
-    smooth = u**3 * (10 - 15 * u + 6 * u**2)
-    return np.asarray(start + duration * u + (end - start - duration) * smooth)
+_MARGIN: Final = 4  # rows of the motions before and after a transition, for interpolation
+_JOINT_SPEED_SHARE: Final = 1.15
+_SLIP_M: Final = 0.02
+_UNREACHABLE: Final = 0.02  # share of the transition's samples with a foot out of reach
+_MODULATED: Final = ("root_z", "lin_vel", "ang_vel", "foot")
+
+
+@dataclass(frozen=True, eq=False)
+class CourseTransition:
+    """A transition between two cyclic motions, which leaves the first before row `leave` ≥ 1 and enters the second at
+    `arrive`.
+
+    `course` (t,) of `COURSE` is for the controller, with `_MARGIN` rows of the motions at either end, `demonstration`
+    for the score. Rows [first, last) are the transition itself. `measured` holds figures as a stitched motion
+    records them.
+    """
+
+    course: NDArray[Any]
+    demonstration: NDArray[Any]
+    first: int
+    last: int
+    leave: int
+    arrive: int
+    measured: dict[str, Any]
+
+    @property
+    def sound(self) -> bool:
+        """Whether a robot can run it: feet in reach without slip, joints within their speeds."""
+        m, rows = self.measured, self.last - self.first
+        return bool(
+            m["joint_speed_share"] <= _JOINT_SPEED_SHARE
+            and m["slip_m"] <= _SLIP_M
+            and m["unreachable"] <= _UNREACHABLE * rows
+        )
+
+
+def make_course_transition(robot: Robot, before: Motion, after: Motion) -> CourseTransition | None:
+    """The transition between two cyclic motions, optimised or not; None if stitching finds none. It joins their
+    demonstrations. An optimised motion's difference from its own is blended with the same weights."""
+    try:
+        stitched = stitch_motions(
+            robot, [before.target, after.target], [max(2, default_cycles(m)) for m in (before, after)]
+        )
+    except MotionError:
+        return None
+    layout = Layout.of(stitched)
+    first, second = layout.segments
+    assert second.rebuilt is not None
+    start, end = second.rebuilt.start, second.rebuilt.end
+    rows = np.arange(max(start - _MARGIN, 0), min(end + _MARGIN, layout.n))
+    demonstration = course_of(stitched, robot)
+    course = demonstration.copy()
+    trunk, feet = layout.trunk_weights(), layout.foot_weights()
+    for i, (segment, motion) in enumerate(zip((first, second), (before, after), strict=True)):
+        if motion.demonstration is None:
+            continue
+        at = (np.arange(layout.n) - segment.shift) % motion.n_samples
+        own, target = course_of(motion, robot), course_of(motion.target, robot)
+        for name in _MODULATED:
+            share = feet[i][..., None] if name == "foot" else trunk[i]
+            change = (own[name] - target[name])[at]
+            course[name] += (share if change.ndim in (1, 3) else share[:, None]) * change
+    return CourseTransition(
+        course=course[rows],
+        demonstration=demonstration[rows],
+        first=start - int(rows[0]),
+        last=end - int(rows[0]),
+        leave=(start - 1) % before.n_samples + 1,
+        arrive=(end - second.shift) % after.n_samples,
+        measured=stitched.provenance.stitched.transitions[0],
+    )

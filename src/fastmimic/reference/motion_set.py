@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from fastmimic.base.errors import ConfigError, MotionError, did_you_mean
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.course import course_of
-from fastmimic.reference.course_transition import CourseTransition, make_course_transition
-from fastmimic.reference.modulation_limits import Limits, limits_of
+from fastmimic.reference.course import CourseTransition, course_of, make_course_transition
+from fastmimic.reference.modulation import Limits, Tempo, limits_of, make_tempo
 from fastmimic.reference.standing import STAND, standing
-from fastmimic.reference.tempo import Tempo, make_tempo
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
 
@@ -64,13 +62,9 @@ class MotionSet:
         self._tempos: dict[str, Future[Tempo]] = {}
         self._busy: Future[Any] | None = None
         self.entries: dict[str, Entry] = {}
-        always: dict[str, Callable[[], Motion]] = {
-            STAND: lambda: standing(robot),
-            IN_PLACE: lambda: in_place(robot),
-        }
-        for name, make in always.items():
+        for name, make in ((STAND, standing), (IN_PLACE, in_place)):
             if name not in motions:
-                self.entries[name] = _entry(name, make(), robot, rate_hz)
+                self.entries[name] = _entry(name, make(robot), robot, rate_hz)
         for name, motion in motions.items():
             self.entries[name] = _entry(name, motion, robot, rate_hz)
 
@@ -113,7 +107,7 @@ class MotionSet:
         if name not in self._tempos or _broke(self._tempos[name]):
             entry = self.entry(name)
             speeds = tuple(speed for speed in entry.limits.speed if speed != 1.0)
-            self._tempos[name] = self._made(_made_tempo, make_tempo, entry.motion.target, speeds)
+            self._tempos[name] = self._made(make_tempo, entry.motion.target, speeds)
         found = self._tempos[name]
         return found.result() if found.done() else None
 
@@ -142,18 +136,18 @@ class MotionSet:
         key = (before, after)
         if key not in self._transitions or _broke(self._transitions[key]):
             a, b = self.entry(before).motion, self.entry(after).motion
-            self._transitions[key] = self._made(_made, make_course_transition, a, b)
+            self._transitions[key] = self._made(make_course_transition, a, b)
         return self._transitions[key]
 
-    def _made(self, there: Callable[..., _Result], here: Callable[..., _Result], *given: Any) -> "Future[_Result]":
+    def _made(self, make: Callable[..., _Result], *given: Any) -> "Future[_Result]":
         """Computed in another process, or in this one if there is none."""
         if self._executor is not None:
             try:
-                return self._executor.submit(there, self._source, *given)
+                return self._executor.submit(_made_there, self._source, make, *given)
             except BrokenExecutor:
                 self._executor = None
         future: Future[_Result] = Future()
-        future.set_result(here(self.robot, *given))
+        future.set_result(make(self.robot, *given))
         return future
 
 
@@ -183,14 +177,9 @@ def warm_up(source: str) -> None:
         _ROBOTS[source] = load_robot(source)
 
 
-def _made(source: str, before: Motion, after: Motion) -> CourseTransition | None:
+def _made_there(source: str, make: Callable[..., _Result], *given: Any) -> _Result:
     warm_up(source)
-    return make_course_transition(_ROBOTS[source], before, after)
-
-
-def _made_tempo(source: str, motion: Motion, speeds: tuple[float, ...]) -> Tempo:
-    warm_up(source)
-    return make_tempo(_ROBOTS[source], motion, speeds)
+    return make(_ROBOTS[source], *given)
 
 
 def _broke(future: Future[Any]) -> bool:

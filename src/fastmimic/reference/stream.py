@@ -80,15 +80,7 @@ class Stream:
         other = course if following is None else following
         self._scratch[0] = place[0]
         _fill(
-            course,
-            other,
-            self._scratch[0],
-            modulation[0],
-            self._dt,
-            self._geometry,
-            self._limits,
-            self._work[0],
-            table,
+            course, other, self._scratch[0], modulation[0], self._dt, self._geometry, self._limits, self._work[0], table
         )
 
 

@@ -68,7 +68,7 @@ CLOCK: Final = record_dtype(
 )
 """A robot's progress in its reference: sample, period, whether the motion repeats, (x, y, yaw) of the period's origin,
 one period's displacement, and the distance by which synchronisation has moved the origin so far, m. After a push
-(`fastmimic.reference.resync`): whether the robot is in recovery, the clock's lead over the demonstration, samples, and
+(`advance_recovering`): whether the robot is in recovery, the clock's lead over the demonstration, samples, and
 the fraction of the next sample."""
 
 
@@ -164,10 +164,8 @@ def make_clocks(motion: Motion, n: int) -> NDArray[Any]:
 def place_clocks(clocks: NDArray[Any], sample: NDArray[np.int64], table: NDArray[Any], pose: Array) -> None:
     """Sets clocks (n,) to samples (n,) with the reference root there at `pose` (n, 3): x, y, yaw, world, m and rad."""
     clocks["sample"] = sample
-    clocks["cycle"] = 0
-    clocks["jump"] = 0.0
-    clocks["recovering"] = 0
-    clocks["lag"] = clocks["fraction"] = 0.0
+    for name in ("cycle", "jump", "recovering", "lag", "fraction"):
+        clocks[name] = 0
     root = table["root_pos"][sample]
     yaw = pose[:, 2] - yaw_from_quat(table["root_quat"][sample])
     clocks["origin"][:, :2] = pose[:, :2] - rotate_planar(yaw, root[:, :2])
@@ -202,6 +200,50 @@ def advance_clocks(clocks: Any, tables: Any, root_xy: Array) -> None:
     for i in range(clocks.shape[0]):
         k = min(i, tables.shape[0] - 1)
         advance_clock(clocks[i], tables.shape[1], root_xy[i, 0], root_xy[i, 1], tables[k])
+
+
+@inlined
+def _advance_recovering(config: Any, clock: Any, table: Any, obs: Any) -> None:
+    """One control step of a clock that is re-synchronised after a push (`RecoveryConfig`). While the robot's velocity
+    differs from the reference, the reference's origin moves to the robot, so that swing feet are placed for balance.
+    The clock may run slower or faster, and then returns to the demonstration's time."""
+    ref = table[clock.sample]
+    c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
+    error = np.hypot(
+        c * ref.lin_vel[0] - s * ref.lin_vel[1] - obs.lin_vel[0],
+        s * ref.lin_vel[0] + c * ref.lin_vel[1] - obs.lin_vel[1],
+    )
+    clock.recovering = 1 if error > (config.recovery_end if clock.recovering == 1 else config.recovery_start) else 0
+    rate = 1.0
+    if clock.recovering == 1:
+        rate = config.recovery_rate
+    elif clock.lag > 0.5:
+        rate = 1.0 - config.recovery_catch_up
+    elif clock.lag < -0.5:
+        rate = 1.0 + config.recovery_catch_up
+    clock.fraction += rate
+    clock.lag += rate - 1.0
+    while clock.fraction >= 1.0 - 1e-9:
+        clock.fraction -= 1.0
+        advance_clock(clock, table.shape[0], obs.root_pos[0], obs.root_pos[1], table)
+    if clock.recovering == 1:
+        root = table[clock.sample].root_pos
+        c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
+        x = obs.root_pos[0] - (clock.origin[0] + c * root[0] - s * root[1])
+        y = obs.root_pos[1] - (clock.origin[1] + s * root[0] + c * root[1])
+        clock.origin[0] += config.recovery_resync * x
+        clock.origin[1] += config.recovery_resync * y
+        clock.jump += config.recovery_resync * np.hypot(x, y)
+
+
+@kernel
+def advance_recovering(config: Any, clocks: Any, tables: Any, observations: Any) -> None:
+    """One control step of the clocks (n,) of `CLOCK`; same as `advance_clocks` for robots that are not in recovery.
+    `config` (1,) is the packed controller configuration, `observations` (n,) the controllers' input (`OBSERVATION`);
+    robot i follows table min(i, k − 1) of `tables` (k, t) of `SAMPLE`."""
+    for i in range(clocks.shape[0]):
+        table = tables[min(i, tables.shape[0] - 1)]
+        _advance_recovering(config[0], clocks[i], table, observations[i])
 
 
 def stack_tables(motions: Sequence[Motion], robot: Robot) -> NDArray[Any]:

@@ -4,8 +4,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
-from fastmimic.clips.clip import Clip
-from fastmimic.clips.skeleton import Skeleton
+from fastmimic.clips.clip import Clip, Skeleton
 from fastmimic.motion.motion import Motion
 from fastmimic.render.tracks import AnimalTrack, motion_track
 from fastmimic.retargeting.config import RetargetConfig

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import quat_continuous, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
-from fastmimic.clips.skeleton import Skeleton
+from fastmimic.clips.clip import Skeleton
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions

@@ -17,13 +17,49 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.configuration import documented, parameter
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.motion.ground import GroundDemand, push_directions
-from fastmimic.retargeting.spline import TrunkSpline
 from fastmimic.robot import Robot
+
+_AT_REST: Final = 3  # coefficients of a cubic B-spline that fix position, velocity and acceleration at an end
+
+
+class TrunkSpline:
+    """Deviations of a trunk over time, as uniform cubic B-splines: six coordinates (x, y, z, roll, pitch, yaw) with
+    common knots, `size` coefficients each. If not periodic, they vanish at both ends with velocity and acceleration."""
+
+    def __init__(self, n: int, rate_hz: float, periodic: bool, hz: float) -> None:
+        """`hz` is the highest frequency, with two knots a period, over the `n` samples of a motion."""
+        duration = n / rate_hz
+        self._pieces = max(4, round(2 * hz * duration))
+        self._periodic = periodic
+        self._knot_s = duration / self._pieces
+        self._n = n
+        self.size = self._pieces if periodic else max(1, self._pieces + 3 - 2 * _AT_REST)
+
+    def basis(self, sample: NDArray[np.int_]) -> tuple[NDArray[np.int_], Array]:
+        """Indices (k, 4) of the coefficients at samples (k,); weights (3, k, 4) in value and two derivatives."""
+        at = sample / self._n * self._pieces
+        piece = np.minimum(at.astype(int), self._pieces - 1)
+        u = at - piece
+        value = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3], axis=-1) / 6
+        first = np.stack([-((1 - u) ** 2), 3 * u**2 - 4 * u, -3 * u**2 + 2 * u + 1, u**2], axis=-1) / 2
+        second = np.stack([1 - u, 3 * u - 2, -3 * u + 1, u], axis=-1)
+        index = piece[:, None] + np.arange(4)
+        weight = np.stack([value, first / self._knot_s, second / self._knot_s**2])
+        if self._periodic:
+            return index % self.size, weight
+        inside = (index >= _AT_REST) & (index < self._pieces + 3 - _AT_REST)
+        return np.where(inside, index - _AT_REST, 0), weight * inside
+
+    def values(self, coefficients: Array) -> Array:
+        """All samples (n, 6) of coefficients (size, 6)."""
+        index, weight = self.basis(np.arange(self._n))
+        return np.einsum("ka,kac->kc", weight[0], coefficients[index])
 
 
 @documented

@@ -22,9 +22,7 @@ class ContactScheduleConfig:
         0.62, about="two stances of a pair's legs count as one if they share this part of their union"
     )
     flight_s: float = parameter(
-        0.08,
-        unit="s",
-        about="shorter flights are closed: two edges of a 60 Hz recording do not resolve them",
+        0.08, unit="s", about="shorter flights are closed: two edges of a 60 Hz recording do not resolve them"
     )
     swing_s: float = parameter(0.12, unit="s", about="shortest swing: motors need the time")
     slide_m: float = parameter(

@@ -72,12 +72,7 @@ def plant_feet(
 
 
 def _plant(
-    path: WorldPath,
-    stances: list[Stance],
-    holds: list[Array],
-    highest: float,
-    rate_hz: float,
-    config: SwingPathConfig,
+    path: WorldPath, stances: list[Stance], holds: list[Array], highest: float, rate_hz: float, config: SwingPathConfig
 ) -> Array:
     n = path.n
     if not stances:
@@ -111,9 +106,9 @@ def _swing(
     end = last if last is not None else start
     target = raw + (1 - blend) * start + blend * end
     rest = before is not None, after is not None
-    horizontal = _SwingSpline(m, rate_hz, config.knot_s, config.stiffness, config.evenness, *rest)
+    horizontal = _SwingSpline(m, rate_hz, config.knot_s, config.stiffness, config.evenness, rest)
     smoother = config.stiffness * (1 + _VERTICAL_SHARE * config.evenness)
-    vertical = _SwingSpline(m, rate_hz, config.knot_s, smoother, 0.0, *rest)
+    vertical = _SwingSpline(m, rate_hz, config.knot_s, smoother, 0.0, rest)
     shape = np.maximum(target[:, 2], 0.0)
     if shape.max() < _FLAT * clearance:
         shape = np.sin(np.pi * share) ** 2
@@ -129,14 +124,7 @@ class _SwingSpline:
     """Penalised cubic B-splines on the samples of one swing, at rest at its ends."""
 
     def __init__(
-        self,
-        m: int,
-        rate_hz: float,
-        knot_s: float,
-        stiffness: float,
-        evenness: float,
-        from_rest: bool,
-        to_rest: bool,
+        self, m: int, rate_hz: float, knot_s: float, stiffness: float, evenness: float, rest: tuple[bool, bool]
     ) -> None:
         from scipy.interpolate import BSpline
 
@@ -147,8 +135,8 @@ class _SwingSpline:
         roughness = np.sqrt(stiffness * m / pieces) * np.diff(np.eye(k), n=3, axis=0)
         unevenness = np.sqrt(evenness * m / pieces) * np.diff(np.eye(k), n=1, axis=0)
         self._matrix = np.concatenate([self._basis, roughness, unevenness])
-        self._first = np.arange(k) < (_AT_REST if from_rest else 0)
-        self._last = np.arange(k) >= k - (_AT_REST if to_rest else 0)
+        self._first = np.arange(k) < (_AT_REST if rest[0] else 0)
+        self._last = np.arange(k) >= k - (_AT_REST if rest[1] else 0)
 
     def fit(self, target: Array, lower: float | None = None) -> Array:
         """The spline (m,) nearest to `target` (m,) that rests at the target's ends and stays above `lower`."""

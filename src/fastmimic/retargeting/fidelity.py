@@ -1,13 +1,23 @@
-"""Compares a retargeted motion with the animal and writes the report."""
+"""Measures a retargeted motion and the animal, and writes the report."""
 
-from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fastmimic.base.rotations import rotate_planar, yaw_from_quat
-from fastmimic.motion.contacts import duty_factors
-from fastmimic.retargeting import measure
-from fastmimic.retargeting.cycle import cycle_displacement
+from fastmimic.base.arrays import Array
+from fastmimic.base.rotations import (
+    quat_conjugate,
+    quat_from_rotvec,
+    quat_from_yaw,
+    quat_multiply,
+    rotate_planar,
+    rotvec_from_quat,
+    yaw_from_quat,
+)
+from fastmimic.motion.contacts import Stances, duty_factors, swings_of
+from fastmimic.motion.motion import Motion
+from fastmimic.retargeting.cycle import TrunkTrack, WorldPath, closing_error, cycle_displacement
 from fastmimic.retargeting.fit import Fitted
 from fastmimic.retargeting.report import MotionFigures, RetargetReport, with_bounds
 from fastmimic.retargeting.scaled_clip import ScaledClip
@@ -19,7 +29,7 @@ def make_report(work: Retargeting, fitted: Fitted) -> RetargetReport:
     motion, track, pose = fitted.motion, fitted.track, fitted.pose
     n = motion.n_samples
     planted = np.linalg.norm((motion.foot_pos_w - fitted.raw_w)[..., :2], axis=-1)
-    change = measure.trunk_change(work.track, track)
+    change = trunk_change(work.track, track)
     report = RetargetReport(
         before=_animal_figures(work, fitted),
         after=_robot_figures(work, fitted),
@@ -27,19 +37,19 @@ def make_report(work: Retargeting, fitted: Fitted) -> RetargetReport:
         is_cycle=track.cycle is not None,
         cycle_reason=work.cycle_reason,
         changes=work.changes,
-        stances=_ints([len(leg) for leg in work.stances]),
-        support_share=measure.support_shares(motion.contact),
-        foot_path_rms_m=_floats(np.sqrt((planted**2).mean(axis=0))),
-        foot_offset_m=_floats([*work.offset[[1, 3], 0], *work.offset[[1, 3], 1]]),
-        trunk_change_m=_floats(change[:3]),
-        trunk_change_deg=_floats(np.degrees(change[3:])),
+        stances=tuple(len(leg) for leg in work.stances),
+        support_share=_listed(np.bincount(motion.contact.sum(axis=1), minlength=5) / n),
+        foot_path_rms_m=_listed(np.sqrt((planted**2).mean(axis=0))),
+        foot_offset_m=_listed(work.offset[[1, 3]].T.ravel()),
+        trunk_change_m=_listed(change[:3]),
+        trunk_change_deg=_listed(np.degrees(change[3:])),
         base_height_m=float(motion.root_pos_w[:, 2].mean()),
         lowered_m=pose.lowered_m - work.raised,
-        unreachable=_ints(pose.unreachable.sum(axis=0)),
-        joint_limited=_ints(pose.limited.reshape(n, 4, 3).any(axis=1).sum(axis=0)),
+        unreachable=_listed(pose.unreachable.sum(axis=0)),
+        joint_limited=_listed(pose.limited.reshape(n, 4, 3).any(axis=1).sum(axis=0)),
         samples=n,
-        joint_speed_peak=_floats(np.abs(motion.joint_vel).reshape(n, 4, 3).max(axis=(0, 1))),
-        joint_speed_limit=_floats(work.robot.joint_speed_limit.reshape(4, 3).min(axis=0)),
+        joint_speed_peak=_listed(np.abs(motion.joint_vel).reshape(n, 4, 3).max(axis=(0, 1))),
+        joint_speed_limit=_listed(work.robot.joint_speed_limit.reshape(4, 3).min(axis=0)),
         smoothed_legs=fitted.smoothed,
         heading_aligned_deg=float(np.degrees(work.aligned)),
     )
@@ -50,16 +60,16 @@ def _animal_figures(work: Retargeting, fitted: Fitted) -> MotionFigures:
     track, source, stances = fitted.track, work.source, work.stances
     periodic = track.cycle is not None
     speed, turn = _travel_of_source(source, periodic)
-    closure = measure.closure_of_source(source) if periodic else measure.Closure(0.0, 0.0)
+    closure_m, closure_deg = closure_of_source(source) if periodic else (0.0, 0.0)
     return MotionFigures(
         period_s=work.duration,
-        slip_m=_floats(measure.slip(fitted.raw_w, track, stances)),
-        closure_m=closure.distance_m,
-        closure_deg=closure.angle_deg,
-        duty=_floats(duty_factors(work.detected, fitted.motion.n_samples)),
+        slip_m=_listed(slip(fitted.raw_w, track, stances)),
+        closure_m=closure_m,
+        closure_deg=closure_deg,
+        duty=_listed(duty_factors(work.detected, fitted.motion.n_samples)),
         speed_m_per_s=speed,
         yaw_deg=float(np.degrees(turn)),
-        clearance_m=_floats(measure.mean_clearance(track.toe_height, stances, periodic)),
+        clearance_m=_listed(mean_clearance(track.toe_height, stances, periodic)),
     )
 
 
@@ -69,16 +79,16 @@ def _robot_figures(work: Retargeting, fitted: Fitted) -> MotionFigures:
     periodic = track.cycle is not None
     heading = np.unwrap(yaw_from_quat(motion.root_quat_wxyz))
     turn = track.cycle[2] if track.cycle is not None else heading[-1] - heading[0]
-    closure = measure.closure_of_motion(motion, track) if periodic else measure.Closure(0.0, 0.0)
+    closure_m, closure_deg = closure_of_motion(motion, track) if periodic else (0.0, 0.0)
     return MotionFigures(
         period_s=motion.period_s,
-        slip_m=_floats(measure.slip(feet, track, stances)),
-        closure_m=closure.distance_m,
-        closure_deg=closure.angle_deg,
-        duty=_floats(duty_factors(stances, motion.n_samples)),
-        speed_m_per_s=measure.mean_speed(motion.root_lin_vel_w[:, :2], heading),
+        slip_m=_listed(slip(feet, track, stances)),
+        closure_m=closure_m,
+        closure_deg=closure_deg,
+        duty=_listed(duty_factors(stances, motion.n_samples)),
+        speed_m_per_s=mean_speed(motion.root_lin_vel_w[:, :2], heading),
         yaw_deg=float(np.degrees(turn)),
-        clearance_m=_floats(measure.mean_clearance(feet[..., 2] - work.robot.foot_radius, stances, periodic)),
+        clearance_m=_listed(mean_clearance(feet[..., 2] - work.robot.foot_radius, stances, periodic)),
     )
 
 
@@ -90,12 +100,76 @@ def _travel_of_source(source: ScaledClip, periodic: bool) -> tuple[float, float]
     if periodic:
         local = np.concatenate([local, 0.5 * (local[:1] + local[-1:])])
     turn = cycle_displacement(source)[2] if periodic else source.heading[-1] - source.heading[0]
-    return measure.mean_speed(local * source.rate_hz, np.zeros(len(local))), float(turn)
+    return mean_speed(local * source.rate_hz, np.zeros(len(local))), float(turn)
 
 
-def _floats(values: Iterable[float]) -> tuple[float, ...]:
-    return tuple(float(x) for x in values)
+def _listed(values: NDArray[Any]) -> tuple[Any, ...]:
+    return tuple(values.tolist())
 
 
-def _ints(values: Iterable[int]) -> tuple[int, ...]:
-    return tuple(int(x) for x in values)
+def slip(feet_w: Array, track: TrunkTrack, stances: Stances) -> Array:
+    """Largest horizontal distance (4,), m, of each foot from its touch-down, within a stance."""
+    worst = np.zeros(4)
+    for leg, spans in enumerate(stances):
+        path = WorldPath(feet_w[:, leg], track)
+        for span in spans:
+            points = path.read(np.arange(*span))[:, :2]
+            worst[leg] = max(worst[leg], float(np.linalg.norm(points - points[0], axis=1).max()))
+    return worst
+
+
+def mean_clearance(height: Array, stances: Stances, periodic: bool) -> Array:
+    """Mean over each leg's swings of the highest point, (4,), m; 0 for a leg that never swings."""
+    n = len(height)
+    result = np.zeros(4)
+    for leg, spans in enumerate(stances):
+        tops = [height[np.arange(a, b) % n, leg].max() for a, b in swings_of(spans, n, periodic)]
+        result[leg] = float(np.mean(tops)) if tops else 0.0
+    return result
+
+
+def closure_of_source(source: ScaledClip) -> tuple[float, float]:
+    """Distance of a cut cycle's end from its beginning: the worst of feet against the hips and heights, m, and of roll
+    and pitch, deg."""
+    feet = np.concatenate([source.toe_from_hip, source.toe_height[..., None]], axis=-1)
+    distance = max(np.linalg.norm(closing_error(feet), axis=-1).max(), abs(closing_error(source.root_z)))
+    return float(distance), float(np.degrees(np.linalg.norm(closing_error(source.tilt))))
+
+
+def closure_of_motion(motion: Motion, track: TrunkTrack) -> tuple[float, float]:
+    """Distance of sample 0, moved by `cycle`, from the last sample continued by its velocity and acceleration: the
+    worst of root and feet, m, and the trunk's rotation, deg."""
+    assert motion.cycle is not None
+    ahead = _continued(motion.root_pos_w[-3:])
+    repeated = np.array([*track.moved(motion.root_pos_w[0, :2], 1), motion.root_pos_w[0, 2]])
+    distance = float(np.linalg.norm(ahead - repeated))
+    feet = motion.foot_pos_w
+    for leg in range(4):
+        repeated = np.array([*track.moved(feet[0, leg, :2], 1), feet[0, leg, 2]])
+        distance = max(distance, float(np.linalg.norm(_continued(feet[-3:, leg]) - repeated)))
+    last = motion.root_quat_wxyz[-1]
+    turn = (1.5 * motion.root_ang_vel_w[-1] - 0.5 * motion.root_ang_vel_w[-2]) * motion.dt
+    ahead_quat = quat_multiply(quat_from_rotvec(turn), last)
+    repeated_quat = quat_multiply(quat_from_yaw(motion.cycle[2]), motion.root_quat_wxyz[0])
+    angle = np.linalg.norm(rotvec_from_quat(quat_multiply(ahead_quat, quat_conjugate(repeated_quat))))
+    return distance, float(np.degrees(angle))
+
+
+def _continued(last_three: Array) -> Array:
+    """The next sample by constant acceleration."""
+    a, b, c = last_three
+    return a - 3 * b + 3 * c
+
+
+def mean_speed(velocity_xy: Array, heading: Array) -> float:
+    """Length of the mean velocity (t, 2) as seen from the trunk with `heading` (t,), m/s: unlike the path's length it
+    does not grow with sway, and unlike the end-to-end distance it does not shrink in a turn."""
+    return float(np.linalg.norm(rotate_planar(-heading, velocity_xy).mean(axis=0)))
+
+
+def trunk_change(animal: TrunkTrack, robot: TrunkTrack) -> Array:
+    """RMS change (6,) of the trunk's path about its mean: x, y, z in the heading frame, m; roll, pitch, yaw, rad."""
+    planar = rotate_planar(-animal.heading, robot.root_xy - animal.root_xy)
+    turned = (robot.heading - animal.heading)[:, None]
+    change = np.concatenate([planar, (robot.root_z - animal.root_z)[:, None], robot.tilt - animal.tilt, turned], axis=1)
+    return np.asarray(change.std(axis=0))

@@ -16,7 +16,7 @@ from fastmimic.base.rotations import (
     quat_rotate,
     quat_rotate_inverse,
 )
-from fastmimic.motion.derivatives import differentiate, pad_open, pad_periodic
+from fastmimic.motion.ground import differentiate, pad
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.cycle import TrunkTrack
@@ -90,17 +90,7 @@ def solve_pose(
         if violation == 0:
             break
     assert best is not None
-    q, reachable = _joints(robot, track, quat, feet_w, height - best[1])
-    joints = np.clip(q, lower, upper)
-    return Pose(
-        root_pos_w=_root(track, height - best[1]),
-        root_quat_wxyz=quat_continuous(quat),
-        joint_pos=joints,
-        foot_pos_b=foot_positions(robot, joints),
-        unreachable=~reachable,
-        limited=joints != q,
-        lowered_m=best[1],
-    )
+    return pose_at(robot, track, feet_w, height - best[1], (lower, upper), best[1])
 
 
 def folding_rise(
@@ -137,18 +127,26 @@ def _folding(robot: Robot, quat: Array, q: Array, base_z: Array, config: Retarge
     return np.where(robot.knee_sign > 0, beyond, below), lacking
 
 
-def unlimited_pose(robot: Robot, track: TrunkTrack, feet_w: Array, height: float) -> Pose:
-    """Like `solve_pose` at one height and without joint limits, so that it is smooth in its arguments."""
+def pose_at(
+    robot: Robot,
+    track: TrunkTrack,
+    feet_w: Array,
+    height: float,
+    limits: tuple[Array, Array] | None = None,
+    lowered_m: float = 0.0,
+) -> Pose:
+    """Like `solve_pose` at one height; smooth in its arguments without joint `limits` (12,), rad."""
     quat = trunk_quaternion(track.heading, track.tilt)
-    joints, reachable = _joints(robot, track, quat, feet_w, height)
+    q, reachable = _joints(robot, track, quat, feet_w, height)
+    joints = q if limits is None else np.clip(q, *limits)
     return Pose(
         root_pos_w=_root(track, height),
         root_quat_wxyz=quat_continuous(quat),
         joint_pos=joints,
         foot_pos_b=foot_positions(robot, joints),
         unreachable=~reachable,
-        limited=np.zeros(joints.shape, dtype=bool),
-        lowered_m=0.0,
+        limited=joints != q,
+        lowered_m=lowered_m,
     )
 
 
@@ -178,12 +176,12 @@ def _knee_height(robot: Robot, quat: Array, joints: Array) -> Array:
 
 def joint_velocity(joint_pos: Array, rate_hz: float, periodic: bool) -> Array:
     """(t, 12) rad/s."""
-    return differentiate(_pad(joint_pos, periodic), 1.0 / rate_hz)
+    return differentiate(pad(joint_pos, periodic), 1.0 / rate_hz)
 
 
 def motion_of(pose: Pose, track: TrunkTrack, contact: NDArray[np.bool_], rate_hz: float) -> Motion:
     """The motion of a pose and its contacts (t, 4), with velocities, without provenance."""
-    position, quat = _pad(pose.root_pos_w, track.cycle is not None), _pad(pose.root_quat_wxyz, track.cycle is not None)
+    position, quat = (pad(values, track.cycle is not None) for values in (pose.root_pos_w, pose.root_quat_wxyz))
     if track.cycle is not None:
         turn = quat_from_yaw(track.cycle[2])
         for rows, cycles in ((slice(0, 2), -1), (slice(-2, None), 1)):
@@ -203,7 +201,3 @@ def motion_of(pose: Pose, track: TrunkTrack, contact: NDArray[np.bool_], rate_hz
         root_ang_vel_w=2.0 * rate[:, 1:],
         cycle=track.cycle,
     )
-
-
-def _pad(values: Array, periodic: bool) -> Array:
-    return pad_periodic(values) if periodic else pad_open(values)

@@ -107,15 +107,12 @@ def footholds(raw_w: Array, track: TrunkTrack, stances: Stances, reach: Reach, l
             when = np.append(np.arange(span.touch_down - linger, last, _STEP), last)
             if not path.periodic:
                 when = np.clip(when, 0, path.n - 1)
-            hold = _mean_foothold(path.read(np.arange(*span)))
+            raw = path.read(np.arange(*span))
+            weight = np.sin(np.pi * (np.arange(len(raw)) + 0.5) / len(raw)) ** 2
+            hold = np.asarray(weight @ raw[:, :2] / weight.sum())
             holds.append(hold + _into_reach(hold, leg, trunk.read(when), track, when, reach))
         result.append(holds)
     return result
-
-
-def _mean_foothold(raw: Array) -> Array:
-    weight = np.sin(np.pi * (np.arange(len(raw)) + 0.5) / len(raw)) ** 2
-    return np.asarray(weight @ raw[:, :2] / weight.sum())
 
 
 def _into_reach(hold: Array, leg: int, trunk: Array, track: TrunkTrack, when: NDArray[np.int_], reach: Reach) -> Array:

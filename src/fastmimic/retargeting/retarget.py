@@ -3,14 +3,12 @@
 After Peng et al. 2020 (section IV), then made consistent, by one rule for every clip. The steps are in these modules:
 
     scaled_clip        keypoints → trunk and toe targets at the robot's size
-    posture            without a cycle: the trunk no lower than folded legs allow
     cycle              the recording as a continuous motion, closed if it is a cycle
     contact_schedule   the detected contacts (`motion.contacts`) as a clean schedule
     reach, feet        footholds within reach, and smooth swings between them
-    consistency        the trunk as the standing feet can carry it (`balance`), joints within their limits (`pose`)
-    fit                calls these on one track
-    steps              calls all of the above on one clip
-    measure, report    what changed
+    fit                the trunk as the standing feet can carry it (`balance`), joints within their limits (`pose`)
+    steps              calls all of the above on one clip; without a cycle, the trunk no lower than folded legs allow
+    fidelity, report   what changed
 """
 
 from dataclasses import replace
@@ -59,8 +57,7 @@ def retarget(
     """
     _check(clip, rate_hz, scale)
     scale = choose_scale(clip, robot) if scale is None else float(scale)
-    work = Retargeting(clip, robot, rate_hz, scale, (config or RetargetConfig()).for_robot(robot))
-    work.decide_cycle(cycle)
+    work = Retargeting(clip, robot, rate_hz, scale, cycle, (config or RetargetConfig()).for_robot(robot))
     work.align_heading()
     work.fit_posture()
     work.hold_end()

@@ -1,6 +1,7 @@
 """From an animal's keypoints to trunk pose and toe targets at the robot's size (Peng et al. 2020, section IV)."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -37,20 +38,11 @@ class ScaledClip:
 
     def held(self, frames: int) -> "ScaledClip":
         """The recording with its last frame repeated `frames` times, at rest."""
-
-        def more(values: Array) -> Array:
-            return np.concatenate([values, np.repeat(values[-1:], frames, axis=0)])
-
-        return replace(
-            self,
-            root_xy=more(self.root_xy),
-            root_z=more(self.root_z),
-            heading=more(self.heading),
-            tilt=more(self.tilt),
-            toe_from_hip=more(self.toe_from_hip),
-            toe_height=more(self.toe_height),
-            toe_speed=np.concatenate([self.toe_speed, np.zeros((frames, 4))]),
-        )
+        longer: dict[str, Any] = {}
+        for name in ("root_xy", "root_z", "heading", "tilt", "toe_from_hip", "toe_height"):
+            values = getattr(self, name)
+            longer[name] = np.concatenate([values, np.repeat(values[-1:], frames, axis=0)])
+        return replace(self, **longer, toe_speed=np.concatenate([self.toe_speed, np.zeros((frames, 4))]))
 
     def turned(self, angle: float) -> "ScaledClip":
         """The motion with the trunk's heading turned by `angle` rad; its path and toes stay."""

@@ -8,21 +8,27 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import quat_rotate_inverse, rotate_planar
 from fastmimic.clips.clip import Clip
-from fastmimic.motion.contacts import Stances, detect, foot_activity
+from fastmimic.motion.contacts import detect, foot_activity
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.contact_schedule import ScheduleChanges, make_consistent, with_steps
-from fastmimic.retargeting.cycle import TrunkTrack, cycle_displacement, pose_mismatch, track_cycle, track_open
+from fastmimic.retargeting.cycle import cycle_displacement, pose_mismatch, track_cycle, track_open
 from fastmimic.retargeting.fit import Fitted, Fitter
-from fastmimic.retargeting.posture import levelled, within_folded_legs
 from fastmimic.retargeting.reach import Reach, foot_offsets
 from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE
 from fastmimic.retargeting.scaled_clip import ScaledClip, extract
 from fastmimic.robot import Robot
+from fastmimic.robot.scaling import length_ratio
 
 DOG_SCALE: Final = 0.825  # the A1's size over the dog's (Peng et al. 2020)
 _END_S: Final = 0.1  # final part that shows whether a recording comes to rest
 _SAME_BODY_M: Final = 2e-3
 _EXACT_FEET: Final = 0.2
+
+# For recordings that do not repeat; m, at the A1's size
+_TALL_M: Final = 0.03  # frames this much lower than the tallest have 1/e of its weight
+_ROOM_M: Final = 0.05
+"""Added to the shortest leg: a folded leg's foot stands ahead of the hip or behind it, and its knee off the ground."""
+_SOFT_M: Final = 0.02  # range of the smooth blend to the lowest height
 
 
 class Retargeting:
@@ -43,14 +49,14 @@ class Retargeting:
         offset: (4, 2) constant shifts of the feet against the hips, m.
     """
 
-    def __init__(self, clip: Clip, robot: Robot, rate_hz: float, scale: float, config: RetargetConfig) -> None:
+    def __init__(
+        self, clip: Clip, robot: Robot, rate_hz: float, scale: float, cycle: bool | None, config: RetargetConfig
+    ) -> None:
         self.clip, self.robot, self.rate_hz, self.scale = clip, robot, rate_hz, scale
         self.source = extract(clip, scale, config.roll_share)
         self.own_body = _is_own_body(clip, robot, scale)
         self.config = _for_own_body(config) if self.own_body else config
         self.lowered = 0.0 if self.own_body else config.crouch_m * scale / DOG_SCALE
-
-    def decide_cycle(self, cycle: bool | None) -> None:
         self.periodic, self.cycle_reason = whether_cycle(self.clip, self.source, cycle, self.config)
 
     def align_heading(self) -> None:
@@ -65,8 +71,7 @@ class Retargeting:
     def fit_posture(self) -> None:
         """Keeps a recording that does not repeat as high as folded legs need."""
         if not self.periodic and self.config.consistent and not self.own_body:
-            level = levelled(self.source, self.robot)
-            self.source = within_folded_legs(level, self.robot, self.lowered, self.config)
+            self.source = within_folded_legs(self.source, self.robot, self.lowered, self.config)
 
     def hold_end(self) -> None:
         """Lengthens a recording that ends standing by its last pose."""
@@ -84,7 +89,8 @@ class Retargeting:
         self.activity = self._activity()
         self.detected = detect(self.activity, self.rate_hz, self.periodic, config.contact)
         if self.periodic:
-            travels = not (config.consistent and _stands(self.detected, self.n))
+            stands = all(leg and leg[0].duration >= self.n for leg in self.detected)  # no foot ever lifts off
+            travels = not (config.consistent and stands)
             self.track = track_cycle(self.source, self.n, config.trunk_hz, config.foot_hz, travels=travels)
         else:
             self.track = track_open(self.source, self.n, config.trunk_hz, config.foot_hz)
@@ -117,12 +123,14 @@ class Retargeting:
         if not self.config.consistent:
             return
         n, config = self.n, self.config
-        longest = self._reach().longest_stance(_speed(self.track, self.duration), config.swing.linger_s)
+        speed = float(np.linalg.norm(np.diff(self.track.root_xy, axis=0), axis=1).sum() / self.duration)
+        longest = self._reach().longest_stance(speed, config.swing.linger_s)
         self.stances, self.changes = make_consistent(
             self.detected, n, self.rate_hz, self.periodic, self.straight, longest, config.schedule
         )
         if self.periodic:
-            travel = _travel(self.robot, self.track)
+            hips = self.track.root_xy[0] + rotate_planar(self.track.heading[0], self.robot.hip_pos_b[:, :2])
+            travel = np.asarray(np.linalg.norm(self.track.moved(hips, 1) - hips, axis=-1))
             self.stances, steps = with_steps(self.stances, travel, self.activity, self.rate_hz, config.schedule)
             self.changes = replace(self.changes, steps=steps)
 
@@ -180,17 +188,6 @@ def _travel_angle(source: ScaledClip, config: RetargetConfig) -> float | None:
     return angle if abs(angle) < np.radians(config.straight_travel_deg) else None
 
 
-def _stands(stances: Stances, n: int) -> bool:
-    """Whether no foot ever lifts off."""
-    return all(leg and leg[0].duration >= n for leg in stances)
-
-
-def _travel(robot: Robot, track: TrunkTrack) -> Array:
-    """Travel of each hip (4,) in a cycle, m."""
-    hips = track.root_xy[0] + rotate_planar(track.heading[0], robot.hip_pos_b[:, :2])
-    return np.asarray(np.linalg.norm(track.moved(hips, 1) - hips, axis=-1))
-
-
 def _is_own_body(clip: Clip, robot: Robot, scale: float) -> bool:
     """Whether the clip is this robot's own motion: its hips are at the robot's hip positions."""
     if clip.root_quat_wxyz is None:
@@ -208,6 +205,43 @@ def _for_own_body(config: RetargetConfig) -> RetargetConfig:
     return replace(config, contact=contact, balance=replace(config.balance, rounds=0), max_raising_m=0.0)
 
 
-def _speed(track: TrunkTrack, duration_s: float) -> float:
-    """Mean horizontal speed along the trunk's path, m/s."""
-    return float(np.linalg.norm(np.diff(track.root_xy, axis=0), axis=1).sum() / duration_s)
+def within_folded_legs(source: ScaledClip, robot: Robot, lowered_m: float, config: RetargetConfig) -> ScaledClip:
+    """A recording that does not repeat, in postures that a robot can take; its base is `lowered_m` below the animal's.
+
+    A cycle has one posture; sitting down or getting up has two or more, and the tallest counts as level. Shoulders and
+    hips go no lower than folded legs allow with feet lifted as high as the animal's: an animal sits on its rump, a
+    robot on its feet. The trunk is raised as a whole, and levelled as far as its other end would be higher than it
+    stands.
+    """
+    size = length_ratio(robot)
+    weight = np.exp((source.root_z - source.root_z.max()) / (_TALL_M * size))
+    source = replace(source, tilt=source.tilt - weight @ source.tilt / weight.sum())
+    mean = float(source.root_z.mean())
+    height = source.hip_height + source.root_z - mean - lowered_m  # of the hips' middle above the ground
+    shortest = Reach.of_robot(robot, 0.0, config.reach_margin_rad).shortest
+    lift = np.maximum(MIN_CLEARANCE_SHARE * source.toe_height, config.swing.min_clearance_m)
+    x = robot.hip_pos_b[:, 0].reshape(2, 2).mean(axis=1)  # of shoulders and hips
+    slope = -np.sin(source.tilt[:, 1])
+    girdle = height[:, None] + slope[:, None] * x
+    least = shortest + _ROOM_M * size + lift.reshape(-1, 2, 2).max(axis=2)
+    rise = (_no_lower(girdle, least, _SOFT_M * size) - girdle).max(axis=1, keepdims=True)
+    raised = -_no_lower(-(girdle + rise), -np.maximum(height.max(), least), _SOFT_M * size)
+    raised = np.where(rise > 0, raised, girdle)
+    new_slope = slope + ((raised - girdle) @ np.array([1.0, -1.0])) / (x[0] - x[1])
+    rise = (raised - girdle)[:, 0] - (new_slope - slope) * x[0]
+    changed = np.any(raised != girdle, axis=1)
+    pitch = np.where(changed, -np.arcsin(np.clip(new_slope, -1.0, 1.0)), source.tilt[:, 1])
+    root_z = source.root_z + np.where(changed, rise, 0.0)
+    return replace(
+        source,
+        root_z=root_z,
+        tilt=np.stack([source.tilt[:, 0], pitch], axis=-1),
+        hip_height=source.hip_height + float(root_z.mean()) - mean,
+    )
+
+
+def _no_lower(value: Array, least: Array, soft: float) -> Array:
+    """The greater of the two, with a smooth blend of ± `soft` m between them."""
+    above = value - least
+    passage = least + (above + soft) ** 2 / (4 * soft)
+    return np.where(above >= soft, value, np.where(above <= -soft, least, passage))

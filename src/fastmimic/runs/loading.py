@@ -8,7 +8,7 @@ from typing import Any
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.clips.catalogue import motion_names, open_clip
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats.npz import is_robot_motion
+from fastmimic.clips.formats.format import is_robot_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.runs.work_folder import CONFIG, MOTION

@@ -24,12 +24,11 @@ from fastmimic.retargeting.cycle import TrunkTrack, steps
 from fastmimic.retargeting.pose import trunk_quaternion
 from fastmimic.retargeting.reach import Reach
 from fastmimic.robot import Robot
-from fastmimic.stitching.layout import Layout
+from fastmimic.stitching.layout import Layout, too_short
 from fastmimic.stitching.switch import Cycle, Switch, best_switch
 from fastmimic.stitching.transition import make_transition
 
 SEGMENT_S: Final = 3.0  # default length of a segment, rounded to whole cycles
-
 MAX_S: Final = 600.0
 
 
@@ -83,13 +82,8 @@ def stitch_motions(
         transition = make_transition(robot, layout, i, track, raw_w, contact, neighbours, rate, reach, config)
         transition.write(arrays)
         transitions.append(transition)
-    layout = Layout(
-        (
-            layout.segments[0],
-            *(replace(s, rebuilt=t.span) for s, t in zip(layout.segments[1:], transitions, strict=True)),
-        ),
-        n,
-    )
+    rebuilt = (replace(s, rebuilt=t.span) for s, t in zip(layout.segments[1:], transitions, strict=True))
+    layout = Layout((layout.segments[0], *rebuilt), n)
     _check_room(layout)
     licences = sorted({m.provenance.licence for m in motions if m.provenance.licence})
     assumed = dict.fromkeys(a for m in motions for a in m.provenance.assumed)
@@ -154,16 +148,15 @@ def _layout(
         if i > 0:
             switch, at = switches[i - 1], starts[i - 1]
             trunk = Span(at - switch.half, at + switch.half)
-            legs = [
-                Span(max(s.start + at, bounds[i - 1]), min(s.end + at, bounds[i + 1]), s.stands) for s in switch.feet
-            ]
-            feet = (legs[0], legs[1], legs[2], legs[3])
+            low, high = bounds[i - 1], bounds[i + 1]
+            fr, fl, rr, rl = (Span(max(s.start + at, low), min(s.end + at, high), s.stands) for s in switch.feet)
+            feet = (fr, fl, rr, rl)
         segments.append(
             StitchedSegment(motion.name, index[i], counts[i], bounds[i], bounds[i + 1], shifts[i], trunk, feet, None)
         )
-    for segment, (a, b) in zip(segments, pairwise(bounds), strict=True):
-        if b <= a:
-            _raise_too_short(segment.name, segment.cycles)
+    for segment in segments:
+        if segment.last <= segment.first:
+            raise too_short(segment)
     layout = Layout(tuple(segments), n)
     _check_room(layout)
     return layout
@@ -175,14 +168,10 @@ def _check_room(layout: Layout) -> None:
     for before, segment in pairwise(layout.segments):
         spans = [s for s in (segment.trunk, segment.rebuilt) if s is not None]
         if any(s.start < over for s in spans):
-            _raise_too_short(before.name, before.cycles)
+            raise too_short(before)
         over = max(s.end for s in spans)
         if segment is layout.segments[-1] and over > layout.n:
-            _raise_too_short(segment.name, segment.cycles)
-
-
-def _raise_too_short(name: str, cycles: int) -> None:
-    raise MotionError(f"segment '{name}' with {cycles} cycles is too short for its transitions; give it more cycles")
+            raise too_short(segment)
 
 
 def _samples(parts: Sequence[Motion], layout: Layout, track: TrunkTrack) -> dict[str, Any]:
@@ -245,7 +234,6 @@ def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[TrunkTrac
     root_xy = first.root_pos_w[0, :2] + np.concatenate([np.zeros((1, 2)), moved])
     raw_w = np.array(local_feet)
     raw_w[..., :2] = root_xy[:, None] + rotate_planar(heading[:, None], local_feet[..., :2])
-    raw_w[..., 2] = local_feet[..., 2]
     track = TrunkTrack(root_xy, root_z, heading, tilt, local_feet[..., :2], local_feet[..., 2], None)
     return track, raw_w, contact
 

@@ -43,6 +43,12 @@ class Layout:
         return _shares(np.stack(steps))
 
 
+def too_short(segment: StitchedSegment) -> MotionError:
+    return MotionError(
+        f"segment '{segment.name}' with {segment.cycles} cycles is too short for its transitions; give it more cycles"
+    )
+
+
 def _shares(steps: Array) -> Array:
     """Each segment's own step minus that of the next."""
     return steps - np.concatenate([steps[1:], np.zeros_like(steps[:1])])

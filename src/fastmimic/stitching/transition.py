@@ -15,13 +15,14 @@ from fastmimic.motion.contacts import Stance, Stances, stances_of
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import Span
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.consistency import Consistency
 from fastmimic.retargeting.cycle import TrunkTrack
 from fastmimic.retargeting.feet import plant_feet
+from fastmimic.retargeting.fidelity import slip
+from fastmimic.retargeting.fit import Consistency
 from fastmimic.retargeting.pose import Pose, joint_velocity, solve_pose
 from fastmimic.retargeting.reach import Reach, footholds
 from fastmimic.robot import Robot
-from fastmimic.stitching.layout import Layout
+from fastmimic.stitching.layout import Layout, too_short
 from fastmimic.stitching.switch import Cycle
 
 _PAD: Final = 4  # samples beyond the rebuilt ones, for derivatives
@@ -61,21 +62,10 @@ def make_transition(
     plan = _plan(layout, index, contact, own)
     window = plan.window
     if window.start < 0 or window.end > layout.n:
-        segment = layout.segments[index - 1 if window.start < 0 else index]
-        raise MotionError(
-            f"segment '{segment.name}' with {segment.cycles} cycles is too short for its transitions; give it more"
-            " cycles"
-        )
+        raise too_short(layout.segments[index - 1 if window.start < 0 else index])
     part = slice(window.start, window.end)
-    local = TrunkTrack(
-        root_xy=track.root_xy[part],
-        root_z=track.root_z[part],
-        heading=track.heading[part],
-        tilt=track.tilt[part],
-        toe_from_hip=track.toe_from_hip[part],
-        toe_height=track.toe_height[part],
-        cycle=None,
-    )
+    names = ("root_xy", "root_z", "heading", "tilt", "toe_from_hip", "toe_height")
+    local = TrunkTrack(**{name: getattr(track, name)[part] for name in names}, cycle=None)
     height = float(local.root_z.mean())
     reach = replace(reach, hip_height=height + float(robot.hip_pos_b[:, 2].mean()) - robot.foot_radius)
     raw = np.array(raw_w[part])
@@ -106,10 +96,10 @@ def make_transition(
     lowered, pose = _within_limits(consistency, balanced, lambda evenness: planted(holds, evenness))
     motion = consistency.motion(pose, lowered)
     inner = slice(_PAD, motion.n_samples - _PAD)
-    names = ("root_pos_w", "root_quat_wxyz", "joint_pos", "joint_vel", "foot_pos_b", "root_lin_vel_w", "root_ang_vel_w")
+    rows = ("root_pos_w", "root_quat_wxyz", "joint_pos", "joint_vel", "foot_pos_b", "root_lin_vel_w", "root_ang_vel_w")
     return Transition(
         span=Span(window.start + _PAD, window.end - _PAD),
-        arrays={name: getattr(motion, name)[inner] for name in names},
+        arrays={name: getattr(motion, name)[inner] for name in rows},
         measured=_measure(robot, motion, pose, local, lowered, plan, rate_hz),
     )
 
@@ -223,16 +213,11 @@ def _measure(
     acceleration = np.gradient(motion.root_lin_vel_w, motion.dt, axis=0)[inner]
     turning = np.gradient(motion.root_ang_vel_w, motion.dt, axis=0)[inner]
     moved = np.concatenate([after.root_xy - before.root_xy, (after.root_z - before.root_z)[:, None]], axis=1)
-    feet_w, slip = motion.foot_pos_w, 0.0
-    for leg, stances in enumerate(plan.stances):
-        for s in stances:
-            points = feet_w[s.touch_down : s.lift_off, leg, :2]
-            slip = max(slip, float(np.linalg.norm(points - points[0], axis=1).max()))
     longest = max((s.duration for stances in plan.stances for s in stances), default=0)
     return {
         "duration_s": (motion.n_samples - 2 * _PAD) / rate_hz,
         "joint_speed_share": float(speed.max()),
-        "slip_m": slip,
+        "slip_m": float(slip(motion.foot_pos_w, after, plan.stances).max()),
         "lowered_m": float((before.root_z - after.root_z).max()),
         "longest_stance_s": longest / rate_hz,
         "acceleration_m_per_s2": float(np.linalg.norm(acceleration[:, :2], axis=1).max()),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
-from fastmimic.clips.skeleton import KEYPOINTS
+from fastmimic.clips.clip import KEYPOINTS
 
 if TYPE_CHECKING:
     from trimesh import Trimesh

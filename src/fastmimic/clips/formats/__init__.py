@@ -8,8 +8,8 @@ from typing import Any
 
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats import bvh, csv_motion, deepmimic, keypoints, named_points, npz
-from fastmimic.clips.formats.format import FORMATS, Content, Format, ReadOptions, format_of, suffixes
+from fastmimic.clips.formats import bvh, csv_motion, deepmimic, keypoints
+from fastmimic.clips.formats.format import FORMATS, ROBOT_MOTION, Content, Format, ReadOptions, format_of, suffixes
 from fastmimic.clips.formats.points import PointMap, read_point_map
 from fastmimic.clips.formats.text_table import check_positive, check_rate
 from fastmimic.robot.robot import Robot
@@ -26,8 +26,9 @@ __all__ = [
     "with_scale",
 ]
 
-for _module in (npz, csv_motion, keypoints, named_points, bvh, deepmimic):
-    FORMATS.register(_module.FORMAT)
+_KEYPOINTS = (keypoints.FORMAT, keypoints.NAMED_FORMAT)
+for _format in (ROBOT_MOTION, csv_motion.FORMAT, *_KEYPOINTS, bvh.FORMAT, deepmimic.FORMAT):
+    FORMATS.register(_format)
 
 
 def detect_format(path: str | Path) -> str:

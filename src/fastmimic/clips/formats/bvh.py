@@ -10,11 +10,10 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
-from fastmimic.clips.clip import Clip
+from fastmimic.clips.clip import Clip, Skeleton
 from fastmimic.clips.formats.format import Format
 from fastmimic.clips.formats.points import PointMap, choose, clip_of
-from fastmimic.clips.formats.text_table import Row, check_frames, check_rate, is_number, to_array
-from fastmimic.clips.skeleton import Skeleton
+from fastmimic.clips.formats.text_table import Row, is_number, to_array
 
 KEYWORD: Final = "HIERARCHY"
 _CHANNELS: Final = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
@@ -39,17 +38,14 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None, point_m
     which line), no such joints, or not an upright, right-handed animal."""
     lines = _lines(text)
     joints = _hierarchy(lines)
-    rate = _rate(lines)
+    declared, frame_s = _rate(lines)
     columns = sum(len(joint.channels) for joint in joints)
     rows = [Row(number, words) for number, words in lines]
     values = to_array(rows, columns, lambda column: _column_name(joints, column), "a BVH's channels")
-    check_frames(len(values))
-    declared, frame_s = rate
     if declared != len(values):
         raise ClipError(f"the file says that it has {declared} frames; it has {len(values)}: it may be truncated")
     chosen, title = choose([joint.name for joint in joints], point_map)
     hz = 1.0 / frame_s if fps is None else float(fps)
-    check_rate(hz)
     assumed = [] if title is None else [f"joints are those of {title}"]
     bones = tuple((joint.parent, i) for i, joint in enumerate(joints) if joint.parent >= 0)
     skeleton = Skeleton(len(joints), bones, (_RADIUS,) * len(bones))
@@ -57,7 +53,7 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None, point_m
 
 
 def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Number and words of each line that is not blank; braces become lines of their own."""
+    """Number and words of each line that is not blank; braces become words of their own."""
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.replace("{", " { ").replace("}", " } ").split()
         if words:

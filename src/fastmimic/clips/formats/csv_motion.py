@@ -13,16 +13,11 @@ from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.rotations import quat_rotate
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.format import Content, Format
-from fastmimic.clips.formats.quaternions import unit_wxyz_from_xyzw
-from fastmimic.clips.formats.robot_points import robot_points
-from fastmimic.clips.formats.text_table import LARGEST, Table, check_frames, check_rate, read_table, to_array
+from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
+from fastmimic.clips.formats.text_table import LARGEST, Table, check_rate, read_table, to_array
 from fastmimic.robot.robot import Robot
 
-COLUMN_NAMES: Final = (
-    *(f"root_{axis}" for axis in "xyz"),
-    *(f"root_q{axis}" for axis in "xyzw"),
-    *JOINT_NAMES,
-)
+COLUMN_NAMES: Final = (*(f"root_{axis}" for axis in "xyz"), *(f"root_q{axis}" for axis in "xyzw"), *JOINT_NAMES)
 COLUMNS: Final = len(COLUMN_NAMES)
 DEFAULT_RATE_HZ: Final = 30.0  # of the common retargeted CSV data sets (Unitree's and others)
 
@@ -60,7 +55,6 @@ def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
     columns, names = _columns(table, header)
     largest = [np.inf if name in _TIME_NAMES else LARGEST for name in names]  # a time may count from 1970
     values = to_array(table.rows, len(names), lambda c: names[c], "retargeted motion", largest)
-    check_frames(len(values))
     rate, assumed = _rate(table, names, values, fps)
     if header is None:
         assumed.append("columns are root x y z, quaternion x y z w, then joints " + ", ".join(JOINT_NAMES))
@@ -85,7 +79,9 @@ def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
 
 def names_joints(header: list[str]) -> bool:
     """Whether a line of names is the header of a retargeted motion."""
-    return any(_match_joint(name) for name in map(_plain, header))
+    legs = {leg for spellings in _LEG_SPELLINGS.values() for leg in spellings}
+    joints = {joint for row in JOINT_SPELLINGS for joint in row}
+    return any(leg in legs and joint in joints for leg, _, joint in (_plain(name).partition("_") for name in header))
 
 
 def _columns(table: Table, header: list[str] | None) -> tuple[list[int], list[str]]:
@@ -132,11 +128,6 @@ def _joint_names(plain: list[str]) -> list[set[str]]:
         return [{f"{leg}_{joint}" for leg in _LEG_SPELLINGS[name]} for name in LEGS for joint in row]
 
     return max(map(spelled, JOINT_SPELLINGS), key=lambda names: sum(bool(n & set(plain)) for n in names))
-
-
-def _match_joint(name: str) -> bool:
-    leg, _, joint = name.partition("_")
-    return any(leg in legs for legs in _LEG_SPELLINGS.values()) and any(joint in row for row in JOINT_SPELLINGS)
 
 
 def _rate(table: Table, names: list[str], values: Array, fps: float | None) -> tuple[float, list[str]]:

@@ -17,16 +17,11 @@ from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.rotations import quat_conjugate, quat_multiply
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.format import Format
-from fastmimic.clips.formats.quaternions import unit_wxyz_from_xyzw
-from fastmimic.clips.formats.robot_points import robot_points
+from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
 from fastmimic.clips.formats.text_table import LARGEST, check_frames, check_positive, check_rate
 from fastmimic.robot.robot import Robot
 
-FRAME_NAMES: Final = (
-    *(f"root {axis}" for axis in "xyz"),
-    *(f"root quaternion {axis}" for axis in "xyzw"),
-    *JOINT_NAMES,
-)
+FRAME_NAMES: Final = (*(f"root {axis}" for axis in "xyz"), *(f"root quaternion {a}" for a in "xyzw"), *JOINT_NAMES)
 LOOP_MODES: Final = ("Wrap", "Clamp")
 _LOOP_KEYS: Final = ("LoopMode", "EnableCycleOffsetPosition", "EnableCycleOffsetRotation")  # kept in `meta`
 _ROBOT_KEY: Final = "Robot"  # in files of `fastmimic.motion.export`: the robot of the joints, in place of the Laikago

@@ -1,11 +1,14 @@
-"""`Format`: a kind of motion file, with detection and parsing, and the registry of all formats."""
+"""`Format`: a kind of motion file, with detection and parsing, and the registry of all formats. FastMimic's own robot
+motions are recognised, but `Motion.load` reads them."""
 
+import io
+import zipfile
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final, NoReturn
 
 from fastmimic.base.errors import ClipError
 from fastmimic.base.registry import Registry
@@ -16,6 +19,7 @@ from fastmimic.robot.robot import Robot
 
 _LINES_READ: Final = 2000  # within which a table is looked for, after any comment
 _ROWS_COUNTED: Final = 20
+_ZIP_MAGIC: Final = (b"PK\x03\x04", b"PK\x05\x06")
 
 
 @dataclass(frozen=True)
@@ -64,8 +68,14 @@ class Content:
 
     def problem(self) -> str:
         """Describes content that no format recognises."""
-        if not self.text:
-            return "the file is empty" if not self.data else _binary(self.data)
+        if self.data.startswith(_ZIP_MAGIC):
+            return "a zip archive without arrays"
+        try:
+            self.data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            return f"a binary file (byte {error.start} is not UTF-8 text)"
+        if b"\0" in self.data:
+            return f"a binary file (byte {self.data.index(0)} is zero)"
         if not self.start:
             return "the file is empty"
         header, rows = self.table.header, self.table.rows
@@ -147,11 +157,35 @@ def format_of(content: Content) -> Format:
     raise ClipError(f"{content.problem()}; expected one of: {'; '.join(form.about for form in FORMATS.values())}")
 
 
-def _binary(data: bytes) -> str:
-    if data.startswith(b"PK"):
-        return "a zip archive without arrays"
+def is_robot_motion(path: str | Path) -> bool:
+    """Whether a file is an `.npz`, or a damaged one; False if there is none."""
     try:
-        data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        return f"a binary file (byte {error.start} is not UTF-8 text)"
-    return f"a binary file (byte {data.index(0)} is zero)"
+        with open(path, "rb") as file:
+            return _holds_arrays(file)
+    except (OSError, ValueError):  # ValueError: a NUL in the path
+        return False
+
+
+def _holds_arrays(file: BinaryIO) -> bool:
+    if file.read(len(_ZIP_MAGIC[0])) not in _ZIP_MAGIC:
+        return False
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return any(name.endswith(".npy") for name in archive.namelist())
+    except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError):
+        return True  # damaged: `Motion.load` reports how
+
+
+def _refuse(data: bytes) -> NoReturn:
+    raise ClipError("this is a robot motion (.npz), not a clip: nothing to retarget")
+
+
+ROBOT_MOTION: Final = Format(
+    name="npz",
+    about="FastMimic robot motion (.npz)",
+    suffixes=(".npz",),
+    detect=lambda content: _holds_arrays(io.BytesIO(content.data)),
+    parse=_refuse,
+    takes=(),
+    binary=True,
+)

@@ -1,13 +1,23 @@
-"""Dog motion capture as text: 81 columns, 27 points × (x, y, z) in metres, one frame a line. Peng et al. (2020)
-distribute the dog motions of Zhang et al. (2018) like this: y up, right-handed, 60 frames a second."""
+"""Keypoints as tables of text, one frame a line, in two formats.
 
+- Dog motion capture: 81 columns, 27 points × (x, y, z) in metres. Peng et al. (2020) distribute the dog motions of
+  Zhang et al. (2018) like this: y up, right-handed, 60 frames a second.
+- Points by name: a header with three columns a point, NAME_x, NAME_y, NAME_z, in any order of points. Tracking programs
+  export such tables, also from C3D. `NAME.x`, `NAME:X` and `NAME x` are the same. A column `time` gives the frame rate;
+  `frame` is ignored.
+"""
+
+import re
+from collections.abc import Sequence
 from typing import Final
 
-from fastmimic.clips.clip import POINT_NAMES, Clip
-from fastmimic.clips.formats.format import Format
-from fastmimic.clips.formats.points import clip_of
-from fastmimic.clips.formats.text_table import check_frames, check_rate, read_table, to_array
-from fastmimic.clips.skeleton import DOG
+import numpy as np
+
+from fastmimic.base.errors import ClipError
+from fastmimic.clips.clip import DOG, POINT_NAMES, Clip
+from fastmimic.clips.formats.format import Content, Format
+from fastmimic.clips.formats.points import PointMap, choose, clip_of
+from fastmimic.clips.formats.text_table import read_table, to_array
 
 COLUMNS: Final = 81
 DEFAULT_RATE_HZ: Final = 60.0
@@ -26,15 +36,17 @@ _POINT_INDEX: Final = {
 }
 """Indices among the 27 points; left and right follow from the points' positions (up × forward)."""
 
+_COLUMN: Final = re.compile(r"(.+?)[\s._:/\-]([xyz])", re.IGNORECASE)
+_TIMES: Final = ("time", "time_s", "t")
+_UNEVEN: Final = 0.02  # share of a frame's duration
+
 
 def parse(text: str, *, fps: float | None = None, up: str | None = None) -> Clip:
     """Reads the text of a keypoint file; `fps` is 60 if None, and `up` the axis along which the hips are above the
     toes. Raises `ClipError`: malformed (says which line and column), or not an upright, right-handed animal."""
     rows = read_table(text).rows
     values = to_array(rows, COLUMNS, _column_name, "dog keypoints")
-    check_frames(len(values))
     rate = DEFAULT_RATE_HZ if fps is None else float(fps)
-    check_rate(rate)
     chosen = [_POINT_INDEX[name] for name in POINT_NAMES]
     assumed = [] if fps is not None else [f"{rate:g} frames a second: the file does not say"]
     return clip_of(values.reshape(-1, 27, 3), chosen, rate, up=up, assumed=assumed, skeleton=DOG)
@@ -51,4 +63,58 @@ FORMAT: Final = Format(
     detect=lambda content: COLUMNS in content.columns,
     parse=parse,
     takes=("fps", "up"),
+)
+
+
+def parse_named(
+    text: str, *, fps: float | None = None, up: str | None = None, point_map: PointMap | None = None
+) -> Clip:
+    """Reads the text of such a table; `fps` is from the column `time` if None. Without `point_map` the ten points are
+    those of the common names, or of AI4Animation's dog; without `up`, the hips are above the toes. Raises `ClipError`:
+    malformed (says which line and column), no rate, no such points, or not an upright, right-handed animal."""
+    table = read_table(text)
+    assert table.header is not None
+    header = [name.strip().strip('"') for name in table.header]
+    values = to_array(table.rows, len(header), lambda column: header[column], "keypoints by name")
+    points = _named_points(header)
+    chosen, title = choose(list(points), point_map)
+    assumed = [] if title is None else [f"points are named as {title}"]
+    hz = _rate(header, values) if fps is None else float(fps)
+    body = np.stack([values[:, columns] for columns in points.values()], axis=1)
+    return clip_of(body, chosen, hz, up=up, assumed=assumed)
+
+
+def _named_points(header: Sequence[str]) -> dict[str, list[int]]:
+    """Columns x, y and z of each complete point, in file order."""
+    found: dict[str, dict[str, int]] = {}
+    for column, name in enumerate(header):
+        match = _COLUMN.fullmatch(name.strip().strip('"'))
+        if match is not None:
+            found.setdefault(match[1].strip(), {})[match[2].lower()] = column
+    return {name: [axes[a] for a in "xyz"] for name, axes in found.items() if len(axes) == 3}
+
+
+def _rate(header: Sequence[str], values: np.ndarray) -> float:
+    for column, name in enumerate(header):
+        if name.lower() in _TIMES:
+            steps = np.diff(values[:, column])
+            step = float(np.median(steps))
+            if not step > 0 or np.abs(steps - step).max() > _UNEVEN * step:
+                raise ClipError(f"the column '{name}' does not rise by equal steps; give the frame rate (--fps)")
+            return 1.0 / step
+    raise ClipError("there is no column 'time'; give the frame rate (--fps)")
+
+
+def _detect_named(content: Content) -> bool:
+    header = content.table.header
+    return header is not None and len(_named_points(header)) >= len(POINT_NAMES)
+
+
+NAMED_FORMAT: Final = Format(
+    name="points",
+    about="keypoints by name, a header with NAME_x, NAME_y, NAME_z of ten points",
+    suffixes=(".csv",),
+    detect=_detect_named,
+    parse=parse_named,
+    takes=("fps", "up", "point_map"),
 )

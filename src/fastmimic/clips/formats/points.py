@@ -1,17 +1,19 @@
-"""An animal's points from any file: their names, the vertical axis and the unit. A point map is a JSON object that
-names a file's point for each of the ten of `POINT_NAMES`."""
+"""An animal's or a robot's points from any file: their names, the vertical axis and the unit. A point map is a JSON
+object that names a file's point for each of the ten of `POINT_NAMES`."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, did_you_mean
-from fastmimic.clips.clip import POINT_NAMES, Clip
-from fastmimic.clips.skeleton import KEYPOINTS, Skeleton
+from fastmimic.base.rotations import quat_continuous, quat_rotate
+from fastmimic.clips.clip import KEYPOINTS, POINT_NAMES, Clip, Skeleton
+from fastmimic.clips.formats.text_table import check_rate
 
 PointMap = Mapping[str, str]
 
@@ -28,11 +30,13 @@ AI4ANIMATION_DOG: Final[PointMap] = {
     "RL_toe": "LeftFoot.end",
 }
 """The dog of Zhang et al. (2018); `.end` is a joint's end site."""
+_EXAMPLE: Final = json.dumps(AI4ANIMATION_DOG)
 OWN_NAMES: Final[PointMap] = {name: name for name in POINT_NAMES}
 BUILT_IN: Final = {"AI4Animation's dog": AI4ANIMATION_DOG, "the common names": OWN_NAMES}
 """Default maps, tried in this order."""
 
 _TO_Z_UP: Final = {"y": (2, 0, 1), "z": (0, 1, 2)}
+NORM_TOLERANCE: Final = 2e-3  # rounding to three decimals changes a unit quaternion's norm by up to 1e-3
 _MIN_UPRIGHT: Final = 0.5  # least vertical share of the mean toe → hip vector; 0.95 in takes in which the dog also sits
 _UNITS: Final = ((300.0, 1e-3, "millimetres"), (3.0, 1e-2, "centimetres"))
 """Units other than metres, with the least distance from toes to hips in the file's numbers (no leg is 3 m)."""
@@ -46,7 +50,7 @@ def read_point_map(path: str | Path) -> dict[str, str]:
         reason = getattr(error, "strerror", None) or f"not JSON: {error}"
         raise ClipError(f"{path}: a point map that cannot be read ({reason})") from None
     if not isinstance(found, dict) or not all(isinstance(v, str) for v in found.values()):
-        raise ClipError(f"{path}: a point map is a JSON object of names, such as {_example()}")
+        raise ClipError(f"{path}: a point map is a JSON object of names, such as {_EXAMPLE}")
     unknown = sorted(found.keys() - set(POINT_NAMES))
     missing = [name for name in POINT_NAMES if name not in found]
     if unknown or missing:
@@ -71,7 +75,7 @@ def choose(names: Sequence[str], given: PointMap | None) -> tuple[list[int], str
         )
     raise ClipError(
         f"its points are not known by name: it has {_listed(names)}; give a point map"
-        f" (--point-map FILE.json), a JSON object such as {_example()}"
+        f" (--point-map FILE.json), a JSON object such as {_EXAMPLE}"
     )
 
 
@@ -91,12 +95,14 @@ def clip_of(
         assumed: assumptions so far.
         skeleton: between the k points; only the ten are kept if None.
 
-    Raises `ClipError` if it is not an upright, right-handed animal.
+    Raises `ClipError` for an impossible frame rate, or if it is not an upright, right-handed animal.
     """
+    check_rate(rate_hz)
     notes = list(assumed)
     points = body[:, list(chosen)]
     if up is None:
-        up = _vertical_axis(points)
+        vector = _toe_to_hip(points)
+        up = "y" if vector[1] >= vector[2] else "z"
         notes.append(f"{up} is up: the hips lie above the toes along it")
     factor, unit = _unit(points)
     points = factor * np.ascontiguousarray(points[..., _TO_Z_UP[up]])
@@ -104,19 +110,13 @@ def clip_of(
     _check_right_handed(points)
     height = float(np.mean(points[:, 2:6, 2] - points[:, 6:10, 2]))
     notes.append(f"coordinates are in {unit}: hips {height:.2f} m above the toes on average")
-    if skeleton is None:
-        return Clip(points_w=points, rate_hz=rate_hz, meta={"assumed": notes}, skeleton=KEYPOINTS)
-    whole = factor * np.ascontiguousarray(body[..., _TO_Z_UP[up]])
-    return Clip(points_w=points, rate_hz=rate_hz, meta={"assumed": notes}, body_w=whole, skeleton=skeleton)
+    whole = None if skeleton is None else factor * np.ascontiguousarray(body[..., _TO_Z_UP[up]])
+    return Clip(points_w=points, rate_hz=rate_hz, meta={"assumed": notes}, body_w=whole, skeleton=skeleton or KEYPOINTS)
 
 
 def _listed(names: Sequence[str]) -> str:
     shown = ", ".join(names[:40])
     return shown + (f" and {len(names) - 40} more" if len(names) > 40 else "")
-
-
-def _example() -> str:
-    return json.dumps(AI4ANIMATION_DOG)
 
 
 def _unit(points: Array) -> tuple[float, str]:
@@ -130,11 +130,6 @@ def _unit(points: Array) -> tuple[float, str]:
 def _toe_to_hip(points: Array) -> Array:
     """Mean vector from the toes to the hips, (3,)."""
     return np.asarray(np.mean(points[:, 2:6] - points[:, 6:10], axis=(0, 1)))
-
-
-def _vertical_axis(points: Array) -> str:
-    vector = _toe_to_hip(points)
-    return "y" if vector[1] >= vector[2] else "z"
 
 
 def _check_upright(points: Array, up: str) -> None:
@@ -156,3 +151,24 @@ def _check_right_handed(points: Array) -> None:
             "the left hips lie on the right of the spine: the coordinates are left-handed or the"
             " points swapped; expected right-handed x, y, z"
         )
+
+
+def unit_wxyz_from_xyzw(xyzw: NDArray[np.float64], where: Callable[[int], str]) -> NDArray[np.float64]:
+    """Unit quaternions (t, 4) in the order w, x, y, z, without sign flips, from `xyzw` (t, 4). `where` gives a frame's
+    position in the file, for messages. Raises `ClipError` for a norm that is not 1."""
+    norm = np.linalg.norm(xyzw, axis=1)
+    wrong = np.flatnonzero(np.abs(norm - 1) > NORM_TOLERANCE)
+    if len(wrong):
+        frame = int(wrong[0])
+        raise ClipError(f"{where(frame)}: the root quaternion (x, y, z, w) has norm {norm[frame]:.4g}; expected 1")
+    return quat_continuous((xyzw / norm[:, None])[:, [3, 0, 1, 2]])
+
+
+def robot_points(root_pos_w: Array, root_quat_wxyz: Array, hip_pos_b: Array, foot_pos_b: Array) -> Array:
+    """Keypoints (t, 10, 3) in the order of `POINT_NAMES`, world frame, m, for a base pose in the world, abduction joint
+    origins (4, 3) and foot centres (t, 4, 3), body frame, m. Hips are the abduction joint origins; pelvis and neck are
+    the midpoints of the rear and the front ones."""
+    hips = np.broadcast_to(hip_pos_b, foot_pos_b.shape)
+    pelvis, neck = hips[:, 2:].mean(axis=1, keepdims=True), hips[:, :2].mean(axis=1, keepdims=True)
+    points_b = np.concatenate([pelvis, neck, hips, foot_pos_b], axis=1)
+    return np.asarray(root_pos_w)[:, None] + quat_rotate(np.asarray(root_quat_wxyz)[:, None], points_b)

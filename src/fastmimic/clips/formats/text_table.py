@@ -75,7 +75,7 @@ def to_array(
 ) -> NDArray[np.float64]:
     """The values of all rows, (rows, columns). `column_name` gives the name of a 0-based column and `what` the format,
     for messages; `largest` is the magnitude allowed, in all columns or in each. Raises `ClipError`, with line and
-    column: wrong number of columns, or a value that is not a finite, sensible number."""
+    column: wrong number of columns, or a value that is not a finite, sensible number; and for too few rows."""
     values = np.empty((len(rows), columns))
     for i, (number, fields) in enumerate(rows):
         if len(fields) != columns:
@@ -96,6 +96,7 @@ def to_array(
         value = values[i, c]
         problem = "too large" if np.isfinite(value) else "not finite"
         raise ClipError(f"line {rows[i].number}, column {c + 1} ({column_name(int(c))}): {value:g} is {problem}")
+    check_frames(len(values))
     return values
 
 

@@ -1,0 +1,137 @@
+"""The modulation of a running motion: its limits, and the motion at other speeds.
+
+One rule gives the limits of all motions. With its constants the motions stayed upright in `benchmarks/play.py`, with a
+margin; see docs/viewer.md. At another speed a motion has the same poses in another time. Accelerations grow with the
+square of the speed and the weight does not. The cycle is therefore balanced, as in retargeting, for some speeds, and
+interpolated between them.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.motion.motion import Motion
+from fastmimic.reference.course import course_of
+from fastmimic.retargeting.config import RetargetConfig
+from fastmimic.retargeting.cycle import TrunkTrack
+from fastmimic.retargeting.fit import Consistency
+from fastmimic.retargeting.pose import solve_pose
+from fastmimic.robot import Robot
+
+SPEED: Final = (0.9, 1.25)  # factors on the phase's rate
+JOINT_SPEED_SHARE: Final = 1.1  # largest share of the joints' speed limit in a faster or higher reference
+TURN: Final = 1.0  # largest added turn rate, rad/s
+TURN_ACCELERATION: Final = 0.6  # largest added centripetal acceleration, at the highest speed, m/s²
+TURN_ANGLE: Final = 0.3  # largest turn of the body over a foot from mid-stance to lift-off, rad
+LIFT: Final = (0.5, 1.5)  # factors on the swing height
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Ranges of a modulation: speed factor, added turn rate (rad/s) and factor on the swing height."""
+
+    speed: tuple[float, float] = (1.0, 1.0)
+    turn: tuple[float, float] = (0.0, 0.0)
+    lift: tuple[float, float] = (1.0, 1.0)
+
+    def within(self, other: "Limits") -> "Limits":
+        """The intersection of both."""
+        return Limits(_common(self.speed, other.speed), _common(self.turn, other.turn), _common(self.lift, other.lift))
+
+    def hold(self, speed: float, turn: float, lift: float, slack: float = 0.0) -> bool:
+        """Whether a modulation is within the ranges."""
+        return all(
+            low - slack <= value <= high + slack
+            for (low, high), value in zip((self.speed, self.turn, self.lift), (speed, turn, lift), strict=True)
+        )
+
+
+def _common(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
+    return max(a[0], b[0]), min(a[1], b[1])
+
+
+def limits_of(course: NDArray[Any], joint_vel: NDArray[np.float64], robot: Robot) -> Limits:
+    """Limits of a cyclic motion from its `COURSE` (t,) and joint velocities (t, 12), rad/s. The joints' speeds limit
+    speed and swing height. The turn of a foot under the body and the centripetal acceleration limit the turn rate. A
+    motion in which a foot never lifts off is not modulated."""
+    if course["contact"].all(axis=0).any():
+        return Limits()
+    used = float(np.max(np.abs(joint_vel) / robot.joint_speed_limit))
+    room = max(1.0, JOINT_SPEED_SHARE / max(used, 1e-9))
+    travel = float(np.hypot(*course["travel"].T).max())
+    arc = float(np.abs(course["since_middle"]).max())
+    fastest = min(SPEED[1], room)
+    turn = min(TURN, TURN_ANGLE / max(arc, 1e-9), TURN_ACCELERATION / max(fastest * travel, 1e-9))
+    return Limits((SPEED[0], fastest), (-turn, turn), (LIFT[0], min(LIFT[1], room)))
+
+
+_RATES: Final = {
+    "lin_vel": 1,
+    "ang_vel": 1,
+    "travel": 1,
+    "lin_acc": 2,
+    "ang_acc": 2,
+    "leg_lin_acc": 2,
+    "leg_ang_acc": 2,
+}
+_TIMES: Final = ("remaining", "since_middle")
+_BLENDED: Final = ("step", "turn", "root_z", "tilt", *_RATES, "foot", "lift")
+
+
+@dataclass(frozen=True, eq=False)
+class Tempo:
+    """A cycle at several speeds: ascending factors with 1 among them, and for each a course (t,) of `COURSE` in the
+    motion's own time, which the stream scales."""
+
+    speeds: tuple[float, ...]
+    courses: tuple[NDArray[Any], ...]
+
+    def changed(self, speed: float, own: NDArray[Any]) -> NDArray[Any]:
+        """An optimised motion at another speed: `own` (t,) keeps its difference from this demonstration."""
+        return _moved(self.at(speed), self.at(1.0), own, 1.0)
+
+    def at(self, speed: float) -> NDArray[Any]:
+        """The course for a speed; at 1 that of the motion itself."""
+        if speed in self.speeds:
+            return self.courses[self.speeds.index(speed)]
+        speed = min(max(speed, self.speeds[0]), self.speeds[-1])
+        for (low, high), (a, b) in zip(pairwise(self.speeds), pairwise(self.courses), strict=True):
+            if low <= speed <= high:
+                return _moved(a, a, b, (speed - low) / (high - low))
+        return self.courses[self.speeds.index(1.0)]
+
+
+def make_tempo(robot: Robot, motion: Motion, speeds: tuple[float, ...]) -> Tempo:
+    """Balances a cyclic demonstration, not an optimised motion, for `speeds` other than 1."""
+    found = {1.0: course_of(motion, robot)}
+    for speed in speeds:
+        course = course_of(at_speed(robot, motion, speed), robot)
+        for name, power in _RATES.items():
+            course[name] /= speed**power
+        for name in _TIMES:
+            course[name] *= speed
+        found[speed] = course
+    order = tuple(sorted(found))
+    return Tempo(order, tuple(found[speed] for speed in order))
+
+
+def at_speed(robot: Robot, motion: Motion, speed: float, config: RetargetConfig | None = None) -> Motion:
+    """The cycle `speed` times as fast, in as many samples, with its trunk balanced for that speed. The foot paths stay.
+    The motion's rate is no longer the robot's."""
+    config = (config or RetargetConfig()).for_robot(robot)
+    feet_w = motion.foot_pos_w
+    consistency = Consistency(robot, TrunkTrack.of(motion), motion.contact, motion.rate_hz * speed, config)
+    balanced = consistency.balanced_over(feet_w)
+    pose = solve_pose(robot, balanced, feet_w, float(balanced.root_z.mean()), config)
+    return consistency.motion(pose, balanced)
+
+
+def _moved(course: NDArray[Any], a: NDArray[Any], b: NDArray[Any], share: float) -> NDArray[Any]:
+    """A course moved by a share of the way from `a` to `b`, all (t,) of `COURSE`."""
+    out = course.copy()
+    for name in _BLENDED:
+        out[name] += share * (b[name] - a[name])
+    return out
