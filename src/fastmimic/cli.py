@@ -10,11 +10,11 @@ import re
 import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module
-from typing import Any, Final, NamedTuple, NoReturn, Protocol
+from typing import Any, Final, NamedTuple, NoReturn
 
 from fastmimic import __version__
 from fastmimic.base.errors import FastMimicError
-from fastmimic.base.extensions import load_extensions
+from fastmimic.base.registry import load_extensions
 from fastmimic.commands.console import EXIT_INTERRUPTED
 
 EXIT_ERROR: Final = 2
@@ -29,36 +29,29 @@ class Verb(NamedTuple):
     about: str
 
 
-class Command(Protocol):
-    """A verb with its arguments."""
-
-    def run(self) -> int:
-        """Runs the verb; returns the exit status."""
-
-
 VERBS: Final = {
     "imitate": Verb("imitate", "Imitate", "turn a motion into one that the robot can execute"),
     "evaluate": Verb("evaluate", "Evaluate", "run a motion under the controller and score it"),
     "compare": Verb("compare", "Compare", "compare the paper's methods: tables and figures"),
     "train": Verb("train", "Train", "train the RL baseline (PPO) on a motion"),
-    "stress": Verb("stress", "Stress", "measure how much disturbance a motion tolerates"),
-    "transfer": Verb("transfer", "Transfer", "run motions on a robot that they were not optimised on"),
-    "identify": Verb("identify", "Identify", "estimate friction and payload from a run log"),
-    "stitch": Verb("stitch", "Stitch", "join several motions into one that the robot can execute"),
-    "retarget": Verb("retarget", "Retarget", "turn an animal's clip into a robot motion, without optimising it"),
+    "stress": Verb("experiments", "Stress", "measure how much disturbance a motion tolerates"),
+    "transfer": Verb("experiments", "Transfer", "run motions on a robot that they were not optimised on"),
+    "identify": Verb("evaluate", "Identify", "estimate friction and payload from a run log"),
+    "stitch": Verb("imitate", "Stitch", "join several motions into one that the robot can execute"),
+    "retarget": Verb("motion_files", "Retarget", "turn an animal's clip into a robot motion, without optimising it"),
     "library": Verb("library", "Libraries", "build, list and check a dataset of motions"),
-    "export": Verb("export", "Export", "write a robot motion for other trainers"),
-    "segment": Verb("segment", "SegmentTake", "find the locomotion cycles in a long take"),
-    "inspect": Verb("inspect", "Inspect", "show information about a clip or motion"),
+    "export": Verb("motion_files", "Export", "write a robot motion for other trainers"),
+    "segment": Verb("motion_files", "SegmentTake", "find the locomotion cycles in a long take"),
+    "inspect": Verb("motion_files", "Inspect", "show information about a clip or motion"),
     "render": Verb("render", "Render", "write a video of a motion"),
-    "report": Verb("report", "WriteReport", "write a run or a comparison as one HTML file"),
-    "view": Verb("view", "View", "show a motion or a run in the browser"),
-    "play": Verb("play", "Play", "steer a live simulated robot in the browser"),
+    "report": Verb("render", "WriteReport", "write a run or a comparison as one HTML file"),
+    "view": Verb("browser", "View", "show a motion or a run in the browser"),
+    "play": Verb("browser", "Play", "steer a live simulated robot in the browser"),
     "deploy": Verb("deploy", "Deploy", "run a motion on a robot (stand up, run, sit down)"),
     "robot-sim": Verb("robot_sim", "RobotSim", "simulate a Go2 that speaks the real DDS protocol"),
-    "motions": Verb("motions", "Motions", "list the named motions"),
-    "robots": Verb("robots", "Robots", "list the built-in robots"),
-    "data": Verb("data", "Data", "list or download the public recordings of a dog"),
+    "motions": Verb("lists", "Motions", "list the named motions"),
+    "robots": Verb("lists", "Robots", "list the built-in robots"),
+    "data": Verb("lists", "Data", "list or download the public recordings of a dog"),
 }
 
 HELP: Final = f"""\
@@ -116,8 +109,8 @@ def _dispatch(arguments: list[str], without_option: Mapping[str, Any]) -> int:
     _log_to_stderr()
     load_extensions()
     try:
-        command = _parse(first, rest)
-        return _filled(command, without_option).run()
+        status: int = _filled(_parse(first, rest), without_option).run()
+        return status
     except _UsageError as error:
         return _fail(f"{error} (see 'fastmimic {first} --help')")
     except SystemExit as stop:  # --help
@@ -143,8 +136,8 @@ class _UsageError(Exception):
     """Arguments that do not parse."""
 
 
-def _parse(name: str, rest: list[str]) -> Command:
-    """The verb with its arguments, parsed by tyro."""
+def _parse(name: str, rest: list[str]) -> Any:
+    """The verb's dataclass with its arguments, parsed by tyro."""
     verb = VERBS[name]
     dataclass = getattr(import_module(f"fastmimic.commands.{verb.module}"), verb.dataclass)
     import tyro
@@ -152,14 +145,11 @@ def _parse(name: str, rest: list[str]) -> Command:
     boxed = io.StringIO()
     try:
         with contextlib.redirect_stderr(boxed):
-            command: Command = tyro.cli(
-                dataclass, args=rest, prog=f"fastmimic {name}", config=(tyro.conf.FlagCreatePairsOff,)
-            )
+            return tyro.cli(dataclass, args=rest, prog=f"fastmimic {name}", config=(tyro.conf.FlagCreatePairsOff,))
     except SystemExit as stop:
         if stop.code:
             _raise_usage(boxed.getvalue())
         raise
-    return command
 
 
 def _raise_usage(box: str) -> NoReturn:

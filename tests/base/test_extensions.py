@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from fastmimic.base import extensions
+from fastmimic.base import registry
 from fastmimic.base.errors import ConfigError
 
 COUNTING = "import builtins\nbuiltins.times_loaded = getattr(builtins, 'times_loaded', 0) + 1\n"
@@ -13,7 +13,7 @@ COUNTING = "import builtins\nbuiltins.times_loaded = getattr(builtins, 'times_lo
 
 @pytest.fixture(autouse=True)
 def nothing_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(extensions, "_loaded", set())
+    monkeypatch.setattr(registry, "_loaded", set())
 
 
 def test_a_file_is_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -22,21 +22,21 @@ def test_a_file_is_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     file = tmp_path / "mine.py"
     file.write_text(COUNTING, encoding="utf-8")
     monkeypatch.setattr(builtins, "times_loaded", 0, raising=False)
-    monkeypatch.setenv(extensions.VARIABLE, os.pathsep.join([str(file), "", str(file)]))
-    extensions.load_extensions()
-    extensions.load_extensions()
+    monkeypatch.setenv(registry.VARIABLE, os.pathsep.join([str(file), "", str(file)]))
+    registry.load_extensions()
+    registry.load_extensions()
     assert builtins.times_loaded == 1  # type: ignore[attr-defined]
 
 
 def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(extensions.VARIABLE, "nowhere.py")
+    monkeypatch.setenv(registry.VARIABLE, "nowhere.py")
     with pytest.raises(ConfigError, match=r"nowhere\.py: no such file"):
-        extensions.load_extensions()
+        registry.load_extensions()
     file = tmp_path / "broken.py"
     file.write_text("1 / 0\n", encoding="utf-8")
-    monkeypatch.setenv(extensions.VARIABLE, str(file))
+    monkeypatch.setenv(registry.VARIABLE, str(file))
     with pytest.raises(ConfigError, match=r"broken\.py fails: ZeroDivisionError: division by zero"):
-        extensions.load_extensions()
+        registry.load_extensions()
 
 
 def test_an_installed_package_is_loaded(tmp_path: Path) -> None:
@@ -48,7 +48,7 @@ def test_an_installed_package_is_loaded(tmp_path: Path) -> None:
     (info / "entry_points.txt").write_text("[fastmimic.extensions]\nlab = my_gait_lab\n", encoding="utf-8")
     path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
     done = subprocess.run(
-        [sys.executable, "-c", "from fastmimic.base.extensions import load_extensions; load_extensions()"],
+        [sys.executable, "-c", "from fastmimic.base.registry import load_extensions; load_extensions()"],
         env={**os.environ, "PYTHONPATH": path},
         capture_output=True,
         text=True,

@@ -11,7 +11,7 @@ import pytest
 import fastmimic
 from cli.running import Run
 from fastmimic import cli
-from fastmimic.commands.robots import Robots
+from fastmimic.commands.lists import Robots
 
 HEAVY = ("scipy", "numba", "mujoco", "matplotlib", "pooch")
 

@@ -1,9 +1,22 @@
-"""Entries by name: the package's own of a kind, and the user's."""
+"""Entries by name: the package's own of a kind, and the user's, which extensions register when they are imported.
 
+The environment variable FASTMIMIC_EXTENSIONS lists files, separated as in PATH; the installed entry points of the group
+"fastmimic.extensions" are modules. The command line and worker processes load them.
+"""
+
+import importlib.util
+import os
+import sys
 from collections.abc import Iterable
-from typing import NoReturn, Protocol, TypeVar
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Final, NoReturn, Protocol, TypeVar
 
 from fastmimic.base.errors import ConfigError, FastMimicError, unknown
+
+VARIABLE: Final = "FASTMIMIC_EXTENSIONS"
+GROUP: Final = "fastmimic.extensions"
 
 
 class Named(Protocol):
@@ -53,3 +66,52 @@ class Registry(dict[str, Entry]):
 
     def __missing__(self, name: str) -> NoReturn:
         raise unknown(self.kind, name, self, self._error)
+
+
+_loaded: set[str] = set()
+
+
+def load_extensions() -> None:
+    """Imports the extensions not imported yet; raises `ConfigError` if a file is missing or an extension fails."""
+    for name in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
+        path = Path(name).expanduser().resolve()
+        if str(path) in _loaded:
+            continue
+        if not path.is_file():
+            raise ConfigError(f"{VARIABLE}: {name}: no such file")
+        _run(path)
+        _loaded.add(str(path))
+    for point in _installed():
+        if point.value in _loaded:
+            continue
+        try:
+            point.load()
+        except Exception as error:
+            raise ConfigError(f"extension '{point.name}' ({point.value}) fails: {_line(error)}") from error
+        _loaded.add(point.value)
+
+
+@cache
+def _installed() -> metadata.EntryPoints:
+    return metadata.entry_points(group=GROUP)
+
+
+def _run(path: Path) -> None:
+    main = getattr(sys.modules.get("__main__"), "__file__", None)
+    if main is not None and Path(main).resolve() == path:  # the script itself, which registers what it has
+        return
+    name = f"fastmimic_extension_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ConfigError(f"{VARIABLE}: {path}: not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # so that its classes and functions can be pickled
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        raise ConfigError(f"{VARIABLE}: {path} fails: {_line(error)}") from error
+
+
+def _line(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"

@@ -6,22 +6,25 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Suppress
 
 from fastmimic.base.errors import ConfigError, FastMimicError
+from fastmimic.base.machine import available_cores, versions
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import KEPT, note, put, share_progress
+from fastmimic.control.config import controller_config
+from fastmimic.imitation.methods import METHODS, PAPER_METHODS, RL, method_named
 from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.robot import ROBOT_NAMES
+from fastmimic.runs.work_folder import TABLE
 
 if TYPE_CHECKING:
     from fastmimic.experiments.compare import ComparisonPlan, Prepared
     from fastmimic.experiments.comparison_folder import ComparisonFolder
     from fastmimic.experiments.comparison_run import Row
     from fastmimic.experiments.parallel import ReportProgress, RunProgress
-
-OUT: Final = Path("runs/comparison")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +54,7 @@ class Compare:
     robot: opt.RobotName = opt.DEFAULT_ROBOT
     config: opt.ConfigName = "default"
     workers: opt.Workers = None
-    out: Annotated[Path, opt.option("FOLDER")] = OUT
+    out: Annotated[Path, opt.option("FOLDER")] = opt.RUNS / "comparison"
     """Folder of the results. One with a comparison needs --resume or --overwrite."""
     search: opt.Searching
     folder: opt.Folder
@@ -59,14 +62,11 @@ class Compare:
     evaluation_s: Annotated[float, Suppress] = 10.0
 
     def run(self) -> int:
-        """Runs the comparison and writes the folder; returns the exit status."""
         opt.check_duration(self.duration)
         plan = self._plan()
-        from fastmimic.base.machine import available_cores
         from fastmimic.experiments.compare import prepare
         from fastmimic.experiments.comparison_folder import ABLATION_TABLE, open_comparison
         from fastmimic.report.comparison_figures import write_comparison
-        from fastmimic.runs.work_folder import TABLE
 
         workers = self.workers if self.workers is not None else available_cores()
         if workers < 1:
@@ -93,8 +93,6 @@ class Compare:
     def _plan(self) -> "ComparisonPlan":
         from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, ComparisonPlan, choose_policies
         from fastmimic.experiments.comparison_run import ComparisonSettings
-        from fastmimic.imitation.methods import PAPER_METHODS, RL
-        from fastmimic.robot import ROBOT_NAMES
 
         if self.builtin and self.motions is not None:
             raise ConfigError("--builtin selects the four built-in motions; give it or --motions, not both")
@@ -130,11 +128,8 @@ def _leave(folder: "ComparisonFolder", prepared: "Prepared") -> None:
 
 def _environment(plan: "ComparisonPlan", workers: int, kept: "Sequence[Row]") -> dict[str, Any]:
     """Everything that the results depend on, JSON-serialisable; `kept` are the rows of other runs."""
-    from fastmimic.base.machine import versions
-    from fastmimic.control.config import controller_config
     from fastmimic.experiments.ablations import ABLATIONS, ablation_named
     from fastmimic.experiments.comparison_run import run_of
-    from fastmimic.imitation.methods import METHODS, method_named
 
     config = controller_config(plan.settings.config)
     runs = [*(run_of(row) for row in kept), *plan.runs]
@@ -148,11 +143,7 @@ def _environment(plan: "ComparisonPlan", workers: int, kept: "Sequence[Row]") ->
         "ablations": variants,
         **({"policies": {str(p.run): str(p.file) for p in plan.policies}} if plan.policies else {}),
         "workers": workers,
-        "machine": {
-            "system": platform.platform(),
-            "processor": _processor(),
-            "cores": os.cpu_count(),
-        },
+        "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
         "versions": versions(),
         "controllers": {name: method_named(name).configure(config).as_dict() for name in methods}
         | {name: ablation_named(name).change(config).as_dict() for name in variants},
@@ -180,15 +171,11 @@ def _progress(total: int) -> "Iterator[ReportProgress]":
             if bar is not None:
                 bar(effort.share, f"{finished}/{total} runs{left}")
             elif row is not None:
-                note(f"{finished}/{total} {_said(row)}{left}")
+                run = row["method"] + (f" ({row['variant']})" if row["variant"] else "") + f" seed {row['seed']}"
+                fell = ", fell" if row["fell"] else ""
+                note(f"{finished}/{total} {row['motion']} {run}: reward {row['reward']:.3f}{fell}{left}")
 
         yield report
-
-
-def _said(row: "Row") -> str:
-    variant = f" ({row['variant']})" if row["variant"] else ""
-    fell = ", fell" if row["fell"] else ""
-    return f"{row['motion']} {row['method']}{variant} seed {row['seed']}: reward {row['reward']:.3f}{fell}"
 
 
 def _clock(seconds: float) -> str:

@@ -37,26 +37,18 @@ def put_json(value: Mapping[str, Any]) -> None:
 
 
 def put_table(rows: Sequence[Sequence[str]], *, right: Sequence[int] = ()) -> None:
-    """Prints a table on stdout; the columns in `right` are aligned to the right."""
-    put(*table(rows, right=right))
+    """Prints rows in aligned columns on stdout; the columns in `right` are aligned to the right."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    for row in rows:
+        cells = zip(row, widths, strict=True)
+        aligned = [cell.rjust(width) if i in right else cell.ljust(width) for i, (cell, width) in enumerate(cells)]
+        put("  ".join(aligned).rstrip())
 
 
 def note(text: str) -> None:
     """Prints a line for the reader on stderr."""
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
-
-
-def table(rows: Sequence[Sequence[str]], *, right: Sequence[int] = ()) -> list[str]:
-    """Lines with aligned columns; the columns in `right` are aligned to the right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(
-            cell.rjust(width) if i in right else cell.ljust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
 
 
 @contextmanager
@@ -74,12 +66,23 @@ def slow_start(text: str = SLOW_START, after_s: float = SLOW_START_S) -> Iterato
 @contextmanager
 def optimisation_progress() -> "Iterator[Callable[[Progress], None]]":
     """Progress of an optimisation: a bar on a terminal, otherwise a line for each tenth."""
-    with slow_start() as started, _bar() as bar:
-        report = _on_bar(bar) if bar is not None else _plain_optimisation()
+    with slow_start() as started, _bar("optimising") as bar:
+        shown = _Tenths()
 
         def progress(step: "Progress") -> None:
             started()
-            report(step)
+            left = f"{step.remaining_s // 60:.0f}:{step.remaining_s % 60:02.0f}"
+            figures = f"best {step.best:.3f}  {step.evaluations_per_s:.0f} evaluations/s  {left} left"
+            last = step.iteration == step.iterations
+            if bar is not None:
+                bar(completed=step.iteration, total=step.iterations, info=figures)
+                if last:
+                    bar(description="validating")
+                return
+            if shown.due(step.iteration, step.iterations):
+                note(f"iteration {step.iteration}/{step.iterations}  {figures}")
+            if last:
+                note(CHOOSING)
 
         yield progress
 
@@ -87,57 +90,23 @@ def optimisation_progress() -> "Iterator[Callable[[Progress], None]]":
 @contextmanager
 def count_progress(what: str) -> Iterator[Callable[[int, int], None]]:
     """Progress of a count: yields a function of (done, all). A bar on a terminal, otherwise a line for each tenth."""
-    with _bar() as bar:
-        if bar is None:
-            shown = _Tenths()
+    with _bar(what) as bar:
+        shown = _Tenths()
 
-            def plain(done: int, total: int) -> None:
-                if shown.due(done, total):
-                    note(f"{what} {done}/{total}")
+        def progress(done: int, total: int) -> None:
+            if bar is not None:
+                bar(completed=done, total=total)
+            elif shown.due(done, total):
+                note(f"{what} {done}/{total}")
 
-            yield plain
-        else:
-            task = bar.add_task(what, total=None, visible=False, info="")
-            yield lambda done, total: bar.update(task, completed=done, total=total, visible=True)
+        yield progress
 
 
 @contextmanager
 def share_progress(what: str) -> Iterator[Callable[[float, str], None] | None]:
     """Progress of long work: yields a function of (share in [0, 1], text), or None where there is no terminal."""
-    with _bar(counted=False) as bar:
-        if bar is None:
-            yield None
-            return
-        task = bar.add_task(what, total=1.0, info="")
-        yield lambda share, text: bar.update(task, completed=share, info=text)
-
-
-def _plain_optimisation() -> "Callable[[Progress], None]":
-    shown = _Tenths()
-
-    def report(step: "Progress") -> None:
-        if shown.due(step.iteration, step.iterations):
-            note(f"iteration {step.iteration}/{step.iterations}  {_figures(step)}")
-        if step.iteration == step.iterations:
-            note(CHOOSING)
-
-    return report
-
-
-def _on_bar(bar: Any) -> "Callable[[Progress], None]":
-    task = bar.add_task("optimising", total=None, visible=False, info="")
-
-    def report(step: "Progress") -> None:
-        bar.update(task, completed=step.iteration, total=step.iterations, visible=True, info=_figures(step))
-        if step.iteration == step.iterations:
-            bar.update(task, description="validating")
-
-    return report
-
-
-def _figures(step: "Progress") -> str:
-    left = f"{step.remaining_s // 60:.0f}:{step.remaining_s % 60:02.0f}"
-    return f"best {step.best:.3f}  {step.evaluations_per_s:.0f} evaluations/s  {left} left"
+    with _bar(what, total=1.0) as bar:
+        yield None if bar is None else lambda share, text: bar(completed=share, info=text)
 
 
 class _Tenths:
@@ -155,8 +124,9 @@ class _Tenths:
 
 
 @contextmanager
-def _bar(*, counted: bool = True) -> Iterator[Any]:
-    """Rich's progress bar on stderr, or None where that is not a terminal."""
+def _bar(what: str, total: float | None = None) -> Iterator[Callable[..., None] | None]:
+    """Rich's progress bar on stderr: yields the function that updates it, or None where that is not a terminal. Without
+    a total it counts, and is hidden until the first update."""
     if not sys.stderr.isatty():
         yield None
         return
@@ -166,8 +136,9 @@ def _bar(*, counted: bool = True) -> Iterator[Any]:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(bar_width=16),  # so that all fits a terminal of 80 columns
-        MofNCompleteColumn() if counted else TaskProgressColumn(),
+        MofNCompleteColumn() if total is None else TaskProgressColumn(),
         TextColumn("{task.fields[info]}"),
     )
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        yield bar
+        task = bar.add_task(what, total=total, visible=total is not None, info="")
+        yield lambda **new: bar.update(task, visible=True, **new)

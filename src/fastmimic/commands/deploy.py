@@ -1,6 +1,5 @@
 """`fastmimic deploy`: runs a motion on a robot."""
 
-import dataclasses
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,15 +9,21 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from tyro.conf import OmitArgPrefixes, Positional
 
 from fastmimic.base.errors import ConfigError, DriverError
+from fastmimic.base.files import write_json
+from fastmimic.base.machine import versions
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import EXIT_INTERRUPTED, note, put, put_json, slow_start, table
+from fastmimic.commands.console import EXIT_INTERRUPTED, note, put, put_json, put_table, slow_start
+from fastmimic.deploy.computer import LoopClock, StopSwitch, VirtualClock
+from fastmimic.deploy.driver import DRIVERS, SIM, check_driver, make_driver, robot_driven
+from fastmimic.deploy.log import LOG, RESULT, open_deployment
 from fastmimic.motion.motion import Motion
-from fastmimic.robot import Robot
+from fastmimic.robot import Robot, load_robot
+from fastmimic.runs.loading import find_motion
+from fastmimic.runs.work_folder import MOTION, default_folder
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from fastmimic.deploy.computer import StopSwitch
     from fastmimic.deploy.deployment import Deployment
     from fastmimic.deploy.driver import RobotDriver
     from fastmimic.deploy.safety import SafetyLimits
@@ -44,9 +49,6 @@ class SimulatedRobotOptions:
     disturb: opt.Disturbances = ()
 
 
-SIMULATED: Final = SimulatedRobotOptions()
-
-
 @dataclass(frozen=True, kw_only=True)
 class Deploy:
     """Stands up, blends into the motion, runs it, blends out and sits down, at 500 Hz, using onboard sensors only.
@@ -58,7 +60,7 @@ class Deploy:
     motion: Annotated[Positional[str], opt.option("MOTION")]
     """A robot motion (.npz), the folder of a run, a clip, a name from 'fastmimic motions', or "stand". A stitched
     motion runs once."""
-    driver: Annotated[str, opt.option("NAME", lambda: f"Robot: {opt.one_of('deploy.driver', 'DRIVERS')} (simulated).")]
+    driver: Annotated[str, opt.option("NAME", lambda: f"Robot: {', '.join(DRIVERS)} (simulated).")]
     interface: Annotated[str | None, opt.option("NAME")] = None
     """Network interface of the robot. Default: lo, for a simulated one."""
     domain: Annotated[int | None, opt.option("N")] = None
@@ -90,53 +92,48 @@ class Deploy:
     log: Annotated[Path | None, opt.option("FILE.npz")] = None
     """File of the log. Default: log.npz in the folder."""
     json: opt.JsonFlag = False
-    simulated: Annotated[SimulatedRobotOptions, OmitArgPrefixes] = SIMULATED
+    simulated: Annotated[SimulatedRobotOptions, OmitArgPrefixes]
     clip: opt.ClipReading
 
     def run(self) -> int:
-        """Runs the motion, writes the folder, prints the figures; returns the exit status."""
-        from fastmimic.deploy.driver import SIM, check_driver
-        from fastmimic.deploy.log import open_deployment
         from fastmimic.deploy.safety import read_limits
-        from fastmimic.runs.work_folder import MOTION
 
         check_driver(self.driver)
-        self._check(SIM)
+        self._check()
         robot, motion = self._load()
         limits = read_limits(robot, self.limits, opt.joined(self.limit))
         policy = None if self.policy is None else opt.policy_controller(self.policy, robot, motion)
-        folder, log = self._places(robot, motion)
+        name = opt.folder_name("deploy", motion.name, robot.name, self.driver)
+        folder = self.out if self.out is not None else default_folder(opt.RUNS, name, resume=False)
+        log = folder / LOG if self.log is None else opt.check_writable(self.log, ".npz")
         with open_deployment(folder):
             found = self._deploy(robot, motion, limits, policy)
             found.log.meta["driver"] = self.driver
             found.log.save(log)
         motion.save(folder / MOTION)
-        self._write_result(found, folder)
+        about = {key: value for key, value in found.log.meta.items() if key != "result"}
+        about = {"arguments": opt.recorded(self), **about, "result": found.result, "versions": versions()}
+        write_json(folder / RESULT, about)
         self._report(found, log)
         return self._status(found)
 
-    def _check(self, sim: str) -> None:
+    def _check(self) -> None:
         """Raises `ConfigError` for options that do not fit the driver, before any long work."""
         opt.check_duration(self.duration)
-        if self.driver != sim:
-            fields = dataclasses.fields(self.simulated)
-            given = [f.name for f in fields if getattr(self.simulated, f.name) != getattr(SIMULATED, f.name)]
-            if given:
-                raise ConfigError(f"--{given[0].replace('_', '-')} is for '--driver sim', not for a robot on the wire")
+        if self.driver != SIM:
+            for name in opt.given(self.simulated):
+                raise ConfigError(f"{name} is for '--driver sim', not for a robot on the wire")
             if not (self.yes or self.dry_run or sys.stdin.isatty()):
                 raise ConfigError(
                     "standard input is not a terminal, so nobody can confirm the start or stop the robot by a key;"
                     " --yes starts without"
                 )
         elif self.interface is not None or self.domain is not None:
-            raise ConfigError(f"--interface and --domain are for a robot on the wire, not for '--driver {sim}'")
+            raise ConfigError(f"--interface and --domain are for a robot on the wire, not for '--driver {SIM}'")
 
     def _load(self) -> tuple[Robot, Motion]:
         """The driver's robot, and the motion for it."""
-        from fastmimic.deploy.driver import robot_driven
         from fastmimic.reference.standing import standing
-        from fastmimic.robot import load_robot
-        from fastmimic.runs.loading import find_motion
 
         source = None if self.motion == STAND else find_motion(self.motion)
         driven, own = robot_driven(self.driver), None if source is None else source.robot
@@ -147,26 +144,14 @@ class Deploy:
         if driven is not None and self.robot is not None and load_robot(self.robot).name != driven:
             raise ConfigError(f"driver '{self.driver}' drives a {driven}, not '{self.robot}'; leave out --robot")
         robot = load_robot(self.robot or driven or own or opt.DEFAULT_ROBOT)
-        overrides = self.clip.overrides()
         if source is None:
-            if overrides:
-                raise ConfigError(f"--{next(iter(overrides)).replace('_', '-')} cannot be applied to '{STAND}'")
+            for name in opt.given(self.clip):
+                raise ConfigError(f"{name} cannot be applied to '{STAND}'")
             return robot, standing(robot)
-        return robot, source.load(robot, **overrides)
-
-    def _places(self, robot: Robot, motion: Motion) -> tuple[Path, Path]:
-        """The folder and the log's file."""
-        from fastmimic.deploy.log import LOG
-        from fastmimic.runs.work_folder import default_folder
-
-        name = opt.folder_name("deploy", motion.name, robot.name, self.driver)
-        folder = self.out if self.out is not None else default_folder(opt.RUNS, name, resume=False)
-        return folder, folder / LOG if self.log is None else opt.check_writable(self.log, ".npz")
+        return robot, source.load(robot, **self.clip.overrides())
 
     def _deploy(self, robot: Robot, motion: Motion, limits: "SafetyLimits", policy: Any) -> "Deployment":
-        from fastmimic.deploy.computer import LoopClock, StopSwitch, VirtualClock
         from fastmimic.deploy.deployment import DeployOptions, deploy
-        from fastmimic.deploy.driver import SIM, make_driver
 
         clock: LoopClock = VirtualClock() if self.simulated.lock_step else LoopClock(self.real_time)
         switch, ask, dry = StopSwitch(), None, self.dry_run
@@ -211,16 +196,6 @@ class Deploy:
         faults = LinkFaults(latency_s=1e-3 * given.latency_ms, loss=given.loss, seed=given.seed)
         return SimDriver(robot, clock, conditions=conditions, faults=faults)
 
-    def _write_result(self, found: "Deployment", folder: Path) -> None:
-        from fastmimic.base.files import write_json
-        from fastmimic.base.machine import versions
-        from fastmimic.deploy.log import RESULT
-
-        about = {k: v for k, v in found.log.meta.items() if k != "result"}
-        write_json(
-            folder / RESULT, {"arguments": opt.recorded(self), **about, "result": found.result, "versions": versions()}
-        )
-
     def _report(self, found: "Deployment", log: Path) -> None:
         from fastmimic.deploy.scoring import command_table, summary_rows
 
@@ -232,7 +207,8 @@ class Deploy:
         if self.json:
             put_json({**found.result, "log": str(log)})
             return
-        put(*table(summary_rows(found.result)), f"log in {log}")
+        put_table(summary_rows(found.result))
+        put(f"log in {log}")
 
     def _status(self, found: "Deployment") -> int:
         from fastmimic.deploy.safety import StopReason
@@ -255,7 +231,7 @@ def _answers(driver: "RobotDriver") -> bool:
         return False
 
 
-def _agreed(switch: "StopSwitch") -> bool:
+def _agreed(switch: StopSwitch) -> bool:
     note("ready: is the space around the robot free, and a hand on its emergency stop? Enter starts, q cancels")
     return switch.wait_for_consent()
 

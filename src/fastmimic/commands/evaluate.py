@@ -1,17 +1,26 @@
-"""`fastmimic evaluate`: runs a motion under the controller and scores it."""
+"""`fastmimic evaluate` scores a motion under the controller; `fastmimic identify` learns from the log of a run."""
 
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional
 
 from fastmimic.base.conventions import LEGS
-from fastmimic.base.errors import ConfigError
+from fastmimic.base.errors import ConfigError, LogError
+from fastmimic.base.text import NONE, number
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import put, put_json, put_table, slow_start
-from fastmimic.commands.show import MISSING, figure_rows, yes_no
+from fastmimic.commands.show import figure_rows, yes_no
+from fastmimic.control.config import ControllerConfig, controller_config
+from fastmimic.deploy.log import DeploymentLog, is_deployment_log, load_ground_truth
+from fastmimic.episode.run_log import RunLog
+from fastmimic.robot import ROBOT_CHOICES, ROBOT_NAMES, load_robot
+from fastmimic.simulation.disturbances import names_of, parse_disturbance
+
+if TYPE_CHECKING:
+    from fastmimic.identification.identify import Identification
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,17 +56,13 @@ class Evaluate:
     clip: opt.ClipReading
 
     def run(self) -> int:
-        """Prints the figures; returns the exit status."""
         opt.check_duration(self.duration)
-        from fastmimic.deploy.log import is_deployment_log
-
         if is_deployment_log(self.motion):
             return self._deployed()
         if self.truth is not None:
             raise ConfigError(f"--truth is for the log of a deployment, which {self.motion} is not")
         from fastmimic.imitation.evaluate import evaluate
         from fastmimic.simulation.conditions import Conditions
-        from fastmimic.simulation.disturbances import names_of, parse_disturbance
 
         conditions = Conditions(
             simulator=self.simulator,
@@ -102,16 +107,12 @@ class Evaluate:
 
     def _deployed(self) -> int:
         """Scores a deployment from its log."""
-        from fastmimic.control.config import ControllerConfig
-        from fastmimic.deploy.log import DeploymentLog, load_ground_truth
         from fastmimic.deploy.scoring import evaluation_of, true_states
-        from fastmimic.robot import ROBOT_NAMES, load_robot
 
-        taken = ("motion", "robot", "truth", "json", "clip")
-        fields = [field for field in dataclasses.fields(self) if field.name not in taken]
-        given = [f.name for f in fields if getattr(self, f.name) != f.default] + list(self.clip.overrides())
-        if given:
-            raise ConfigError(f"{self.motion} is the log of a deployment, which is not simulated: drop --{given[0]}")
+        taken = {"motion", "robot", "truth", "json", "clip"}
+        names = [field.name for field in dataclasses.fields(self) if field.name not in taken]
+        for name in (*opt.given(self, *names), *opt.given(self.clip)):
+            raise ConfigError(f"{self.motion} is the log of a deployment, which is not simulated: drop {name}")
         log = DeploymentLog.load(self.motion)
         if self.truth is not None:
             found = load_ground_truth(self.truth)
@@ -135,10 +136,8 @@ class Evaluate:
 def put_figures(figures: dict[str, Any], robot: str) -> None:
     """Prints the figures of an evaluation."""
     several = figures["episodes"] > 1
-    clearance = ", ".join(
-        f"{leg} {MISSING if c is None else f'{1e3 * c:.0f}'}"
-        for leg, c in zip(LEGS, figures["swing_clearance_m"], strict=True)
-    )
+    heights = zip(LEGS, figures["swing_clearance_m"], strict=True)
+    clearance = ", ".join(f"{leg} {number(height, 0, 1e3)}" for leg, height in heights)
     rows = figure_rows(
         figures,
         reward=f"{figures['reward_mean']:.3f}" + (f" ± {figures['reward_std']:.3f}" if several else ""),
@@ -148,7 +147,7 @@ def put_figures(figures: dict[str, Any], robot: str) -> None:
     if "estimate_drift_percent" in figures:
         drift = figures["estimate_drift_percent"]
         rows += [
-            ("estimator drift", MISSING if drift is None else f"{drift:.2f} % of the distance"),
+            ("estimator drift", NONE if drift is None else f"{drift:.2f} % of the distance"),
             ("  velocity rmse, m/s", f"{figures['estimate_velocity_rmse_m_per_s']:.3f}"),
             ("  height rmse, mm", f"{1e3 * figures['estimate_height_rmse_m']:.1f}"),
             ("  tilt rmse, mrad", f"{1e3 * figures['estimate_tilt_rmse_rad']:.1f}"),
@@ -158,3 +157,67 @@ def put_figures(figures: dict[str, Any], robot: str) -> None:
     method = figures["method"] + (f" ({figures['config']})" if figures["config"] != "default" else "")
     put(f"{figures['motion']} on {robot} with {method}, {episodes}")
     put_table(rows)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identify:
+    """Estimates the ground's friction and the trunk's payload from a logged run; the result holds for all motions.
+
+    'fastmimic evaluate MOTION --observe sensors --log FILE.npz' and 'fastmimic deploy' write such a log: sensor
+    readings, commands and estimates. The result is a controller configuration for --config FILE.json of other verbs.
+    """
+
+    log: Annotated[Positional[Path], opt.option("LOG.npz")]
+    """Log of a run of a few seconds."""
+    robot: Annotated[
+        str | None, opt.option("NAME|FILE.xml", f"{ROBOT_CHOICES}, without payload. Default: the log's robot.")
+    ] = None
+    unloaded: Annotated[Path | None, opt.option("LOG.npz")] = None
+    """Log of the same robot without payload; it cancels the gain errors of the sensors."""
+    config: opt.ConfigName = "default"
+    out: Annotated[Path | None, opt.option("FILE.json")] = None
+    """File of the configuration. Default: it is not written."""
+
+    def run(self) -> int:
+        from fastmimic.identification.identify import identify
+
+        if self.out is not None:
+            opt.check_writable(self.out, ".json")
+        config = controller_config(self.config)
+        log = _run_log(self.log)
+        unloaded = None if self.unloaded is None else _run_log(self.unloaded)
+        robot = load_robot(self.robot or log.robot)
+        try:
+            found = identify(log, robot, unloaded)
+        except LogError as error:
+            raise LogError(f"{self.log}: {error}") from None
+        put(f"{log.motion} on {log.robot}, {log.duration_s:g} s")
+        put_table(_identified(found, found.stance_friction(config), config.stance.friction))
+        if self.out is not None:
+            found.save(self.out, self.config)
+            put(f"controller parameters in {self.out}; use them by --config {self.out}")
+        return 0
+
+
+def _run_log(path: Path) -> RunLog:
+    """The log of a run, or the part of a deployment's log in which the motion ran."""
+    return DeploymentLog.load(path).run_log() if is_deployment_log(path) else RunLog.load(path)
+
+
+def _identified(found: "Identification", assumed: float, before: float) -> list[tuple[str, str]]:
+    friction, payload = found.friction, found.payload
+    if friction.value is None or friction.upper is None:
+        said = f"at least {friction.lower:.2f}: no foot slid"
+    else:
+        said = (
+            f"{friction.value:.2f} (95 %: {friction.lower:.2f} to {friction.upper:.2f}), from {friction.slides} slides"
+        )
+    changed = f"{before:g} as before" if assumed == before else f"{assumed:.2f} instead of {before:g}"
+    rows = [("friction", said), ("  the controller assumes", changed)]
+    if payload is None:
+        return [*rows, ("payload", "unknown: the feet never stood long enough")]
+    weighed = f"{payload.mass:.2f} kg (95 %: {payload.lower:.2f} to {payload.upper:.2f})"
+    if not payload.tared:
+        weighed += "; --unloaded LOG of a run without payload narrows the interval"
+    taken = f"{payload.certain:.2f} kg" if payload.certain > 0 else "no payload: the interval includes 0"
+    return [*rows, ("payload", weighed), ("  the controller assumes", taken)]

@@ -1,24 +1,93 @@
-"""`fastmimic imitate`: from a motion to one that the robot can execute."""
+"""`fastmimic imitate` and `fastmimic stitch`: turn motions into one that the robot can execute."""
 
 import dataclasses
 import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError
+from fastmimic.base.machine import versions
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import note, optimisation_progress
-from fastmimic.commands.search_run import SearchRun
-from fastmimic.commands.show import note_origin, put_result, unmet_bounds, write_run
+from fastmimic.commands.console import note, optimisation_progress, put_table
+from fastmimic.commands.show import note_origin, put_result, unmet_bounds, write_run, yes_no
+from fastmimic.control.config import controller_config
+from fastmimic.imitation.methods import check_controller, method_named
 from fastmimic.motion.motion import Motion
+from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.optimize.parameters import moved_by
 from fastmimic.robot import Robot
+from fastmimic.runs.loading import MotionSource, find_motion
+from fastmimic.runs.work_folder import MOTION, RunFolder, default_folder, open_run
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.imitation.imitate import Imitation
-    from fastmimic.runs.work_folder import RunFolder
+    from fastmimic.imitation.stitch import Stitching
+    from fastmimic.optimize.cma_es import Progress
+
+_NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", "quality")
+"""Arguments that change where and how a run happens, but not its result."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchRun:
+    """The options of a search and of the folder that it writes."""
+
+    robot: opt.RobotChoice = None
+    method: opt.MethodName = "mbc-dmp"
+    config: opt.ConfigName = "default"
+    seed: int = 0
+    """Seed of the search. The same seed gives the same result at any number of workers."""
+    workers: opt.Workers = None
+    out: Annotated[Path | None, opt.option("FOLDER")] = None
+    """Folder of the results. Default: runs/MOTION-ROBOT-METHOD-SEED, numbered if it exists."""
+    folder: opt.Folder
+    video: opt.Video
+    randomization: opt.Randomizing
+    choice: opt.Choice = FinalChoice()
+
+    def check_search(self, method: str) -> None:
+        """Raises `ConfigError` for options that a method without a search does not take."""
+        if method_named(method).optimises:
+            return
+        if self.folder.resume:
+            raise ConfigError(f"method '{method}' does not search, so there is nothing to resume; drop --resume")
+        if self.randomization.chosen() is not None:
+            raise ConfigError(f"method '{method}' does not search, so --randomize has no effect; drop it")
+
+    @contextmanager
+    def opened(self, robot: Robot, name: str, method: str, **about: Any) -> Iterator[tuple[RunFolder, dict[str, Any]]]:
+        """The folder of the run and the content of its `config.json`; a note tells how to continue after Ctrl-C.
+
+        Args:
+            name: of the motion, in the folder's default name.
+            about: further content of `config.json`.
+        """
+        resume = self.folder.resume
+        default = opt.folder_name(name, robot.name, method, self.seed)
+        out = self.out or default_folder(opt.RUNS, default, resume=resume)
+        arguments = opt.recorded(self) | {"method": method}
+        config = {
+            "arguments": arguments,
+            "robot": robot.name,
+            **about,
+            "controller": method_named(method).configure(controller_config(self.config)).as_dict(),
+            "versions": versions(),
+        }
+        same = {key: value for key, value in arguments.items() if key not in _NOT_THE_PROBLEM}
+        with open_run(out, config, same, resume=resume, overwrite=self.folder.overwrite) as folder:
+            if folder.finished and not resume:
+                note(f"replacing the run in {out}")
+            try:
+                yield folder, config
+            except KeyboardInterrupt:
+                if folder.checkpoints:
+                    note(f"to continue from the checkpoint: the same command with --out {folder.path} --resume")
+                raise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,18 +111,13 @@ class Imitate(SearchRun):
     clip: opt.ClipReading
 
     def run(self) -> int:
-        """Runs the search and writes the folder; returns the exit status."""
         opt.check_duration(self.duration)
         video = self.video.wanted
         method = self._method()
         began = time.perf_counter()
         robot, motion = self.clip.load(self.motion, self.robot)
         loading_s = time.perf_counter() - began
-        about = {
-            "motion": motion.name,
-            "source": motion.provenance.source,
-            "licence": motion.provenance.licence,
-        }
+        about = {"motion": motion.name, "source": motion.provenance.source, "licence": motion.provenance.licence}
         with self.opened(robot, motion.name, method, **about) as (folder, config):
             note_origin(robot, motion)
             for sentence in unmet_bounds(motion):
@@ -65,9 +129,6 @@ class Imitate(SearchRun):
 
     def _method(self) -> str:
         """Name of the method that runs; raises `ConfigError` if the options do not fit it."""
-        from fastmimic.imitation.methods import check_controller, method_named
-        from fastmimic.optimize.parameters import moved_by
-
         method = self.method
         if self.no_optimize:
             method = method_named(method).unoptimised.name
@@ -79,7 +140,7 @@ class Imitate(SearchRun):
             moved_by(Motion.load(self.warm_start))
         return method
 
-    def _imitate(self, robot: Robot, motion: Motion, method: str, folder: "RunFolder") -> "Imitation":
+    def _imitate(self, robot: Robot, motion: Motion, method: str, folder: RunFolder) -> "Imitation":
         from fastmimic.imitation.imitate import imitate
 
         with optimisation_progress() as progress:
@@ -100,3 +161,98 @@ class Imitate(SearchRun):
                 choice=self.choice,
                 warm_start=self.warm_start,
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stitch(SearchRun):
+    """Joins motions into one, each repeated for several cycles, and optimises the DMPs of all of them together. The
+    search starts from the optimum of each motion; motions that are not optimised yet are optimised first.
+
+    Writes what 'imitate' writes, with figures for each segment. Ctrl-C stops the search and keeps the best motion so
+    far, if the joint search had started.
+    """
+
+    motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION MOTION ...")]
+    """Two or more names from 'fastmimic motions', files, or folders of runs. A name takes precedence over a folder of
+    the same name (use ./NAME)."""
+    cycles: Annotated[tuple[int, ...], opt.option("N [N ...]")] = ()
+    """Cycles of each motion: one number for all, or one for each. Default: about 3 s each."""
+    iterations: int = 200
+    """Generations of CMA-ES in the joint search."""
+    population: Annotated[int | None, opt.option("N")] = None
+    """Candidates in a generation. Default: the usual number of CMA-ES for the number of parameters."""
+    part_iterations: Annotated[int | None, opt.option("N")] = None
+    """Generations for each motion alone. Default: as many as in the joint search, or as it had before."""
+
+    def run(self) -> int:
+        if len(self.motions) < 2:
+            raise ConfigError(f"stitch takes at least two motions, found {len(self.motions)}")
+        if len(self.cycles) not in (0, 1, len(self.motions)):
+            raise ConfigError(
+                f"--cycles takes one number, or one for each of the {len(self.motions)} motions; found"
+                f" {len(self.cycles)}"
+            )
+        video = self.video.wanted
+        self.check_search(self.method)
+        sources = [find_motion(motion) for motion in self.motions]
+        robot = opt.choose_robot(self.robot, *sources)
+        names = "+".join(_name_of(source) for source in sources)
+        with self.opened(robot, names, self.method, motion="+".join(self.motions)) as (folder, config):
+            result = self._stitch(sources, robot, folder)
+            made = result.motion.provenance
+            write_run(result, folder, config | {"source": made.source, "licence": made.licence})
+        put_table(segment_rows(result), right=range(1, 8))
+        return put_result(result, folder, self.iterations, video=video)
+
+    def _stitch(self, sources: list[MotionSource], robot: Robot, folder: RunFolder) -> "Stitching":
+        from fastmimic.imitation.stitch import stitch
+
+        with ExitStack() as stack:
+            bar: Callable[[Progress], None]
+
+            def stage(what: str) -> None:
+                nonlocal bar
+                stack.close()
+                note(what)
+                bar = stack.enter_context(optimisation_progress())
+
+            return stitch(
+                sources,
+                robot,
+                cycles=self.cycles[0] if len(self.cycles) == 1 else self.cycles or None,
+                method=self.method,
+                config=self.config,
+                iterations=self.iterations,
+                population=self.population,
+                part_iterations=self.part_iterations,
+                seed=self.seed,
+                workers=self.workers,
+                folder=folder.path,
+                resume=self.folder.resume,
+                progress=lambda step: bar(step),
+                stage=stage,
+                randomize=self.randomization.chosen(),
+                choice=self.choice,
+            )
+
+
+def _name_of(source: MotionSource) -> str:
+    """The name of a motion in the name of the folder."""
+    if source.folder is not None:
+        return source.folder.resolve().name
+    path = Path(source.name)
+    if path.name == MOTION:
+        return path.resolve().parent.name
+    return path.stem if path.is_file() else source.name
+
+
+def segment_rows(result: "Stitching") -> list[tuple[str, ...]]:
+    """The figures of each segment as in `metrics.json`, for a table."""
+    metrics = result.metrics()
+    rows: list[tuple[str, ...]] = [("segment", "cycles", "from s", "to s", "before", "own optimum", "after", "fell")]
+    for segment, own in zip(metrics["segments"], metrics["individual_optima"]["segments"], strict=True):
+        times = (f"{segment[end]:.2f}" for end in ("first_s", "last_s"))
+        rewards = (f"{reward:.3f}" for reward in (segment["reward"]["before"], own, segment["reward"]["after"]))
+        row = (segment["motion"], str(segment["cycles"]), *times, *rewards, yes_no(segment["fell"]["after"]))
+        rows.append(row)
+    return rows

@@ -12,8 +12,10 @@ from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import EXIT_SOME_FAILED, note, put, share_progress, slow_start
 from fastmimic.commands.library_content import LibraryExport, ListMotions, Show, Verify, put_summary
+from fastmimic.executors import make_executor
 from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.robot import ROBOT_CHOICES
+from fastmimic.simulation.pybullet_description import DESCRIPTIONS, require_pybullet
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.dataset.build import BuildRequest, BuildStep
@@ -72,9 +74,7 @@ class Build:
     choice: opt.Choice = FinalChoice()
 
     def run(self) -> int:
-        """Builds the library; returns the exit status."""
         from fastmimic.dataset import build_dataset
-        from fastmimic.executors import make_executor
 
         building = self._building()
         executor = make_executor(self.executor, workers=self.workers, address=self.address)
@@ -133,14 +133,11 @@ class Libraries:
     ]
 
     def run(self) -> int:
-        """Runs the action; returns the exit status."""
         return self.action.run()
 
 
 def _second_simulator(robots: Sequence[str]) -> bool:
     """Whether PyBullet is installed; prints a note if it is missing and has one of the robots."""
-    from fastmimic.simulation.pybullet_description import DESCRIPTIONS, require_pybullet
-
     try:
         require_pybullet()
     except ConfigError:

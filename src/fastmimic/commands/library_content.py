@@ -4,11 +4,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import Positional
 
-from fastmimic.base.errors import ConfigError, did_you_mean
+from fastmimic.base.errors import ConfigError, unknown
+from fastmimic.base.files import check_folder
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import (
     EXIT_SOME_FAILED,
@@ -20,24 +21,15 @@ from fastmimic.commands.console import (
     put_table,
     slow_start,
 )
-from fastmimic.commands.export import ExportFormat
+from fastmimic.commands.motion_files import ExportFormat
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.dataset.folder import MotionDataset, Row
 
+LibraryFolder = Annotated[Positional[Path], opt.option("LIBRARY", "Folder of the library.")]
 _LISTED: Final = (
-    "id",
-    "name",
-    "robot",
-    "seed",
-    "gait",
-    "footfall",
-    "grade",
-    "kept",
-    "best",
-    "reward",
-    "reward_robots",
-    "lacks",
+    *("id", "name", "robot", "seed", "gait", "footfall", "grade"),
+    *("kept", "best", "reward", "reward_robots", "lacks"),
 )
 """Columns that a list shows or is filtered by."""
 
@@ -62,7 +54,7 @@ class _Choice:
         known = (*GRADES, REJECTED, FAILURE)
         for name in self.grade:
             if name not in known:
-                raise ConfigError(f"unknown grade '{name}'; there are {', '.join(known)}{did_you_mean(name, known)}")
+                raise unknown("grade", name, known)
         for column, given in (("robot", self.robot), ("gait", self.gait)):
             there = sorted({row[column] for row in rows if row[column] is not None})
             if given is not None and given not in there:
@@ -81,15 +73,13 @@ class _Choice:
 class ListMotions(_Choice):
     """Lists the motions of a library with their grades."""
 
-    library: Annotated[Positional[Path], opt.option("LIBRARY")]
-    """Folder of the library."""
+    library: LibraryFolder
     superseded: opt.Flag = False
     """List the outdated records instead, with the reason: another recipe, a changed source or robot, or a newer record
     of the same motion."""
     json: opt.JsonFlag = False
 
     def run(self) -> int:
-        """Prints the list; returns the exit status."""
         from fastmimic.dataset import MotionDataset
 
         library = MotionDataset.open(self.library)
@@ -123,14 +113,12 @@ class ListMotions(_Choice):
 class Show:
     """Prints the full record of a motion."""
 
-    library: Annotated[Positional[Path], opt.option("LIBRARY")]
-    """Folder of the library."""
+    library: LibraryFolder
     motion: Annotated[Positional[str], opt.option("ID|NAME")]
     """Id or name as in 'library list'; the beginning of an id is enough."""
     json: opt.JsonFlag = False
 
     def run(self) -> int:
-        """Prints the records; returns the exit status."""
         from fastmimic.dataset import MotionDataset
 
         library = MotionDataset.open(self.library)
@@ -141,7 +129,8 @@ class Show:
         for i, row in enumerate(rows):
             if i:
                 put("")
-            put_table([(name, _said(value)) for name, value in row.items() if value is not None])
+            known = {name: value for name, value in row.items() if value is not None}
+            put_table([(name, f"{v:.6g}" if isinstance(v, float) else str(v)) for name, v in known.items()])
             if row["motion_file"] is not None:
                 note(f"to see it: fastmimic view {library.path / row['motion_file']}")
         return 0
@@ -151,8 +140,7 @@ class Show:
 class LibraryExport(_Choice):
     """Writes the motions of a library for other trainers, as 'fastmimic export' does, with a table of them."""
 
-    library: Annotated[Positional[Path], opt.option("LIBRARY")]
-    """Folder of the library."""
+    library: LibraryFolder
     to: Annotated[Path, opt.option("FOLDER")]
     """Folder to write."""
     format: ExportFormat = "mjlab"
@@ -160,8 +148,6 @@ class LibraryExport(_Choice):
     """Frames per second."""
 
     def run(self) -> int:
-        """Writes the files; returns the exit status."""
-        from fastmimic.base.files import check_folder
         from fastmimic.dataset import MotionDataset
         from fastmimic.dataset.exporting import NEEDED, export_library
 
@@ -188,8 +174,7 @@ class Verify:
     The exit status is 3 if something is wrong.
     """
 
-    library: Annotated[Positional[Path], opt.option("LIBRARY")]
-    """Folder of the library."""
+    library: LibraryFolder
     rerun: Annotated[int, opt.option("N")] = 0
     """Run the nominal episodes of N random motions again and compare them with the records."""
     mend: opt.Flag = False
@@ -197,7 +182,6 @@ class Verify:
     a build is running."""
 
     def run(self) -> int:
-        """Checks the library; returns the exit status."""
         from fastmimic.dataset import MotionDataset
         from fastmimic.dataset.folder import check
         from fastmimic.dataset.repair import mend, rerun
@@ -245,22 +229,7 @@ def put_summary(library: "MotionDataset") -> None:
 
 
 def _line(row: "Row") -> tuple[str, ...]:
-    def number(name: str) -> str:
-        return "" if row[name] is None else f"{row[name]:.3f}"
-
     gait = row["gait"] if row["footfall"] in (None, row["gait"]) else f"{row['gait']} ({row['footfall']})"
-    return (
-        row["id"][:8],
-        row["name"],
-        row["robot"],
-        str(row["seed"]),
-        gait or "",
-        row["grade"],
-        number("reward"),
-        number("reward_robots"),
-        row["lacks"] or "",
-    )
-
-
-def _said(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    rewards = ("" if row[name] is None else f"{row[name]:.3f}" for name in ("reward", "reward_robots"))
+    about = (row["id"][:8], row["name"], row["robot"], str(row["seed"]))
+    return (*about, gait or "", row["grade"], *rewards, row["lacks"] or "")

@@ -1,11 +1,9 @@
 """Options that several verbs share: groups, each a box in `--help`, and single options as annotated types."""
 
 import dataclasses
-import hashlib
 import math
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -13,17 +11,21 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from tyro.conf import OmitArgPrefixes, Suppress, UseAppendAction, arg
 
 from fastmimic.base.errors import ConfigError, OutputError, PolicyError
-from fastmimic.commands.console import KEPT, note, optimisation_progress, put
+from fastmimic.base.files import check_folder
+from fastmimic.base.text import plain
+from fastmimic.control.config import CONFIGS
+from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.optimize.randomization import Randomization
+from fastmimic.render.quality import quality_named
 from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
+from fastmimic.runs.loading import MotionSource, find_motion
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES
+from fastmimic.simulation.simulators import SIMULATORS
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.loop import MakeController
-    from fastmimic.experiments.subject import Subject
-    from fastmimic.optimize.randomization import Randomization
-    from fastmimic.runs.loading import MotionSource
-    from fastmimic.runs.work_folder import WorkFolder
 
 DEFAULT_ROBOT: Final = "a1"
 MAX_DURATION_S: Final = 3600.0
@@ -43,41 +45,23 @@ def _shown_default(default: str) -> str:
     return "" if default in ("None", "False", "") else f"(default: {default})"
 
 
-def one_of(module: str, registry: str) -> str:
-    """The names in a registry, for a help text."""
-    from importlib import import_module
-
-    return ", ".join(getattr(import_module(f"fastmimic.{module}"), registry))
-
-
 def configs() -> str:
     """The named sets of controller parameters, for a help text."""
-    return f"{one_of('control.config', 'CONFIGS')}, or a JSON file"
-
-
-def disturbances() -> str:
-    """The disturbances, for a help text."""
-    return one_of("simulation.disturbance_kinds", "DISTURBANCES")
+    return f"{', '.join(CONFIGS)}, or a JSON file"
 
 
 def methods() -> str:
     """The methods, for a help text."""
-    from fastmimic.imitation.methods import METHODS
-
     return "; ".join(f"{name}: {method.summary}" for name, method in METHODS.items() if not method.learned)
 
 
 def controllers() -> str:
     """The methods without a search, for a help text."""
-    from fastmimic.imitation.methods import METHODS
-
     return ", ".join(name for name, method in METHODS.items() if method.playable)
 
 
 def simulators() -> str:
     """The simulators, for a help text."""
-    from fastmimic.simulation.simulators import SIMULATORS
-
     return ", or ".join(f"{name} ({entry.about})" for name, entry in SIMULATORS.items())
 
 
@@ -117,7 +101,7 @@ Disturbances = Annotated[
     Several,
     option(
         "NAME=VALUE ...",
-        lambda: f"Disturbances unknown to the controller, e.g. payload=2 (kg). Names: {disturbances()}.",
+        lambda: f"Disturbances unknown to the controller, e.g. payload=2 (kg). Names: {', '.join(DISTURBANCES)}.",
     ),
 ]
 Quality = Annotated[str, option("preview|high", "Video quality: fast, or with shadows, reflections and anti-aliasing.")]
@@ -141,8 +125,8 @@ class ClipFileOptions:
 
     def overrides(self) -> dict[str, Any]:
         """The options that were given, as the Python functions take them."""
-        given = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return {name: value for name, value in given.items() if value is not None}
+        found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {name: value for name, value in found.items() if value is not None}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,11 +154,9 @@ class ClipOptions(ClipFileOptions):
 
     def load(self, source: str, robot: str | None) -> tuple[Robot, Motion]:
         """The robot and its motion, retargeted if `source` is a clip."""
-        from fastmimic.runs.loading import find_motion
-
         overrides = self.overrides()
         found = find_motion(source)
-        body = choose_robot(found, robot)
+        body = choose_robot(robot, found)
         return body, found.load(body, **overrides)
 
 
@@ -209,8 +191,6 @@ class VideoOptions:
     @property
     def wanted(self) -> str | None:
         """The quality; None for no video. Raises `ConfigError` for an unknown quality."""
-        from fastmimic.render.quality import quality_named
-
         quality_named(self.quality)
         return None if self.no_video else self.quality
 
@@ -227,15 +207,12 @@ class RandomizeOptions:
     criterion: Annotated[str | None, option("mean|worst")] = None
     """How the scores are combined. Default: mean."""
 
-    def chosen(self) -> "Randomization | None":
+    def chosen(self) -> Randomization | None:
         """The randomisation that was asked for; raises `ConfigError`."""
         if self.randomize is None:
-            for name, given in (("randomize-over", self.randomize_over), ("criterion", self.criterion)):
-                if given:
-                    raise ConfigError(f"--{name} needs --randomize; add it")
+            for name in given(self):
+                raise ConfigError(f"{name} needs --randomize; add it")
             return None
-        from fastmimic.optimize.randomization import Randomization
-
         number = " ".join(self.randomize)
         if not re.fullmatch(r"\d*", number):
             raise ConfigError(f"--randomize takes one number of robots, or none for 4; found '{number}'")
@@ -257,49 +234,6 @@ Video = Annotated[VideoOptions, OmitArgPrefixes]
 Randomizing = Annotated[RandomizeOptions, OmitArgPrefixes]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExperimentOptions:
-    """What experiments over methods share."""
-
-    robot: RobotChoice = None
-    seed: int = 0
-    """Seed of initial states, sensor noise, uneven ground and CMA-ES."""
-    config: ConfigName = "default"
-    policy: Annotated[Path | None, option("FILE")] = None
-    """Trained policy of the motion, for the method rl."""
-    out: Annotated[Path, option("FOLDER")]
-    """Folder of the results. One with results needs --resume or --overwrite."""
-    clip: ClipReading
-    search: Searching
-    folder: Folder
-    choice: Choice = FinalChoice()
-
-    def subject(
-        self, method: str, motion: Motion, robot: Robot, policy: "tuple[MakeController, str] | None"
-    ) -> "Subject":
-        """The method with its motion, optimised first if the method does that."""
-        from fastmimic.experiments.subject import Search, make_subject
-        from fastmimic.runs.work_folder import MOTIONS
-
-        search = Search(self.config, self.search.iterations, self.search.population, self.seed, self.choice)
-        with optimisation_progress() as progress:
-            return make_subject(method, motion, robot, search, self.out / MOTIONS, policy=policy, progress=progress)
-
-    @contextmanager
-    def writing(self, folder: "WorkFolder", write: Callable[[], None]) -> Iterator[None]:
-        """Writes the results after the block or a Ctrl-C in it, and prints the table."""
-        from fastmimic.runs.work_folder import TABLE
-
-        try:
-            yield
-        except KeyboardInterrupt:
-            write()
-            note(KEPT)
-            raise
-        write()
-        put(folder.read(TABLE), f"results in {self.out}")
-
-
 def recorded(command: Any) -> dict[str, Any]:
     """A verb's arguments for `config.json`, flat; the randomisation is one entry, None without."""
     found: dict[str, Any] = {}
@@ -313,19 +247,30 @@ def recorded(command: Any) -> dict[str, Any]:
         elif dataclasses.is_dataclass(value):
             found |= recorded(value)
         else:
-            found[field.name] = _plain(value)
+            found[field.name] = plain(value)
     return found
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return [_plain(each) for each in value]
-    return str(value) if isinstance(value, Path) else value
+def choose_robot(robot: str | None, *sources: MotionSource) -> Robot:
+    """The robot that was asked for, else the first that a source names, else the default one."""
+    return load_robot(robot_name(robot, *sources))
 
 
-def choose_robot(source: "MotionSource", robot: str | None) -> Robot:
-    """The robot that was asked for, else the one of the source, else the default one."""
-    return load_robot(robot or source.robot or DEFAULT_ROBOT)
+def robot_name(robot: str | None, *sources: MotionSource) -> str:
+    """Name or file of `choose_robot`."""
+    return robot or next((source.robot for source in sources if source.robot is not None), DEFAULT_ROBOT)
+
+
+def given(options: Any, *names: str) -> list[str]:
+    """The options, all or those of these names, that differ from their defaults, as they are written: `--dry-run`."""
+    fields = [field for field in dataclasses.fields(options) if not names or field.name in names]
+    return [f"--{f.name.replace('_', '-')}" for f in fields if getattr(options, f.name) != f.default]
+
+
+def check_kinematic(command: Any, *names: str) -> None:
+    """Raises `ConfigError` for options of these names beside `--kinematic`: they are the controller's."""
+    if command.kinematic and (found := given(command, *names)):
+        raise ConfigError(f"{', '.join(found)} cannot be applied with --kinematic: there is no controller")
 
 
 def parse_frames(text: str) -> tuple[int, int]:
@@ -365,13 +310,6 @@ def policy_controller(path: Path, robot: Robot, motion: Motion) -> "MakeControll
     return controlled_by(policy)
 
 
-def policy_with_digest(path: Path | None, robot: Robot, motion: Motion) -> "tuple[MakeController, str] | None":
-    """As `policy_controller`, with the hash of the file; None without a file."""
-    if path is None:
-        return None
-    return policy_controller(path, robot, motion), hashlib.sha256(path.read_bytes()).hexdigest()
-
-
 def check_duration(seconds: float | None) -> None:
     """Raises `ConfigError` if no episode can be that long."""
     if seconds is not None and not (math.isfinite(seconds) and 0 < seconds <= MAX_DURATION_S):
@@ -384,8 +322,6 @@ def check_writable(path: str | Path, *endings: str) -> Path:
     Raises:
         OutputError: another ending than these, a folder, or a place that cannot be written to.
     """
-    from fastmimic.base.files import check_folder
-
     path = Path(path)
     if path.suffix.lower() not in endings:
         raise OutputError(f"{path}: the file's name must end in {' or '.join(endings)}")

@@ -1,4 +1,4 @@
-"""`fastmimic render`: writes a video of one motion, or of several side by side."""
+"""`fastmimic render` and `fastmimic report`: videos of motions, and runs as HTML files."""
 
 import math
 from collections.abc import Sequence
@@ -10,12 +10,19 @@ from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import count_progress, put, slow_start
+from fastmimic.commands.console import count_progress, note, put, slow_start
+from fastmimic.episode.plan import default_duration
+from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.motion.motion import Motion
+from fastmimic.render.encoding import ENDINGS
+from fastmimic.render.quality import quality_named
 from fastmimic.robot import Robot
+from fastmimic.runs.loading import find_motion
+from fastmimic.viewer.web import require_viser
 
 if TYPE_CHECKING:
     from fastmimic.render.tracks import Track
+    from fastmimic.report.html_run import RerunEpisodes
 
 SECONDS: Final = 5.0
 MOST: Final = 4
@@ -59,10 +66,8 @@ class Render:
     clip: opt.ClipReading
 
     def run(self) -> int:
-        """Writes the video; returns the exit status."""
         self._check()
         size = None if self.size is None else opt.parse_size(self.size)
-        from fastmimic.render.encoding import ENDINGS
         from fastmimic.render.video import render_video
 
         out = opt.check_writable(self.out, *ENDINGS)
@@ -93,9 +98,6 @@ class Render:
 
     def _check(self) -> None:
         """Raises `ConfigError` for options that cannot be used, before any long work."""
-        from fastmimic.imitation.methods import method_named
-        from fastmimic.render.quality import quality_named
-
         if not 1 <= len(self.motions) <= MOST:
             raise ConfigError(f"render takes one to {MOST} motions, found {len(self.motions)}")
         opt.check_duration(self.duration)
@@ -109,48 +111,95 @@ class Render:
             )
         for name in self.method:
             method_named(name)
-        given = [f"--{name}" for name, value in (("method", self.method), ("config", self.config)) if value]
-        if self.kinematic and given:
-            raise ConfigError(f"{', '.join(given)} cannot be applied with --kinematic: there is no controller")
+        opt.check_kinematic(self, "method", "config")
 
     def _tracks(self) -> "tuple[Robot, list[tuple[Track, float]]]":
         """The robot, and a panel with its rate for each motion."""
-        from fastmimic.episode.plan import default_duration
-        from fastmimic.runs.loading import find_motion
-
         sources = [find_motion(source) for source in self.motions]
-        robot = opt.choose_robot(sources[0], self.robot)
+        robot = opt.choose_robot(self.robot, sources[0])
         overrides = self.clip.overrides()
         motions = [source.load(robot, **overrides) for source in sources]
-        methods: Sequence[str | None] = self.method if len(self.method) == len(motions) else ()
-        methods = methods or [self.method[0] if self.method else None] * len(motions)
+        methods: Sequence[str | None] = self.method or [None]
+        if len(methods) == 1:
+            methods = [methods[0]] * len(motions)
         shown = []
         for motion, method in zip(motions, methods, strict=True):
             seconds = self.duration if self.duration is not None else default_duration(motion, SECONDS)
-            shown.append(
-                self._kinematic(motion, robot, seconds)
-                if self.kinematic
-                else self._simulated(motion, robot, seconds, method)
-            )
+            if self.kinematic:
+                shown.append(_kinematic(motion, robot, seconds))
+            else:
+                shown.append(self._simulated(motion, robot, seconds, method))
         return robot, shown
 
     def _simulated(self, motion: Motion, robot: Robot, seconds: float, method: str | None) -> "tuple[Track, float]":
         from fastmimic.imitation.evaluate import evaluate
-        from fastmimic.imitation.methods import METHODS
         from fastmimic.render.tracks import rollout_track
 
         with slow_start():
             found = evaluate(motion, robot, duration_s=seconds, method=method, config=self.config, log=True)
         assert found.rollout.log is not None
-        note = METHODS[found.method].label + (f" ({found.config.name})" if found.config.name != "default" else "")
+        caption = METHODS[found.method].label + (f" ({found.config.name})" if found.config.name != "default" else "")
         track = rollout_track(
-            found.rollout, found.config.release_force(robot), f"{motion.name} on {robot.name}", note=note
+            found.rollout, found.config.release_force(robot), f"{motion.name} on {robot.name}", note=caption
         )
         return track, found.rollout.log.rate_hz
 
-    def _kinematic(self, motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, float]":
-        from fastmimic.render.tracks import motion_track
 
-        ghost = None if motion.demonstration is None else motion_track(motion.demonstration, seconds, "demonstration")
-        caption = "as optimised, no physics" if ghost is not None else "as retargeted, no physics"
-        return motion_track(motion, seconds, f"{motion.name} on {robot.name}", ghost, caption), motion.rate_hz
+def _kinematic(motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, float]":
+    from fastmimic.render.tracks import motion_track
+
+    ghost = None if motion.demonstration is None else motion_track(motion.demonstration, seconds, "demonstration")
+    caption = "as optimised, no physics" if ghost is not None else "as retargeted, no physics"
+    return motion_track(motion, seconds, f"{motion.name} on {robot.name}", ghost, caption), motion.rate_hz
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteReport:
+    """Writes report.html into the folder of a run of 'imitate', 'stitch' or 'deploy', or of 'compare', 'stress' or
+    'transfer': one self-contained file with the video, the figures before and after, and interactive plots.
+
+    The two nominal episodes of a run are simulated again for the plots and checked against its metrics.json. Needs
+    Jinja2 and Plotly: pip install 'fastmimic[report]'. With viser (pip install 'fastmimic[view]') the file has a 3D
+    replay.
+    """
+
+    runs: Annotated[Positional[tuple[Path, ...]], opt.option("RUN ...")]
+    """Folders of runs."""
+    out: Annotated[Path | None, opt.option("FILE.html")] = None
+    """File of the report, for a single run. Default: report.html in its folder."""
+
+    def run(self) -> int:
+        if not self.runs:
+            raise ConfigError("report takes the folder of at least one run")
+        if self.out is not None and len(self.runs) > 1:
+            raise ConfigError(f"--out names one file, but {len(self.runs)} runs were given; drop it")
+        from fastmimic.report.html import REPORT, kind_of, make_report
+
+        for path in self.runs:
+            kind_of(path)  # refuses before anything is written
+        outs = [opt.check_writable(self.out or path / REPORT, ".html", ".htm") for path in self.runs]
+        for path, out in zip(self.runs, outs, strict=True):
+            with slow_start():
+                report = make_report(path, recorded)
+            for line in report.missing:
+                note(f"fastmimic: warning: {line}")
+            report.save(out)
+            put(f"report in {out}")
+        return 0
+
+
+def recorded(e: "RerunEpisodes") -> str:
+    """The episodes as a page with a 3D replay, before and after side by side. Raises `ConfigError` if viser is not
+    installed or too old."""
+    from fastmimic.viewer.recording import recorded_page
+    from fastmimic.viewer.take import rollout_take
+
+    require_viser()
+    shown = [("robot", "", e.motion.target, e.before)]
+    if e.after is not None:
+        shown = [
+            ("before", "before: as retargeted", e.motion.target, e.before),
+            ("after", "after: optimised", e.motion, e.after),
+        ]
+    takes = [rollout_take(rollout, motion, e.robot, e.config, title) for _, title, motion, rollout in shown]
+    return recorded_page(e.robot, takes, [name for name, *_ in shown])

@@ -15,6 +15,9 @@ from tyro.conf import OmitArgPrefixes
 from fastmimic.base.errors import ConfigError
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import note, put, slow_start
+from fastmimic.deploy.dds.cyclone import check_interface
+from fastmimic.deploy.log import GroundTruthLog
+from fastmimic.robot import ROBOT_NAMES, load_robot
 
 WIRED: Final = ("go2",)
 
@@ -41,9 +44,6 @@ class FaultOptions:
     """Additional latency of the commands."""
     dead_after: opt.Seconds = None
     """Time after which the robot falls silent, as if its computer had died. Default: never."""
-
-
-FAULTS: Final = FaultOptions()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,20 +74,18 @@ class RobotSim:
     log: Annotated[Path | None, opt.option("FILE.npz")] = None
     """File for the ground truth of what the robot did."""
     json: opt.JsonFlag = False
-    fault: Annotated[FaultOptions, OmitArgPrefixes] = FAULTS
+    fault: Annotated[FaultOptions, OmitArgPrefixes]
 
     def run(self) -> int:
-        """Runs until Ctrl-C or the end; returns the exit status."""
-        from fastmimic.deploy.log import GroundTruthLog
         from fastmimic.deploy.sim_server import SimServer
-        from fastmimic.robot import load_robot
 
         settings = self._settings()
         opt.check_duration(self.duration)
         duration = math.inf if self.duration is None else self.duration
+        log = None
         if self.log is not None:
             opt.check_writable(self.log, ".npz")
-        log = GroundTruthLog() if self.log is not None else None
+            log = GroundTruthLog()
         with slow_start():
             server = SimServer(load_robot(self.robot), settings, log)
         with server, _until_interrupted() as stop:
@@ -97,8 +95,7 @@ class RobotSim:
         if self.json:
             put(json.dumps(summary, indent=1))
         else:
-            for name, value in summary.items():
-                put(f"{name.replace('_', ' ')}: {value}")
+            put(*(f"{name.replace('_', ' ')}: {value}" for name, value in summary.items()))
         if log is not None and self.log is not None:
             log.save(self.log)
             note(f"ground truth in {self.log}")
@@ -106,10 +103,8 @@ class RobotSim:
 
     def _settings(self) -> Any:
         """The checked settings of the server."""
-        from fastmimic.deploy.dds.cyclone import check_interface
         from fastmimic.deploy.sim_server import SimSettings
         from fastmimic.deploy.simulated_robot import LinkFaults
-        from fastmimic.robot import ROBOT_NAMES
         from fastmimic.simulation.sensors import ideal_sensors
 
         check_interface(self.interface)

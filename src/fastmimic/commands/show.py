@@ -1,18 +1,25 @@
 """Results and provenance as the verbs print them; the figures are those of `metrics.json` and `evaluate --json`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
+from fastmimic.base.text import number
+from fastmimic.clips.formats import FORMATS
 from fastmimic.commands.console import EXIT_INTERRUPTED, count_progress, note, put, put_table
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
+from fastmimic.runs.work_folder import RunFolder
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.imitation.imitate import Imitation
-    from fastmimic.runs.work_folder import RunFolder
 
-MISSING: Final = "–"
-_PER_COLUMN: Final = ("drift_m_per_s", "early_contacts_per_s", "stance_slip_m", "foot_z_rmse_m", "foot_x_rmse_m")
+_FIGURES: Final = (  # label, name in metrics.json, digits, scale
+    ("drift, m/s", "drift_m_per_s", 3, 1.0),
+    ("early contacts, 1/s", "early_contacts_per_s", 1, 1.0),
+    ("stance slip, mm", "stance_slip_m", 1, 1e3),
+    ("foot z rmse, mm", "foot_z_rmse_m", 1, 1e3),
+    ("foot x rmse, mm", "foot_x_rmse_m", 1, 1e3),
+)
 
 
 def yes_no(value: Any) -> str:
@@ -24,18 +31,9 @@ def figure_rows(
     figures: Mapping[str, Any], reward: str, fell: str, clearance: tuple[str, str]
 ) -> list[tuple[str, str]]:
     """Name and value of each figure of an episode, for a table."""
-    components = [(f"  {name.replace('_', ' ')}", f"{value:.3f}") for name, value in figures["components"].items()]
-    return [
-        ("reward", reward),
-        *components,
-        ("fell", fell),
-        clearance,
-        ("drift, m/s", f"{figures['drift_m_per_s']:.3f}"),
-        ("early contacts, 1/s", f"{figures['early_contacts_per_s']:.1f}"),
-        ("stance slip, mm", f"{1e3 * figures['stance_slip_m']:.1f}"),
-        ("foot z rmse, mm", f"{1e3 * figures['foot_z_rmse_m']:.1f}"),
-        ("foot x rmse, mm", f"{1e3 * figures['foot_x_rmse_m']:.1f}"),
-    ]
+    components = [(f"  {name.replace('_', ' ')}", number(value)) for name, value in figures["components"].items()]
+    others = [(label, number(figures[name], digits, scale)) for label, name, digits, scale in _FIGURES]
+    return [("reward", reward), *components, ("fell", fell), clearance, *others]
 
 
 def put_comparison(result: "Imitation") -> None:
@@ -54,13 +52,13 @@ def put_comparison(result: "Imitation") -> None:
 
 def _column(metrics: Mapping[str, Any], column: str) -> dict[str, str]:
     reward, clearance = metrics["reward"], metrics["swing_clearance_m"]
-    share = least_share(clearance[column], clearance["demonstration"])
-    figures = {name: metrics[name][column] for name in _PER_COLUMN}
+    swings = zip(clearance[column], clearance["demonstration"], strict=True)
+    shares = [realised / wanted for realised, wanted in swings if realised is not None and wanted]
     cells = figure_rows(
-        figures | {"components": reward[f"components_{column}"]},
+        {name: metrics[name][column] for _, name, *_ in _FIGURES} | {"components": reward[f"components_{column}"]},
         reward=f"{reward[column]:.3f}",
         fell=yes_no(metrics["fell"][column]),
-        clearance=("swing clearance, % of reference", MISSING if share is None else f"{100 * share:.0f}"),
+        clearance=("swing clearance, % of reference", number(min(shares, default=None), 0, 100)),
     )
     if "randomization" in metrics:
         others = metrics["randomization"]["held_out"]
@@ -73,13 +71,7 @@ def _column(metrics: Mapping[str, Any], column: str) -> dict[str, str]:
     return dict(cells)
 
 
-def least_share(realised: Sequence[float | None], wanted: Sequence[float | None]) -> float | None:
-    """The smallest share of the demonstration's swing clearance among the legs that swing."""
-    shares = [r / w for r, w in zip(realised, wanted, strict=True) if r is not None and w]
-    return min(shares) if shares else None
-
-
-def write_run(result: "Imitation", folder: "RunFolder", config: Mapping[str, Any]) -> None:
+def write_run(result: "Imitation", folder: RunFolder, config: Mapping[str, Any]) -> None:
     """Writes everything but the video, in place of an earlier run; raises `OutputError`."""
     from fastmimic.report.figures import draw_run
 
@@ -88,12 +80,10 @@ def write_run(result: "Imitation", folder: "RunFolder", config: Mapping[str, Any
     folder.write(result.motion, config, result.metrics(), searched=result.history is not None)
 
 
-def put_result(result: "Imitation", folder: "RunFolder", iterations: int, *, video: str | None) -> int:
+def put_result(result: "Imitation", folder: RunFolder, iterations: int, *, video: str | None) -> int:
     """Prints the figures and adds the video to the folder; returns the exit status.
 
     Args:
-        result: the run, written to the folder except for its video.
-        folder: of the run.
         iterations: the number that was asked for.
         video: its quality; None for no video.
     """
@@ -126,8 +116,6 @@ def note_origin(robot: Robot, motion: Motion) -> None:
 
 def provenance(motion: Motion) -> str:
     """One line: name, source, scale, period, licence."""
-    from fastmimic.clips.formats import FORMATS
-
     source, retargeting = motion.provenance.source or {}, motion.provenance.retarget or {}
     parts = [str(source.get("source", "unknown source"))]
     if "frames" in source:
@@ -136,16 +124,12 @@ def provenance(motion: Motion) -> str:
         parts.append(FORMATS[source["format"]].about)
     if "scale" in retargeting:
         parts.append(f"scale {retargeting['scale']:.3f}")
-    parts.append(f"{motion.period_s:.3f} s" + (" per cycle" if motion.cycle is not None else f", {_once(motion)}"))
+    held = motion.provenance.held_s
+    once = "run once, " + (f"the last {held:.2g} s at rest" if held else "ends in mid-stride")
+    once = "not periodic" if motion.target.parts else once
+    parts.append(f"{motion.period_s:.3f} s" + (" per cycle" if motion.cycle is not None else f", {once}"))
     licence = motion.provenance.licence
     return f"{motion.name}: {', '.join(parts)}" + (f"; licence: {licence}" if licence else "")
-
-
-def _once(motion: Motion) -> str:
-    if motion.target.parts:
-        return "not periodic"
-    held = motion.provenance.held_s
-    return "run once, " + (f"the last {held:.2g} s at rest" if held else "ends in mid-stride")
 
 
 def unmet_bounds(motion: Motion) -> list[str]:

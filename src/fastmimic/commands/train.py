@@ -1,6 +1,7 @@
 """`fastmimic train`: trains a policy that imitates a motion, by reinforcement learning."""
 
-from collections.abc import Iterator
+import hashlib
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,14 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError
+from fastmimic.base.machine import available_cores
+from fastmimic.base.text import plain
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import PLAIN_STEPS, note, put, share_progress
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
+from fastmimic.simulation.ranges import parse_range
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from fastmimic.learning.learner import TrainingSettings
     from fastmimic.learning.training import Advance, Evaluated
 
@@ -60,11 +62,9 @@ class Train:
     folder: opt.Folder
 
     def run(self) -> int:
-        """Trains, and writes the folder; returns the exit status."""
         for name in ("steps", "evaluate_every"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"--{name.replace('_', '-')} must be at least 1, found {getattr(self, name)}")
-        from fastmimic.base.machine import available_cores
         from fastmimic.learning.learner import check_installed, choose_device
         from fastmimic.learning.training import CHECKPOINT, open_training, train
 
@@ -106,7 +106,6 @@ class Train:
 
     def _settings(self) -> "TrainingSettings":
         from fastmimic.learning.learner import TrainingSettings
-        from fastmimic.simulation.ranges import parse_range
 
         return TrainingSettings(
             seed=self.seed,
@@ -122,10 +121,6 @@ def _identity(
     robot: Robot, motion: Motion, settings: "TrainingSettings", device: str, evaluate_every: int
 ) -> dict[str, Any]:
     """The settings that must match for a training to resume, JSON-serialisable."""
-    import hashlib
-
-    from fastmimic.base.text import plain
-
     content = hashlib.sha256(robot.content)
     for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "contact"):
         content.update(getattr(motion, name).tobytes())
@@ -149,8 +144,9 @@ def _progress() -> "Iterator[Callable[[Advance], None]]":
             nonlocal shown
             share = at.steps / at.total
             left = (at.total - at.steps) / at.steps_per_s
+            evaluated = "" if at.evaluated is None else f", evaluated {at.evaluated.reward:.3f}"
             text = (
-                f"reward/step {at.iteration.reward:.3f}{_evaluated(at.evaluated)}, {at.steps_per_s:.0f} steps/s,"
+                f"reward/step {at.iteration.reward:.3f}{evaluated}, {at.steps_per_s:.0f} steps/s,"
                 f" {left // 3600:.0f}:{left // 60 % 60:02.0f} h left"
             )
             if bar is not None:
@@ -160,10 +156,6 @@ def _progress() -> "Iterator[Callable[[Advance], None]]":
                 note(f"{at.steps:,}/{at.total:,} steps: {text}")
 
         yield report
-
-
-def _evaluated(found: "Evaluated | None") -> str:
-    return "" if found is None else f", evaluated {found.reward:.3f}"
 
 
 def _report(evaluations: "list[Evaluated]") -> list[str]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
 from fastmimic.base.errors import ConfigError, FastMimicError, did_you_mean
-from fastmimic.base.extensions import load_extensions
+from fastmimic.base.registry import load_extensions
 
 EXECUTORS: Final = {"local": "processes on this machine", "ray": "a Ray cluster"}
 ATTEMPTS: Final = 4  # starts of a job, in all, if its process or machine dies

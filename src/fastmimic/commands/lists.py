@@ -1,16 +1,56 @@
-"""`fastmimic data`: the public recordings of a dog."""
+"""`fastmimic motions`, `fastmimic robots` and `fastmimic data`: what there is, and downloads."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError, did_you_mean
+from fastmimic.clips.catalogue import describe
+from fastmimic.clips.data import DATASETS, data_folder, fetch, list_datasets
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import note, put, put_table
+from fastmimic.robot import ROBOT_NAMES, load_robot
 
-ACTIONS = ("list", "fetch")
+ACTIONS: Final = ("list", "fetch")
+RecordingsFolder = Annotated[
+    Path | None, opt.option("FOLDER", "Folder of the recordings. Default: $FASTMIMIC_DATA, else the user's cache.")
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motions:
+    """Lists the named motions: built-in gaits and recordings of a dog."""
+
+    folder: RecordingsFolder = None
+
+    def run(self) -> int:
+        rows = describe(self.folder)
+        cells = [(r.name, r.speed, "yes" if r.available else "no", r.about, r.source) for r in rows]
+        put_table([("name", "speed", "here", "description", "source"), *cells])
+        for licence in dict.fromkeys(r.licence for r in rows if r.source != "built in"):
+            note(f"licence of the recordings: {licence}")
+        if not all(r.available for r in rows):
+            note("'fastmimic data fetch' downloads what is missing here")
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robots:
+    """Lists the built-in robots. For your own, give --robot FILE.xml, the MJCF of a quadruped."""
+
+    def run(self) -> int:
+        rows = [("name", "mass kg", "leg m", "torque N·m", "joint speed rad/s")]
+        for name in ROBOT_NAMES:
+            robot = load_robot(name)
+            torque, speed = (
+                " ".join(f"{v:g}" for v in limit[:3]) for limit in (robot.torque_limit, robot.joint_speed_limit)
+            )
+            rows.append((name, f"{robot.mass:.2f}", f"{robot.leg_length:.3f}", torque, speed))
+        put_table(rows)
+        note("your own: --robot FILE.xml, an MJCF with abduction, hip and knee joints in each of four legs")
+        return 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,13 +61,11 @@ class Data:
     """List the datasets, or download them."""
     datasets: Annotated[Positional[tuple[str, ...]], opt.option("[DATASET ...]")] = ()
     """Datasets to download. Default: all."""
-    folder: Annotated[Path | None, opt.option("FOLDER")] = None
-    """Folder of the recordings. Default: $FASTMIMIC_DATA, else the user's cache."""
+    folder: RecordingsFolder = None
     base_url: Annotated[str | None, opt.option("URL")] = None
     """Server of the recordings. Default: $FASTMIMIC_DATA_URL, else the public original."""
 
     def run(self) -> int:
-        """Lists or downloads; returns the exit status."""
         if self.action not in ACTIONS:
             raise ConfigError(f"data takes list or fetch, found '{self.action}'{did_you_mean(self.action, ACTIONS)}")
         return self._list() if self.action == "list" else self._fetch()
@@ -35,8 +73,6 @@ class Data:
     def _list(self) -> int:
         if self.datasets or self.base_url:
             raise ConfigError("data list takes no dataset and no --base-url: it lists everything")
-        from fastmimic.clips.data import list_datasets
-
         found = list_datasets(self.folder)
         rows = [(s.dataset.name, f"{len(s.present)} of {len(s.dataset.files)}", s.dataset.about) for s in found]
         put_table([("dataset", "files here", "description"), *rows])
@@ -45,8 +81,6 @@ class Data:
         return 0
 
     def _fetch(self) -> int:
-        from fastmimic.clips.data import data_folder, fetch
-
         started = set()
 
         def progress(name: str, done: int, total: int) -> None:
@@ -61,8 +95,6 @@ class Data:
         return 0
 
     def _put_licence(self, names: list[str] | None) -> None:
-        from fastmimic.clips.data import DATASETS
-
         chosen = [d for d in DATASETS if names is None or d.name in names]
         for licence, credit in dict.fromkeys((d.licence, d.credit) for d in chosen):
             put(f"licence: {licence}", f"credit: {credit}")

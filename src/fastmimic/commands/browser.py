@@ -1,22 +1,32 @@
-"""`fastmimic view`: shows a motion, or a run before and after, in the browser."""
+"""`fastmimic view` and `fastmimic play`: a motion, or a live simulation, in the browser."""
 
 import dataclasses
+import signal
+import sys
+import threading
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import slow_start
-from fastmimic.commands.serving import serve
+from fastmimic.commands.console import note, put, slow_start
+from fastmimic.control.config import controller_config
+from fastmimic.episode.plan import default_duration
+from fastmimic.imitation.methods import controller_for
 from fastmimic.motion.motion import Motion
-from fastmimic.robot import Robot
+from fastmimic.robot import Robot, load_robot
+from fastmimic.runs.loading import MotionSource, find_motion
+from fastmimic.viewer.web import free_port, require_viser
 
 if TYPE_CHECKING:  # loads the compiler
+    from fastmimic.play.page import PlayPage
     from fastmimic.render.animal import Animal
-    from fastmimic.runs.loading import MotionSource
     from fastmimic.viewer.take import Take
+    from fastmimic.viewer.viewer import Viewer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,12 +57,9 @@ class View:
     reading: opt.ClipReading
 
     def run(self) -> int:
-        """Serves until Ctrl-C; returns the exit status."""
         opt.check_duration(self.duration)
-        self._check_combination()
-        from fastmimic.runs.loading import find_motion
+        opt.check_kinematic(self, "episodes", "method", "config")
         from fastmimic.viewer.viewer import Viewer
-        from fastmimic.viewer.web import free_port, require_viser
 
         require_viser()
         free_port(self.port)  # before anything is simulated
@@ -62,14 +69,7 @@ class View:
         with Viewer(robot, shown, heading, self.port, animal) as viewer:
             return serve(viewer, heading, self.port)
 
-    def _check_combination(self) -> None:
-        if self.kinematic:
-            given = {"episodes": self.episodes, "method": self.method, "config": self.config}
-            found = [f"--{name}" for name, value in given.items() if value is not None]
-            if found:
-                raise ConfigError(f"{', '.join(found)} cannot be applied with --kinematic: there is no controller")
-
-    def _of_run(self, source: "MotionSource") -> "View":
+    def _of_run(self, source: MotionSource) -> "View":
         """The same command with the arguments of the run where nothing was given."""
         arguments = source.run_arguments()
         seconds = arguments.get("duration")
@@ -83,15 +83,13 @@ class View:
             duration=self.duration if self.duration is not None else seconds,
         )
 
-    def _prepare(self, source: "MotionSource") -> "tuple[Robot, list[list[Take]], str, Animal | None]":
+    def _prepare(self, source: MotionSource) -> "tuple[Robot, list[list[Take]], str, Animal | None]":
         """The robot, its takes, the heading, and the animal."""
-        from fastmimic.episode.plan import default_duration
         from fastmimic.imitation.evaluate import EVALUATION_S
         from fastmimic.render.animal import Animal
-        from fastmimic.runs.loading import find_motion
 
         overrides = self.reading.overrides()
-        robot = opt.choose_robot(source, self.robot)
+        robot = opt.choose_robot(self.robot, source)
         clip = None
         if self.clip is not None:
             given = find_motion(self.clip)
@@ -105,12 +103,9 @@ class View:
             motion = find_motion(original).load(robot)
             clip = clip if clip is not None else original
         seconds = self.duration if self.duration is not None else default_duration(motion, EVALUATION_S)
-        both = source.folder is not None and motion.demonstration is not None
-        motions = (
-            [(motion.target, "before: as retargeted"), (motion, "after: optimised")]
-            if both
-            else [(motion, motion.name)]
-        )
+        motions = [(motion, motion.name)]
+        if source.folder is not None and motion.demonstration is not None:
+            motions = [(motion.target, "before: as retargeted"), (motion, "after: optimised")]
         shown = [self._takes(each, motion, robot, seconds, title) for each, title in motions]
         animal = Animal(clip, robot, motion) if clip is not None else None
         return robot, shown, f"{motion.name} on {robot.name}", animal
@@ -118,7 +113,6 @@ class View:
     def _takes(self, motion: Motion, of: Motion, robot: Robot, seconds: float, title: str) -> "list[Take]":
         """The episodes of one motion under the controller of the motion `of`."""
         from fastmimic.imitation.evaluate import evaluate
-        from fastmimic.imitation.methods import controller_for
         from fastmimic.viewer.take import motion_take, rollout_take
 
         if self.kinematic:
@@ -137,3 +131,65 @@ class View:
                 log=True,
             ).rollout
         return [rollout_take(rollout, motion, robot, config, title, episode) for episode in range(episodes)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Play:
+    """Simulates a robot under the controller live in the browser. Switch motions, steer, change speed, yaw rate, swing
+    height, friction and payload, and push the robot, by mouse, keyboard or gamepad. A robot that falls gets up again.
+
+    The server listens on this machine only (127.0.0.1); Ctrl-C ends it.
+    """
+
+    motions: Annotated[Positional[tuple[str, ...]], opt.option("[MOTION|RUN ...]")] = ()
+    """Periodic motions: names from 'fastmimic motions', clips, robot motions (.npz) or folders of runs. Default: the
+    built-in gaits. "stand" and "in-place" are always available."""
+    robot: opt.RobotChoice = None
+    port: opt.Port = 8080
+    method: Annotated[str, opt.option("NAME", lambda: f"Controller at the start: {opt.controllers()}.")] = "mbc"
+    config: opt.ConfigName = "default"
+
+    def run(self) -> int:
+        require_viser()
+        free_port(self.port)  # before the motions are loaded
+        from fastmimic.play.motions import DEFAULTS, load_motions
+        from fastmimic.play.page import PlayPage
+        from fastmimic.play.session import LiveSession, check_method
+        from fastmimic.reference.motion_set import MotionSet, warm_up
+
+        check_method(self.method)
+        config = controller_config(self.config)
+        sources = [find_motion(source) for source in self.motions or DEFAULTS]
+        name = opt.robot_name(self.robot, *sources)
+        robot = load_robot(name)
+        # transitions take about a second each: another process makes them, so that the simulation keeps real time
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_behind_the_scenes) as executor:
+            executor.submit(warm_up, name)  # while this process loads
+            with slow_start():
+                motions = load_motions(sources, robot)
+                library = MotionSet(robot, motions, executor=executor, source=name)
+                session = LiveSession(robot, library, method=self.method, config=config)
+            try:
+                with PlayPage(session, f"{robot.name}, live", self.port) as page:
+                    return serve(page, ", ".join(library.names), self.port)
+            finally:
+                executor.shutdown(wait=False, cancel_futures=True)
+
+
+def _behind_the_scenes() -> None:
+    """Ignores Ctrl-C: the serving process handles it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def serve(page: "Viewer | PlayPage", what: str, port: int) -> int:
+    """Serves a page until Ctrl-C; prints its address, and its port if `port` was taken. Returns the exit status."""
+    taken = page.server.get_port()
+    if taken != port:
+        note(f"port {port} is taken; listening on {taken} instead")
+    try:
+        put(f"{what}: open {page.url} in a browser; Ctrl-C ends it")
+        sys.stdout.flush()
+        page.run(threading.Event())
+    except KeyboardInterrupt:
+        note("closed")
+    return 0

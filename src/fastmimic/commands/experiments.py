@@ -1,0 +1,224 @@
+"""`fastmimic stress` and `fastmimic transfer`: a motion under disturbances, and on other robots and simulators."""
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import Positional
+
+from fastmimic.base.errors import ConfigError
+from fastmimic.commands import options as opt
+from fastmimic.commands.console import FIRST_USE, KEPT, note, optimisation_progress, put, share_progress, slow_start
+from fastmimic.motion.motion import Motion
+from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.robot import Robot
+from fastmimic.runs.work_folder import MOTIONS, TABLE, WorkFolder
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES
+from fastmimic.simulation.simulators import SECOND_SIMULATOR, check_simulator
+
+if TYPE_CHECKING:  # loads the compiler
+    from fastmimic.episode.loop import MakeController
+    from fastmimic.experiments.stress import StressSettings
+    from fastmimic.experiments.subject import Subject
+
+ResultsFolder = Annotated[
+    Path, opt.option("FOLDER", "Folder of the results. One with results needs --resume or --overwrite.")
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExperimentOptions:
+    """What experiments over methods share."""
+
+    robot: opt.RobotChoice = None
+    seed: int = 0
+    """Seed of initial states, sensor noise, uneven ground and CMA-ES."""
+    config: opt.ConfigName = "default"
+    policy: Annotated[Path | None, opt.option("FILE")] = None
+    """Trained policy of the motion, for the method rl."""
+    out: ResultsFolder
+    clip: opt.ClipReading
+    search: opt.Searching
+    folder: opt.Folder
+    choice: opt.Choice = FinalChoice()
+
+    def checked_policy(self, robot: Robot, motion: Motion) -> "tuple[MakeController, str] | None":
+        """The controllers of the policy and the hash of its file; None without a policy."""
+        if self.policy is None:
+            return None
+        controller = opt.policy_controller(self.policy, robot, motion)
+        return controller, hashlib.sha256(self.policy.read_bytes()).hexdigest()
+
+    def opened(self, experiment: str, parts: str, written: tuple[str, ...], about: dict[str, Any]) -> WorkFolder:
+        """The folder of the results; see `open_results`."""
+        from fastmimic.experiments.results import open_results
+
+        resume, overwrite = self.folder.resume, self.folder.overwrite
+        return open_results(self.out, experiment, parts, written, about, resume=resume, overwrite=overwrite)
+
+    def subject(
+        self, method: str, motion: Motion, robot: Robot, policy: "tuple[MakeController, str] | None"
+    ) -> "Subject":
+        """The method with its motion, optimised first if the method does that."""
+        from fastmimic.experiments.subject import Search, make_subject
+
+        search = Search(self.config, self.search.iterations, self.search.population, self.seed, self.choice)
+        with optimisation_progress() as progress:
+            return make_subject(method, motion, robot, search, self.out / MOTIONS, policy=policy, progress=progress)
+
+    @contextmanager
+    def writing(self, folder: WorkFolder, write: Callable[[], None]) -> Iterator[None]:
+        """Writes the results after the block or a Ctrl-C in it, and prints the table."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            write()
+            note(KEPT)
+            raise
+        write()
+        put(folder.read(TABLE), f"results in {self.out}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stress(ExperimentOptions):
+    """Runs a motion over a range of each disturbance and measures how much it tolerates.
+
+    A method that optimises does so first, without disturbance; an optimised motion is not re-optimised. Writes
+    results.csv, table.md, success.png and reward.png. Each finished sweep (one method, one disturbance) is kept: after
+    Ctrl-C, --resume runs the others, also with more methods or disturbances.
+    """
+
+    motion: Annotated[Positional[str], opt.option("MOTION")]
+    """A robot motion (.npz), a clip, a name from 'fastmimic motions', or the folder of a run."""
+    methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp", "raibert")
+    """Methods to run."""
+    disturbances: Annotated[
+        tuple[str, ...] | None,
+        opt.option("NAME ...", lambda: f"Disturbances: {', '.join(DISTURBANCES)}. Default: all."),
+    ] = None
+    episodes: int = 20
+    """Episodes at each level: the first starts at the motion's start, the others at random phases."""
+    duration: Annotated[float, opt.option("S")] = 6.0
+    """Length of an episode."""
+    simulator: opt.Simulator = "mujoco"
+    observe: opt.Observation = "truth"
+    out: ResultsFolder = opt.RUNS / "stress"
+
+    def run(self) -> int:
+        opt.check_duration(self.duration)
+        from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of
+        from fastmimic.experiments.subject import check_methods
+        from fastmimic.report.experiment_figures import STRESS_FILES, write_stress
+
+        check_methods(self.methods, self.policy is not None)
+        names = disturbances_of(self.disturbances, self.simulator)
+        robot, motion = self.clip.load(self.motion, self.robot)
+        settings = StressSettings(
+            robot=robot.name,
+            simulator=self.simulator,
+            observe=self.observe,
+            episodes=self.episodes,
+            duration_s=self.duration,
+            seed=self.seed,
+            config=self.config,
+            iterations=self.search.iterations,
+            population=self.search.population,
+        )
+        policy = self.checked_policy(robot, motion)
+        check_length(motion, names, settings)
+        check_simulator(robot, self.simulator)
+        folder = self.opened("stress", SWEEPS, STRESS_FILES, {"motion": motion.name, **asdict(settings)})
+        planned = [(method, name) for method in self.methods for name in names]
+        with self.writing(folder, lambda: write_stress(folder, settings, planned)):
+            for k, method in enumerate(self.methods):
+                subject = self.subject(method, motion, robot, policy)
+                self._sweeps(subject, names, robot, settings, k * len(names), len(planned))
+        return 0
+
+    def _sweeps(
+        self,
+        subject: "Subject",
+        names: Sequence[str],
+        robot: Robot,
+        settings: "StressSettings",
+        done: int,
+        total: int,
+    ) -> None:
+        """Runs the sweeps of one method that are not finished yet."""
+        from fastmimic.experiments.results import load_part, save_part
+        from fastmimic.experiments.stress import sweep, sweep_file
+
+        with share_progress("sweeps") as bar, slow_start(f"{subject.method.name}: first sweep; {FIRST_USE}"):
+            for k, name in enumerate(names, done + 1):
+                path = sweep_file(self.out, subject.method.name, name)
+                if load_part(path, subject.digest) is None:
+                    save_part(path, sweep(subject, name, robot, settings), subject.digest)
+                if bar is not None:
+                    bar(k / total, f"{subject.method.name}, {name}")
+                else:
+                    note(f"{k}/{total} {subject.method.name}, {name}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transfer(ExperimentOptions):
+    """Optimises motions in MuJoCo with the true state, then runs them without change under conditions that differ more
+    and more.
+
+    (a) MuJoCo with sensors and an estimator; (b) PyBullet with the true state; (c) PyBullet with sensors, an estimator,
+    motors with delay, friction and a torque-speed curve, and ground friction 0.6. Writes results.csv, table.md and
+    transfer.png. The trials of each motion and method are kept: after Ctrl-C, --resume runs the others.
+    """
+
+    motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION ...")]
+    """Robot motions (.npz; optimised ones are not re-optimised), clips, names from 'fastmimic motions', or folders of
+    runs."""
+    methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp")
+    """Methods to run."""
+    trials: int = 3
+    """Trials of each motion and method under each condition."""
+    duration: Annotated[float, opt.option("S")] = 10.0
+    """Length of a trial."""
+    identify: opt.Flag = False
+    """Run (c) again with friction and payload identified from one run there, as on a real robot."""
+    out: ResultsFolder = opt.RUNS / "transfer"
+
+    def run(self) -> int:
+        opt.check_duration(self.duration)
+        from fastmimic.experiments.results import load_part, save_part
+        from fastmimic.experiments.subject import check_methods
+        from fastmimic.experiments.transfer import PARTS, TransferSettings, part_file, run_trials
+        from fastmimic.report.experiment_figures import TRANSFER_FILES, write_transfer
+
+        if not self.motions:
+            raise ConfigError("give at least one motion, such as dog:right-turn")
+        if self.policy is not None and len(self.motions) > 1:
+            raise ConfigError("a policy is for one motion; run the motions one after another")
+        check_methods(self.methods, self.policy is not None)
+        search = self.search
+        settings = TransferSettings(
+            self.trials, self.duration, self.seed, self.config, search.iterations, search.population, self.identify
+        )
+        loaded = [self.clip.load(source, self.robot) for source in self.motions]
+        names = [motion.name for _, motion in loaded]
+        if len(set(names)) < len(names):
+            raise ConfigError(f"two motions have the same name: {', '.join(names)}")
+        robots = {robot.name: robot for robot, _ in loaded}
+        if len(robots) > 1:
+            raise ConfigError(f"the motions are for different robots: {', '.join(robots)}")
+        check_simulator(loaded[0][0], SECOND_SIMULATOR)
+        policy = self.checked_policy(*loaded[0])
+        folder = self.opened("transfer", PARTS, TRANSFER_FILES, {"robot": loaded[0][0].name, **asdict(settings)})
+        planned = [(name, method) for name in names for method in self.methods]
+        with self.writing(folder, lambda: write_transfer(folder, planned)):
+            for robot, motion in loaded:
+                for method in self.methods:
+                    subject = self.subject(method, motion, robot, policy)
+                    path = part_file(self.out, motion.name, method)
+                    if load_part(path, subject.digest) is None:
+                        with slow_start(f"{motion.name}, {method}: running; {FIRST_USE}"):
+                            save_part(path, run_trials(subject, robot, settings), subject.digest)
+                    note(f"{motion.name}, {method}: done")
+        return 0

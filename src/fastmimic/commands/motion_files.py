@@ -1,0 +1,277 @@
+"""`fastmimic inspect`, `segment`, `retarget` and `export`: the files of clips and motions, without simulation."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import numpy as np
+from tyro.conf import Positional
+
+from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
+from fastmimic.base.errors import unknown
+from fastmimic.clips.catalogue import open_clip
+from fastmimic.clips.clip import Clip
+from fastmimic.clips.formats import FORMATS
+from fastmimic.commands import options as opt
+from fastmimic.commands.console import note, put, put_json, put_table
+from fastmimic.commands.show import note_origin, provenance
+from fastmimic.imitation.methods import controller_for
+from fastmimic.motion.export import EXPORTS, export_motion
+from fastmimic.motion.motion import Motion
+from fastmimic.motion.provenance import DmpRecord
+from fastmimic.robot import Robot
+from fastmimic.runs.loading import find_motion
+
+if TYPE_CHECKING:
+    from fastmimic.clips.segment import Segment
+
+FIGURES: Final = (".png", ".pdf", ".svg")
+ExportFormat = Annotated[str, opt.option("NAME", lambda: f"Format: {', '.join(EXPORTS)}.")]
+_SEGMENT: Final = ("frames", "gait", "footfall", "period", "best cycle", "confidence", "speed, m/s", "yaw, rad/s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inspect:
+    """Shows information about a file or a named motion: format, assumptions, frames, rate, period, speed, duty factor,
+    swing clearance, joint limits, source and licence, and the parameters of an optimised motion. A clip is retargeted
+    first.
+    """
+
+    source: Annotated[Positional[str], opt.option("FILE|NAME")]
+    """A clip, a robot motion (.npz), a name from 'fastmimic motions', or the folder of a run."""
+    figure: Annotated[Path | None, opt.option("FILE.png")] = None
+    """Also draw gait, trunk and joints."""
+    robot: opt.RobotChoice = None
+    clip: opt.ClipReading
+
+    def run(self) -> int:
+        figure = None if self.figure is None else opt.check_writable(self.figure, *FIGURES)
+        robot, motion, lines = self._read()
+        put(*lines, *describe_motion(motion, robot))
+        if figure is not None:
+            from fastmimic.render.figure_style import save
+            from fastmimic.report.inspection import motion_figure
+
+            save(motion_figure(motion, robot), figure)
+            put(f"figure in {figure}")
+        return 0
+
+    def _read(self) -> tuple[Robot, Motion, list[str]]:
+        """The robot, its motion, and lines about the source file."""
+        from fastmimic.retargeting.retarget import retarget
+
+        overrides = self.clip.overrides()
+        source = find_motion(self.source)
+        robot = opt.choose_robot(self.robot, source)
+        if source.motion is not None:
+            return robot, source.load(robot, **overrides), ["format     FastMimic robot motion"]
+        clip = source.open_clip(robot, **overrides)
+        motion, report = retarget(clip, robot)
+        return robot, motion, [*_describe_clip(clip), f"retargeted to {robot.name}:", *report.lines()]
+
+
+def describe_motion(motion: Motion, robot: Robot) -> list[str]:
+    """A robot motion in words: travel, contacts, joint margins, assumptions, segments and optimised parameters."""
+    from fastmimic.episode.metrics import swing_clearance
+
+    def legs(values: np.ndarray, form: str) -> str:
+        return ", ".join(f"{leg} {format(v, form)}" for leg, v in zip(LEGS, values, strict=True))
+
+    speed = np.abs(motion.joint_vel).reshape(-1, 4, 3).max(axis=(0, 1))
+    margin = np.minimum(motion.joint_pos - robot.joint_lower, robot.joint_upper - motion.joint_pos)
+    least = margin.reshape(-1, 4, 3).min(axis=(0, 1))
+    limits = [
+        f"{joint} {margin:.2f} rad, {fast:.1f} of {limit:g} rad/s"
+        for joint, margin, fast, limit in zip(JOINTS_PER_LEG, least, speed, robot.joint_speed_limit, strict=False)
+    ]
+    lines = [
+        f"motion     {provenance(motion)}",
+        f"robot      {motion.provenance.robot or 'unknown'}",
+        f"samples    {motion.n_samples} at {motion.rate_hz:g} Hz, {motion.period_s:.3f} s",
+        f"travel     {_travel(motion)}",
+        f"duty       {legs(motion.contact.mean(axis=0), '.2f')}",
+        f"clearance  {legs(1e3 * swing_clearance(motion, robot.foot_radius), '.0f')} mm",
+        f"joints     smallest margin and highest speed: {'; '.join(limits)}",
+    ]
+    lines += [f"assumed    {sentence}" for sentence in (*motion.provenance.assumed, *robot.assumed)]
+    return lines + _segments(motion) + _optimised(motion) + _made_with(motion)
+
+
+def _describe_clip(clip: Clip) -> list[str]:
+    name = str(clip.meta.get("format", "unknown"))
+    cycle = {None: "unknown", True: "yes", False: "no"}[clip.is_cycle]
+    lines = [
+        f"format     {FORMATS[name].about if name in FORMATS else name}",
+        f"frames     {clip.n_frames} at {clip.rate_hz:g} Hz, {clip.n_frames / clip.rate_hz:.3f} s",
+        f"one cycle  {cycle}",
+    ]
+    if clip.meta.get("credit"):
+        lines.append(f"credit     {clip.meta['credit']}")
+    return lines
+
+
+def _travel(motion: Motion) -> str:
+    if motion.cycle is None:
+        mean = np.linalg.norm(motion.root_lin_vel_w[:, :2], axis=1).mean()
+        return f"not periodic; mean speed {mean:.2f} m/s"
+    dx, dy, dyaw = motion.cycle / motion.period_s
+    return f"{dx:+.3f} m/s forward, {dy:+.3f} m/s left, {dyaw:+.3f} rad/s (one cycle of {motion.period_s:.3f} s)"
+
+
+def _segments(motion: Motion) -> list[str]:
+    """The segments of a stitched motion, and the DMP parameters of each that differ from the fitted ones."""
+    stitch, lines = motion.provenance.stitch, []
+    if stitch is None:
+        return []
+    for segment, dmp in zip(stitch.segments, stitch.dmp or [None] * len(stitch.segments), strict=True):
+        first, last = segment.first / motion.rate_hz, segment.last / motion.rate_hz
+        lines.append(f"segment    {segment.name}, {segment.cycles} cycles, {first:.2f} to {last:.2f} s")
+        lines += _modulated(dmp) if dmp is not None else []
+    return lines
+
+
+def _optimised(motion: Motion) -> list[str]:
+    """The DMP parameters that differ from the fitted ones; empty for a demonstration."""
+    dmp = motion.provenance.dmp
+    if motion.demonstration is None or dmp is None:
+        return []
+    lines = _modulated(dmp)
+    differ = "these DMP parameters" if lines else "no DMP parameter"
+    return [f"optimised  contains its demonstration; {differ} differ{'' if lines else 's'} from it", *lines]
+
+
+def _made_with(motion: Motion) -> list[str]:
+    """The controller with which the motion was optimised; empty if unknown."""
+    record = motion.provenance.made_with
+    if record is None:
+        return []
+    method, config = controller_for(motion, config="default" if record.config is None else None)
+    shown = "with its own parameters" if record.config is None else config.name
+    return [f"made with  method {method.name}, controller {shown}"]
+
+
+def _modulated(dmp: DmpRecord) -> list[str]:
+    """A line for each dimension whose parameters differ from the fitted ones."""
+    return [
+        f"  {name:12} baseline {goal - fitted:+.4f}, amplitude {amplitude:.3f}"
+        for name, goal, fitted, amplitude in dmp.modulation()
+        if goal != fitted or amplitude != 1.0
+    ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentTake:
+    """Finds the cycles in a take of any length. Prints first frame and end, gait, period, speed and yaw rate of each
+    segment, and its cycle that closes best, for 'imitate --frames A:B'. Standing and non-periodic movement are listed
+    too; 'imitate --frames A:B --discrete' runs such a movement once. Speeds are the animal's.
+    """
+
+    take: Annotated[Positional[str], opt.option("FILE|NAME")]
+    """A clip, or a name from 'fastmimic motions'."""
+    json: opt.JsonFlag = False
+    figure: Annotated[Path | None, opt.option("FILE.png")] = None
+    """Also draw the segments over time, with feet, speed and heading."""
+    file: opt.FileReading
+
+    def run(self) -> int:
+        from fastmimic.clips.segment import DISCRETE, find_segments
+
+        figure = None if self.figure is None else opt.check_writable(self.figure, *FIGURES)
+        clip = open_clip(self.take, **self.file.overrides())
+        segments = find_segments(clip)
+        if self.json:
+            put_json({"segments": [asdict(segment) for segment in segments]})
+        else:
+            put_table([_SEGMENT, *(_segment_row(segment, clip.rate_hz) for segment in segments)])
+            periodic = [segment for segment in segments if segment.cycle is not None]
+            if periodic:
+                first, end = max(periodic, key=lambda s: s.confidence).cycle or (0, 0)
+                note(f"to imitate a cycle: fastmimic imitate {self.take} --frames {first}:{end}")
+            once = next((segment for segment in segments if segment.gait == DISCRETE), None)
+            if once is not None:
+                note(
+                    "to imitate a non-periodic movement: "
+                    f"fastmimic imitate {self.take} --frames {once.start}:{once.end} --discrete"
+                )
+        if figure is not None:
+            from fastmimic.render.figure_style import save
+            from fastmimic.report.inspection import segments_figure
+
+            save(segments_figure(clip, segments, Path(self.take).stem), figure)
+            if not self.json:
+                put(f"figure in {figure}")
+        return 0
+
+
+def _segment_row(segment: "Segment", rate_hz: float) -> tuple[str, ...]:
+    periodic = segment.period_frames is not None and segment.cycle is not None
+    return (
+        f"{segment.start}:{segment.end}",
+        segment.gait,
+        segment.footfall or "",
+        f"{segment.period_frames:g} ({segment.period_frames / rate_hz:.2f} s)" if segment.period_frames else "",
+        "{}:{}".format(*segment.cycle) if periodic and segment.cycle else "",
+        f"{segment.confidence:.2f}",
+        f"{segment.speed_m_s:.2f}",
+        f"{segment.yaw_rate_rad_s:+.2f}",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Retarget:
+    """Turns an animal's clip into a consistent robot motion without optimising it, and prints what changed."""
+
+    clip: Annotated[Positional[str], opt.option("CLIP")]
+    """A clip file, or a name from 'fastmimic motions'."""
+    out: Annotated[Path, opt.option("FILE.npz")]
+    """File of the motion."""
+    robot: opt.RobotChoice = None
+    reading: opt.ClipReading
+
+    def run(self) -> int:
+        out = opt.check_writable(self.out, ".npz")
+        from fastmimic.retargeting.retarget import retarget
+
+        overrides = self.reading.overrides()
+        source = find_motion(self.clip)
+        robot = opt.choose_robot(self.robot, source)
+        motion, report = retarget(source.open_clip(robot, **overrides), robot)
+        motion.save(out)
+        note_origin(robot, motion)
+        put(*report.lines())
+        put(f"{motion.n_samples} samples at {motion.rate_hz:g} Hz for {robot.name} in {out}")
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export:
+    """Writes a robot motion in a format that other trainers read.
+
+    mjlab: .npz of joints and bodies as mjlab and BeyondMimic track them. deepmimic: JSON text, 19 numbers a frame. csv:
+    the same numbers, one line a frame. An optimised motion is written as optimised.
+    """
+
+    motion: Annotated[Positional[str], opt.option("MOTION")]
+    """A robot motion (.npz), a clip, a name from 'fastmimic motions', or the folder of a run."""
+    format: ExportFormat
+    out: Annotated[Path, opt.option("FILE")]
+    """File to write: .npz for mjlab, .txt or .json for deepmimic, .csv for csv."""
+    rate: Annotated[float, opt.option("HZ")] = 50.0
+    """Frames per second; for a cycle, the nearest rate that divides it evenly."""
+    duration: opt.Seconds = None
+    """Length. Default: one cycle for deepmimic, which loops; else 10 s, or the whole of a non-periodic motion."""
+    robot: opt.RobotChoice = None
+    clip: opt.ClipReading
+
+    def run(self) -> int:
+        if self.format not in EXPORTS:
+            raise unknown("format", self.format, EXPORTS)
+        endings = (".txt", ".json") if self.format == "deepmimic" else (EXPORTS[self.format],)
+        out = opt.check_writable(self.out, *endings)
+        opt.check_duration(self.duration)
+        robot, motion = self.clip.load(self.motion, self.robot)
+        frames = export_motion(motion, robot, out, self.format, fps=self.rate, duration_s=self.duration)
+        if motion.provenance.licence:
+            note(f"licence of the motion: {motion.provenance.licence}")
+        put(f"{frames.n} frames at {frames.fps:g} per second for {robot.name} in {out}")
+        return 0
