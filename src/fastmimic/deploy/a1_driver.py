@@ -25,12 +25,9 @@ _REQUEST_S: Final = 0.002
 
 
 class A1Driver(RobotDriver):
-    """A `RobotDriver`.
-
-    The A1 answers only who writes to it: until the first state, `open` writes commands without gains or torque, which
-    end the robot's damping mode. With `release=False` it only listens and may hear nothing. The SDK checks checksums
-    and reports no lost states: `packets.lost` stays 0.
-    """
+    """The A1 answers only who writes to it: until the first state, `open` writes commands without gains or torque,
+    which end the robot's damping mode. With `release=False` it only listens and may hear nothing. The SDK checks
+    checksums and reports no lost states: `packets.lost` stays 0."""
 
     _interface: Any = None
     _sequence = -1

@@ -6,17 +6,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.computer import LoopClock, StopSwitch, undisturbed
 from fastmimic.deploy.driver import RobotDriver
-from fastmimic.deploy.log import LOST_ROWS, DeploymentLog, Recorder
+from fastmimic.deploy.log import DeploymentLog, Recorder
 from fastmimic.deploy.realtime_loop import EndCondition, Loop, LoopOutcome
 from fastmimic.deploy.safety import Guard, SafetyLimits, StopReason
-from fastmimic.deploy.scoring import result_of, true_states
+from fastmimic.deploy.scoring import result_of
 from fastmimic.deploy.sequence import MotionSequence, make_sequence
 from fastmimic.deploy.state_machine import StateMachine
 from fastmimic.episode.loop import MakeController
@@ -150,7 +149,8 @@ def deploy(
     guard = Guard(robot, limits, rate_hz, dry=options.dry_run)
     sequence = sequence if sequence is not None else make_sequence(robot, motion, config)
     machine = StateMachine(robot, sequence, guard, config, estimator=options.estimator, policy=options.policy)
-    recorder = Recorder(_periods_logged(sequence, seconds, options.logged_s, rate_hz))
+    around = sequence.blend_in.last + sequence.blend_out.last + sequence.motion.n_samples
+    recorder = Recorder(round(min(around / rate_hz + _MARGIN_S + seconds, options.logged_s) * rate_hz))
     clock = clock if clock is not None else LoopClock(options.real_time)
     with driver, undisturbed(real_time=options.real_time) as refused:
         for line in refused:
@@ -172,17 +172,11 @@ def deploy(
         "dry_run": options.dry_run,
     }
     log = DeploymentLog(recorder.rows(), motion, meta)
-    truth = getattr(driver, "truth", None)  # a simulated robot's
+    truth = getattr(driver, "truth", None)  # a simulated robot's, by the number of the message
     if truth is not None:
-        log = dataclasses.replace(log, truth=true_states(log, truth, np.arange(len(truth))))
-    if recorder.periods > len(log.rows):
-        note(LOST_ROWS.format((recorder.periods - len(log.rows)) / rate_hz, len(log.rows) / rate_hz))
+        log = dataclasses.replace(log, truth=truth[log.rows["sequence"]])
+    if lost := recorder.periods - len(log.rows):
+        kept_s = len(log.rows) / rate_hz
+        note(f"the first {lost / rate_hz:.0f} s are not in the log, which holds the last {kept_s:.0f} s")
     meta["result"] = result_of(robot, log, config, outcome, recorder.periods)
     return Deployment(outcome, log, tuple(found.text for found in guard.noted.values()))
-
-
-def _periods_logged(sequence: MotionSequence, seconds: float, most_s: float, rate_hz: float) -> int:
-    """Rows of the log: the whole run, up to `most_s`."""
-    around = sequence.blend_in.last + sequence.blend_out.last + sequence.motion.n_samples
-    whole = around / rate_hz + _MARGIN_S + seconds
-    return round(min(whole, most_s) * rate_hz)

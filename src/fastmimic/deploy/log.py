@@ -69,8 +69,6 @@ GROUND_TRUTH: Final = np.dtype(
 state; command of the motors; whether they damped for lack of commands; whether the motion service was active."""
 _SINGLE: Final = ("time", "tick", "damped", "service")
 
-LOST_ROWS: Final = "the first {:.0f} s are not in the log, which holds the last {:.0f} s"
-
 
 class Recorder:
     """Rows in preallocated memory; when it is full, the oldest are overwritten, but still counted in `periods`."""

@@ -150,7 +150,7 @@ _LIMITS: Final = record_dtype(
 )
 """Limits of the robot, the period, and `SafetyLimits`, as the kernels read them."""
 
-_FINE, _NOT_FINITE, _POSITION, _SPEED, _PEAK, _TORQUE, _TILT, _HEIGHT = range(8)
+_FINE, _POSITION, _SPEED, _PEAK, _TORQUE, _TILT = range(6)
 _JOINT_CHECKS: Final = {
     _POSITION: (StopReason.JOINT_POSITION, "angle", "rad"),
     _SPEED: (StopReason.JOINT_VELOCITY, "speed", "rad/s"),
@@ -167,18 +167,6 @@ _NUMBER_CHECKS: Final = {
 
 
 @inlined
-def _finite(reading: Any) -> bool:
-    total = 0.0
-    for k in range(4):
-        total += reading.quat[k] + reading.foot_force[k]
-    for k in range(3):
-        total += reading.gyro[k] + reading.accel[k]
-    for j in range(12):
-        total += reading.joint_pos[j] + reading.joint_vel[j] + reading.torque[j]
-    return bool(np.isfinite(total))
-
-
-@inlined
 def _tilt(quat: Any, reference: Any) -> float:
     """Angle between the verticals of two orientations (4,), rad, for any headings."""
     w, x, y, z = quat[0], quat[1], quat[2], quat[3]
@@ -192,10 +180,8 @@ def _tilt(quat: Any, reference: Any) -> float:
 
 @kernel
 def _check_state(limits: Any, readings: Any, table: Any, clock: Any, strained: Any) -> tuple[int, int, float, float]:
-    """A state's violation (check, joint, value, limit); updates `strained` (12,), s near the limit of each motor."""
+    """A finite state's violation (check, joint, value, limit); updates `strained` (12,), s near each motor's limit."""
     limit, reading = limits[0], readings[0]
-    if not _finite(reading):
-        return _NOT_FINITE, 0, 0.0, 0.0
     for j in range(12):
         q, dq, torque = reading.joint_pos[j], abs(reading.joint_vel[j]), abs(reading.torque[j])
         lower, upper = limit.joint_lower[j] - limit.joint_margin, limit.joint_upper[j] + limit.joint_margin
@@ -216,22 +202,6 @@ def _check_state(limits: Any, readings: Any, table: Any, clock: Any, strained: A
     if not tilt <= limit.tilt:
         return _TILT, 0, tilt, limit.tilt
     return _FINE, 0, 0.0, 0.0
-
-
-@kernel
-def _check_estimate(limits: Any, observations: Any, table: Any, clock: Any) -> tuple[int, float, float, float]:
-    """An estimate's violation as (check, height, least, greatest)."""
-    observation, height = observations[0], table[clock[0].sample].root_pos[2]
-    total = 0.0
-    for k in range(3):
-        total += observation.root_pos[k] + observation.lin_vel[k] + observation.ang_vel[k]
-    for k in range(4):
-        total += observation.root_quat[k]
-    if not np.isfinite(total):
-        return _NOT_FINITE, 0.0, 0.0, 0.0
-    least, most = limits[0].height_least * height, limits[0].height_most * height
-    found = observation.root_pos[2]
-    return _FINE if least <= found <= most else _HEIGHT, found, least, most
 
 
 @inlined
@@ -302,28 +272,28 @@ class Guard:
     ) -> Violation | None:
         """Checks a state (1,) of `READING`, its tilt against the reference: `table` (t,) of `SAMPLE`, None for upright,
         at `clock` (1,) of `CLOCK`."""
+        if not _finite(reading):
+            return self._found(StopReason.NOT_FINITE, "a state of the robot is not finite")
         followed = table if table is not None else self._upright
         at = clock if clock is not None else self._still
         what, joint, value, limit = _check_state(self._record, reading, followed, at, self._strained)
         if what == _FINE:
             return None
-        if what == _NOT_FINITE:
-            return self._found(StopReason.NOT_FINITE, "a state of the robot is not finite")
         if what == _TILT:
             origin = "from the vertical" if table is None else "from the reference's"
-            text = f"the trunk's tilt is {value:.2f} rad {origin}; {limit:g} are allowed"
-            return self._found(StopReason.TILT, text)
+            return self._found(StopReason.TILT, f"the trunk's tilt is {value:.2f} rad {origin}; {limit:g} are allowed")
         reason, name, unit = _JOINT_CHECKS[what]
         took = f" for more than {self.limits.torque_time_s:g} s" if what == _TORQUE else ""
         return self._found(reason, f"{JOINT_NAMES[joint]}: {name} {value:.2f} {unit}, beyond {limit:.2f} {unit}{took}")
 
     def check_estimate(self, observation: NDArray[Any], table: NDArray[Any], clock: NDArray[Any]) -> Violation | None:
         """Checks the controller's input, (1,) of `OBSERVATION`, against the reference."""
-        what, height, least, most = _check_estimate(self._record, observation, table, clock)
-        if what == _FINE:
-            return None
-        if what == _NOT_FINITE:
+        if not _finite(observation):
             return self._found(StopReason.NOT_FINITE, "the estimate of the robot's state is not finite")
+        reference, height = table["root_pos"][clock["sample"][0], 2], observation["root_pos"][0, 2]
+        least, most = self.limits.height_least * reference, self.limits.height_most * reference
+        if least <= height <= most:
+            return None
         text = f"the base is {height:.3f} m above the ground; {least:.3f} to {most:.3f} m are allowed"
         return self._found(StopReason.HEIGHT, text)
 
@@ -340,3 +310,7 @@ class Guard:
             return violation
         self.noted.setdefault(reason, violation)
         return None
+
+
+def _finite(record: NDArray[Any]) -> bool:
+    return bool(np.isfinite(record.view(np.float64)).all())

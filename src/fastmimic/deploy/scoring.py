@@ -41,14 +41,8 @@ def score_log(
     robot: Robot, log: DeploymentLog, config: ControllerConfig, observation: NDArray[Any] | None = None
 ) -> Rollout | None:
     """Scores the periods in the motion itself against its demonstration, as one episode; None if there are none.
-
-    The reference starts as the controller's did and is then synchronised to the states scored.
-
-    Args:
-        log: of the deployment.
-        config: of its controller.
-        observation: (t,) of `OBSERVATION`, the state in each row of the log; the estimate if None.
-    """
+    `config` is the controller's, `observation` (t,) of `OBSERVATION` the state in each row of the log, the estimate if
+    None. The reference starts as the controller's did and is then synchronised to these states."""
     motion, rows = log.motion, np.flatnonzero(log.rows["in_motion"])
     if not len(rows):
         return None

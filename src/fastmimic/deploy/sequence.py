@@ -134,27 +134,27 @@ class Follower:
 def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionSequence:
     """The sequence of a motion that is cyclic or stitched; `config` is the controller's, which may plan ahead. Raises
     `MotionError` for another robot or rate, another kind of motion, or without a transition from or to standing."""
-    first, last = _ends(robot, motion, config.rate_hz)
+    (first, first_shift), (last, last_shift) = _ends(robot, motion, config.rate_hz)
     if motion.contact.all():
         return _standing(robot, motion, config)
     start, end = f"{motion.name} (start)", f"{motion.name} (end)"
-    library = MotionSet(robot, {start: first.motion, end: last.motion}, config.rate_hz)
+    library = MotionSet(robot, {start: first, end: last}, config.rate_hz)
     ahead = _looked_ahead(config)
     hold = max(1, round(STAND_S * config.rate_hz))
     stand = library.entry(STAND)
 
     hops = _way(library, STAND, start)
     whole = course_of(motion, robot)
-    arrive = (hops[-1][1].arrive + first.shift) % first.motion.n_samples
+    arrive = (hops[-1][1].arrive + first_shift) % first.n_samples
     blend_in = _slices(library, STAND, hops, 0, hold)
     blend_in.append(_CourseSlice(whole, arrive, arrive + ahead))
     table, at = _table(robot, blend_in, config.rate_hz)
     into = _blending("into", motion, table, at[-1])
 
     hops = _way(library, end, STAND)
-    n = last.motion.n_samples
+    n = last.n_samples
     # early enough for a controller that plans ahead to see the transition
-    begins = (hops[0][1].leave - ahead) % n if motion.cycle is not None else (motion.n_samples - 1 - last.shift) % n
+    begins = (hops[0][1].leave - ahead) % n if motion.cycle is not None else (motion.n_samples - 1 - last_shift) % n
     ends = begins if motion.cycle is not None else motion.n_samples - 1
     blend_out = _slices(library, end, hops, begins, 0)
     blend_out.append(_CourseSlice(stand.course, hops[-1][1].arrive, hops[-1][1].arrive + hold + ahead))
@@ -182,14 +182,9 @@ def _standing(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionS
     return MotionSequence(motion, into, main, out, stand.joint_pos[0].copy())
 
 
-class _End(NamedTuple):
-    """The cyclic motion at a motion's start or end: sample t of the motion is its sample (t − shift) mod n."""
-
-    motion: Motion
-    shift: int
-
-
-def _ends(robot: Robot, motion: Motion, rate_hz: float) -> tuple[_End, _End]:
+def _ends(robot: Robot, motion: Motion, rate_hz: float) -> list[tuple[Motion, int]]:
+    """The cyclic motions at a motion's start and end, each with a shift: sample t of the motion is its sample
+    (t − shift) mod n."""
     motion.check_robot(robot.name)
     if abs(motion.rate_hz - rate_hz) > 1e-9:
         raise MotionError(
@@ -197,7 +192,7 @@ def _ends(robot: Robot, motion: Motion, rate_hz: float) -> tuple[_End, _End]:
             " retarget the clip with that rate"
         )
     if motion.cycle is not None:
-        return _End(motion, 0), _End(motion, 0)
+        return [(motion, 0), (motion, 0)]
     parts = motion.target.parts
     if not parts:
         raise MotionError(
@@ -205,7 +200,7 @@ def _ends(robot: Robot, motion: Motion, rate_hz: float) -> tuple[_End, _End]:
             " or a stitched one"
         )
     segments = Layout.of(motion.target).segments
-    return tuple(_End(parts[s.part], s.shift) for s in (segments[0], segments[-1]))  # type: ignore[return-value]
+    return [(parts[s.part], s.shift) for s in (segments[0], segments[-1])]
 
 
 def _looked_ahead(config: ControllerConfig) -> int:

@@ -66,18 +66,16 @@ class SimCounts:
     damped: int = 0  # how often the motors began to damp because commands stopped
 
 
-def robot_sensors() -> SensorConfig:
-    """`SensorConfig` without the period of latency that the real connection adds."""
-    config = SensorConfig()
-    names = ("imu_latency_s", "joint_latency_s", "foot_latency_s")
-    return dataclasses.replace(config, **{name: getattr(config, name) - _LINK_S for name in names})
-
-
 def go2_body(robot: Robot, settings: SimSettings) -> SimulatedBody:
-    rate = PHYSICS_RATE_HZ
+    rate, config = PHYSICS_RATE_HZ, settings.sensors
+    if config is None:
+        usual = SensorConfig()
+        names = ("imu_latency_s", "joint_latency_s", "foot_latency_s")
+        config = dataclasses.replace(usual, **{name: getattr(usual, name) - _LINK_S for name in names})
     simulation = MujocoSimulation(robot, 1, control_rate_hz=rate, physics_rate_hz=rate)
-    sensors = Sensors(robot, 1, RATE_HZ, settings.sensors if settings.sensors is not None else robot_sensors())
-    body = SimulatedBody(robot, simulation, sensors, rate, settings.start, settings.watchdog_s)
+    body = SimulatedBody(
+        robot, simulation, Sensors(robot, 1, RATE_HZ, config), rate, settings.start, settings.watchdog_s
+    )
     body.reset(np.random.default_rng(settings.seed))
     return body
 
