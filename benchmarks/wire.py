@@ -25,9 +25,8 @@ from fastmimic.deploy.go2.messages import (
     StateWire,
     crc32,
 )
-from fastmimic.estimation.reading import READING
 from fastmimic.robot import load_robot
-from fastmimic.robot.state import COMMAND
+from fastmimic.robot.state import COMMAND, READING
 
 
 def answer(domain: int, ready: Any, stop: Any) -> None:

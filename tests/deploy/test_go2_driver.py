@@ -28,9 +28,8 @@ from fastmimic.deploy.go2.messages import (
     LowState,
     StateWire,
 )
-from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot, load_robot
-from fastmimic.robot.state import COMMAND
+from fastmimic.robot.state import COMMAND, READING
 
 
 @pytest.fixture(scope="module")

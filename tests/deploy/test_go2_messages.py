@@ -20,8 +20,7 @@ from fastmimic.deploy.go2.messages import (
     crc32,
     roll_pitch_yaw,
 )
-from fastmimic.estimation.reading import READING
-from fastmimic.robot.state import COMMAND
+from fastmimic.robot.state import COMMAND, READING
 
 pytestmark = pytest.mark.nojit
 

@@ -22,9 +22,8 @@ from fastmimic.deploy.safety import Guard, SafetyLimits, StopReason, read_limits
 from fastmimic.deploy.sim import SimDriver
 from fastmimic.deploy.simulated_robot import LinkFaults
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
-from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot, load_robot
-from fastmimic.robot.state import COMMAND
+from fastmimic.robot.state import COMMAND, READING
 from robot.mjcf import a1_tree, heavier, write
 
 

@@ -15,9 +15,9 @@ from fastmimic.episode.plan import nominal_start
 from fastmimic.episode.rollout import Rollout
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.estimation.estimator import START, Estimator
-from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
+from fastmimic.robot.state import READING
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.sensors import ideal_sensors
 

@@ -8,9 +8,8 @@ from fastmimic.base.rotations import matrix_from_quat
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.estimation.estimator import START, Estimator
 from fastmimic.estimation.kalman import STATES
-from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot
-from fastmimic.robot.state import OBSERVATION
+from fastmimic.robot.state import OBSERVATION, READING
 
 RATE = 500.0
 LOADED = 60.0  # N, well above what counts as contact

@@ -7,11 +7,10 @@ import pytest
 
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.episode.run_log import RunLog
-from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot
 from fastmimic.robot.dynamics import leg_torques
 from fastmimic.robot.kinematics import foot_jacobians
-from fastmimic.robot.state import COMMAND, OBSERVATION
+from fastmimic.robot.state import COMMAND, OBSERVATION, READING
 
 STEPS, RATE = 1000, 500.0
 SPEED = 0.4  # m/s

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
 from fastmimic.deploy.driver import RobotDriver, StateMessage, implausible_joint
-from fastmimic.estimation.reading import READING
+from fastmimic.robot.state import READING
 
 MODULE: Final = "robot_interface"
 LOW_LEVEL: Final = 0xFF

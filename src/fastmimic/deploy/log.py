@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from fastmimic.base.errors import DeploymentError, MotionError, OutputError
 from fastmimic.base.files import read_arrays, replace_file
 from fastmimic.episode.run_log import RunLog
-from fastmimic.estimation.reading import READING
 from fastmimic.motion.motion import Motion
-from fastmimic.robot.state import COMMAND, OBSERVATION
+from fastmimic.robot.state import COMMAND, OBSERVATION, READING
 from fastmimic.runs.work_folder import created
 
 LOG: Final = "log.npz"

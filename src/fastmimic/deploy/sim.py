@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from fastmimic.deploy.computer import LoopClock, VirtualClock
 from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage
 from fastmimic.deploy.simulated_robot import LinkFaults, Receiver, SimulatedBody, SimulatedLink
-from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot
-from fastmimic.robot.state import COMMAND
+from fastmimic.robot.state import COMMAND, READING
 from fastmimic.simulation.conditions import Conditions, episode_generator
 from fastmimic.simulation.disturbances import make_world
 from fastmimic.simulation.sensors import Sensors

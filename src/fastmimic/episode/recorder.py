@@ -7,8 +7,7 @@ import numpy as np
 from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.episode.rollout import Log
 from fastmimic.episode.scorer import demonstration_in_world
-from fastmimic.estimation.reading import READING
-from fastmimic.robot.state import COMMAND, OBSERVATION
+from fastmimic.robot.state import COMMAND, OBSERVATION, READING
 
 if TYPE_CHECKING:
     from fastmimic.episode.loop import ClosedLoop

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.errors import LogError
 from fastmimic.base.files import UNREADABLE, replace_file
-from fastmimic.estimation.reading import READING
-from fastmimic.robot.state import COMMAND, OBSERVATION
+from fastmimic.robot.state import COMMAND, OBSERVATION, READING
 
 FORMAT: Final = "fastmimic run log"
 VERSION: Final = 1

@@ -1,4 +1,4 @@
-"""Observation, memory and command of the controller, as arrays that kernels and drivers share."""
+"""Reading, observation, memory and command of a robot, as arrays that kernels, sensors and drivers share."""
 
 from typing import TYPE_CHECKING, Any, Final
 
@@ -9,6 +9,21 @@ from fastmimic.base.jit import record_dtype
 
 if TYPE_CHECKING:
     from fastmimic.robot import Robot
+
+READING: Final = record_dtype(
+    [
+        ("quat", "f8", (4,)),
+        ("gyro", "f8", (3,)),
+        ("accel", "f8", (3,)),
+        ("joint_pos", "f8", (12,)),
+        ("joint_vel", "f8", (12,)),
+        ("torque", "f8", (12,)),
+        ("foot_force", "f8", (4,)),
+    ]
+)
+"""One robot's latest readings: the IMU's orientation (body → a world of its own heading), angular velocity, rad/s, and
+specific force, m/s², both in the body frame at its origin; joint angles, speeds and motor torques, rad, rad/s and N·m;
+the force along the vertical on each foot, N."""
 
 OBSERVATION: Final = record_dtype(
     [

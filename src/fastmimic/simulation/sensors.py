@@ -14,9 +14,8 @@ from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix, transposed_times
 from fastmimic.estimation.estimator import turn_by
-from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot
-from fastmimic.robot.state import COMMAND
+from fastmimic.robot.state import COMMAND, READING
 
 _BLOCK: Final = 128  # control steps for which noise is drawn at once
 _A1_GEAR: Final = 9.1

@@ -12,9 +12,9 @@ from fastmimic.deploy.driver import RobotDriver, StateMessage, implausible_joint
 from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowCommand, Received, StateWire
 from fastmimic.deploy.go2.services import release_motion_service
-from fastmimic.estimation.reading import READING
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
+from fastmimic.robot.state import READING
 
 _EXAMINED: Final = 50  # states examined before the driver is open
 _DEPTH: Final = 64  # states queued between two reads: 0.13 s
