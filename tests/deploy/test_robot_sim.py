@@ -115,7 +115,7 @@ def test_its_motors_are_those_of_the_simulation_and_their_limits_too(go2: Robot)
         assert body.observation == simulation.observation
     command["torque"] = 1e3
     passed(body, 0.004, command)
-    assert body.reading["torque"][0] == pytest.approx(go2.torque_limit)
+    assert body.sensors.reading["torque"][0] == pytest.approx(go2.torque_limit)
 
 
 def test_it_notices_that_it_has_fallen(go2: Robot) -> None:
@@ -129,9 +129,9 @@ def test_it_notices_that_it_has_fallen(go2: Robot) -> None:
 def test_its_sensors_are_not_the_truth_but_near_it(go2: Robot) -> None:
     body = go2_body(go2, SimSettings(start="standing", seed=3))
     passed(body, 1.0)
-    off = body.reading["joint_pos"] - body.observation["joint_pos"]
+    off = body.sensors.reading["joint_pos"] - body.observation["joint_pos"]
     assert 0 < abs(off).max() < 0.03
-    assert body.reading["foot_force"].sum() == pytest.approx(9.81 * go2.mass, rel=0.3)
+    assert body.sensors.reading["foot_force"].sum() == pytest.approx(9.81 * go2.mass, rel=0.3)
 
 
 def test_faults_come_as_often_as_they_should() -> None:

@@ -141,12 +141,8 @@ class StopSwitch:
     def wait_for_consent(self) -> bool:
         """Waits for a key or a signal; returns whether it was Enter."""
         while not self.signals and self._file is not None:
-            if not select.select([self._file], [], [], 0.1)[0]:
-                continue
-            pressed = os.read(self._file, 64)
-            if not pressed:
-                break
-            return pressed[:1] in (b"\r", b"\n")
+            if select.select([self._file], [], [], 0.1)[0]:
+                return os.read(self._file, 64)[:1] in (b"\r", b"\n")
         return False
 
     def __enter__(self) -> Self:

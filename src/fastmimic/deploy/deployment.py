@@ -13,7 +13,7 @@ from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.computer import LoopClock, StopSwitch, undisturbed
 from fastmimic.deploy.driver import RobotDriver
 from fastmimic.deploy.log import DeploymentLog, Recorder
-from fastmimic.deploy.realtime_loop import EndCondition, Loop, LoopOutcome
+from fastmimic.deploy.realtime_loop import Loop, LoopOutcome
 from fastmimic.deploy.safety import Guard, SafetyLimits, StopReason
 from fastmimic.deploy.scoring import result_of
 from fastmimic.deploy.sequence import MotionSequence, make_sequence
@@ -72,8 +72,8 @@ class DeployOptions:
             raise ConfigError(f"method '{method.name}' does not plan ahead; a solve rate is for lh and lh-dmp")
         return method.name, config
 
-    def end_condition(self, motion: Motion) -> tuple[EndCondition, float]:
-        """When the motion ends, and after how long at most, s; raises `ConfigError`."""
+    def ending(self, motion: Motion) -> tuple[float, StopReason, float]:
+        """After how many steps the motion ends, why, and after how long at most, s; raises `ConfigError`."""
         options = {"cycles": self.cycles, "duration": self.duration_s, "endless": self.endless}
         given = [name for name, value in options.items() if value]
         if len(given) > 1:
@@ -85,14 +85,13 @@ class DeployOptions:
         if motion.cycle is None:
             if given:
                 raise ConfigError(f"motion '{motion.name}' does not repeat; leave out {given[0]}")
-            return EndCondition(), motion.period_s
+            return math.inf, StopReason.END, motion.period_s
         if self.cycles is not None:
-            steps = self.cycles * motion.n_samples
-            return EndCondition(steps, StopReason.CYCLES), self.cycles * motion.period_s
+            return self.cycles * motion.n_samples, StopReason.CYCLES, self.cycles * motion.period_s
         if self.endless:
-            return EndCondition(), math.inf
+            return math.inf, StopReason.ASKED, math.inf
         duration_s = DEFAULT_S if self.duration_s is None else self.duration_s
-        return EndCondition(max(1, round(duration_s * motion.rate_hz))), duration_s
+        return max(1, round(duration_s * motion.rate_hz)), StopReason.DURATION, duration_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +142,7 @@ def deploy(
     options = options if options is not None else DeployOptions()
     method, config = options.controller(motion)
     motion = motion if options.policy is None else motion.target
-    ending, seconds = options.end_condition(motion)
+    steps, reason, seconds = options.ending(motion)
     limits = options.limits if options.limits is not None else SafetyLimits.of(robot)
     rate_hz = config.rate_hz
     guard = Guard(robot, limits, rate_hz, dry=options.dry_run)
@@ -156,7 +155,7 @@ def deploy(
         for line in refused:
             note(line)
         with switch if switch is not None else StopSwitch() as hand:
-            loop = Loop(driver, machine, recorder, clock, ending, hand, options.dry_run, watch)
+            loop = Loop(driver, machine, recorder, clock, steps, reason, hand, options.dry_run, watch)
             outcome = loop.run(on_ready)
     meta = {
         "rate_hz": rate_hz,

@@ -49,12 +49,8 @@ class Packets:
 
 
 class RobotDriver:
-    """Base of all drivers; a context manager that opens and closes the connection.
-
-    A driver implements `_connect`, `close`, `_newest`, `_wait` and `_send`.
-    """
-
-    packets: Packets
+    """Base of all drivers; a context manager that opens and closes the connection. A driver implements `_connect`,
+    `close`, `_newest`, `_wait` and `_send`."""
 
     def __init__(
         self,

@@ -1,9 +1,8 @@
 """The real-time loop: reads the robot's state and sends its command at a fixed rate, checked, timed and logged."""
 
-import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from numpy.typing import NDArray
 
@@ -15,13 +14,6 @@ from fastmimic.deploy.safety import StopReason, Violation
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 
 _AT_ONCE: Final = 2  # signals that end the damping early
-
-
-class EndCondition(NamedTuple):
-    """After how many control steps in the motion it ends, and why."""
-
-    steps: float = math.inf
-    reason: StopReason = StopReason.DURATION
 
 
 @dataclass(frozen=True)
@@ -45,6 +37,7 @@ class Loop:
         machine: computes the commands; its guard checks them.
         recorder: takes a row for each period.
         clock: of the deadlines and of the driver's states.
+        steps, reason: after how many control steps in the motion it ends, and why.
         dry: whether nothing is sent.
         watch: called at the end of each period with the machine and the command (1,) of `COMMAND`.
     """
@@ -53,7 +46,8 @@ class Loop:
     machine: StateMachine
     recorder: Recorder
     clock: LoopClock
-    ending: EndCondition
+    steps: float
+    reason: StopReason
     switch: StopSwitch
     dry: bool = False
     watch: Callable[[StateMachine, NDArray[Any]], None] | None = None
@@ -67,11 +61,7 @@ class Loop:
 
     def run(self, on_ready: Callable[[], bool] | None = None) -> LoopOutcome:
         """Runs until the robot lies again; `on_ready` is called when all is prepared, and cancels by returning False.
-
-        Raises:
-            DriverError: cancelled, no state within `FIRST_STATE_S`, or a robot that is not fit to begin; nothing was
-                sent.
-        """
+        Raises `DriverError`, and nothing was sent: cancelled, no state within `FIRST_STATE_S`, or an unfit robot."""
         self._prepare()
         agreed = on_ready is None or on_ready()
         if not agreed or self._emergency() is not None:
@@ -117,8 +107,8 @@ class Loop:
             if ended_by is None and machine.phase <= DeploymentPhase.FOLLOW:
                 if self.switch.leave:
                     ended_by = StopReason.ASKED
-                elif machine.in_motion and machine.follower.steps >= self.ending.steps:
-                    ended_by = self.ending.reason
+                elif machine.in_motion and machine.follower.steps >= self.steps:
+                    ended_by = self.reason
                 if ended_by is not None:
                     machine.leave()
         return self._outcome(ended_by or StopReason.END, "", DeploymentPhase.DONE)

@@ -33,14 +33,9 @@ class SimDriver(RobotDriver):
         faults: LinkFaults | None = None,
         start: str = "lying",
     ) -> None:
-        """
-        Args:
-            clock: a virtual one if None.
-            rate_hz: of its states.
-            conditions: its sensors, world and seed. Raises `ConfigError` if the simulator cannot realise them.
-            faults: of the link in both directions.
-            start: "lying" or "standing"; raises `ConfigError` for others.
-        """
+        """`clock` is a virtual one if None; `rate_hz` that of the states; `conditions` the sensors, world and seed;
+        `faults` those of the link in both directions; `start` "lying" or "standing". Raises `ConfigError` for another
+        start, and for conditions that the simulator cannot realise."""
         super().__init__(robot)
         self._clock: LoopClock = clock if clock is not None else VirtualClock()
         self._conditions = chosen = conditions if conditions is not None else Conditions(observe="sensors")

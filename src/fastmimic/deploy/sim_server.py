@@ -85,8 +85,7 @@ class SimServer:
     ≤ 1."""
 
     def __init__(self, robot: Robot, settings: SimSettings | None = None, log: GroundTruthLog | None = None) -> None:
-        """`log` takes the ground truth. Raises `DriverError` like `Participant`, and for another robot in the
-        domain."""
+        """`log` takes the ground truth. Raises `DriverError` like `Participant`, and if there is another robot."""
         self.settings = settings if settings is not None else SimSettings()
         self.counts, self.realtime_factor = SimCounts(), 1.0
         self._log = log

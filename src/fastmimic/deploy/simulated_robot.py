@@ -108,11 +108,6 @@ class SimulatedBody:
         return observation
 
     @property
-    def reading(self) -> NDArray[Any]:
-        """(1,) of `READING`, last delivered by the sensors."""
-        return self.sensors.reading
-
-    @property
     def time(self) -> float:
         """Since the start, s."""
         return self.steps * self._dt

@@ -81,12 +81,12 @@ class StateMachine:
         self.controller: LoopController = self._model_based
         self._failed = self.controller.memory["failed_in_a_row"]
         self.estimator = Estimator(robot, 1, config.rate_hz, estimator)
+        self.observation = self.estimator.observation
         recovers = config.recovery.enabled and policy is None
         self.follower = Follower(sequence, pack_config(config, robot) if recovers else None)
         self._path, _ = rising_path(robot, sequence.stand)
         self._stiffness, self._damping = standing_gains(robot)
         self._command = np.zeros(1, COMMAND)
-        self._nothing = np.zeros(1, OBSERVATION)
         self._from = sequence.stand
         self._estimating, self._folded, self._leave_early = False, True, False
         self.phase, self._steps = DeploymentPhase.HOLD, 0
@@ -98,6 +98,7 @@ class StateMachine:
         found = self.guard.check_state(reading)
         if found is None:
             self._estimating = False
+            self.observation[...] = np.zeros(1, OBSERVATION)
             self._go(DeploymentPhase.HOLD, reading)
         return found
 
@@ -120,10 +121,6 @@ class StateMachine:
                 self.step(reading)
         self.guard, self._estimating, self.violation = guard, False, None
         self._go(DeploymentPhase.HOLD, reading)
-
-    @property
-    def observation(self) -> NDArray[Any]:
-        return self.estimator.observation if self._estimating else self._nothing
 
     @property
     def doing(self) -> str:
@@ -158,7 +155,7 @@ class StateMachine:
 
     def _follow(self) -> NDArray[Any]:
         """The controller's command; after the last one, the phase is `SIT`."""
-        observation, follower = self.estimator.observation, self.follower
+        observation, follower = self.observation, self.follower
         if follower.advance(observation):
             self._switch_controller()
         self.violation = self.guard.check_estimate(observation, follower.table, follower.clock)
@@ -232,8 +229,7 @@ class StateMachine:
         self._estimating = True
 
     def _start_following(self) -> None:
-        observation = self.estimator.observation
-        root, yaw = observation["root_pos"][0], float(yaw_from_quat(observation["root_quat"][0]))
+        root, yaw = self.observation["root_pos"][0], float(yaw_from_quat(self.observation["root_quat"][0]))
         self.follower.begin(np.array([root[0], root[1], yaw]))
         self._switch_controller()
 

@@ -43,10 +43,8 @@ _MEMBER: Final = re.compile(r"(\w[\w<> ]*?)\s+(\w+)(?:\[(\d+)\])?;")
 
 
 def messages_of(idl: str) -> dict[str, Any]:
-    """The structures of an IDL, as `Message` classes by their full names.
-
-    It may contain modules, structures, comments, `_PRIMITIVES`, `sequence<octet>` and arrays of one dimension.
-    """
+    """The structures of an IDL as `Message` classes by their full names. It may contain modules, structures, comments,
+    `_PRIMITIVES`, `sequence<octet>` and arrays of one dimension."""
     known: dict[str, Any] = {name: kind for name, (kind, _, _) in _PRIMITIVES.items()} | {"sequence<octet>": Octets}
     found, modules = {}, []
     for module, struct, body in _TOKEN.findall(re.sub(r"//.*", "", idl)):

@@ -35,12 +35,8 @@ class Go2Driver(RobotDriver):
     """
 
     def __init__(self, robot: Robot, *, domain: int = 0, interface: str = LOOPBACK, **options: Any) -> None:
-        """
-        Args:
-            domain: DDS domain; 0 for robots.
-            interface: network interface to the robot; `lo` for a simulated one.
-            options: see `RobotDriver`.
-        """
+        """`domain` is the DDS domain, 0 for robots; `interface` the network interface, `lo` for a simulated robot;
+        `options` are those of `RobotDriver`."""
         super().__init__(robot, **options)
         self._domain, self._interface = domain, interface
         self.released: str | None = None

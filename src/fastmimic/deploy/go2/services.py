@@ -89,18 +89,11 @@ class ServiceServer:
 def release_motion_service(
     participant: Participant, lies: Callable[[], bool], say: Callable[[str], None] = lambda text: None
 ) -> str | None:
-    """Makes a robot's motion service release the motors, once the robot lies: standing, it would fall.
+    """Makes a robot's motion service release the motors, once the robot lies: standing, it would fall. `lies` says
+    whether it lies now, `say` takes lines on progress.
 
-    Args:
-        participant: in the robot's domain.
-        lies: whether the robot lies now.
-        say: takes lines on progress.
-
-    Returns:
-        The mode released; None if none was active, or for a simulator on this computer without such a service.
-
-    Raises:
-        DriverError: a robot without such a service, or one that does not answer, lie down or release the motors.
+    Returns the mode released; None if none was active, or for a simulator on this computer without such a service.
+    Raises `DriverError`: a robot without such a service, or one that does not answer, lie down or release the motors.
     """
     switcher = ServiceClient(participant, MOTION_SWITCHER)
     here = participant.interface == LOOPBACK
