@@ -4,7 +4,7 @@ from pathlib import Path
 
 from cli.conftest import in_folder, run, start
 from fastmimic.dataset import BuildRequest, BuildSettings, DatasetSource, MotionDataset
-from fastmimic.dataset.folder import reproducible
+from fastmimic.dataset.records import reproducible
 from searches import QUICK_CHOICE
 
 __all__ = ["in_folder", "run", "start"]

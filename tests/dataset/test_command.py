@@ -13,7 +13,8 @@ import pytest
 from cli.running import Run
 from dataset.conftest import same
 from fastmimic.dataset import MotionDataset
-from fastmimic.dataset.folder import check, reproducible
+from fastmimic.dataset.records import reproducible
+from fastmimic.dataset.repair import check
 from searches import QUICK_COMMAND
 
 pytest.importorskip("pyarrow")

@@ -152,8 +152,7 @@ def _progress(said: str) -> "Iterator[Callable[[BuildStep], None]]":
     """Prints what is built at the start, a line for each finished motion and each failure, and how to continue after an
     interruption; on a terminal also a bar."""
     from fastmimic.dataset.build import describe_failure
-    from fastmimic.dataset.grades import grade
-    from fastmimic.dataset.records import FAILED
+    from fastmimic.dataset.records import FAILED, grade
 
     started_building = False
     with slow_start() as started, share_progress("building") as bar:

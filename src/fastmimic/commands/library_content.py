@@ -49,7 +49,7 @@ class _Choice:
 
     def chosen(self, rows: "Sequence[Row]") -> "list[Row]":
         """The rows that were asked for."""
-        from fastmimic.dataset.grades import FAILURE, GRADES, REJECTED
+        from fastmimic.dataset.records import FAILURE, GRADES, REJECTED
 
         known = (*GRADES, REJECTED, FAILURE)
         for name in self.grade:
@@ -149,7 +149,7 @@ class LibraryExport(_Choice):
 
     def run(self) -> int:
         from fastmimic.dataset import MotionDataset
-        from fastmimic.dataset.exporting import NEEDED, export_library
+        from fastmimic.dataset.folder import NEEDED, export_library
 
         library = MotionDataset.open(self.library)
         columns = (*NEEDED, "kept", "best")
@@ -183,8 +183,7 @@ class Verify:
 
     def run(self) -> int:
         from fastmimic.dataset import MotionDataset
-        from fastmimic.dataset.folder import check
-        from fastmimic.dataset.repair import mend, rerun
+        from fastmimic.dataset.repair import check, mend, rerun
 
         if self.rerun < 0:
             raise ConfigError(f"--rerun must not be negative, found {self.rerun}")
@@ -213,7 +212,7 @@ class Verify:
 
 def put_summary(library: "MotionDataset") -> None:
     """Prints the number of records by grade, by version if there are several, and those outside the index."""
-    from fastmimic.dataset.grades import FAILURE, GRADES, REJECTED
+    from fastmimic.dataset.records import FAILURE, GRADES, REJECTED
 
     rows = library.index(("id", "grade", "fastmimic_version"))
     counted = Counter(row["grade"] for row in rows)

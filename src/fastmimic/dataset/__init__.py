@@ -5,9 +5,8 @@ conditions, and keeps one record of each. `MotionDataset` is the folder of the r
 """
 
 from fastmimic.dataset.build import BuildRequest, build_dataset
-from fastmimic.dataset.build_settings import BuildSettings
-from fastmimic.dataset.folder import MotionDataset
-from fastmimic.dataset.grades import GRADES
+from fastmimic.dataset.folder import BuildSettings, MotionDataset
+from fastmimic.dataset.records import GRADES
 from fastmimic.dataset.sources import DatasetSource, find_sources
 
 __all__ = ["GRADES", "BuildRequest", "BuildSettings", "DatasetSource", "MotionDataset", "build_dataset", "find_sources"]

@@ -9,14 +9,12 @@ from random import Random
 from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.errors import ConfigError, LibraryError, OutputError, WorkerError
-from fastmimic.dataset.build_settings import BuildSettings
-from fastmimic.dataset.excerpts import Survey, look_of, remove_survey, save_survey, survey
-from fastmimic.dataset.finished_jobs import FinishedJobs
-from fastmimic.dataset.folder import DamagedError, MotionDataset, Row
+from fastmimic.dataset.excerpts import Survey, look_of, save_survey, survey, survey_file
+from fastmimic.dataset.folder import BuildSettings, DamagedError, MotionDataset, Row
 from fastmimic.dataset.index import Gathered, require_pyarrow
 from fastmimic.dataset.jobs import Job, give_up, now, perform, robot_digest
 from fastmimic.dataset.lock import building as locked
-from fastmimic.dataset.records import FAILED, Record, load_record, save_record
+from fastmimic.dataset.records import FAILED, FinishedJobs, Record, load_record, remove, save_record
 from fastmimic.dataset.sources import DatasetSource
 from fastmimic.dataset.warm_start import Neighbours
 from fastmimic.executors import Executor, Report
@@ -141,51 +139,9 @@ def build_dataset(
     library = MotionDataset(Path(out).resolve())
     robots = {name: load_robot(name) for name in dict.fromkeys(building.robots)}
     neighbours = None if building.warm is None else Neighbours.of(building.warm)
-    with locked(library.path):
-        return _build(building, library, robots, neighbours, executor, update, began, progress)
-
-
-def _build(
-    building: BuildRequest,
-    library: MotionDataset,
-    robots: Mapping[str, Robot],
-    neighbours: Neighbours | None,
-    executor: Executor,
-    update: bool,
-    began: str,
-    progress: Callable[[BuildStep], None] | None,
-) -> Built:
-    _begin(library, building.recipe, update)
-    digests = {name: robot_digest(robot) for name, robot in robots.items()}
-    for name, digest in digests.items():
-        library.save_robot(_place(name), digest)
     tell = progress if progress is not None else lambda step: None
-    surveys = _look(building, library, executor, tell, again=update)
-    jobs = [
-        Job(piece, _place(name), digests[name], seed, building.recipe, library.path, began=began)
-        for survey in surveys
-        for piece in survey.pieces
-        for name, robot in robots.items()
-        if piece.robot in (None, robot.name)
-        for seed in range(building.seeds)
-    ]
-    if neighbours is not None:
-        jobs = [replace(job, warm=neighbours.nearest(job.piece, job.robot)) for job in jobs]
-    jobs = list({job.id: job for job in jobs}.values())
-    seen = FinishedJobs(library.path)
-    try:
-        done = _make(jobs, library, seen, executor, tell)
-    except BaseException:
-        library.write_index(settled=False)
-        seen.save()
-        raise
-    ids = frozenset(job.id for job in jobs)
-    table = _settle(library, ids).table
-    seen.save()
-    names = {robot.name for robot in robots.values()}
-    others = [p for s in surveys for p in s.pieces if p.robot is not None and p.robot not in names]
-    left_out = [f"{piece.source}: already a motion of the {piece.robot}" for piece in others]
-    return Built(library, table, surveys, ids, done, left_out)
+    with locked(library.path):
+        return _Builder(building, library, executor, tell).build(robots, neighbours, update=update, began=began)
 
 
 def describe_failure(record: Mapping[str, Any]) -> str:
@@ -193,13 +149,136 @@ def describe_failure(record: Mapping[str, Any]) -> str:
     return f"{record['name']} on {record['robot']} seed {record['seed']}: {record['reason']}"
 
 
-def _settle(library: MotionDataset, ids: frozenset[str]) -> Gathered:
-    """Writes the final index; makes the build's own records the latest among those that differ only in their start."""
-    found = library.write_index()
-    earlier = [old.id for old in found.superseded if old.id in ids and old.instead is not None]
-    for record in filter(None, (load_record(library.path, identity) for identity in earlier)):
-        save_record(library.path, record | {"finished": now()})
-    return library.write_index() if earlier else found
+@dataclass(frozen=True)
+class _Builder:
+    """A build: what is asked for, where it goes, where its jobs run, and who hears of its progress."""
+
+    request: BuildRequest
+    library: MotionDataset
+    executor: Executor
+    tell: Callable[[BuildStep], None]
+
+    def build(self, robots: Mapping[str, Robot], neighbours: Neighbours | None, *, update: bool, began: str) -> Built:
+        library, request = self.library, self.request
+        _begin(library, request.recipe, update)
+        digests = {name: robot_digest(robot) for name, robot in robots.items()}
+        for name, digest in digests.items():
+            library.save_robot(_place(name), digest)
+        surveys = self._look(again=update)
+        jobs = [
+            Job(piece, _place(name), digests[name], seed, request.recipe, library.path, began=began)
+            for survey in surveys
+            for piece in survey.pieces
+            for name, robot in robots.items()
+            if piece.robot in (None, robot.name)
+            for seed in range(request.seeds)
+        ]
+        if neighbours is not None:
+            jobs = [replace(job, warm=neighbours.nearest(job.piece, job.robot)) for job in jobs]
+        jobs = list({job.id: job for job in jobs}.values())
+        seen = FinishedJobs(library.path)
+        try:
+            done = self._make(jobs, seen)
+        except BaseException:
+            library.write_index(settled=False)
+            seen.save()
+            raise
+        ids = frozenset(job.id for job in jobs)
+        table = self._settle(ids).table
+        seen.save()
+        names = {robot.name for robot in robots.values()}
+        others = [p for s in surveys for p in s.pieces if p.robot is not None and p.robot not in names]
+        left_out = [f"{piece.source}: already a motion of the {piece.robot}" for piece in others]
+        return Built(library, table, surveys, ids, done, left_out)
+
+    def _look(self, *, again: bool) -> list[Survey]:
+        """Surveys the sources that changed, saves the surveys, and returns all in the order of the sources."""
+        request, sources = self.request, list(self.request.sources)
+        known = {survey.source: survey for survey in self.library.surveys()}
+        found: dict[int, Survey] = {}
+        for i, source in enumerate([] if again else sources):
+            old = known.get(source)
+            if old and old.looked and old.looked == look_of(source, request.confidence, request.discrete):
+                found[i] = old
+
+        def tell(survey: Survey | None = None) -> None:
+            share = len(found) / len(sources) if sources else 1.0
+            self.tell(BuildStep("looking", len(found), len(sources), share, survey=survey))
+
+        missing = [i for i in range(len(sources)) if i not in found]
+        tell()
+        looking = partial(_survey, confidence=request.confidence, discrete=request.discrete)
+        with closing(self.executor.run(looking, [sources[i] for i in missing])) as outcomes:
+            for outcome in outcomes:
+                if isinstance(outcome.error, OutputError):
+                    raise outcome.error
+                at = missing[outcome.index]
+                found[at] = outcome.result or Survey(sources[at], failed=str(outcome.error))
+                save_survey(self.library.path, found[at])
+                tell(found[at])
+        self._forget(known.values())
+        return [found[i] for i in range(len(sources))]
+
+    def _forget(self, known: Iterable[Survey]) -> None:
+        """Forgets surveys of the same parts of files that were read with other settings (rate, licence); for the
+        build's folders also those of removed files, and failures of sources not requested now."""
+        sources = self.request.sources
+        keys, parts = {source.key for source in sources}, {(source.place, source.frames) for source in sources}
+        for old in known:
+            if old.source.key in keys:
+                continue
+            place = Path(old.source.place)
+            within = any(place.is_relative_to(folder) for folder in self.request.folders)
+            if (old.source.place, old.source.frames) in parts or (within and (old.failed or not place.exists())):
+                remove(survey_file(self.library.path, old.source))
+
+    def _make(self, jobs: Sequence[Job], seen: FinishedJobs) -> int:
+        """Does the jobs that are not finished; returns their number."""
+        missing = [job for job in jobs if not seen.finished(job.id, job.motion_file)]
+        # in random order, so that builders in the same folder do different jobs; each skips those of the others
+        Random().shuffle(missing)
+        total, done = len(jobs), len(jobs) - len(missing)
+        begun: dict[int, float] = {}  # finished share of each running job
+        over: set[int] = set()
+
+        def tell(record: Record | None = None) -> None:
+            share = (done + sum(begun.values())) / total if total else 1.0
+            self.tell(BuildStep("making", done, total, share, record=record))
+
+        def progress(index: int, share: float) -> None:
+            if index not in over:  # the report may come late
+                begun[index] = share
+            tell()
+
+        tell()
+        since, every = 0, INDEX_EVERY
+        with closing(self.executor.run(perform, missing, progress)) as outcomes:
+            for outcome in outcomes:
+                job = missing[outcome.index]
+                if outcome.error is not None and not isinstance(outcome.error, WorkerError):
+                    raise outcome.error
+                record = outcome.result if outcome.error is None else give_up(job, outcome.error)
+                done, since = done + 1, since + 1
+                over.add(outcome.index)
+                begun.pop(outcome.index, None)
+                if record["status"] != FAILED:
+                    seen.add(job.id, job.motion_file)
+                tell(record)
+                if since >= every:
+                    found = self.library.write_index(settled=False)
+                    seen.save()
+                    every, since = max(INDEX_EVERY, round(INDEX_SHARE * found.table.num_rows)), 0
+        return len(missing)
+
+    def _settle(self, ids: frozenset[str]) -> Gathered:
+        """Writes the final index; makes the build's own records the latest among those that differ only in their
+        start."""
+        library = self.library
+        found = library.write_index()
+        earlier = [old.id for old in found.superseded if old.id in ids and old.instead is not None]
+        for record in filter(None, (load_record(library.path, identity) for identity in earlier)):
+            save_record(library.path, record | {"finished": now()})
+        return library.write_index() if earlier else found
 
 
 def _begin(library: MotionDataset, recipe: BuildSettings, update: bool) -> None:
@@ -231,95 +310,5 @@ def _place(robot: str) -> str:
     return str(path.resolve()) if path.is_file() else robot.lower()
 
 
-def _look(
-    building: BuildRequest,
-    library: MotionDataset,
-    executor: Executor,
-    tell: Callable[[BuildStep], None],
-    *,
-    again: bool,
-) -> list[Survey]:
-    """Surveys the sources that changed, saves the surveys, and returns all in the order of the sources."""
-    sources = list(building.sources)
-    known = {survey.source: survey for survey in library.surveys()}
-    found: dict[int, Survey] = {}
-    for i, source in enumerate(sources):
-        old = None if again else known.get(source)
-        if old is None or old.looked is None:
-            continue
-        if old.looked == look_of(source, building.confidence, building.discrete):
-            found[i] = old
-    missing = [i for i in range(len(sources)) if i not in found]
-    tell(BuildStep("looking", len(found), len(sources), len(found) / len(sources) if sources else 1.0))
-    looking = partial(_survey, confidence=building.confidence, discrete=building.discrete)
-    with closing(executor.run(looking, [sources[i] for i in missing])) as outcomes:
-        for outcome in outcomes:
-            if isinstance(outcome.error, OutputError):
-                raise outcome.error
-            at = missing[outcome.index]
-            found[at] = outcome.result or Survey(sources[at], failed=str(outcome.error))
-            save_survey(library.path, found[at])
-            tell(BuildStep("looking", len(found), len(sources), len(found) / len(sources), survey=found[at]))
-    _forget(library, building, known.values())
-    return [found[i] for i in range(len(sources))]
-
-
-def _forget(library: MotionDataset, building: BuildRequest, known: Iterable[Survey]) -> None:
-    """Forgets surveys of the same parts of files that were read with other settings (rate, licence); for the build's
-    folders also those of removed files, and failures of sources not requested now."""
-    sources = building.sources
-    keys, parts = {source.key for source in sources}, {(source.place, source.frames) for source in sources}
-    for old in known:
-        if old.source.key in keys:
-            continue
-        place = Path(old.source.place)
-        within = any(place.is_relative_to(folder) for folder in building.folders)
-        if (old.source.place, old.source.frames) in parts or (within and (old.failed or not place.exists())):
-            remove_survey(library.path, old)
-
-
 def _survey(source: DatasetSource, report: Report, *, confidence: float, discrete: bool) -> Survey:
     return survey(source, confidence, discrete)
-
-
-def _make(
-    jobs: Sequence[Job],
-    library: MotionDataset,
-    seen: FinishedJobs,
-    executor: Executor,
-    tell: Callable[[BuildStep], None],
-) -> int:
-    missing = [job for job in jobs if not seen.finished(job.id, job.motion_file)]
-    # in random order, so that builders in the same folder do different jobs; each skips those of the others
-    Random().shuffle(missing)
-    total, done = len(jobs), len(jobs) - len(missing)
-    begun: dict[int, float] = {}  # finished share of each running job
-    over: set[int] = set()
-    tell(BuildStep("making", done, total, done / total if total else 1.0))
-
-    def progress(index: int, share: float) -> None:
-        if index not in over:  # the report may come late
-            begun[index] = share
-        tell(BuildStep("making", done, total, (done + sum(begun.values())) / total))
-
-    since, every = 0, INDEX_EVERY
-    with closing(executor.run(perform, missing, progress)) as outcomes:
-        for outcome in outcomes:
-            job = missing[outcome.index]
-            if isinstance(outcome.error, WorkerError):
-                record: Record = give_up(job, outcome.error)
-            elif outcome.error is not None:
-                raise outcome.error
-            else:
-                record = outcome.result
-            done, since = done + 1, since + 1
-            over.add(outcome.index)
-            begun.pop(outcome.index, None)
-            if record["status"] != FAILED:
-                seen.add(job.id, job.motion_file)
-            tell(BuildStep("making", done, total, (done + sum(begun.values())) / total, record=record))
-            if since >= every:
-                found = library.write_index(settled=False)
-                seen.save()
-                every, since = max(INDEX_EVERY, round(INDEX_SHARE * found.table.num_rows)), 0
-    return len(missing)

@@ -7,11 +7,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-import msgspec
 import numpy as np
 
 from fastmimic import __version__
-from fastmimic.base.errors import ClipError, FastMimicError, OutputError
+from fastmimic.base.errors import ClipError, FastMimicError
 from fastmimic.base.files import write_text
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import Clip
@@ -24,6 +23,7 @@ from fastmimic.primitive.discrete import MAX_S
 from fastmimic.retargeting.retarget import is_one_cycle
 
 SOURCES: Final = "sources"
+_DESCRIBED: Final = ("name", "gait", "footfall", "confidence", "licence", "credit")
 WHOLE: Final = "whole"  # gait of an excerpt without a search for cycles: a robot motion, or given frames
 
 
@@ -61,18 +61,8 @@ class Excerpt:
     def described(self) -> dict[str, Any]:
         """Its part of a record: description, source, and licence."""
         first, end = self.frames or (None, None)
-        return {
-            "name": self.name,
-            "source": self.source.place,
-            "first_frame": first,
-            "end_frame": end,
-            "piece": self.digest,
-            "gait": self.gait,
-            "footfall": self.footfall,
-            "confidence": self.confidence,
-            "licence": self.licence,
-            "credit": self.credit,
-        }
+        said = {"source": self.source.place, "first_frame": first, "end_frame": end, "piece": self.digest}
+        return said | {name: getattr(self, name) for name in _DESCRIBED}
 
     def open(self) -> Clip | Motion:
         """The clip or motion; raises `FastMimicError` if it cannot be read or has changed since the survey."""
@@ -250,27 +240,9 @@ def digest_of(piece: Clip | Motion) -> str:
 
 def save_survey(folder: Path, found: Survey) -> None:
     """Saves a survey; raises `OutputError` if it cannot."""
-    text = json.dumps(asdict(found), indent=1, allow_nan=False)
-    write_text(folder / SOURCES / f"{found.source.key}.json", text)
+    write_text(survey_file(folder, found.source), json.dumps(asdict(found), indent=1, allow_nan=False))
 
 
-def remove_survey(folder: Path, found: Survey) -> None:
-    """Removes a survey; raises `OutputError` if it cannot."""
-    path = folder / SOURCES / f"{found.source.key}.json"
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be removed ({error.strerror or error})") from None
-
-
-def load_surveys(folder: Path) -> tuple[list[Survey], list[str]]:
-    """The surveys of a library by source name, and the unreadable files, one line each."""
-    found, unreadable = [], []
-    for path in sorted((folder / SOURCES).glob("*.json")):
-        try:
-            found.append(msgspec.json.decode(path.read_bytes(), type=Survey))
-        except FileNotFoundError:  # another builder has removed it meanwhile
-            continue
-        except (OSError, ValueError) as error:
-            unreadable.append(f"{SOURCES}/{path.name}: cannot be read ({error}); the next build of its source mends it")
-    return sorted(found, key=lambda survey: (survey.source.name, survey.source.key)), unreadable
+def survey_file(folder: Path, source: DatasetSource) -> Path:
+    """The file of a source's survey in a library."""
+    return folder / SOURCES / f"{source.key}.json"

@@ -1,4 +1,4 @@
-"""A library on disk.
+"""A library on disk: its settings and files, reading and export.
 
     library.json            recipe: settings of its motions
     index.parquet           a row for each record, graded
@@ -12,36 +12,127 @@ Files are named by content and written atomically, so that any number of builder
 repeats the work of a killed one. Every builder ends by making the index from the records, which hold all its data.
 """
 
+import hashlib
 import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import asdict, dataclass
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from fastmimic.base.errors import LibraryError, did_you_mean
+import msgspec
+
+from fastmimic.base.errors import ConfigError, LibraryError, did_you_mean
 from fastmimic.base.files import replace_file, write_text
-from fastmimic.dataset.build_settings import BuildSettings
-from fastmimic.dataset.excerpts import SOURCES, Excerpt, Survey, load_surveys
-from fastmimic.dataset.index import GRADED, Gathered, gather, require_pyarrow
-from fastmimic.dataset.membership import ROBOTS, Membership, load_robots, save_robot
-from fastmimic.dataset.records import COLUMNS, COSTS, MOTIONS, RECORDS, Record, damage, read_record
+from fastmimic.base.text import csv_text
+from fastmimic.control.config import CONFIGS, controller_config
+from fastmimic.dataset.excerpts import SOURCES, Excerpt, Survey
+from fastmimic.dataset.index import GRADED, Gathered, Membership, gather, require_pyarrow
+from fastmimic.dataset.records import COLUMNS, RECORDS, read_record
+from fastmimic.imitation.methods import RL, method_named
+from fastmimic.motion.export import DEFAULT_FPS, EXPORTS, export_motion
 from fastmimic.motion.motion import Motion
+from fastmimic.optimize.cma_es import CmaSettings
 from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.optimize.problem import Objective
+from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization
+from fastmimic.robot import load_robot
 
 if TYPE_CHECKING:
     import pyarrow
 
 SETTINGS: Final = "library.json"
 INDEX: Final = "index.parquet"
+ROBOTS: Final = "robots"
 FORMAT_VERSION: Final = 1
+
+LISTED: Final = "motions.csv"
+_EXPORTED: Final = (
+    *("file", "name", "robot", "seed", "gait", "footfall", "grade", "reward", "period_s", "speed_m_s"),
+    *("yaw_rate_rad_s", "source", "licence", "credit", "id"),
+)
+NEEDED: Final = (*_EXPORTED[1:], "robot_file", "motion_file", "lacks")
+"""Columns of the index that an export needs."""
 
 Row = dict[str, Any]
 
 
 class DamagedError(LibraryError):
     """The recipe of a library cannot be read."""
+
+
+@dataclass(frozen=True)
+class BuildSettings:
+    """Settings of all jobs of a library.
+
+    Attributes:
+        config: name of the controller's parameters, or their file.
+        duration_s: length of the search's episodes, s.
+        evaluation_s: length of the evaluation's episodes, s.
+        perturbed: number of evaluation episodes from perturbed starts.
+        others: number of other robots in the evaluation, with floors, loads and motors from the usual ranges.
+        second_simulator: whether to evaluate in PyBullet, if it knows the robot.
+        choice: how a search chooses its result.
+    """
+
+    method: str = "mbc-dmp"
+    config: str = "default"
+    duration_s: float = 5.0
+    iterations: int = 200
+    population: int = 10
+    evaluation_s: float = 10.0
+    perturbed: int = 8
+    others: int = HELD_OUT_ROBOTS
+    second_simulator: bool = True
+    choice: FinalChoice = FinalChoice()
+
+    def __post_init__(self) -> None:
+        if method_named(self.method).name == RL:
+            raise ConfigError("a library's motions are made by a model-based method; a policy is not one motion")
+        controller_config(self.config)
+        if self.config not in CONFIGS:  # an absolute path, valid in any process
+            object.__setattr__(self, "config", str(Path(self.config).resolve()))
+        CmaSettings(self.iterations, self.population)
+        Objective(self.duration_s)
+        for name, least in (("perturbed", 1), ("others", 0)):
+            if getattr(self, name) < least:
+                raise ConfigError(f"{name} must be at least {least}, found {getattr(self, name)}")
+        if not self.evaluation_s > 0:
+            raise ConfigError(f"the length of an episode must be positive, found {self.evaluation_s}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, JSON-serialisable; `choice` only if it is not the usual one."""
+        found = asdict(self)
+        if self.choice == FinalChoice():
+            del found["choice"]
+        return found
+
+    @cached_property
+    def digest(self) -> str:
+        """16 hexadecimal digits of all settings, including the content of a parameter file."""
+        config = self.config if self.config in CONFIGS else "a file"
+        said = {**self.as_dict(), "config": config, "over": Randomization().as_dict()["over"]}
+        return _digest({**self._search(), **said})
+
+    @cached_property
+    def search_digest(self) -> str:
+        """Digest of a search's settings without its length: a longer search resumes a shorter one's checkpoint."""
+        return _digest(self._search())
+
+    def _search(self) -> dict[str, Any]:
+        method = method_named(self.method)
+        return {
+            "method": method.name,
+            "parameters": method.parameters,
+            "controller": method.configure(controller_config(self.config)).as_dict(),
+            "objective": Objective(self.duration_s).as_dict(),
+            "population": self.population,
+        }
+
+
+def _digest(said: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True)
@@ -69,16 +160,15 @@ class MotionDataset:
 
     def settings(self) -> dict[str, Any]:
         """The recipe as saved, empty if there is none; raises `LibraryError` if it cannot be read."""
-        said = self._settings()
-        return {} if said is None else dict(said["recipe"])
+        found: dict[str, Any] = self._saved().get("recipe", {})
+        return found
 
     def recipe_digest(self) -> str | None:
         """The saved digest of the recipe, even if a configuration file changed since; raises `LibraryError` if it
         cannot be read."""
-        said = self._settings()
-        return None if said is None else said["digest"]
+        return self._saved().get("digest")
 
-    def _settings(self) -> dict[str, Any] | None:
+    def _saved(self) -> dict[str, Any]:
         path = self.path / SETTINGS
         try:
             said: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -90,28 +180,32 @@ class MotionDataset:
             if missing or not isinstance(said["digest"], str):
                 raise ValueError(f"not a recipe: {', '.join(sorted(missing)) or 'digest'}")
         except FileNotFoundError:
-            return None
+            return {}
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise DamagedError(f"{path}: cannot be read ({error}); the next build like it mends it") from None
         return said
 
     def save_recipe(self, recipe: BuildSettings) -> None:
-        text = json.dumps(
-            {"format_version": FORMAT_VERSION, "digest": recipe.digest, "recipe": recipe.as_dict()}, indent=1
-        )
-        write_text(self.path / SETTINGS, text)
+        said = {"format_version": FORMAT_VERSION, "digest": recipe.digest, "recipe": recipe.as_dict()}
+        write_text(self.path / SETTINGS, json.dumps(said, indent=1))
 
     def save_robot(self, robot: str, digest: str) -> None:
-        save_robot(self.path, robot, digest)
+        """Saves the digest of a robot's description; raises `OutputError` if it cannot."""
+        key = hashlib.sha256(robot.encode()).hexdigest()[:12]
+        write_text(self.path / ROBOTS / f"{key}.json", json.dumps({"robot": robot, "digest": digest}, indent=1))
 
     def surveys(self) -> list[Survey]:
-        """The surveys of its sources, without damaged ones."""
-        return load_surveys(self.path)[0]
+        """The surveys of its sources, by source name, without damaged ones."""
+        return self._surveys()[0]
+
+    def _surveys(self) -> tuple[list[Survey], list[str]]:
+        found, unreadable = _load(self.path / SOURCES, Survey, "of its source")
+        return sorted(found, key=lambda survey: (survey.source.name, survey.source.key)), unreadable
 
     def plan(self) -> Membership:
         """Which records belong to it; raises `LibraryError` for another format."""
-        surveys, sources = load_surveys(self.path)
-        robots, unreadable = load_robots(self.path)
+        surveys, sources = self._surveys()
+        robots, unreadable = _load(self.path / ROBOTS, _UsedRobot, "for its robot")
         try:
             recipe = self.recipe_digest()
         except DamagedError as error:
@@ -121,7 +215,8 @@ class MotionDataset:
             for piece in survey.pieces:
                 pieces.setdefault(piece.digest, []).append(piece)
         problems = tuple(survey.problem for survey in surveys if survey.problem is not None)
-        return Membership(recipe, robots, pieces, (*unreadable, *sources), not sources, problems)
+        digests = {robot.robot: robot.digest for robot in robots}
+        return Membership(recipe, digests, pieces, (*unreadable, *sources), not sources, problems)
 
     def record_ids(self) -> set[str]:
         """Ids of all existing records, whether they belong to it or not."""
@@ -132,9 +227,9 @@ class MotionDataset:
         paths = list((self.path / RECORDS).glob("*.json"))
         return not paths or any(record is not None and record["recipe"] == recipe for record in map(read_record, paths))
 
-    def gathered(self) -> Gathered:
-        """All its records, including superseded ones."""
-        return gather(self.path, self.plan())
+    def gathered(self, plan: Membership | None = None) -> Gathered:
+        """All its records, including superseded ones, sorted by `plan`, its present one if None."""
+        return gather(self.path, plan if plan is not None else self.plan())
 
     def write_index(self, *, settled: bool = True) -> Gathered:
         """Writes and returns the index of the existing records.
@@ -204,66 +299,58 @@ class MotionDataset:
 
 
 @dataclass(frozen=True)
-class DatasetHealth:
-    """Result of `check`.
+class _UsedRobot:
+    robot: str
+    digest: str
 
-    Attributes:
-        damaged: defects, one line each; a new build repairs them.
-        useless: files of damaged records, relative to the library.
-        foreign: files of no record that belongs to the library: of earlier recipes, changed sources, or killed
-            builders.
-        unreadable: the lines of `damaged` about the recipe, sources and robots.
-        outdated: whether the index does not match the records.
+
+_Kind = TypeVar("_Kind")
+
+
+def _load(folder: Path, kind: type[_Kind], which: str) -> tuple[list[_Kind], list[str]]:
+    """What is in the files of a folder, and the unreadable files, one line each; the next build `which` mends them."""
+    found, unreadable = [], []
+    for path in sorted(folder.glob("*.json")):
+        try:
+            found.append(msgspec.json.decode(path.read_bytes(), type=kind))
+        except FileNotFoundError:  # another builder has removed it meanwhile
+            continue
+        except (OSError, ValueError) as error:
+            unreadable.append(f"{folder.name}/{path.name}: cannot be read ({error}); the next build {which} mends it")
+    return found, unreadable
+
+
+def export_library(
+    library: MotionDataset,
+    rows: Sequence[Row],
+    folder: str | Path,
+    form: str,
+    *,
+    fps: float = DEFAULT_FPS,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Writes motions as `fastmimic.motion.export` does, and a table of them; returns the table's file.
+
+    Args:
+        rows: of the library's index, with the columns `NEEDED`, each with a motion.
+        form: one of `fastmimic.motion.export.EXPORTS`.
+        progress: called with (files done, files in all).
+
+    Raises `FastMimicError` for a folder within the library, an unknown format, a damaged motion, or a file that cannot
+    be written.
     """
-
-    records: int
-    damaged: tuple[str, ...]
-    useless: tuple[str, ...]
-    foreign: tuple[str, ...]
-    unreadable: tuple[str, ...]
-    outdated: bool
-
-    @property
-    def sound(self) -> bool:
-        """Whether there is no defect."""
-        return not self.damaged and not self.outdated
-
-
-def check(library: MotionDataset, progress: Callable[[int, int], None] | None = None) -> DatasetHealth:
-    """Reads every file of a library and reports defects; calls `progress` with (files done, files in all)."""
-    there = {f"{MOTIONS}/{path.name}" for path in (library.path / MOTIONS).glob("*")}
-    plan = library.plan()
-    found = gather(library.path, plan)
-    damaged = [*plan.unreadable, *(f"{RECORDS}/{name}: not a whole record" for name in found.torn)]
-    useless = [f"{RECORDS}/{name}" for name in found.torn]
-    motions = found.column("motion_file")
-    columns = (found.column(name) for name in ("id", "status", "motion_sha256"))
-    for i, (identity, status, sha, motion) in enumerate(zip(*columns, motions, strict=True)):
-        wrong = damage(library.path, {"motion_file": motion, "motion_sha256": sha, "status": status})
-        if wrong is not None:
-            damaged.append(f"{identity}: {wrong}")
-            useless += [f"{RECORDS}/{identity}.json", *([motion] if motion is not None else [])]
+    if Path(folder).resolve().is_relative_to(library.path.resolve()):
+        raise LibraryError(
+            f"{folder}: is in the library, whose own motions would be overwritten; choose another folder"
+        )
+    listed = []
+    for i, row in enumerate(rows):
+        motion = library.motion(row)
+        name = Path(row["motion_file"]).with_suffix(EXPORTS.get(form, "")).name
+        export_motion(motion, load_robot(row["robot_file"] or row["robot"]), Path(folder) / name, form, fps=fps)
+        listed.append({**row, "file": name})
         if progress is not None:
-            progress(i + 1, len(motions))
-    foreign = {*there.difference(motions), *(f"{RECORDS}/{old.id}.json" for old in found.superseded)}
-    foreign |= {
-        str(path.relative_to(library.path))
-        for pattern in (f".{INDEX}.*", f".{SETTINGS}.*", *(f"{name}/.*.json.*" for name in (RECORDS, SOURCES, ROBOTS)))
-        for path in library.path.glob(pattern)  # a killed `fastmimic.base.files.replace_file` left it
-    }
-    records = len(motions) + len(found.superseded) + len(found.torn)
-    return DatasetHealth(
-        records, tuple(damaged), tuple(useless), tuple(sorted(foreign)), plan.unreadable, _outdated(library, found)
-    )
-
-
-def _outdated(library: MotionDataset, found: Gathered) -> bool:
-    try:
-        return not found.table.equals(library.index_table().select(found.table.column_names))
-    except LibraryError:
-        return True
-
-
-def reproducible(record: Record) -> Record:
-    """The part of a record that every repetition reproduces, at any time and on any machine."""
-    return {name: value for name, value in record.items() if name not in COSTS}
+            progress(i + 1, len(rows))
+    path = Path(folder) / LISTED
+    write_text(path, csv_text(_EXPORTED, listed))
+    return path

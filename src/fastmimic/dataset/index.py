@@ -1,20 +1,24 @@
 """The index of a library: all records that belong to it, graded, as a table.
 
-Records are read one by one into columns: as Python objects, a hundred thousand would take a gigabyte.
+Records stay when their inputs change. A record belongs to a library if it has its recipe, an excerpt of a source, and
+the robot's present description; among those that differ only in their start, the last one belongs. Records are read one
+by one into columns: as Python objects, a hundred thousand would take a gigabyte.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from sys import intern
 from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.errors import LibraryError
-from fastmimic.dataset.grades import KEPT, grade, rank
-from fastmimic.dataset.membership import Membership, Search, Superseded, robot_of, search_of
-from fastmimic.dataset.records import COLUMNS, RECORDS, read_record
+from fastmimic.dataset.excerpts import Excerpt
+from fastmimic.dataset.records import COLUMNS, KEPT, RECORDS, Record, grade, rank, read_record
 
 if TYPE_CHECKING:
     import pyarrow
+
+Search = tuple[str, str, int, str, str]
 
 GRADED: Final = {"grade": str, "lacks": str, "kept": bool, "best": bool}
 """Further columns of the index: grade, the reason it is not better, whether the motion is kept, and whether it is the
@@ -29,6 +33,70 @@ def require_pyarrow() -> Any:
     except ImportError:
         raise LibraryError("a library's index needs Arrow: pip install 'fastmimic[library]'") from None
     return pyarrow.parquet
+
+
+@dataclass(frozen=True)
+class Superseded:
+    """A record that no longer belongs to the library, `why`, and the later record of the same search, if any
+    (`instead`)."""
+
+    id: str
+    name: str
+    robot: str
+    seed: int
+    why: str
+    instead: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Membership:
+    """The inputs that decide which records belong to a library.
+
+    Attributes:
+        recipe: digest of the recipe; None if it cannot be read.
+        robots: digests of robots' descriptions, by name or file.
+        pieces: excerpts of all sources, by digest.
+        unreadable: damaged files of recipe, sources and robots, one line each. Records that may depend on them are
+            kept.
+        sources_known: whether no source's file is damaged.
+        problems: why sources have no excerpts, one line each.
+    """
+
+    recipe: str | None
+    robots: Mapping[str, str]
+    pieces: Mapping[str, Sequence[Excerpt]]
+    unreadable: tuple[str, ...]
+    sources_known: bool
+    problems: tuple[str, ...]
+
+    def why_not(self, record: Mapping[str, Any]) -> str | None:
+        """Why a record does not belong to the library; None if it does."""
+        if self.recipe is not None and record["recipe"] != self.recipe:
+            return "made otherwise"
+        if self.sources_known and record["piece"] not in self.pieces:
+            return "its source has changed or is gone"
+        if self.robots.get(robot_of(record), record["robot_digest"]) != record["robot_digest"]:
+            return "its robot has changed"
+        return None
+
+    def described(self, record: Record) -> Record:
+        """The record with the excerpt's present description: the source or licence of the same content may change."""
+        there = self.pieces.get(record["piece"])
+        if there is None:
+            return record
+        own = (piece for piece in there if (piece.source.place, piece.name) == (record["source"], record["name"]))
+        return record | next(own, there[0]).described
+
+
+def robot_of(record: Mapping[str, Any]) -> str:
+    """A record's robot: its name, or its file."""
+    return str(record["robot_file"] or record["robot"])
+
+
+def search_of(record: Mapping[str, Any]) -> Search:
+    """Key of a search, the same for records that differ only in their start."""
+    robot, digest, recipe = (intern(said) for said in (robot_of(record), record["robot_digest"], record["recipe"]))
+    return record["piece"], robot, record["seed"], digest, recipe
 
 
 @dataclass(frozen=True, eq=False)

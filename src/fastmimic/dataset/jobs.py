@@ -19,9 +19,8 @@ import numpy as np
 from fastmimic.base.errors import CheckpointError, FastMimicError, OutputError
 from fastmimic.base.machine import versions
 from fastmimic.base.text import plain
-from fastmimic.dataset.build_settings import SECOND_SIMULATOR_EPISODES, BuildSettings
 from fastmimic.dataset.excerpts import Excerpt, reason_of
-from fastmimic.dataset.folder import SETTINGS
+from fastmimic.dataset.folder import SETTINGS, BuildSettings
 from fastmimic.dataset.records import DONE, FAILED, MOTIONS, Record, empty, load_record, save_record, sha256
 from fastmimic.episode.feasibility import demands, describe_fall, reasons
 from fastmimic.episode.loop import run_episodes
@@ -43,6 +42,7 @@ from fastmimic.simulation.simulators import SECOND_SIMULATOR
 WORK: Final = "work"
 _SEARCH: Final = 0.85  # approximate share of a job's time in the search
 _TRIALS_SEED: Final = 20230618
+_SECOND_SIMULATOR_EPISODES: Final = 3
 
 
 @dataclass(frozen=True)
@@ -253,8 +253,8 @@ def _tried(job: Job, result: Imitation) -> Record:
             "fell_robots": rollout.fell.mean(),
         }
     if recipe.second_simulator and job.robot in DESCRIPTIONS:
-        rollout = elsewhere(Conditions(SECOND_SIMULATOR), SECOND_SIMULATOR_EPISODES, perturbed=True)
-        simulated_s += measured.seconds * SECOND_SIMULATOR_EPISODES
+        rollout = elsewhere(Conditions(SECOND_SIMULATOR), _SECOND_SIMULATOR_EPISODES, perturbed=True)
+        simulated_s += measured.seconds * _SECOND_SIMULATOR_EPISODES
         figures |= {"reward_second_simulator": rollout.reward.mean(), "fell_second_simulator": rollout.fell.mean()}
     return figures | {"simulated_s": simulated_s}
 

@@ -1,17 +1,23 @@
-"""The record of a motion: description, source, figures, and the motion's file."""
+"""The record of a motion (description, source, figures, and the motion's file), and its grade.
+
+Records keep only figures; grades are computed on demand by one table, so that other thresholds need no new run.
+"""
 
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from fastmimic.base.errors import OutputError
 from fastmimic.base.files import write_text
 
 Record = dict[str, Any]
 
 RECORDS: Final = "records"
 MOTIONS: Final = "motions"
+FINISHED: Final = "work/seen.json"
 
 DONE: Final = "done"
 FAILED: Final = "failed"
@@ -93,10 +99,26 @@ def empty() -> Record:
     return dict.fromkeys(COLUMNS)
 
 
+def reproducible(record: Record) -> Record:
+    """The part of a record that every repetition reproduces, at any time and on any machine."""
+    return {name: value for name, value in record.items() if name not in COSTS}
+
+
 def sha256(path: Path) -> str:
     """Digest of a file's content; raises `OSError`."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def remove(path: Path) -> bool:
+    """Removes a file of a library; returns whether there was one. Raises `OutputError` if it cannot."""
+    try:
+        path.unlink()
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be removed ({error.strerror or error})") from None
+    return True
 
 
 def record_file(folder: Path, identity: str) -> Path:
@@ -106,8 +128,7 @@ def record_file(folder: Path, identity: str) -> Path:
 
 def save_record(folder: Path, record: Mapping[str, Any]) -> None:
     """Writes a record, after its motion; raises `OutputError` if it cannot."""
-    text = json.dumps(record, indent=1, allow_nan=False)
-    write_text(record_file(folder, record["id"]), text)
+    write_text(record_file(folder, record["id"]), json.dumps(record, indent=1, allow_nan=False))
 
 
 def load_record(folder: Path, identity: str) -> Record | None:
@@ -136,3 +157,138 @@ def damage(folder: Path, record: Mapping[str, Any]) -> str | None:
         return None if sha256(folder / name) == record["motion_sha256"] else f"{name} is not what was written"
     except OSError as error:
         return f"{name}: {error.strerror or error}"
+
+
+class FinishedJobs:
+    """A cache of intact records and motions, so that a build need not read all of them at its start.
+
+    It compares sizes and times of files, and reads a file only if they differ. `fastmimic.dataset.repair.check` finds
+    other damage.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Loads the saved state; empty if that is missing or damaged."""
+        self._folder = folder
+        self._states: dict[str, list[int]] = {}
+        self._changed = False
+        try:
+            said = json.loads((folder / FINISHED).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return
+        if isinstance(said, dict):
+            self._states = said
+
+    def finished(self, identity: str, motion_file: str) -> bool:
+        """Whether the record of a successful job and its motion (`motion_file`, relative to the library) are intact."""
+        state = self._state(identity, motion_file)
+        if state is not None and self._states.get(identity) == state:
+            return True
+        record = load_record(self._folder, identity)
+        found = record is not None and record["status"] != FAILED
+        if found:
+            self.add(identity, motion_file)
+        return found
+
+    def add(self, identity: str, motion_file: str) -> None:
+        """Marks the record and its motion as intact."""
+        state = self._state(identity, motion_file)
+        if state is not None:
+            self._states[identity] = state
+            self._changed = True
+
+    def save(self) -> None:
+        """Saves the state; raises `OutputError` if it cannot."""
+        if self._changed:
+            write_text(self._folder / FINISHED, json.dumps(self._states))
+            self._changed = False
+
+    def _state(self, identity: str, motion_file: str) -> list[int] | None:
+        try:
+            states = [path.stat() for path in (record_file(self._folder, identity), self._folder / motion_file)]
+        except OSError:
+            return None
+        return [number for state in states for number in (state.st_size, state.st_mtime_ns)]
+
+
+REJECTED: Final = "rejected"
+FAILURE: Final = "failed"
+
+
+@dataclass(frozen=True)
+class Demand:
+    """A bound on a figure.
+
+    Attributes:
+        figure: of the record; ignored if the record lacks it, because it was not evaluated.
+        least, most: inclusive bounds; None for no bound.
+    """
+
+    figure: str
+    least: float | None = None
+    most: float | None = None
+    says: str = ""
+
+    def unmet(self, record: Mapping[str, Any]) -> str | None:
+        """The violation in words; None if the record meets the demand."""
+        value = record[self.figure]
+        if value is None:
+            return None
+        if self.least is not None and value < self.least:
+            return f"{self.says} {float(value):.3g}, below {self.least:g}"
+        if self.most is not None and value > self.most:
+            return (
+                self.says
+                if self.most == 0 and isinstance(value, bool)
+                else f"{self.says} {float(value):.3g}, above {self.most:g}"
+            )
+        return None
+
+
+_FELL = "share of {} that end in a fall"
+
+GRADES: Final[dict[str, tuple[Demand, ...]]] = {
+    "A": (
+        Demand("reward", least=0.9, says="reward"),
+        Demand("reward_perturbed", least=0.85, says="reward from perturbed starts"),
+        Demand("reward_robots", least=0.8, says="reward on other robots"),
+        Demand("reward_second_simulator", least=0.75, says="reward in the second simulator"),
+        Demand("fell_perturbed", most=0.0, says=_FELL.format("perturbed starts")),
+        Demand("fell_robots", most=0.0, says=_FELL.format("other robots")),
+        Demand("fell_second_simulator", most=0.0, says=_FELL.format("trials in the second simulator")),
+    ),
+    "B": (
+        Demand("reward", least=0.8, says="reward"),
+        Demand("fell_perturbed", most=0.0, says=_FELL.format("perturbed starts")),
+        Demand("fell_robots", most=0.2, says=_FELL.format("other robots")),
+    ),
+    "C": (
+        Demand("fell", most=0.0, says="falls"),
+        Demand("reward", least=0.6, says="reward"),
+        Demand("style_distance", most=0.5, says="distance from the demonstration's style"),
+        Demand("swing_clearance_least_share", least=0.5, says="share of the demonstration's swing clearance"),
+    ),
+}
+"""From the best grade to the lowest; a grade includes the demands of those below it."""
+KEPT: Final = tuple(GRADES)
+
+
+def grade(record: Mapping[str, Any]) -> tuple[str, str]:
+    """The grade of a record (`GRADES`, `REJECTED` or `FAILURE`), and why it is not better; empty for the best."""
+    if record["status"] == FAILED:
+        return FAILURE, str(record["reason"])
+    reached, lacks = REJECTED, ""
+    for name, demands in reversed(GRADES.items()):
+        unmet = [said for demand in demands if (said := demand.unmet(record)) is not None]
+        if unmet:
+            lacks = "; ".join(unmet)
+            break
+        reached = name
+    if reached == REJECTED and record["limits_exceeded"]:
+        lacks += f" ({record['limits_exceeded']})"
+    return reached, lacks
+
+
+def rank(record: Mapping[str, Any]) -> tuple[int, float]:
+    """Sort key; the greatest is the best of several seeds."""
+    names = [FAILURE, REJECTED, *reversed(KEPT)]
+    return names.index(grade(record)[0]), record["reward_perturbed"] or 0.0

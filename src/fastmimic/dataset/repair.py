@@ -1,14 +1,16 @@
-"""Checks a library by running its motions, and repairs it."""
+"""Checks a library by reading its files, or by running its motions, and repairs it."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from fastmimic.base.errors import MotionError, OutputError, RobotError
+from fastmimic.base.errors import LibraryError, MotionError, RobotError
 from fastmimic.control.config import controller_config
-from fastmimic.dataset.excerpts import reason_of
-from fastmimic.dataset.folder import DatasetHealth, MotionDataset, check
+from fastmimic.dataset.excerpts import SOURCES, reason_of
+from fastmimic.dataset.folder import INDEX, ROBOTS, SETTINGS, MotionDataset
 from fastmimic.dataset.lock import mending
+from fastmimic.dataset.records import MOTIONS, RECORDS, damage, remove
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import episode_duration
 from fastmimic.imitation.methods import method_named
@@ -16,6 +18,62 @@ from fastmimic.robot import load_robot
 
 _DRAW_SEED = 0
 _COLUMNS = ("id", "name", "robot", "robot_file", "method", "motion_file", "reward", "lacks")
+
+
+@dataclass(frozen=True)
+class DatasetHealth:
+    """Result of `check`.
+
+    Attributes:
+        damaged: defects, one line each; a new build repairs them.
+        useless: files of damaged records, relative to the library.
+        foreign: files of no record that belongs to the library: of earlier recipes, changed sources, or killed
+            builders.
+        unreadable: the lines of `damaged` about the recipe, sources and robots.
+        outdated: whether the index does not match the records.
+    """
+
+    records: int
+    damaged: tuple[str, ...]
+    useless: tuple[str, ...]
+    foreign: tuple[str, ...]
+    unreadable: tuple[str, ...]
+    outdated: bool
+
+    @property
+    def sound(self) -> bool:
+        """Whether there is no defect."""
+        return not self.damaged and not self.outdated
+
+
+def check(library: MotionDataset, progress: Callable[[int, int], None] | None = None) -> DatasetHealth:
+    """Reads every file of a library and reports defects; calls `progress` with (files done, files in all)."""
+    there = {f"{MOTIONS}/{path.name}" for path in (library.path / MOTIONS).glob("*")}
+    plan = library.plan()
+    found = library.gathered(plan)
+    damaged = [*plan.unreadable, *(f"{RECORDS}/{name}: not a whole record" for name in found.torn)]
+    useless = [f"{RECORDS}/{name}" for name in found.torn]
+    motions = found.column("motion_file")
+    columns = (found.column(name) for name in ("id", "status", "motion_sha256"))
+    for i, (identity, status, sha, motion) in enumerate(zip(*columns, motions, strict=True)):
+        wrong = damage(library.path, {"motion_file": motion, "motion_sha256": sha, "status": status})
+        if wrong is not None:
+            damaged.append(f"{identity}: {wrong}")
+            useless += [f"{RECORDS}/{identity}.json", *([motion] if motion is not None else [])]
+        if progress is not None:
+            progress(i + 1, len(motions))
+    foreign = {*there.difference(motions), *(f"{RECORDS}/{old.id}.json" for old in found.superseded)}
+    foreign |= {
+        str(path.relative_to(library.path))
+        for pattern in (f".{INDEX}.*", f".{SETTINGS}.*", *(f"{name}/.*.json.*" for name in (RECORDS, SOURCES, ROBOTS)))
+        for path in library.path.glob(pattern)  # a killed `fastmimic.base.files.replace_file` left it
+    }
+    records = len(motions) + len(found.superseded) + len(found.torn)
+    try:
+        outdated = not found.table.equals(library.index_table().select(found.table.column_names))
+    except LibraryError:
+        outdated = True
+    return DatasetHealth(records, tuple(damaged), tuple(useless), tuple(sorted(foreign)), plan.unreadable, outdated)
 
 
 def rerun(
@@ -60,12 +118,6 @@ def mend(library: MotionDataset, progress: Callable[[int, int], None] | None = N
     with mending(library.path):
         health = check(library, progress)
         for name in sorted({*health.useless, *health.foreign}):
-            try:
-                (library.path / name).unlink()
-                removed += 1
-            except FileNotFoundError:
-                continue
-            except OSError as error:
-                raise OutputError(f"{library.path / name}: cannot be removed ({error.strerror or error})") from None
+            removed += remove(library.path / name)
         library.write_index()
     return health, removed
