@@ -105,8 +105,15 @@ def survey(source: DatasetSource, confidence: float, discrete: bool = False) -> 
     """Searches a source for excerpts, with the least confidence of cycles; with `discrete`, movement that does not
     repeat counts, too. Errors become part of the result."""
     try:
-        looked = look_of(source, confidence, discrete)
-        return replace(_found(source, confidence, discrete), looked=looked)
+        looked, opened = look_of(source, confidence, discrete), _open(source)
+        if isinstance(opened, Motion):
+            found = Survey(source, (_of_motion(source, opened),))
+        elif source.frames is not None:
+            segment = replace(as_one_cycle(opened), gait=WHOLE, confidence=1.0)
+            found = Survey(source, (_piece(source, opened, source.frames, segment, repeats=is_one_cycle(opened)),))
+        else:
+            found = _of_take(source, opened, confidence, discrete)
+        return replace(found, looked=looked)
     except Exception as error:  # noqa: BLE001 - one source's defect, of which there may be a thousand others
         return Survey(source, failed=reason_of(error))
 
@@ -121,16 +128,6 @@ def look_of(source: DatasetSource, confidence: float, discrete: bool) -> str | N
         return None
     said = ", ".join(f"{state.st_size} bytes of {state.st_mtime_ns}" for state in states)
     return f"{said}, confidence {confidence}, discrete {discrete}, fastmimic {__version__}"
-
-
-def _found(source: DatasetSource, confidence: float, discrete: bool) -> Survey:
-    opened = _open(source)
-    if isinstance(opened, Motion):
-        return Survey(source, (_of_motion(source, opened),))
-    if source.frames is not None:
-        found = replace(as_one_cycle(opened), gait=WHOLE, confidence=1.0)
-        return Survey(source, (_piece(source, opened, source.frames, found, repeats=is_one_cycle(opened)),))
-    return _of_take(source, opened, confidence, discrete)
 
 
 def reason_of(error: Exception) -> str:

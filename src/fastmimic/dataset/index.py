@@ -5,15 +5,16 @@ the robot's present description; among those that differ only in their start, th
 by one into columns: as Python objects, a hundred thousand would take a gigabyte.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from sys import intern
 from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.errors import LibraryError
 from fastmimic.dataset.excerpts import Excerpt
-from fastmimic.dataset.records import COLUMNS, KEPT, RECORDS, Record, grade, rank, read_record
+from fastmimic.dataset.records import COLUMNS, KEPT, RANKS, RECORDS, Record, grade, read_record
 
 if TYPE_CHECKING:
     import pyarrow
@@ -121,7 +122,7 @@ class Gathered:
 
 @dataclass(frozen=True, slots=True)
 class _Brief:
-    """The part of a record that sorting and the choice among several need."""
+    """The part of a record that sorting and the choice among several need; the greatest `rank` is the best."""
 
     search: Search
     finished: str
@@ -129,27 +130,50 @@ class _Brief:
     rank: tuple[int, float]
     kept: bool
 
+    @classmethod
+    def of(cls, row: Record, reached: str) -> "_Brief":
+        order = (row["name"], row["robot"], row["seed"], row["id"])
+        rank = (RANKS.index(reached), row["reward_perturbed"] or 0.0)
+        return cls(search_of(row), row["finished"] or "", order, rank, reached in KEPT)
+
 
 def gather(folder: Path, plan: Membership) -> Gathered:
     """Reads all records of a library, and grades those that belong to it; raises `LibraryError` without Arrow."""
     require_pyarrow()
-    columns, briefs = _Columns(), []
-    superseded, torn = [], []
-    for path in sorted((folder / RECORDS).glob("*.json")):
-        record = read_record(path)
-        if record is None:
-            torn.append(path.name)
-            continue
-        why = plan.why_not(record)
-        if why is not None:
-            superseded.append(Superseded(record["id"], record["name"], robot_of(record), record["seed"], why))
-            continue
-        row = plan.described(record)
-        reached, lacks = grade(row)
-        kept = reached in KEPT
-        columns.add({**row, "grade": reached, "lacks": lacks or None, "kept": kept})
-        order = (row["name"], row["robot"], row["seed"], row["id"])
-        briefs.append(_Brief(search_of(row), row["finished"] or "", order, rank(row), kept))
+    import pyarrow
+
+    kinds = {name: kind for name, kind in (COLUMNS | GRADED).items() if name != "best"}  # which is known at the end
+    types = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_()}
+    schema = pyarrow.schema([(name, types[kind]) for name, kind in kinds.items()])
+    briefs: list[_Brief] = []
+    superseded: list[Superseded] = []
+    torn: list[str] = []
+
+    def belonging() -> Iterator[dict[str, Any]]:
+        for path in sorted((folder / RECORDS).glob("*.json")):
+            record = read_record(path)
+            if record is None:
+                torn.append(path.name)
+            elif (why := plan.why_not(record)) is not None:
+                superseded.append(Superseded(record["id"], record["name"], robot_of(record), record["seed"], why))
+            else:
+                row = plan.described(record)
+                reached, lacks = grade(row)
+                briefs.append(_Brief.of(row, reached))
+                row |= {"grade": reached, "lacks": lacks or None, "kept": reached in KEPT}
+                yield {name: None if row[name] is None else kind(row[name]) for name, kind in kinds.items()}
+
+    found, batches = belonging(), []
+    while chunk := list(islice(found, _CHUNK)):
+        batches.append(pyarrow.RecordBatch.from_pylist(chunk, schema=schema))
+    rows, best = _chosen(briefs, superseded)
+    table = pyarrow.Table.from_batches(batches, schema=schema).take(pyarrow.array(rows, pyarrow.int64()))
+    return Gathered(table.append_column("best", pyarrow.array(best, pyarrow.bool_())), superseded, torn)
+
+
+def _chosen(briefs: Sequence[_Brief], superseded: list[Superseded]) -> tuple[list[int], list[bool]]:
+    """The last of each search, as sorted indices, and whether each is the best of its excerpt and robot; adds the
+    others to `superseded`."""
     last: dict[Search, int] = {}
     for i, brief in enumerate(briefs):
         there = last.setdefault(brief.search, i)
@@ -168,38 +192,4 @@ def gather(folder: Path, plan: Membership) -> Gathered:
             best[briefs[i].search[:2]] = i
     rows = sorted(last.values(), key=lambda i: briefs[i].order)
     chosen = set(best.values())
-    return Gathered(columns.table(rows, [i in chosen and briefs[i].kept for i in rows]), superseded, torn)
-
-
-class _Columns:
-    def __init__(self) -> None:
-        import pyarrow
-
-        types = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_()}
-        self._kinds = {**COLUMNS, **GRADED}
-        del self._kinds["best"]  # known at the end
-        self._schema = pyarrow.schema([(name, types[kind]) for name, kind in self._kinds.items()])
-        self._rows: list[dict[str, Any]] = []
-        self._batches: list[pyarrow.RecordBatch] = []
-
-    def add(self, row: Mapping[str, Any]) -> None:
-        kinds = self._kinds.items()
-        self._rows.append({name: None if row[name] is None else kind(row[name]) for name, kind in kinds})
-        if len(self._rows) >= _CHUNK:
-            self._flush()
-
-    def _flush(self) -> None:
-        import pyarrow
-
-        self._batches.append(pyarrow.RecordBatch.from_pylist(self._rows, schema=self._schema))
-        self._rows = []
-
-    def table(self, rows: list[int], best: list[bool]) -> "pyarrow.Table":
-        """These rows in this order."""
-        import pyarrow
-
-        self._flush()
-        table = pyarrow.Table.from_batches(self._batches, schema=self._schema)
-        return table.take(pyarrow.array(rows, pyarrow.int64())).append_column(
-            "best", pyarrow.array(best, pyarrow.bool_())
-        )
+    return rows, [i in chosen and briefs[i].kept for i in rows]

@@ -146,11 +146,7 @@ def perform(job: Job, report: Report) -> Record:
         raise
     except Exception as error:  # noqa: BLE001 - one motion's defect, of which there may be a thousand others
         record |= {"status": FAILED, "reason": reason_of(error)}
-    record |= {
-        "wall_s": time.perf_counter() - began,
-        "cpu_s": time.process_time() - busy,
-        "finished": now(),
-    }
+    record |= {"wall_s": time.perf_counter() - began, "cpu_s": time.process_time() - busy, "finished": now()}
     return _kept(job, record)
 
 

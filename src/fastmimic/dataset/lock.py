@@ -28,9 +28,9 @@ def building(folder: Path) -> Iterator[None]:
     """Marks a library as being built, and keeps repairs out. Raises `LibraryError` during a repair, `OutputError` if
     the folder cannot be written to."""
     with _sign(folder, BUILDING) as own:
-        for other in _living(folder, own):
-            if other.startswith(MENDING):
-                raise LibraryError(f"{folder}: is being mended now ({_who(other)}); build again when that has ended")
+        for what, who in _living(folder, own):
+            if what == MENDING:
+                raise LibraryError(f"{folder}: is being mended now ({who}); build again when that has ended")
         yield
 
 
@@ -39,11 +39,10 @@ def mending(folder: Path) -> Iterator[None]:
     """Keeps all others out of a library during a repair. Raises `LibraryError` if another process works there,
     `OutputError` if the folder cannot be written to."""
     with _sign(folder, MENDING) as own:
-        for other in _living(folder, own):
-            what = "built" if other.startswith(BUILDING) else "mended"
+        for what, who in _living(folder, own):
             raise LibraryError(
-                f"{folder}: is being {what} now ({_who(other)}), and would lose what that has begun; mend it when that"
-                f" has ended, or, if it was killed, {SILENT_S / 60:.0f} minutes later"
+                f"{folder}: is being {'built' if what == BUILDING else 'mended'} now ({who}), and would lose what that"
+                f" has begun; mend it when that has ended, or, if it was killed, {SILENT_S / 60:.0f} minutes later"
             )
         yield
 
@@ -74,22 +73,24 @@ def _sign(folder: Path, what: str) -> Iterator[Path]:
             path.unlink(missing_ok=True)
 
 
-def _living(folder: Path, own: Path) -> Iterator[str]:
-    """Names of other living processes' files; removes those of dead ones."""
+def _living(folder: Path, own: Path) -> Iterator[tuple[str, str]]:
+    """What other living processes do, and where these are; removes the files of dead ones."""
     now = own.stat().st_mtime
-    for path in folder.glob(f"*{SUFFIX}"):
+    for path in folder.glob(f"*-*-*-*{SUFFIX}"):
         if path == own:
             continue
+        what, _, place = path.name.partition("-")
+        host, pid, _ = place.rsplit("-", 2)
         try:
             silent = now - path.stat().st_mtime > SILENT_S
             here = path.read_text() == (_machine() or "-")
         except OSError:  # it has just ended
             continue
-        if silent or (here and not Path("/proc", _pid(path.name)).exists()):
+        if silent or (here and not Path("/proc", pid).exists()):
             with suppress(OSError):
                 path.unlink()
         else:
-            yield path.name
+            yield what, f"process {pid} on {host}"
 
 
 def _machine() -> str | None:
@@ -98,12 +99,3 @@ def _machine() -> str | None:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
         return f"{socket.gethostname()} {boot} {os.readlink('/proc/self/ns/pid')}"
     return None
-
-
-def _pid(name: str) -> str:
-    return name.rsplit("-", 2)[1]
-
-
-def _who(name: str) -> str:
-    host = name.partition("-")[2].rsplit("-", 2)[0]
-    return f"process {_pid(name)} on {host}"

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
+
 from fastmimic.base.errors import OutputError
 from fastmimic.base.files import write_text
 
@@ -168,15 +170,11 @@ class FinishedJobs:
 
     def __init__(self, folder: Path) -> None:
         """Loads the saved state; empty if that is missing or damaged."""
-        self._folder = folder
-        self._states: dict[str, list[int]] = {}
-        self._changed = False
+        self._folder, self._changed = folder, False
         try:
-            said = json.loads((folder / FINISHED).read_text(encoding="utf-8"))
+            self._states = msgspec.json.decode((folder / FINISHED).read_bytes(), type=dict[str, list[int]])
         except (OSError, ValueError):
-            return
-        if isinstance(said, dict):
-            self._states = said
+            self._states = {}
 
     def finished(self, identity: str, motion_file: str) -> bool:
         """Whether the record of a successful job and its motion (`motion_file`, relative to the library) are intact."""
@@ -270,6 +268,7 @@ GRADES: Final[dict[str, tuple[Demand, ...]]] = {
 }
 """From the best grade to the lowest; a grade includes the demands of those below it."""
 KEPT: Final = tuple(GRADES)
+RANKS: Final = (FAILURE, REJECTED, *reversed(KEPT))
 
 
 def grade(record: Mapping[str, Any]) -> tuple[str, str]:
@@ -286,9 +285,3 @@ def grade(record: Mapping[str, Any]) -> tuple[str, str]:
     if reached == REJECTED and record["limits_exceeded"]:
         lacks += f" ({record['limits_exceeded']})"
     return reached, lacks
-
-
-def rank(record: Mapping[str, Any]) -> tuple[int, float]:
-    """Sort key; the greatest is the best of several seeds."""
-    names = [FAILURE, REJECTED, *reversed(KEPT)]
-    return names.index(grade(record)[0]), record["reward_perturbed"] or 0.0

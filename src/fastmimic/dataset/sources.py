@@ -6,7 +6,7 @@ import hashlib
 import io
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -44,8 +44,8 @@ class DatasetSource:
     @property
     def overrides(self) -> dict[str, Any]:
         """Arguments of `open_clip` besides the place and the frames."""
-        given = {"fps": self.fps, "up": self.up, "scale": self.scale, "point_map": self.point_map}
-        return {name: value for name, value in given.items() if value is not None}
+        names = ("fps", "up", "scale", "point_map")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     @property
     def name(self) -> str:
@@ -120,15 +120,6 @@ def _beside(path: Path, top: Path) -> str | None:
     return None
 
 
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")  # with a byte-order mark, as spreadsheets write it
-    except FileNotFoundError:
-        raise LibraryError(f"{path}: no such list") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise LibraryError(f"{path}: not a readable list of sources ({error})") from None
-
-
 def _is_list(path: Path) -> bool:
     if not path.is_file():
         return True  # a missing list, rather than a motion of that name
@@ -141,7 +132,12 @@ def _is_list(path: Path) -> bool:
 
 
 def _of_list(path: Path, licence: str | None, credit: str | None) -> list[DatasetSource]:
-    text = _read(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")  # with a byte-order mark, as spreadsheets write it
+    except FileNotFoundError:
+        raise LibraryError(f"{path}: no such list") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise LibraryError(f"{path}: not a readable list of sources ({error})") from None
     rows: list[tuple[int, Mapping[str, str]]]
     if path.suffix == ".csv":
         reader = csv.DictReader(io.StringIO(text), skipinitialspace=True)
@@ -164,19 +160,14 @@ def _of_row(
     given = {name: value.strip() for name, value in row.items() if name and value and value.strip()}
     if "source" not in given:
         raise LibraryError(f"{path}, line {number}: no source")
-    place = given["source"]
+    place = given.pop("source")
     beside = path.parent / place
+    kinds: dict[str, Callable[[str], Any]] = {"frames": _frames, "fps": float, "scale": float}
+    kinds["point_map"] = lambda text: str((path.parent / text).resolve())
     try:
-        return DatasetSource(
-            str(beside.resolve()) if beside.exists() else place,
-            frames=_frames(given["frames"]) if "frames" in given else None,
-            fps=float(given["fps"]) if "fps" in given else None,
-            up=given.get("up"),
-            scale=float(given["scale"]) if "scale" in given else None,
-            point_map=str((path.parent / given["point_map"]).resolve()) if "point_map" in given else None,
-            licence=given.get("licence", licence),
-            credit=given.get("credit", credit),
-        )
+        values = {name: kinds.get(name, str)(text) for name, text in given.items()}
+        known = {"licence": licence, "credit": credit} | values
+        return DatasetSource(str(beside.resolve()) if beside.exists() else place, **known)
     except ValueError as error:
         raise LibraryError(f"{path}, line {number}: {error}") from None
 

@@ -70,7 +70,7 @@ class Neighbours:
 
     def _near(self, piece: Excerpt, robot: str) -> list[Row]:
         """A few rows that include the nearest."""
-        groups = self._groups.get(robot, {})
+        groups = {footfall: group for (name, footfall), group in self._groups.items() if name == robot}
         at = _place(piece)
         apart = {footfall: _other(piece.footfall, footfall) for footfall in groups}
         least = min((tree.query(at)[0] + apart[f] for f, (tree, _) in groups.items()), default=math.inf)
@@ -84,16 +84,13 @@ class Neighbours:
         ]
 
     @cached_property
-    def _groups(self) -> dict[str, dict[str | None, tuple[KDTree, list[Row]]]]:
-        """The rows of each robot by footfall, with a tree of their places."""
-        sorted_rows: dict[str, dict[str | None, list[Row]]] = {}
+    def _groups(self) -> dict[tuple[str, str | None], tuple[KDTree, list[Row]]]:
+        """The rows of each robot and footfall, with a tree of their places."""
+        found: dict[tuple[str, str | None], list[Row]] = {}
         for robot, rows in self.best.items():
             for row in rows:
-                sorted_rows.setdefault(robot, {}).setdefault(self.pieces[row["piece"]].footfall, []).append(row)
-        return {
-            robot: {f: (KDTree([_place(self.pieces[r["piece"]]) for r in rows]), rows) for f, rows in groups.items()}
-            for robot, groups in sorted_rows.items()
-        }
+                found.setdefault((robot, self.pieces[row["piece"]].footfall), []).append(row)
+        return {key: (KDTree([_place(self.pieces[row["piece"]]) for row in rows]), rows) for key, rows in found.items()}
 
 
 def _place(piece: Excerpt) -> tuple[float, float, float]:

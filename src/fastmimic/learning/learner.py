@@ -4,7 +4,6 @@ The algorithm is `rsl_rl.algorithms.PPO`, as in Isaac Lab and mjlab. rsl-rl's ow
 checkpoints hold neither the episodes' state nor the random generators'.
 """
 
-import math
 import tempfile
 import time
 import warnings
@@ -16,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.configuration import check, documented, parameter
 from fastmimic.base.errors import ConfigError
 from fastmimic.learning.config import ACTION_SIZE, PolicyConfig
 from fastmimic.learning.episodes import EPISODE_S, Episodes
@@ -48,59 +48,38 @@ def choose_device(name: str) -> str:
     return name
 
 
+@documented
 @dataclass(frozen=True)
 class TrainingSettings:
-    """Settings of PPO and its episodes.
+    """Settings of PPO and its episodes: they determine the result, with robot, motion and number of steps."""
 
-    Attributes:
-        seed: of weights, actions and episodes.
-        robots: simulated at once.
-        horizon: policy steps of each robot between two updates.
-        hidden: widths of the hidden layers of actor and critic.
-        learning_rate: initial value; it then adapts to `desired_kl`.
-        desired_kl: target change of the policy per update.
-        discount, trace: γ and λ.
-        entropy: weight of the entropy bonus.
-        exploration: initial standard deviation of the actions, in units of `PolicyConfig.action_scale`.
-        randomize: ranges for robots and grounds.
-        update_threads: of the linear algebra; the bits of the result depend on it.
-    """
-
-    seed: int = 0
-    robots: int = 64
-    horizon: int = 32
-    hidden: tuple[int, ...] = (512, 256)
-    epochs: int = 10
-    minibatches: int = 4
-    learning_rate: float = 1e-3
-    desired_kl: float = 0.04
-    discount: float = 0.95
-    trace: float = 0.95
-    entropy: float = 0.0
-    exploration: float = 0.5
-    episode_s: float = EPISODE_S
-    randomize: tuple[Range, ...] = ()
-    update_threads: int = 1
+    seed: int = parameter(0, about="of weights, actions and episodes")
+    robots: int = parameter(64, low=1, about="number of robots simulated at once")
+    horizon: int = parameter(32, low=1, about="policy steps of each robot between two updates")
+    hidden: tuple[int, ...] = (512, 256)  # widths of the hidden layers of actor and critic
+    epochs: int = parameter(10, low=1, about="passes over the steps in an update")
+    minibatches: int = parameter(4, low=1, about="number of minibatches of a pass")
+    learning_rate: float = parameter(1e-3, above=0.0, about="initial value; it then adapts to `desired_kl`")
+    desired_kl: float = parameter(0.04, above=0.0, about="target change of the policy per update")
+    discount: float = parameter(0.95, above=0.0, below=1.0, about="γ")
+    trace: float = parameter(0.95, high=1.0, about="λ")
+    entropy: float = parameter(0.0, about="weight of the entropy bonus")
+    exploration: float = parameter(
+        0.5, above=0.0, about="initial standard deviation of the actions, in units of `PolicyConfig.action_scale`"
+    )
+    episode_s: float = parameter(EPISODE_S, unit="s", above=0.0, about="greatest length of an episode")
+    randomize: tuple[Range, ...] = ()  # of robots and grounds
+    update_threads: int = parameter(1, low=1, about="of the linear algebra; the bits of the result depend on it")
     policy: PolicyConfig = field(default_factory=PolicyConfig)
 
     def __post_init__(self) -> None:
-        whole = ("robots", "horizon", "epochs", "minibatches", "update_threads")
-        checks = (
-            *((getattr(self, name) >= 1, f"{name} must be at least 1, found {getattr(self, name)}") for name in whole),
-            (self.seed >= 0, f"seed must not be negative, found {self.seed}"),
-            (bool(self.hidden) and min(self.hidden) >= 1, f"hidden layers need a width, found {self.hidden}"),
-            (0 < self.discount < 1 and 0 <= self.trace <= 1, "discount must be in (0, 1) and trace in [0, 1]"),
-            (self.learning_rate > 0 and self.desired_kl > 0, "learning_rate and desired_kl must be positive"),
-            (self.exploration > 0 and self.entropy >= 0, "exploration must be positive, entropy not negative"),
-            (math.isfinite(self.episode_s) and self.episode_s > 0, f"episodes of {self.episode_s:g} s are none"),
-            (
-                self.robots * self.horizon >= self.minibatches,
-                f"{self.robots * self.horizon} steps cannot be divided into {self.minibatches} minibatches",
-            ),
-        )
-        for ok, message in checks:
-            if not ok:
-                raise ConfigError(f"training: {message}")
+        check(self, "training: ")
+        if not self.hidden or min(self.hidden) < 1:
+            raise ConfigError(f"training: hidden layers need a width, found {self.hidden}")
+        if self.steps_per_iteration < self.minibatches:
+            raise ConfigError(
+                f"training: {self.steps_per_iteration} steps cannot be divided into {self.minibatches} minibatches"
+            )
 
     @property
     def steps_per_iteration(self) -> int:
@@ -144,20 +123,13 @@ class Learner:
         import torch
 
         self.settings, self.device = settings, device
+        options: dict[str, Any] = {"duration_s": settings.episode_s, "randomize": settings.randomize}
         self.episodes = Episodes(
-            robot,
-            motion,
-            settings.robots,
-            settings.policy,
-            seed=settings.seed,
-            threads=threads,
-            duration_s=settings.episode_s,
-            randomize=settings.randomize,
+            robot, motion, settings.robots, settings.policy, seed=settings.seed, threads=threads, **options
         )
         torch.set_num_threads(settings.update_threads)
         torch.manual_seed(settings.seed)
-        seen = self.episodes.reset()
-        self._seen = self._tensors(seen)
+        self._seen = self._tensors(self.episodes.reset())
         self._algorithm = self._make(self._seen)
 
     def iterate(self) -> Iteration:
@@ -202,15 +174,11 @@ class Learner:
     def policy(self, about: dict[str, Any] | None = None) -> Policy:
         """The present policy, without exploration; `about` adds entries to its file."""
         actor = self._algorithm.get_policy()
-        weights, biases = [], []
-        for layer in actor.mlp:
-            if hasattr(layer, "weight"):
-                weights.append(np.ascontiguousarray(layer.weight.detach().cpu().numpy().T))
-                biases.append(layer.bias.detach().cpu().numpy().copy())
+        layers = [layer for layer in actor.mlp if hasattr(layer, "weight")]
         normaliser = actor.obs_normalizer
         return Policy(
-            tuple(weights),
-            tuple(biases),
+            tuple(np.ascontiguousarray(layer.weight.detach().cpu().numpy().T) for layer in layers),
+            tuple(layer.bias.detach().cpu().numpy().copy() for layer in layers),
             normaliser.mean.cpu().numpy(),
             (normaliser.std + normaliser.eps).cpu().numpy(),
             self.episodes.robot.name,

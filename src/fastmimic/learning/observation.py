@@ -57,9 +57,7 @@ def observe(
     for i in range(out.shape[0]):
         table, clock, obs, memory = tables[min(i, tables.shape[0] - 1)], clocks[i], observations[i], senses[i]
         quat_to_matrix(obs.root_quat, rotation)
-        if memory.age < 0:
-            _begin(settings[0], obs, memory)
-        _push(rotation, obs, memory)
+        _push(settings[0], rotation, obs, memory)
         at = _history(memory.imu, out[i], 0)
         at = _history(memory.joints, out[i], at)
         at = _history(memory.actions, out[i], at)
@@ -113,32 +111,14 @@ def command(settings: Any, senses: Any, commands: Any) -> None:
 
 
 @inlined
-def _begin(settings: Any, obs: Any, senses: Any) -> None:
-    """Fills the history with the present state, and with the actions that would hold it."""
-    for h in range(HISTORY):
+def _push(settings: Any, rotation: Array, obs: Any, senses: Any) -> None:
+    """Adds roll, pitch, their rates and the joint angles to the histories. Before the first step, fills these with the
+    present state, and with the actions that would hold it."""
+    for h in range(HISTORY - 1, 0, -1):
+        for k in range(IMU_SIZE):
+            senses.imu[h, k] = senses.imu[h - 1, k]
         for j in range(12):
-            senses.joints[h, j] = obs.joint_pos[j]
-            senses.actions[h, j] = (obs.joint_pos[j] - settings.home[j]) / settings.action_scale
-    for j in range(12):
-        for h in range(2):
-            senses.filter_in[h, j] = obs.joint_pos[j]
-            senses.filter_out[h, j] = obs.joint_pos[j]
-        senses.before[j] = obs.joint_pos[j]
-        senses.after[j] = obs.joint_pos[j]
-
-
-@inlined
-def _push(rotation: Array, obs: Any, senses: Any) -> None:
-    """Adds roll, pitch, their rates and the joint angles to the histories; fills them before the first step."""
-    first = senses.age < 0
-    if first:
-        senses.age = 0
-    else:
-        for h in range(HISTORY - 1, 0, -1):
-            for k in range(IMU_SIZE):
-                senses.imu[h, k] = senses.imu[h - 1, k]
-            for j in range(12):
-                senses.joints[h, j] = senses.joints[h - 1, j]
+            senses.joints[h, j] = senses.joints[h - 1, j]
     senses.imu[0, 0] = np.arctan2(rotation[2, 1], rotation[2, 2])
     senses.imu[0, 1] = np.arcsin(min(max(-rotation[2, 0], -1.0), 1.0))
     for k in range(2):  # body frame, as from a gyroscope
@@ -148,10 +128,18 @@ def _push(rotation: Array, obs: Any, senses: Any) -> None:
         senses.imu[0, 2 + k] = rate
     for j in range(12):
         senses.joints[0, j] = obs.joint_pos[j]
-    if first:
-        for h in range(1, HISTORY):
-            for k in range(IMU_SIZE):
-                senses.imu[h, k] = senses.imu[0, k]
+    if senses.age >= 0:
+        return
+    senses.age = 0
+    for h in range(HISTORY):
+        for k in range(IMU_SIZE):
+            senses.imu[h, k] = senses.imu[0, k]
+        for j in range(12):
+            senses.joints[h, j] = obs.joint_pos[j]
+            senses.actions[h, j] = (obs.joint_pos[j] - settings.home[j]) / settings.action_scale
+    for j in range(12):
+        senses.filter_in[:, j] = senses.filter_out[:, j] = obs.joint_pos[j]
+        senses.before[j] = senses.after[j] = obs.joint_pos[j]
 
 
 @inlined

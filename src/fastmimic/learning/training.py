@@ -2,9 +2,10 @@
 
 import io
 import json
+import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
@@ -34,7 +35,6 @@ EVALUATION_STEPS: Final = 500_000  # policy steps between evaluations
 EVALUATION_S: Final = 10.0
 PERTURBED_EPISODES: Final = 8
 _EVALUATION_SEED: Final = 20230617  # of the perturbed starts, as in a comparison
-LIBRARY: Final = "rsl-rl"
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,6 @@ class TrainingFolder(WorkFolder):
     @classmethod
     def at(cls, path: Path) -> "TrainingFolder":
         return cls(path, "a training", CONFIG, "training", _FILES)
-
-    @property
-    def begun(self) -> bool:
-        """Whether there is a checkpoint."""
-        return (self.path / CHECKPOINT).is_file()
 
     def begin(self, record: Mapping[str, Any]) -> None:
         """Writes `config.json`; raises `OutputError`."""
@@ -89,7 +84,7 @@ def open_training(path: Path, same: Mapping[str, Any], *, resume: bool, overwrit
     written.
     """
     folder = TrainingFolder.at(path)
-    folder.check(same, resume=resume, overwrite=overwrite, begun=folder.begun)
+    folder.check(same, resume=resume, overwrite=overwrite, begun=(path / CHECKPOINT).is_file())
     check_folder(path)
     return folder
 
@@ -175,101 +170,98 @@ def train(
         learner.close()
 
 
+@dataclass(eq=False)
 class _Training:
-    def __init__(
-        self,
-        learner: Learner,
-        folder: TrainingFolder,
-        evaluate_every: int,
-        progress: Callable[[Advance], None] | None,
-    ) -> None:
-        self._learner, self._folder, self._progress = learner, folder, progress
-        self._every = evaluate_every
-        self._per_iteration = learner.settings.steps_per_iteration
-        self._iterations = 0
-        self._episodes = 0
-        self._evaluations: list[Evaluated] = []
-        self._best = -np.inf
-        self._watch = Stopwatch()
+    learner: Learner
+    folder: TrainingFolder
+    every: int
+    progress: Callable[[Advance], None] | None
+    iterations: int = 0
+    episodes: int = 0
+    evaluations: list[Evaluated] = field(default_factory=list)
+    best: float = -math.inf
+    watch: Stopwatch = field(default_factory=Stopwatch)
 
     @property
     def _steps(self) -> int:
-        return self._iterations * self._per_iteration
+        return self.iterations * self.learner.settings.steps_per_iteration
 
     def run(self, steps: int, resume: bool) -> list[Evaluated]:
         from torch.utils.tensorboard import SummaryWriter
 
         if resume:
-            self._restore(self._folder.load())
-        total = -(-steps // self._per_iteration)
+            self._restore(self.folder.load())
+        per = self.learner.settings.steps_per_iteration
+        total = -(-steps // per)
         first, began, saved = self._steps, time.perf_counter(), time.perf_counter()
-        with SummaryWriter(str(self._folder.path / EVENTS), purge_step=self._steps if resume else None) as log:
-            while self._iterations < total:
-                done = self._learner.iterate()
-                self._iterations += 1
-                self._episodes += len(done.scores)
+        with SummaryWriter(str(self.folder.path / EVENTS), purge_step=self._steps if resume else None) as log:
+            while self.iterations < total:
+                done = self.learner.iterate()
+                self.iterations += 1
+                self.episodes += len(done.scores)
                 _write(log, done, self._steps)
-                last = self._iterations == total
-                if last or self._steps // self._every > (self._steps - self._per_iteration) // self._every:
-                    _write_evaluation(log, self._evaluate())
+                last = self.iterations == total
+                if last or self._steps // self.every > (self._steps - per) // self.every:
+                    found = self._evaluate()
+                    for name in ("reward", "reward_perturbed", "fell_perturbed"):
+                        log.add_scalar(f"evaluation/{name}", getattr(found, name), found.steps)
                 if last or time.perf_counter() - saved > CHECKPOINT_S:
-                    self._folder.save(self._state())
+                    self.folder.save(self._state())
                     saved = time.perf_counter()
-                if self._progress is not None:
+                if self.progress is not None:
                     pace = (self._steps - first) / (time.perf_counter() - began)
-                    evaluated = self._evaluations[-1] if self._evaluations else None
-                    self._progress(Advance(self._steps, total * self._per_iteration, pace, done, evaluated))
-        return self._evaluations
+                    evaluated = self.evaluations[-1] if self.evaluations else None
+                    self.progress(Advance(self._steps, total * per, pace, done, evaluated))
+        return self.evaluations
 
     def _evaluate(self) -> Evaluated:
-        policy = self._learner.policy(self._about())
-        found = evaluate_policy(
-            policy, self._learner.episodes.robot, self._learner.episodes.motion, self._steps, self._watch
-        )
-        self._evaluations = [e for e in self._evaluations if e.steps != found.steps] + [found]
+        policy, episodes = self.learner.policy(self._about()), self.learner.episodes
+        found = evaluate_policy(policy, episodes.robot, episodes.motion, self._steps, self.watch)
+        self.evaluations = [e for e in self.evaluations if e.steps != found.steps] + [found]
         worth = 0.5 * (found.reward + found.reward_perturbed)
-        if worth > self._best:
-            self._best = worth
-            policy.save(self._folder.path / POLICY_FILE)
-            network = self._learner.onnx()
-            replace_file(self._folder.path / ONNX, lambda file: file.write(network))
-        write_text(self._folder.path / EVALUATIONS, evaluations_csv(self._evaluations))
+        if worth > self.best:
+            self.best = worth
+            policy.save(self.folder.path / POLICY_FILE)
+            network = self.learner.onnx()
+            replace_file(self.folder.path / ONNX, lambda file: file.write(network))
+        write_text(self.folder.path / EVALUATIONS, evaluations_csv(self.evaluations))
         return found
 
     def _about(self) -> dict[str, Any]:
+        provenance = self.learner.episodes.motion.provenance
         return {
-            "library": LIBRARY,
-            "source": self._learner.episodes.motion.provenance.source,
-            "licence": self._learner.episodes.motion.provenance.licence,
+            "library": "rsl-rl",
+            "source": provenance.source,
+            "licence": provenance.licence,
             "versions": {**versions(), **{name: metadata.version(name) for name in ("torch", "rsl-rl-lib")}},
             "training": {
                 "steps": self._steps,
-                "episodes": self._episodes,
-                "simulated_s": self._steps / self._learner.settings.policy.rate_hz,
-                "wall_s": self._watch.wall_s,
-                "cpu_s": self._watch.cpu_s,
-                "device": self._learner.device,
-                "settings": plain(self._learner.settings),
+                "episodes": self.episodes,
+                "simulated_s": self._steps / self.learner.settings.policy.rate_hz,
+                "wall_s": self.watch.wall_s,
+                "cpu_s": self.watch.cpu_s,
+                "device": self.learner.device,
+                "settings": plain(self.learner.settings),
             },
         }
 
     def _state(self) -> dict[str, Any]:
         return {
-            "learner": self._learner.state(),
-            "iterations": self._iterations,
-            "episodes": self._episodes,
-            "evaluations": [asdict(e) for e in self._evaluations],
-            "best": float(self._best),
-            "wall_s": self._watch.wall_s,
-            "cpu_s": self._watch.cpu_s,
+            "learner": self.learner.state(),
+            "iterations": self.iterations,
+            "episodes": self.episodes,
+            "evaluations": [asdict(e) for e in self.evaluations],
+            "best": float(self.best),
+            "wall_s": self.watch.wall_s,
+            "cpu_s": self.watch.cpu_s,
         }
 
     def _restore(self, state: dict[str, Any]) -> None:
-        self._learner.restore(state["learner"])
-        self._iterations, self._episodes = state["iterations"], state["episodes"]
-        self._evaluations = [Evaluated(**e) for e in state["evaluations"]]
-        self._best = state["best"]
-        self._watch = Stopwatch(state["wall_s"], state["cpu_s"])
+        self.learner.restore(state["learner"])
+        self.iterations, self.episodes = state["iterations"], state["episodes"]
+        self.evaluations = [Evaluated(**e) for e in state["evaluations"]]
+        self.best = state["best"]
+        self.watch = Stopwatch(state["wall_s"], state["cpu_s"])
 
 
 def evaluate_policy(policy: Policy, robot: Robot, motion: Motion, steps: int, watch: Stopwatch) -> Evaluated:
@@ -310,8 +302,3 @@ def _write(log: Any, done: Iteration, steps: int) -> None:
         figures["train/fall_share"] = done.falls / len(done.scores)
     for name, value in figures.items():
         log.add_scalar(name, value, steps)
-
-
-def _write_evaluation(log: Any, found: Evaluated) -> None:
-    for name in ("reward", "reward_perturbed", "fell_perturbed"):
-        log.add_scalar(f"evaluation/{name}", getattr(found, name), found.steps)
