@@ -19,7 +19,7 @@ from fastmimic.dataset.records import COLUMNS, KEPT, RANKS, RECORDS, Record, gra
 if TYPE_CHECKING:
     import pyarrow
 
-Search = tuple[str, str, int, str, str]
+Search = tuple[str, str, int, str, str]  # the same for records that differ only in their start
 
 GRADED: Final = {"grade": str, "lacks": str, "kept": bool, "best": bool}
 """Further columns of the index: grade, the reason it is not better, whether the motion is kept, and whether it is the
@@ -94,12 +94,6 @@ def robot_of(record: Mapping[str, Any]) -> str:
     return str(record["robot_file"] or record["robot"])
 
 
-def search_of(record: Mapping[str, Any]) -> Search:
-    """Key of a search, the same for records that differ only in their start."""
-    robot, digest, recipe = (intern(said) for said in (robot_of(record), record["robot_digest"], record["recipe"]))
-    return record["piece"], robot, record["seed"], digest, recipe
-
-
 @dataclass(frozen=True, eq=False)
 class Gathered:
     """All records of a library.
@@ -132,9 +126,11 @@ class _Brief:
 
     @classmethod
     def of(cls, row: Record, reached: str) -> "_Brief":
+        robot, digest, recipe = (intern(said) for said in (robot_of(row), row["robot_digest"], row["recipe"]))
+        search = (row["piece"], robot, row["seed"], digest, recipe)
         order = (row["name"], row["robot"], row["seed"], row["id"])
         rank = (RANKS.index(reached), row["reward_perturbed"] or 0.0)
-        return cls(search_of(row), row["finished"] or "", order, rank, reached in KEPT)
+        return cls(search, row["finished"] or "", order, rank, reached in KEPT)
 
 
 def gather(folder: Path, plan: Membership) -> Gathered:

@@ -16,8 +16,8 @@ from scipy.spatial import KDTree
 from fastmimic.base.errors import LibraryError
 from fastmimic.dataset.excerpts import Excerpt
 from fastmimic.dataset.folder import MotionDataset, Row
+from fastmimic.dataset.index import robot_of
 from fastmimic.dataset.jobs import WarmStart
-from fastmimic.dataset.membership import robot_of
 
 TEMPO: Final = 0.2
 SPEED_M_S: Final = 0.4
