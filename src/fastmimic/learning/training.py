@@ -95,13 +95,9 @@ class Stopwatch:
     def __init__(self, wall_s: float = 0.0, cpu_s: float = 0.0) -> None:
         self._wall_s, self._cpu_s = wall_s - time.perf_counter(), cpu_s - time.process_time()
 
-    @property
-    def wall_s(self) -> float:
-        return self._wall_s + time.perf_counter()
-
-    @property
-    def cpu_s(self) -> float:
-        return self._cpu_s + time.process_time()
+    def times(self) -> dict[str, float]:
+        """`wall_s` and `cpu_s` so far."""
+        return {"wall_s": self._wall_s + time.perf_counter(), "cpu_s": self._cpu_s + time.process_time()}
 
 
 @dataclass(frozen=True)
@@ -238,8 +234,7 @@ class _Training:
                 "steps": self._steps,
                 "episodes": self.episodes,
                 "simulated_s": self._steps / self.learner.settings.policy.rate_hz,
-                "wall_s": self.watch.wall_s,
-                "cpu_s": self.watch.cpu_s,
+                **self.watch.times(),
                 "device": self.learner.device,
                 "settings": plain(self.learner.settings),
             },
@@ -252,8 +247,7 @@ class _Training:
             "episodes": self.episodes,
             "evaluations": [asdict(e) for e in self.evaluations],
             "best": float(self.best),
-            "wall_s": self.watch.wall_s,
-            "cpu_s": self.watch.cpu_s,
+            **self.watch.times(),
         }
 
     def _restore(self, state: dict[str, Any]) -> None:
@@ -266,15 +260,14 @@ class _Training:
 
 def evaluate_policy(policy: Policy, robot: Robot, motion: Motion, steps: int, watch: Stopwatch) -> Evaluated:
     """One nominal episode and several from the perturbed starts of a comparison."""
-    wall_s, cpu_s = watch.wall_s, watch.cpu_s
+    times = watch.times()
     seconds = episode_duration(motion, EVALUATION_S)
     room = start_room(motion, seconds)
     start = perturbed_start(PERTURBED_EPISODES + 1, room, np.random.default_rng(_EVALUATION_SEED))
     rollout = run_episodes(robot, motion, start=start, duration_s=seconds, controller=controlled_by(policy))
     return Evaluated(
         steps=steps,
-        wall_s=wall_s,
-        cpu_s=cpu_s,
+        **times,
         reward=float(rollout.reward[0]),
         reward_perturbed=float(rollout.reward[1:].mean()),
         fell=bool(rollout.fell[0]),
