@@ -128,7 +128,8 @@ class Episodes:
         def step(shard: Shard, part: slice) -> None:
             shard.step(*(array[part] for array in arrays))
 
-        list((map if self._pool is None else self._pool.map)(step, self._shards, self._parts))
+        run = map if self._pool is None else self._pool.map
+        list(run(step, self._shards, self._parts))
         rows = np.flatnonzero(self._fell | self._ended)
         final = self._seen[rows]
         counts = np.concatenate([shard.counts for shard in self._shards])[rows]
