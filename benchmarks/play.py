@@ -57,7 +57,7 @@ def tried(robot: Robot, library: MotionSet, name: str, asked: dict[str, float], 
 def widened(library: MotionSet, speed: float) -> None:
     """Lets all motions be modulated further than they may, balanced for a speed."""
     limits = replace(WIDE, speed=(min(speed, 1.0), max(speed, 1.0)))
-    library.forget_tempos()
+    library.tempos.clear()
     for name, entry in library.entries.items():
         library.entries[name] = replace(entry, limits=limits)
 

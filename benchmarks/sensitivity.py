@@ -27,7 +27,7 @@ from fastmimic.motion.contacts import stances_of
 from fastmimic.optimize.parameters import FEET_AND_TRUNK
 from fastmimic.optimize.problem import ImitationProblem
 from fastmimic.primitive import MotionDmp
-from fastmimic.primitive.foot_table import foot_table
+from fastmimic.primitive.motion_dmp import foot_table
 from fastmimic.reference.table import remaining_stance
 
 Array = NDArray[np.float64]

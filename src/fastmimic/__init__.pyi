@@ -4,8 +4,8 @@ from fastmimic.base.errors import FastMimicError as FastMimicError
 from fastmimic.clips.catalogue import motion_names as motion_names
 from fastmimic.clips.catalogue import open_clip as open_clip
 from fastmimic.clips.clip import Clip as Clip
-from fastmimic.clips.periodicity import SegmentConfig as SegmentConfig
 from fastmimic.clips.segment import Segment as Segment
+from fastmimic.clips.segment import SegmentConfig as SegmentConfig
 from fastmimic.clips.segment import find_segments as find_segments
 from fastmimic.control.config import ControllerConfig as ControllerConfig
 from fastmimic.control.config_parts import GaitConfig as GaitConfig

@@ -189,18 +189,18 @@ def test_progress_grows_to_the_whole_file(server: Server, tmp_path: Path):
 
 
 def test_unknown_dataset_offers_the_closest(tmp_path: Path):
-    with pytest.raises(DataError, match=r"unknown dataset 'hre': expected here; did you mean 'here'\?"):
+    with pytest.raises(DataError, match=r"unknown dataset 'hre'; there are here; did you mean 'here'\?"):
         data.fetch(["hre"], folder=tmp_path)
 
 
 def test_list_says_what_is_there(server: Server, tmp_path: Path):
-    (status,) = data.list_datasets(tmp_path)
-    assert (status.present, status.complete) == ((), False)
+    ((_, present),) = data.list_datasets(tmp_path)
+    assert present == []
     data.fetch(folder=tmp_path, base_url=server.url)
-    (status,) = data.list_datasets(tmp_path)
-    assert (status.present, status.complete) == (("a.txt", "b.txt"), True)
-    assert "CC BY-NC 4.0" in status.dataset.licence
-    assert "AI4Animation" in status.dataset.credit
+    ((dataset, present),) = data.list_datasets(tmp_path)
+    assert present == ["a.txt", "b.txt"] == list(dataset.files)
+    assert "CC BY-NC 4.0" in dataset.licence
+    assert "AI4Animation" in dataset.credit
 
 
 def test_a_copy_is_recognised_by_its_content(tmp_path: Path):
@@ -223,4 +223,4 @@ def test_real_files_have_the_hashes_of_the_registry(data_folder: Path):
     """Nothing is asked of the server, so a read-only folder without a network will do."""
     paths = data.fetch(folder=data_folder, base_url="http://127.0.0.1:9")
     assert len(paths) == 14
-    assert all(status.complete for status in data.list_datasets(data_folder))
+    assert all(present == list(dataset.files) for dataset, present in data.list_datasets(data_folder))

@@ -10,7 +10,7 @@ import pytest
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats import FORMATS, Content, Format, detect_format, read_clip, suffixes
+from fastmimic.clips.formats import FORMATS, Content, Format, ReadOptions, detect_format, read_clip, suffixes
 from fastmimic.dataset.sources import find_sources
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "extend" / "motion_format.py"
@@ -42,7 +42,7 @@ def test_a_registered_format_is_read_listed_and_named_in_errors(bare: Format, tm
     assert ".bare" in suffixes()
     assert [Path(source.place).name for source in find_sources(tmp_path)] == ["walk.bare"]
     with pytest.raises(ClipError, match="y up does not apply to bare floats"):
-        read_clip(path, up="y")
+        read_clip(path, ReadOptions(up="y"))
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(ClipError, match=r"walk\.bare: a binary file.*bare floats"):
         read_clip(path)

@@ -7,7 +7,7 @@ import pytest
 from sample_files import csv_text, deepmimic_text, keypoint_text, save_motion
 
 from fastmimic.base.errors import ClipError
-from fastmimic.clips.formats import detect_format, read_clip
+from fastmimic.clips.formats import ReadOptions, detect_format, read_clip
 
 TEXTS = {"keypoints": keypoint_text(), "deepmimic": deepmimic_text(), "csv": csv_text()}
 
@@ -101,8 +101,8 @@ def test_provenance(file):
 @pytest.mark.parametrize("name", TEXTS)
 def test_overrides_apply_to_every_format(file, a1, name: str):
     path = file(TEXTS[name])
-    whole = read_clip(path, robot=a1)
-    clip = read_clip(path, robot=a1, fps=25, scale=0.5, frames=(1, 4))
+    whole = read_clip(path, ReadOptions(robot=a1))
+    clip = read_clip(path, ReadOptions(robot=a1, fps=25, scale=0.5, frames=(1, 4)))
     assert (clip.rate_hz, clip.scale, clip.n_frames) == (25, 0.5, 3)
     np.testing.assert_array_equal(clip.points_w, whole.points_w[1:4])
     assert clip.meta["frames"] == [1, 4]
@@ -111,32 +111,33 @@ def test_overrides_apply_to_every_format(file, a1, name: str):
 @pytest.mark.parametrize("name", ["deepmimic", "csv"])
 def test_y_up_does_not_apply_to_robot_formats(file, a1, name: str):
     with pytest.raises(ClipError, match="y up does not apply"):
-        read_clip(file(TEXTS[name]), robot=a1, up="y")
-    assert read_clip(file(TEXTS[name]), robot=a1, up="z").n_frames == read_clip(file(TEXTS[name]), robot=a1).n_frames
+        read_clip(file(TEXTS[name]), ReadOptions(robot=a1, up="y"))
+    plain, z_up = (read_clip(file(TEXTS[name]), ReadOptions(robot=a1, up=up)) for up in (None, "z"))
+    assert z_up.n_frames == plain.n_frames
 
 
 @pytest.mark.parametrize("name", TEXTS)
 @pytest.mark.parametrize("fps", [0, -30, float("nan"), float("inf"), 1e-9, 1e9])
 def test_a_rate_that_no_motion_has_is_refused(file, a1, name: str, fps: float):
     with pytest.raises(ClipError, match=r"motion\.dat: the frame rate"):
-        read_clip(file(TEXTS[name]), robot=a1, fps=fps)
+        read_clip(file(TEXTS[name]), ReadOptions(robot=a1, fps=fps))
 
 
 @pytest.mark.parametrize("scale", [0, -1, float("nan")])
 def test_a_scale_that_is_not_positive_is_refused(file, scale: float):
     with pytest.raises(ClipError, match="scale must be positive"):
-        read_clip(file(keypoint_text()), scale=scale)
+        read_clip(file(keypoint_text()), ReadOptions(scale=scale))
 
 
 def test_an_unknown_axis_is_refused(file):
     with pytest.raises(ClipError, match="must be 'y' or 'z', found 'x'"):
-        read_clip(file(keypoint_text()), up="x")
+        read_clip(file(keypoint_text()), ReadOptions(up="x"))
 
 
 @pytest.mark.parametrize("frames", [(0, 13), (-1, 5), (5, 5), (7, 3), (20, 30)])
 def test_frames_out_of_range_say_how_many_there_are(file, frames: tuple[int, int]):
     with pytest.raises(ClipError, match=rf"motion\.dat: frames {frames[0]}:{frames[1]} are not in this clip of 12"):
-        read_clip(file(keypoint_text()), frames=frames)
+        read_clip(file(keypoint_text()), ReadOptions(frames=frames))
 
 
 def test_a_csv_needs_its_robot(file):
@@ -147,5 +148,5 @@ def test_a_csv_needs_its_robot(file):
 def test_a_cut_is_no_longer_said_to_be_a_cycle(file):
     path = file(deepmimic_text(9))
     assert read_clip(path).is_cycle is True
-    assert read_clip(path, frames=(0, 8)).is_cycle is True
-    assert read_clip(path, frames=(0, 7)).is_cycle is None
+    assert read_clip(path, ReadOptions(frames=(0, 8))).is_cycle is True
+    assert read_clip(path, ReadOptions(frames=(0, 7))).is_cycle is None

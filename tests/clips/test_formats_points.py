@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import POINT_NAMES, Clip
-from fastmimic.clips.formats import detect_format, read_clip
+from fastmimic.clips.formats import ReadOptions, detect_format, read_clip
 from fastmimic.clips.formats.points import AI4ANIMATION_DOG
 from fastmimic.clips.segment import find_segments
 from fastmimic.retargeting.retarget import retarget
@@ -103,11 +103,11 @@ def test_a_point_map_names_the_joints_of_another_skeleton(tmp_path: Path) -> Non
     with pytest.raises(ClipError, match=r"bone_0, bone_1, .*--point-map FILE.json"):
         read_clip(path)
     (tmp_path / "map.json").write_text(json.dumps(names))
-    read = read_clip(path, point_map=tmp_path / "map.json")
+    read = read_clip(path, ReadOptions(point_map=tmp_path / "map.json"))
     np.testing.assert_allclose(read.points_w[:, :6], walk(1).points_w[:, :6], atol=1e-6)
     wrong = names | {"neck": "bone_11"}
     with pytest.raises(ClipError, match="'bone_11', which the file does not have; did you mean"):
-        read_clip(path, point_map=wrong)
+        read_clip(path, ReadOptions(point_map=wrong))
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_a_point_map_that_is_none_is_refused(content: str, words: str, tmp_path:
     (tmp_path / "dog.bvh").write_text(dog_bvh(walk(1)))
     (tmp_path / "map.json").write_text(content)
     with pytest.raises(ClipError, match=r"map\.json") as caught:
-        read_clip(tmp_path / "dog.bvh", point_map=tmp_path / "map.json")
+        read_clip(tmp_path / "dog.bvh", ReadOptions(point_map=tmp_path / "map.json"))
     assert words in str(caught.value)
 
 
@@ -183,12 +183,12 @@ def test_a_table_without_times_wants_a_rate_and_one_of_other_names_a_map(tmp_pat
     path.write_text(table_of(clip, time=False))
     with pytest.raises(ClipError, match="give the frame rate"):
         read_clip(path)
-    assert read_clip(path, fps=120).rate_hz == 120
+    assert read_clip(path, ReadOptions(fps=120)).rate_hz == 120
     names = {name: f"marker {i}" for i, name in enumerate(POINT_NAMES)}
     path.write_text(table_of(clip, names=names))
     with pytest.raises(ClipError, match="marker 3"):
         read_clip(path)
-    np.testing.assert_allclose(read_clip(path, point_map=names).points_w, clip.points_w, atol=1e-6)
+    np.testing.assert_allclose(read_clip(path, ReadOptions(point_map=names)).points_w, clip.points_w, atol=1e-6)
 
 
 def test_uneven_times_are_refused(tmp_path: Path) -> None:

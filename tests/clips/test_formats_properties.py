@@ -21,7 +21,7 @@ from sample_files import (
 
 from fastmimic.base.errors import FastMimicError
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats import csv_motion, deepmimic, detect_format, keypoints, read_clip
+from fastmimic.clips.formats import ReadOptions, csv_motion, deepmimic, detect_format, keypoints, read_clip
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
@@ -35,7 +35,7 @@ def read_or_refuse(path: Path, content: bytes, robot: Robot) -> None:
     path.write_bytes(content)
     message = None
     try:
-        result = Motion.load(path) if detect_format(path) == "npz" else read_clip(path, robot=robot)
+        result = Motion.load(path) if detect_format(path) == "npz" else read_clip(path, ReadOptions(robot=robot))
         assert not isinstance(result, Clip) or np.all(np.isfinite(result.points_w))
     except FastMimicError as error:
         message = str(error)

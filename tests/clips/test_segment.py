@@ -10,8 +10,17 @@ import pytest
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.clips.catalogue import RECORDED, open_clip
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.periodicity import SegmentConfig
-from fastmimic.clips.segment import DISCRETE, FOOTFALLS, GAITS, STAND, TURN, Segment, find_segments, footfall_of
+from fastmimic.clips.segment import (
+    DISCRETE,
+    FOOTFALLS,
+    GAITS,
+    STAND,
+    TURN,
+    Segment,
+    SegmentConfig,
+    find_segments,
+    footfall_of,
+)
 
 CUTS = {  # of the recordings: file, first frame, end, and whether it turns
     "pace": ("dog_walk00", 162, 201, False),

@@ -14,7 +14,7 @@ from fastmimic.base.errors import ClipError, ConfigError, MotionError
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar
 from fastmimic.cli import main
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats import detect_format, read_clip
+from fastmimic.clips.formats import ReadOptions, detect_format, read_clip
 from fastmimic.clips.formats.points import robot_points
 from fastmimic.motion.export import DECIMALS, export_motion, sample
 from fastmimic.motion.motion import Motion
@@ -78,7 +78,7 @@ class TestSampling:
 
 class TestText:
     def read(self, path: Path, robot: Robot) -> Clip:
-        return read_clip(path, robot=robot)
+        return read_clip(path, ReadOptions(robot=robot))
 
     def test_deepmimic_reads_back_within_its_decimals(self, motion: Motion, robot: Robot, tmp_path: Path) -> None:
         path = tmp_path / "walk.txt"
@@ -105,9 +105,9 @@ class TestText:
     def test_it_is_the_named_robots(self, motion: Motion, robot: Robot, tmp_path: Path) -> None:
         path = tmp_path / "walk.txt"
         export_motion(motion, robot, path, "deepmimic")
-        assert np.array_equal(read_clip(path).points_w, read_clip(path, robot=robot).points_w)
+        assert np.array_equal(read_clip(path).points_w, read_clip(path, ReadOptions(robot=robot)).points_w)
         with pytest.raises(ClipError, match="those of robot \"a1\", not 'go1'"):
-            read_clip(path, robot=load_robot("go1"))
+            read_clip(path, ReadOptions(robot=load_robot("go1")))
         path.write_text(path.read_text().replace('"a1"', '"zebra"'))
         with pytest.raises(ClipError, match='those of robot "zebra"'):
             read_clip(path)

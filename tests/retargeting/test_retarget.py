@@ -13,7 +13,7 @@ from scipy.optimize import nnls
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, rotvec_from_quat
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats import read_clip
+from fastmimic.clips.formats import ReadOptions, read_clip
 from fastmimic.clips.formats.points import robot_points
 from fastmimic.clips.synthesis import generate
 from fastmimic.motion.ground import ground_demand, push_directions
@@ -45,7 +45,7 @@ def recorded(folder: Path, name: str) -> Clip:
     if name in FILES:
         return read_clip(folder / "deepmimic_motions" / f"{name}.txt")
     file, start, end = CUTS[name]
-    return read_clip(folder / "dog_keypoints" / f"{file}_joint_pos.txt", frames=(start, end))
+    return read_clip(folder / "dog_keypoints" / f"{file}_joint_pos.txt", ReadOptions(frames=(start, end)))
 
 
 @pytest.mark.parametrize("name", [*CUTS, *FILES])
@@ -72,7 +72,7 @@ def test_known_figures_of_the_real_turns(data_folder: Path, a1: Robot) -> None:
 
 
 def test_a_whole_take_is_not_a_cycle_and_its_cut_is_one(data_folder: Path, a1: Robot) -> None:
-    take = read_clip(data_folder / "dog_keypoints" / "dog_walk00_joint_pos.txt", frames=(100, 260))
+    take = read_clip(data_folder / "dog_keypoints" / "dog_walk00_joint_pos.txt", ReadOptions(frames=(100, 260)))
     motion, report = retarget(take, a1)
     assert motion.cycle is None
     assert "not a cycle" in report.cycle_reason

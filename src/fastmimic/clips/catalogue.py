@@ -9,7 +9,7 @@ from typing import Final
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, data_folder, dataset_of, find_file
-from fastmimic.clips.formats import ReadOptions, read_with, suffixes, with_scale
+from fastmimic.clips.formats import ReadOptions, read_clip, suffixes, with_scale
 from fastmimic.clips.formats.points import PointMap
 from fastmimic.clips.synthesis import GAITS, GaitSpec, generate
 from fastmimic.robot.robot import Robot
@@ -131,7 +131,8 @@ def open_clip(
         raise ClipError(f"a point map cannot be given for '{name}': its points are known")
     if name in GAITS:
         _refuse(name, "it is generated, not read from a file", {"frame rate": fps, "vertical axis": up})
-        clip = _built_in(name, options, gait_options)
+        clip = generate(name, **gait_options)
+        clip = _cut(name, clip if scale is None else with_scale(clip, scale), frames)
     else:
         _refuse(name, f"only the built-in gaits can be varied ({', '.join(GAITS)})", gait_options)
         clip = _recorded(name, options, folder) if name in RECORDED else _file(name_or_path, options)
@@ -152,29 +153,23 @@ def _file(path: str | Path, options: ReadOptions) -> Clip:
     looks_like_path = "/" in name or "\\" in name or Path(name).suffix.lower() in suffixes()
     if not looks_like_path and not os.path.exists(path):
         raise _unknown(name)
-    clip = read_with(path, options)
+    clip = read_clip(path, options)
     dataset = dataset_of(path)
     if dataset is None:
         return clip
     return replace(clip, meta=clip.meta | {"licence": dataset.licence, "credit": dataset.credit})
 
 
-def _built_in(name: str, options: ReadOptions, gait_options: Mapping[str, float | None]) -> Clip:
-    clip = generate(name, **gait_options)
-    clip = clip if options.scale is None else with_scale(clip, options.scale)
-    return clip if options.frames is None else _cut(name, clip, options.frames)
-
-
 def _recorded(name: str, options: ReadOptions, folder: str | Path | None) -> Clip:
     motion, path = RECORDED[name], _recording(name, folder)
-    clip = read_with(path, replace(options, robot=None, frames=motion.frames))
+    clip = read_clip(path, replace(options, robot=None, frames=motion.frames))
     dataset = next(d for d in DATASETS if d.name == motion.dataset)
     assumed = list(clip.meta["assumed"])
     if dataset_of(path) is None:
         assumed.append(f"{path} is not the published file (its SHA-256 differs)")
     provenance = {"name": name, "source": motion.source, "licence": dataset.licence, "credit": dataset.credit}
     clip = replace(clip, is_cycle=True, meta=clip.meta | provenance | {"assumed": assumed})
-    return clip if options.frames is None else _cut(name, clip, options.frames)
+    return _cut(name, clip, options.frames)
 
 
 def _recording(name: str, folder: str | Path | None) -> Path:
@@ -194,9 +189,9 @@ def _unknown(name: str) -> ClipError:
     return ClipError(f"'{name}' is neither the name of a motion nor a file{hint}")
 
 
-def _cut(name: str, clip: Clip, frames: tuple[int, int]) -> Clip:
+def _cut(name: str, clip: Clip, frames: tuple[int, int] | None) -> Clip:
     try:
-        return clip.cut(*frames)
+        return clip if frames is None else clip.cut(*frames)
     except ClipError as error:
         raise ClipError(f"{name}: {error}") from None
 

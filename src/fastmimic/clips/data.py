@@ -8,7 +8,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 
-from fastmimic.base.errors import DataError, did_you_mean
+from fastmimic.base.errors import DataError, unknown
 
 DEFAULT_BASE_URL: Final = (
     "https://raw.githubusercontent.com/erwincoumans/motion_imitation/d0e7b963c5a301984352d25a3ee0820266fa4218"
@@ -36,19 +36,6 @@ class Dataset:
     files: dict[str, str]
     licence: str = LICENCE
     credit: str = CREDIT
-
-
-@dataclass(frozen=True)
-class DatasetStatus:
-    """A dataset and which of its files are in `folder`."""
-
-    dataset: Dataset
-    folder: Path
-    present: tuple[str, ...]
-
-    @property
-    def complete(self) -> bool:
-        return len(self.present) == len(self.dataset.files)
 
 
 DATASETS: Final = (
@@ -93,13 +80,9 @@ def data_folder(folder: str | Path | None = None) -> Path:
     return Path(pooch.os_cache("fastmimic"))
 
 
-def list_datasets(folder: str | Path | None = None) -> list[DatasetStatus]:
-    """All datasets and which of their files are there, by name; `fetch` checks the content."""
-    root = data_folder(folder)
-    return [
-        DatasetStatus(d, root, tuple(name for name in d.files if os.path.isfile(root / d.name / name)))
-        for d in DATASETS
-    ]
+def list_datasets(folder: str | Path | None = None) -> list[tuple[Dataset, list[str]]]:
+    """All datasets, each with those of its files that are there, by name; `fetch` checks the content."""
+    return [(d, [name for name in d.files if find_file(d.name, name, folder) is not None]) for d in DATASETS]
 
 
 def fetch(
@@ -143,12 +126,10 @@ def dataset_of(path: str | Path) -> Dataset | None:
 
 def _named(names: Iterable[str] | None) -> list[Dataset]:
     known = {dataset.name: dataset for dataset in DATASETS}
-    if names is None:
-        return list(DATASETS)
-    chosen = list(names)
+    chosen = list(known if names is None else names)
     for name in chosen:
         if name not in known:
-            raise DataError(f"unknown dataset '{name}': expected {' or '.join(known)}{did_you_mean(name, known)}")
+            raise unknown("dataset", name, known, DataError)
     return [known[name] for name in chosen]
 
 

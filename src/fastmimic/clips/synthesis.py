@@ -12,7 +12,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import FRONT, LEFT
-from fastmimic.base.errors import ConfigError, did_you_mean
+from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.base.rotations import (
     planar_exp,
     quat_from_rotvec,
@@ -127,7 +127,7 @@ def gait(
     range. `speed`, m/s at the A1's size, is along the gait's own direction (sideways for a side-step); `yaw_rate`,
     rad/s, is positive to the left; `duty` is the share of the period in stance."""
     if name not in GAITS:
-        raise ConfigError(f"unknown gait '{name}'; there are {', '.join(GAITS)}{did_you_mean(name, GAITS)}")
+        raise unknown("gait", name, GAITS)
     spec = GAITS[name]
     if speed is not None:
         _in_range("speed", speed, -2.5, 2.5, "m/s")

@@ -74,10 +74,10 @@ class Data:
         if self.datasets or self.base_url:
             raise ConfigError("data list takes no dataset and no --base-url: it lists everything")
         found = list_datasets(self.folder)
-        rows = [(s.dataset.name, f"{len(s.present)} of {len(s.dataset.files)}", s.dataset.about) for s in found]
+        rows = [(d.name, f"{len(here)} of {len(d.files)}", d.about) for d, here in found]
         put_table([("dataset", "files here", "description"), *rows])
-        put(f"folder: {found[0].folder}")
-        self._put_licence([s.dataset.name for s in found])
+        put(f"folder: {data_folder(self.folder)}")
+        self._put_licence([d.name for d, _ in found])
         return 0
 
     def _fetch(self) -> int:

@@ -15,8 +15,7 @@ from fastmimic.base.files import write_text
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import detect_format
-from fastmimic.clips.periodicity import SegmentConfig
-from fastmimic.clips.segment import DISCRETE, Segment, as_one_cycle, find_segments
+from fastmimic.clips.segment import DISCRETE, Segment, SegmentConfig, as_one_cycle, find_segments
 from fastmimic.dataset.sources import DatasetSource
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive.discrete import MAX_S

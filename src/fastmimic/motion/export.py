@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINT_NAMES
-from fastmimic.base.errors import ConfigError, did_you_mean
+from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.base.files import replace_file
 from fastmimic.base.rotations import (
     quat_continuous,
@@ -78,7 +78,7 @@ def export_motion(
     Raises `ConfigError` for a bad argument, `MotionError` for another robot's motion, `OutputError` if writing fails.
     """
     if form not in EXPORTS:
-        raise ConfigError(f"unknown format '{form}'; there are {', '.join(EXPORTS)}{did_you_mean(form, EXPORTS)}")
+        raise unknown("format", form, EXPORTS)
     motion.check_robot(robot.name)
     looping = form == "deepmimic" and motion.cycle is not None and duration_s is None
     frames = sample(motion, fps, duration_s, looping=looping)

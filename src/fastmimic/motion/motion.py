@@ -155,11 +155,7 @@ class Motion:
         if version.size != 1 or int(version) != FORMAT_VERSION:
             raise MotionError(f"{path}: format version {version}; this release reads version {FORMAT_VERSION}")
         try:
-            demonstration = None
-            if any(key.startswith(_DEMONSTRATION) for key in arrays):
-                n = len(_DEMONSTRATION)
-                demonstration = _from_arrays({k[n:]: v for k, v in arrays.items() if k.startswith(_DEMONSTRATION)})
-            return _from_arrays(arrays, demonstration)
+            return _from_arrays(arrays)
         except KeyError as error:
             raise MotionError(f"{path}: not a FastMimic motion: array {error} is missing") from None
         except (MotionError, ValueError, TypeError) as error:
@@ -179,15 +175,19 @@ def _to_arrays(motion: Motion) -> dict[str, Any]:
     }
 
 
-def _from_arrays(arrays: dict[str, Any], demonstration: Motion | None = None) -> Motion:
+def _from_arrays(arrays: dict[str, Any]) -> Motion:
+    def of(prefix: str) -> dict[str, Any]:
+        return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+
+    demonstration = of(_DEMONSTRATION)
     parts: list[Motion] = []
-    while any(key.startswith(prefix := _PART.format(len(parts))) for key in arrays):
-        parts.append(_from_arrays({k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)}))
+    while part := of(_PART.format(len(parts))):
+        parts.append(_from_arrays(part))
     return Motion(
         rate_hz=float(arrays["rate_hz"]),
         **{name: arrays[name] for name in _ARRAYS},
         cycle=arrays["cycle"] if arrays["cycle"].size else None,
         provenance=Provenance.from_dict(json.loads(str(arrays["meta_json"]))),
-        demonstration=demonstration,
+        demonstration=_from_arrays(demonstration) if demonstration else None,
         parts=tuple(parts),
     )

@@ -33,7 +33,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FOOT_HEIGHT, needed_group
 from fastmimic.optimize.problem import ImitationProblem, Objective, Problem, clearance_penalty
 from fastmimic.primitive import MotionDmp
-from fastmimic.primitive.foot_table import foot_table
+from fastmimic.primitive.motion_dmp import foot_table
 from fastmimic.primitive.rhythmic import N_BASIS
 from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot

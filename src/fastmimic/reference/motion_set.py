@@ -7,7 +7,7 @@ from typing import Any, Final, TypeVar
 
 from numpy.typing import NDArray
 
-from fastmimic.base.errors import ConfigError, MotionError, did_you_mean
+from fastmimic.base.errors import MotionError, unknown
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import CourseTransition, course_of, make_course_transition
@@ -59,7 +59,7 @@ class MotionSet:
         self.robot = robot
         self._executor, self._source = executor, source if source is not None else robot.name
         self._transitions: dict[tuple[str, str], Future[CourseTransition | None]] = {}
-        self._tempos: dict[str, Future[Tempo]] = {}
+        self.tempos: dict[str, Future[Tempo]] = {}
         self._busy: Future[Any] | None = None
         self.entries: dict[str, Entry] = {}
         for name, make in ((STAND, standing), (IN_PLACE, in_place)):
@@ -76,9 +76,7 @@ class MotionSet:
     def entry(self, name: str) -> Entry:
         """A motion; raises `ConfigError` for an unknown name."""
         if name not in self.entries:
-            raise ConfigError(
-                f"'{name}' is not among the motions; there are {', '.join(self.names)}{did_you_mean(name, self.names)}"
-            )
+            raise unknown("motion", name, self.names)
         return self.entries[name]
 
     def next_hop(self, now: str, goal: str) -> tuple[str, CourseTransition] | None:
@@ -104,16 +102,12 @@ class MotionSet:
 
     def tempo(self, name: str) -> Tempo | None:
         """A motion's demonstration at speeds within its limits; None while it is being made."""
-        if name not in self._tempos or _broke(self._tempos[name]):
+        if name not in self.tempos or _broke(self.tempos[name]):
             entry = self.entry(name)
             speeds = tuple(speed for speed in entry.limits.speed if speed != 1.0)
-            self._tempos[name] = self._made(make_tempo, entry.motion.target, speeds)
-        found = self._tempos[name]
+            self.tempos[name] = self._made(make_tempo, entry.motion.target, speeds)
+        found = self.tempos[name]
         return found.result() if found.done() else None
-
-    def forget_tempos(self) -> None:
-        """Forgets the tempos after a change of limits."""
-        self._tempos.clear()
 
     def prepare(self, now: str) -> None:
         """Starts making a transition or tempo that may be needed next, unless one is still being made."""
@@ -125,9 +119,9 @@ class MotionSet:
             if before != after and (before, after) not in self._transitions:
                 self._busy = self._future(before, after)
                 return
-        if now not in self._tempos:
+        if now not in self.tempos:
             self.tempo(now)
-            self._busy = self._tempos[now]
+            self._busy = self.tempos[now]
 
     def _stands(self, name: str) -> bool:
         return self.entry(name).stands

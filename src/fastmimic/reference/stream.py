@@ -302,18 +302,9 @@ def _place(x: float, y: float, yaw: float, out: Any) -> None:
         return
     c, s = np.cos(yaw), np.sin(yaw)
     out.root_pos[0], out.root_pos[1] = x, y
-    _turn(c, s, out.lin_vel)
-    _turn(c, s, out.ang_vel)
-    _turn(c, s, out.lin_acc)
-    _turn(c, s, out.ang_acc)
-    _turn(c, s, out.leg_lin_acc)
-    _turn(c, s, out.leg_ang_acc)
+    for v in (out.lin_vel, out.ang_vel, out.lin_acc, out.ang_acc, out.leg_lin_acc, out.leg_ang_acc):
+        v[0], v[1] = c * v[0] - s * v[1], s * v[0] + c * v[1]
     ch, sh = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
     w, a, b, d = out.root_quat[0], out.root_quat[1], out.root_quat[2], out.root_quat[3]
     out.root_quat[0], out.root_quat[1] = ch * w - sh * d, ch * a - sh * b
     out.root_quat[2], out.root_quat[3] = ch * b + sh * a, ch * d + sh * w
-
-
-@inlined
-def _turn(c: float, s: float, v: Array) -> None:
-    v[0], v[1] = c * v[0] - s * v[1], s * v[0] + c * v[1]

@@ -148,9 +148,7 @@ def _share_times(stances: Stances, pairing: str, n: int, least: float, shortest_
             end = round((x.lift_off + y.lift_off + shift) / 2)
             tried_a, tried_b = list(result[a]), list(result[b])
             tried_a[i] = tried_b[j] = _from_zero(Stance(start, end), n)
-            if _swings_last(tried_a, n, shortest_swing, periodic) and _swings_last(
-                tried_b, n, shortest_swing, periodic
-            ):
+            if all(_swings_last(leg, n, shortest_swing, periodic) for leg in (tried_a, tried_b)):
                 result[a], result[b] = tried_a, tried_b
     return [sorted(leg) for leg in result]
 

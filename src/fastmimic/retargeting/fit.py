@@ -189,14 +189,5 @@ class Fitter:
         return footholds(raw_w, track, self.stances, self.reach, linger)
 
     def _planted(self, raw_w: Array, holds: list[list[Array]], evenness: Array | None) -> Array:
-        return plant_feet(
-            raw_w,
-            self.track,
-            self.stances,
-            holds,
-            self.reach.clearance,
-            self.robot.foot_radius,
-            self.rate_hz,
-            self.config.swing,
-            evenness,
-        )
+        highest, ground_z, swing = self.reach.clearance, self.robot.foot_radius, self.config.swing
+        return plant_feet(raw_w, self.track, self.stances, holds, highest, ground_z, self.rate_hz, swing, evenness)

@@ -115,21 +115,17 @@ def _check(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int] | None
                 f"motion '{motion.name}' has {motion.rate_hz:g} samples a second and '{motions[0].name}'"
                 f" {motions[0].rate_hz:g}; stitched motions must have one rate"
             )
-    counts = [default_cycles(m) for m in motions] if cycles is None else _counts(motions, cycles)
+    if cycles is not None and len(cycles) != len(motions):
+        raise ConfigError(f"{len(motions)} motions need as many numbers of cycles, found {len(cycles)}")
+    counts = [default_cycles(m) for m in motions] if cycles is None else [int(c) for c in cycles]
+    for motion, count in zip(motions, counts, strict=True):
+        if count < 1:
+            raise ConfigError(f"every motion needs at least one cycle, found {count} for '{motion.name}'")
     if sum(c * m.n_samples for c, m in zip(counts, motions, strict=True)) > MAX_S * motions[0].rate_hz:
         raise ConfigError(
             f"the stitched motion would be longer than {MAX_S:g} s: fewer cycles than {', '.join(map(str, counts))}"
         )
     return counts
-
-
-def _counts(motions: Sequence[Motion], cycles: Sequence[int]) -> list[int]:
-    if len(cycles) != len(motions):
-        raise ConfigError(f"{len(motions)} motions need as many numbers of cycles, found {len(cycles)}")
-    for motion, count in zip(motions, cycles, strict=True):
-        if count < 1:
-            raise ConfigError(f"every motion needs at least one cycle, found {count} for '{motion.name}'")
-    return [int(c) for c in cycles]
 
 
 def _layout(

@@ -166,17 +166,14 @@ class _Passing:
     sweep: float
     linger: float
 
-    def travel(self, start: float, end: float) -> float:
-        """From sample `start` to `end`, m."""
-        later = self._covered(end) - self._covered(start)
-        sooner = end - start - later
-        return math.hypot(
-            sooner * self.before[0] + later * self.after[0], sooner * self.before[1] + later * self.after[1]
-        )
-
     def excess(self, start: int, end: int, own: float) -> float:
         """Excess of a stance over the leg's reach, or over `own`, the travel in its own motion, m, as a share."""
-        way = self.travel(start - self.linger, end + self.linger)
+        first, last = start - self.linger, end + self.linger
+        later = self._covered(last) - self._covered(first)
+        sooner = last - first - later
+        way = math.hypot(
+            sooner * self.before[0] + later * self.after[0], sooner * self.before[1] + later * self.after[1]
+        )
         return max(0.0, way / max(self.sweep, own) - 1.0)
 
     def _covered(self, sample: float) -> float:

@@ -10,9 +10,8 @@ from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import bvh, csv_motion, deepmimic, keypoints
 from fastmimic.clips.formats.format import FORMATS, ROBOT_MOTION, Content, Format, ReadOptions, format_of, suffixes
-from fastmimic.clips.formats.points import PointMap, read_point_map
+from fastmimic.clips.formats.points import read_point_map
 from fastmimic.clips.formats.text_table import check_positive, check_rate
-from fastmimic.robot.robot import Robot
 
 __all__ = [
     "FORMATS",
@@ -21,7 +20,6 @@ __all__ = [
     "ReadOptions",
     "detect_format",
     "read_clip",
-    "read_with",
     "suffixes",
     "with_scale",
 ]
@@ -39,24 +37,10 @@ def detect_format(path: str | Path) -> str:
         raise ClipError(f"{path}: {error}") from None
 
 
-def read_clip(
-    path: str | Path,
-    *,
-    robot: Robot | None = None,
-    fps: float | None = None,
-    up: str | None = None,
-    scale: float | None = None,
-    frames: tuple[int, int] | None = None,
-    point_map: str | Path | PointMap | None = None,
-) -> Clip:
-    """Reads a clip in any of `FORMATS`; `clip.meta` holds its `format` and what was `assumed`. Options as in
-    `ReadOptions`; None for what the file says or shows. For a FastMimic `.npz` use `Motion.load`. Raises `ClipError`
-    for an unreadable file, or an option that does not apply to its format."""
-    return read_with(path, ReadOptions(robot, fps, up, scale, frames, point_map))
-
-
-def read_with(path: str | Path, options: ReadOptions) -> Clip:
-    """Same as `read_clip`, with the options as one value."""
+def read_clip(path: str | Path, options: ReadOptions | None = None) -> Clip:
+    """Reads a clip in any of `FORMATS`; `clip.meta` holds its `format` and what was `assumed`. `Motion.load` reads a
+    FastMimic `.npz`. Raises `ClipError` for an unreadable file, or an option that does not apply to its format."""
+    options = options if options is not None else ReadOptions()
     try:
         if options.up not in (None, "y", "z"):
             raise ClipError(f"the vertical axis must be 'y' or 'z', found '{options.up}'")

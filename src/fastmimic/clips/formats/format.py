@@ -89,7 +89,7 @@ class Content:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """A user's options for reading a clip; they replace what the file says.
+    """A user's options for reading a clip; None for what the file says or shows.
 
     Attributes:
         robot: the robot of a file of joint angles.
