@@ -63,8 +63,7 @@ class Clip:
     Attributes:
         points_w: (t, 10, 3) keypoints in the order of `POINT_NAMES`, world frame, m.
         rate_hz: frames a second.
-        root_quat_wxyz: (t, 4) trunk orientation of a source that has it (a robot's motion); if None, retargeting
-            derives it from the keypoints.
+        root_quat_wxyz: (t, 4) trunk orientation, if the source has it; else retargeting derives it from the keypoints.
         is_cycle: whether the clip is one period; None if the source does not say.
         leg_length_m: upper plus lower leg of the source's body, for scaling; None if unknown.
         scale: factor from the source's size to the robot's if the source fixes it (1.0 for a robot's own motion).

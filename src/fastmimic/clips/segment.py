@@ -141,8 +141,7 @@ class Segment:
         start, end: frames, 0-based, end exclusive.
         gait: one of `GAITS`.
         footfall: one of `FOOTFALLS`, of a turn as well; None where nothing repeats.
-        period_frames, cycle: period, and first frame and end of the cycle that repeats best; None where nothing
-            repeats.
+        period_frames, cycle: period, and the cycle (first, end) that repeats best; None where nothing repeats.
         confidence: from 0, where d' is no better than chance, to 1, an exact repetition; for standing and discrete
             parts, how clearly nothing repeats.
         speed_m_s: mean over the ground, of the trunk, in the animal's size.

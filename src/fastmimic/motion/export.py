@@ -66,14 +66,12 @@ def export_motion(
     fps: float = DEFAULT_FPS,
     duration_s: float | None = None,
 ) -> Frames:
-    """Writes a motion, without its demonstration, for another trainer and returns the frames; replaces an existing
-    file.
+    """Writes a motion, without its demonstration, for another trainer, over any existing file; returns the frames.
 
     Args:
         form: one of `EXPORTS`.
         fps: frames a second; for a cycle the nearest rate that divides it evenly.
-        duration_s: length, s. If None: one cycle in a format that loops, `REPEATED_S` in another, and all of a motion
-            that does not repeat.
+        duration_s: length, s. If None: all of a motion; of a cycle one in a format that loops, else `REPEATED_S`.
 
     Raises `ConfigError` for a bad argument, `MotionError` for another robot's motion, `OutputError` if writing fails.
     """

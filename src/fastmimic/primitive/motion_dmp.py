@@ -1,4 +1,4 @@
-"""`MotionDmp`: the 24 rhythmic or discrete DMPs of a motion, and the motions that they make, their feet within reach."""
+"""`MotionDmp`: the 24 rhythmic or discrete DMPs of a motion, and the motions that they make, with feet in reach."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -98,8 +98,7 @@ def _reach(rows: Array, limits: Array, feet: Array, q: Array, shift: Array, coun
 class MotionDmp:
     """DMPs fitted to a motion: root pose 6, root velocity 6, feet in the body frame 12.
 
-    They are rhythmic if the motion is a cycle, else discrete. A discrete dimension comes to rest at g, and a scales its
-    path; its start is not modulated.
+    Those of a cycle are rhythmic. Others are discrete: they come to rest at g, a scales the path, the start is kept.
 
     Attributes:
         fitted, robot: the fitted motion and its robot.
@@ -116,8 +115,7 @@ class MotionDmp:
 
     @classmethod
     def fit(cls, motion: Motion, robot: Robot, n_basis: int = N_BASIS) -> "MotionDmp":
-        """Fits the DMPs of a motion. Raises `MotionError`: its trunk points straight up or down, or it does not repeat
-        and is longer than `MAX_S`."""
+        """Raises `MotionError`: the trunk points straight up or down, or a motion without a cycle exceeds `MAX_S`."""
         twist = twist_of(motion)
         samples = to_coordinates(motion, twist)
         primitive: RhythmicDmp | DiscreteDmp

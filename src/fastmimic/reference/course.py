@@ -53,8 +53,7 @@ COURSE: Final = record_dtype(
 )
 """One sample, heading frame of the root, SI units: `step` and `turn` of the root to the next sample; `tilt` heading →
 body; velocities and accelerations, also those of the legs (`SAMPLE`); `foot` from the root on the ground, z of its
-centre; `lift` of the foot above its foothold; `since_middle` as in that function; `travel`, mean velocity over a
-stride."""
+centre; `lift` of the foot above its foothold; `since_middle` of that function; `travel`, mean over a stride."""
 
 _STRIDE_S: Final = 0.5  # averaging time of the velocity of a motion that does not repeat
 
@@ -127,12 +126,10 @@ _MODULATED: Final = ("root_z", "lin_vel", "ang_vel", "foot")
 
 @dataclass(frozen=True, eq=False)
 class CourseTransition:
-    """A transition between two cyclic motions, which leaves the first before row `leave` ≥ 1 and enters the second at
-    `arrive`.
+    """A transition between two cyclic motions: it leaves one before row `leave` ≥ 1 and enters the other at `arrive`.
 
     `course` (t,) of `COURSE` is for the controller, with `_MARGIN` rows of the motions at either end, `demonstration`
-    for the score. Rows [first, last) are the transition itself. `measured` holds figures as a stitched motion
-    records them.
+    for the score. Rows [first, last) are the transition itself. `measured` is as in a stitched motion's record.
     """
 
     course: NDArray[Any]

@@ -2,8 +2,7 @@
 
 A table holds one period, relative to the heading frame of its sample 0. A clock holds the present sample and the
 period's origin in the world (x, y, yaw). At each wrap the origin moves by the period's displacement. At each start of a
-cycle (the wrap of a cyclic motion, or a sample with `sync` of a stitched one) its x and y are re-synchronised to the
-robot, never its yaw.
+cycle (a cyclic motion's wrap, or a stitched one's sample with `sync`) its x and y, never its yaw, follow the robot.
 """
 
 from collections.abc import Sequence

@@ -19,9 +19,8 @@ _FILTER_ORDER = 4
 
 
 def resample_periodic(samples: Array, rate_hz: float, n_out: int, cutoff_hz: float) -> Array:
-    """Low-passed samples (n_out, ...) of one period on a new grid, evenly over the period, from (n, ...) at times i /
-    rate_hz. `cutoff_hz` is the half-power frequency of the zero-phase filter (Butterworth, fourth order, forwards and
-    backwards)."""
+    """Low-passed samples (n_out, ...), evenly over one period, from (n, ...) at times i / rate_hz. `cutoff_hz` is the
+    half-power frequency of the zero-phase filter (Butterworth, fourth order, forwards and backwards)."""
     n = len(samples)
     spectrum = np.fft.rfft(samples, axis=0)
     frequency = np.fft.rfftfreq(n, 1.0 / rate_hz)
@@ -183,9 +182,8 @@ def cycle_displacement(source: ScaledClip) -> Array:
 
 
 def pose_mismatch(source: ScaledClip) -> float:
-    """Distance of the frame after the last from frame 0, relative to the spread of poses within the clip. A pose is the
-    feet against the hips and the heights of feet and root, m. A perfect cycle has 0, two unrelated frames have about
-    1.4."""
+    """Distance of the frame after the last from frame 0, relative to the spread of poses within the clip: 0 for a cycle
+    that closes, about 1.4 for unrelated frames. A pose is feet against hips and the heights of feet and root, m."""
     n = len(source.root_z)
     pose = np.concatenate([source.toe_from_hip.reshape(n, -1), source.toe_height, source.root_z[:, None]], axis=1)
     spread = np.sqrt(np.sum(np.var(pose, axis=0)))

@@ -51,8 +51,7 @@ def plant_feet(
 ) -> Array:
     """Consistent foot paths (n, 4, 3), world, m: fixed in stance, the animal's path between footholds in swing.
 
-    Position, velocity and acceleration are continuous. Each foot rests on the ground at touch-down and lift-off and is
-    never below it.
+    Position, velocity and acceleration are continuous. Feet rest at touch-down and lift-off, and never sink in.
 
     Args:
         raw_w: (n, 4, 3) the animal's foot paths, world, m; z is the height above the ground.

@@ -129,8 +129,7 @@ def mean_clearance(height: Array, stances: Stances, periodic: bool) -> Array:
 
 
 def closure_of_source(source: ScaledClip) -> tuple[float, float]:
-    """Distance of a cut cycle's end from its beginning: the worst of feet against the hips and heights, m, and of roll
-    and pitch, deg."""
+    """How far a cut cycle is from closing: the worst of feet against hips and of heights, m; of roll and pitch, deg."""
     feet = np.concatenate([source.toe_from_hip, source.toe_height[..., None]], axis=-1)
     distance = max(np.linalg.norm(closing_error(feet), axis=-1).max(), abs(closing_error(source.root_z)))
     return float(distance), float(np.degrees(np.linalg.norm(closing_error(source.tilt))))

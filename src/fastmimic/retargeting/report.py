@@ -72,8 +72,7 @@ class RetargetReport:
         foot_path_rms_m: change of each foot's path in the world by planting.
         foot_offset_m: constant shift of the feet against the hips: front and rear along x, front and rear outwards.
         trunk_change_m, trunk_change_deg: RMS change by balancing of x, y, z and of roll, pitch, yaw about their means.
-        base_height_m, lowered_m: mean height of the base, and its lowering for reach; negative if raised for folded
-            knees.
+        base_height_m, lowered_m: mean height of the base; its lowering for reach, negative if raised for folded knees.
         unreachable: samples in which a leg could not reach, of `samples`.
         joint_limited: samples in which a joint was held at its limit, for abduction, hip and knee.
         samples: of the motion.

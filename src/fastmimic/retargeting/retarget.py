@@ -47,8 +47,7 @@ def retarget(
     Args:
         clip, robot: the animal's keypoints, and the robot.
         rate_hz: of the motion; a cycle's period becomes a whole number of samples.
-        scale: animal's to robot's size; if None the clip's own, else the ratio of leg lengths (0.825 for a dog on the
-            A1).
+        scale: animal's to robot's size; if None the clip's own or the ratio of leg lengths (0.825 for a dog on the A1).
         cycle: whether the clip is one period; if None what the clip says, else whether it closes.
         config: settings at the A1's size, `RetargetConfig()` if None.
 

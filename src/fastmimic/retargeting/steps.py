@@ -210,8 +210,7 @@ def within_folded_legs(source: ScaledClip, robot: Robot, lowered_m: float, confi
 
     A cycle has one posture; sitting down or getting up has two or more, and the tallest counts as level. Shoulders and
     hips go no lower than folded legs allow with feet lifted as high as the animal's: an animal sits on its rump, a
-    robot on its feet. The trunk is raised as a whole, and levelled as far as its other end would be higher than it
-    stands.
+    robot on its feet. The trunk is raised as a whole, and levelled where its other end would be above standing height.
     """
     size = length_ratio(robot)
     weight = np.exp((source.root_z - source.root_z.max()) / (_TALL_M * size))

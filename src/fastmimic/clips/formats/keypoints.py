@@ -2,9 +2,8 @@
 
 - Dog motion capture: 81 columns, 27 points × (x, y, z) in metres. Peng et al. (2020) distribute the dog motions of
   Zhang et al. (2018) like this: y up, right-handed, 60 frames a second.
-- Points by name: a header with three columns a point, NAME_x, NAME_y, NAME_z, in any order of points. Tracking programs
-  export such tables, also from C3D. `NAME.x`, `NAME:X` and `NAME x` are the same. A column `time` gives the frame rate;
-  `frame` is ignored.
+- Points by name: a header with three columns a point, NAME_x (or `NAME.x`, `NAME:X`, `NAME x`), NAME_y, NAME_z, as
+  tracking programs export them, also from C3D. A column `time` gives the frame rate; `frame` is ignored.
 """
 
 import re
