@@ -13,9 +13,8 @@ from fastmimic.clips.data import data_folder
 from fastmimic.clips.formats import read_clip
 from fastmimic.episode.feasibility import Demands, Fall, Reason, demands, describe_fall, reasons
 from fastmimic.imitation.evaluate import evaluate
-from fastmimic.retargeting.cycle import pose_mismatch
 from fastmimic.retargeting.retarget import retarget
-from fastmimic.retargeting.scaled_clip import extract
+from fastmimic.retargeting.track import extract, pose_mismatch
 from fastmimic.robot import Robot
 
 EPISODES: Final = 4

@@ -19,8 +19,8 @@ from fastmimic.clips.synthesis import generate
 from fastmimic.motion.ground import ground_demand, push_directions
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.balance import BalanceConfig
-from fastmimic.retargeting.cycle import resample_open, resample_periodic
 from fastmimic.retargeting.retarget import RetargetConfig, RetargetReport, retarget
+from fastmimic.retargeting.track import resample_open, resample_periodic
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
 

@@ -105,10 +105,6 @@ class DiscreteDmp:
         return cls(weights, y[0], start_rate, y[-1], float(duration_s), alpha)
 
     @property
-    def n_dims(self) -> int:
-        return self.weights.shape[0]
-
-    @property
     def n_basis(self) -> int:
         return self.weights.shape[1]
 

@@ -24,7 +24,7 @@ from fastmimic.base.rotations import (
 from fastmimic.motion.contacts import stances_of
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import reference_table
-from fastmimic.retargeting.cycle import steps
+from fastmimic.retargeting.track import steps
 from fastmimic.robot import Robot
 from fastmimic.stitching.join import default_cycles, stitch_motions
 from fastmimic.stitching.layout import Layout

@@ -6,7 +6,7 @@ square of the speed and the weight does not. The cycle is therefore balanced, as
 interpolated between them.
 """
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import pairwise
 from typing import Any, Final
 
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import course_of
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.cycle import TrunkTrack
 from fastmimic.retargeting.fit import Consistency
 from fastmimic.retargeting.pose import solve_pose
+from fastmimic.retargeting.track import TrunkTrack
 from fastmimic.robot import Robot
 
 SPEED: Final = (0.9, 1.25)  # factors on the phase's rate
@@ -39,18 +39,15 @@ class Limits:
 
     def within(self, other: "Limits") -> "Limits":
         """The intersection of both."""
-        return Limits(_common(self.speed, other.speed), _common(self.turn, other.turn), _common(self.lift, other.lift))
+        pairs = zip(astuple(self), astuple(other), strict=True)
+        return Limits(*((max(a[0], b[0]), min(a[1], b[1])) for a, b in pairs))
 
     def hold(self, speed: float, turn: float, lift: float, slack: float = 0.0) -> bool:
         """Whether a modulation is within the ranges."""
         return all(
             low - slack <= value <= high + slack
-            for (low, high), value in zip((self.speed, self.turn, self.lift), (speed, turn, lift), strict=True)
+            for (low, high), value in zip(astuple(self), (speed, turn, lift), strict=True)
         )
-
-
-def _common(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
-    return max(a[0], b[0]), min(a[1], b[1])
 
 
 def limits_of(course: NDArray[Any], joint_vel: NDArray[np.float64], robot: Robot) -> Limits:

@@ -9,7 +9,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.render.tracks import AnimalTrack, motion_track
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.retarget import choose_scale
-from fastmimic.retargeting.scaled_clip import extract
+from fastmimic.retargeting.track import extract
 from fastmimic.robot import Robot
 
 

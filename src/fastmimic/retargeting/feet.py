@@ -7,7 +7,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.configuration import documented, parameter
 from fastmimic.motion.contacts import Stance, Stances, swings_of
-from fastmimic.retargeting.cycle import TrunkTrack, WorldPath
+from fastmimic.retargeting.track import TrunkTrack, WorldPath
 
 _DEGREE = 3
 _AT_REST = 3  # coefficients of a cubic B-spline that fix position, velocity and acceleration at an end

@@ -17,11 +17,10 @@ from fastmimic.base.rotations import (
 )
 from fastmimic.motion.contacts import Stances, duty_factors, swings_of
 from fastmimic.motion.motion import Motion
-from fastmimic.retargeting.cycle import TrunkTrack, WorldPath, closing_error, cycle_displacement
 from fastmimic.retargeting.fit import Fitted
 from fastmimic.retargeting.report import MotionFigures, RetargetReport, with_bounds
-from fastmimic.retargeting.scaled_clip import ScaledClip
 from fastmimic.retargeting.steps import Retargeting
+from fastmimic.retargeting.track import ScaledClip, TrunkTrack, WorldPath, closing_error, cycle_displacement
 
 
 def make_report(work: Retargeting, fitted: Fitted) -> RetargetReport:

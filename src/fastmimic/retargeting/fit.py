@@ -16,10 +16,10 @@ from fastmimic.motion.ground import GroundDemand, ground_demand
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.balance import TrunkSpline, balance
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.cycle import TrunkTrack
 from fastmimic.retargeting.feet import plant_feet
 from fastmimic.retargeting.pose import Pose, folding_rise, joint_velocity, motion_of, pose_at, solve_pose
 from fastmimic.retargeting.reach import Reach, footholds
+from fastmimic.retargeting.track import TrunkTrack
 from fastmimic.robot import Robot
 
 EVENNESS: Final = (0.1, 0.4, 1.6, 6.4)

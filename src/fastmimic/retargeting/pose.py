@@ -19,7 +19,7 @@ from fastmimic.base.rotations import (
 from fastmimic.motion.ground import differentiate, pad
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.cycle import TrunkTrack
+from fastmimic.retargeting.track import TrunkTrack
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 

@@ -9,7 +9,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEFT
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.motion.contacts import Stances, contact_mask
-from fastmimic.retargeting.cycle import TrunkTrack, WorldPath
+from fastmimic.retargeting.track import TrunkTrack, WorldPath
 from fastmimic.robot import Robot
 
 _STEP = 5  # samples between two checks of reach

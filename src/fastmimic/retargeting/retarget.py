@@ -2,8 +2,7 @@
 
 After Peng et al. 2020 (section IV), then made consistent, by one rule for every clip. The steps are in these modules:
 
-    scaled_clip        keypoints → trunk and toe targets at the robot's size
-    cycle              the recording as a continuous motion, closed if it is a cycle
+    track              keypoints → trunk and toe targets at the robot's size → a continuous motion, closed if a cycle
     contact_schedule   the detected contacts (`motion.contacts`) as a clean schedule
     reach, feet        footholds within reach, and smooth swings between them
     fit                the trunk as the standing feet can carry it (`balance`), joints within their limits (`pose`)
@@ -23,8 +22,8 @@ from fastmimic.motion.provenance import Provenance
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.fidelity import make_report
 from fastmimic.retargeting.report import RetargetReport
-from fastmimic.retargeting.scaled_clip import extract
 from fastmimic.retargeting.steps import DOG_SCALE, Retargeting, whether_cycle
+from fastmimic.retargeting.track import extract
 from fastmimic.robot import Robot
 
 __all__ = ["RetargetConfig", "RetargetReport", "choose_scale", "retarget"]

@@ -11,11 +11,10 @@ from fastmimic.clips.clip import Clip
 from fastmimic.motion.contacts import detect, foot_activity
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.contact_schedule import ScheduleChanges, make_consistent, with_steps
-from fastmimic.retargeting.cycle import cycle_displacement, pose_mismatch, track_cycle, track_open
 from fastmimic.retargeting.fit import Fitted, Fitter
 from fastmimic.retargeting.reach import Reach, foot_offsets
 from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE
-from fastmimic.retargeting.scaled_clip import ScaledClip, extract
+from fastmimic.retargeting.track import ScaledClip, cycle_displacement, extract, pose_mismatch, track_cycle, track_open
 from fastmimic.robot import Robot
 from fastmimic.robot.scaling import length_ratio
 

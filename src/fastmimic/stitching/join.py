@@ -20,9 +20,9 @@ from fastmimic.base.rotations import quat_continuous, rotate_planar, turned_abou
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import Provenance, Span, StitchedSegment, StitchRecord
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.cycle import TrunkTrack, steps
 from fastmimic.retargeting.pose import trunk_quaternion
 from fastmimic.retargeting.reach import Reach
+from fastmimic.retargeting.track import TrunkTrack, steps
 from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout, too_short
 from fastmimic.stitching.switch import Cycle, Switch, best_switch
@@ -80,8 +80,10 @@ def stitch_motions(
     for i in range(1, len(motions)):
         neighbours = own[i - 1], own[i]
         transition = make_transition(robot, layout, i, track, raw_w, contact, neighbours, rate, reach, config)
-        transition.write(arrays)
         transitions.append(transition)
+        for name, values in transition.arrays.items():
+            arrays[name][transition.span.start : transition.span.end] = values
+    arrays["root_quat_wxyz"] = quat_continuous(arrays["root_quat_wxyz"])
     rebuilt = (replace(s, rebuilt=t.span) for s, t in zip(layout.segments[1:], transitions, strict=True))
     layout = Layout((layout.segments[0], *rebuilt), n)
     _check_room(layout)

@@ -10,17 +10,16 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import MotionError
-from fastmimic.base.rotations import quat_continuous
 from fastmimic.motion.contacts import Stance, Stances, stances_of
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import Span
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.cycle import TrunkTrack
 from fastmimic.retargeting.feet import plant_feet
 from fastmimic.retargeting.fidelity import slip
 from fastmimic.retargeting.fit import Consistency
 from fastmimic.retargeting.pose import Pose, joint_velocity, solve_pose
 from fastmimic.retargeting.reach import Reach, footholds
+from fastmimic.retargeting.track import TrunkTrack
 from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout, too_short
 from fastmimic.stitching.switch import Cycle
@@ -36,12 +35,6 @@ class Transition:
     span: Span
     arrays: dict[str, Array]
     measured: dict[str, Any]
-
-    def write(self, arrays: dict[str, Array]) -> None:
-        """Writes the samples into the arrays of the whole motion."""
-        for name, values in self.arrays.items():
-            arrays[name][self.span.start : self.span.end] = values
-        arrays["root_quat_wxyz"] = quat_continuous(arrays["root_quat_wxyz"])
 
 
 def make_transition(
