@@ -139,13 +139,13 @@ def open_clip(
     return replace(clip, is_cycle=False) if discrete else clip
 
 
-def check_name(name: str, folder: str | Path | None = None) -> None:
+def check_name(name: str) -> None:
     """Checks, without reading it, that a motion of that name exists and its recording has been fetched. Raises
     `ClipError`: unknown name (lists the closest), or data not fetched."""
     if name not in motion_names():
         raise _unknown(name)
     if name in RECORDED:
-        _recording(name, folder)
+        _recording(name, None)
 
 
 def _file(path: str | Path, options: ReadOptions) -> Clip:

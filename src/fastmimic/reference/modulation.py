@@ -115,10 +115,10 @@ def make_tempo(robot: Robot, motion: Motion, speeds: tuple[float, ...]) -> Tempo
     return Tempo(order, tuple(found[speed] for speed in order))
 
 
-def at_speed(robot: Robot, motion: Motion, speed: float, config: RetargetConfig | None = None) -> Motion:
+def at_speed(robot: Robot, motion: Motion, speed: float) -> Motion:
     """The cycle `speed` times as fast, in as many samples, with its trunk balanced for that speed. The foot paths stay.
     The motion's rate is no longer the robot's."""
-    config = (config or RetargetConfig()).for_robot(robot)
+    config = RetargetConfig().for_robot(robot)
     feet_w = motion.foot_pos_w
     consistency = Consistency(robot, TrunkTrack.of(motion), motion.contact, motion.rate_hz * speed, config)
     balanced = consistency.balanced_over(feet_w)

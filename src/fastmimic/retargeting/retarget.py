@@ -91,7 +91,7 @@ def _check(clip: Clip, rate_hz: float, scale: float | None) -> None:
         raise ClipError(f"retargeting needs at least {MIN_FRAMES} frames, found {clip.n_frames}; choose a longer cut")
 
 
-def is_one_cycle(clip: Clip, config: RetargetConfig | None = None) -> bool:
+def is_one_cycle(clip: Clip) -> bool:
     """Whether `retarget` takes a clip for one cycle by default: if the clip says so, or if its ends meet."""
-    config = config or RetargetConfig()
+    config = RetargetConfig()
     return whether_cycle(clip, extract(clip, clip.scale or 1.0, config.roll_share), None, config)[0]
