@@ -16,7 +16,7 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.motion.motion import Motion
 from fastmimic.play.live_reference import RATES
 from fastmimic.play.motions import DEFAULTS, load_motions
-from fastmimic.play.pacing import MOST_BEHIND_S, Pacer
+from fastmimic.play.page import MOST_BEHIND_S, Pacer
 from fastmimic.play.session import LiveSession, playable_methods
 from fastmimic.primitive import FOOT_Z, MotionDmp
 from fastmimic.reference.course import course_of, since_middle

@@ -6,14 +6,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.conventions import GRAVITY
-from fastmimic.base.rotations import rotate_planar
+from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.viewer.marks import TRAIL_POINTS, TRAIL_S
-from fastmimic.viewer.take import Take, world_feet
+from fastmimic.viewer.take import Take
 
 if TYPE_CHECKING:
-    from fastmimic.play.session import LiveSession
-    from fastmimic.play.snapshot import Snapshot
+    from fastmimic.play.session import LiveSession, Snapshot
 
 
 RATE_HZ: Final = 100.0
@@ -50,7 +48,7 @@ class LiveHistory:
         self._rows.append(now)
         if len(self._rows) > self._keep + self._drop:
             del self._rows[: self._drop]
-        velocity = rotate_planar(float(self._heading(now)), now.velocity_b[:2])
+        velocity = rotate_planar(float(yaw_from_quat(now.pose[3:7])), now.velocity_b[:2])
         ahead = now.pose[:2] - self.followed
         self.followed = self.followed + velocity / self.rate_hz + ahead / (_FOLLOW_S * self.rate_hz)
         far = float(np.linalg.norm(now.pose[:2] - self.followed))
@@ -64,11 +62,6 @@ class LiveHistory:
     def now(self) -> "Snapshot":
         """The last moment."""
         return self._rows[-1]
-
-    @staticmethod
-    def _heading(now: "Snapshot") -> float:
-        w, x, y, z = now.pose[3:7]
-        return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
     def push(self, within_s: float) -> Array | None:
         """The last pushing force (3,) in this time, world, N; None without one."""
@@ -88,26 +81,17 @@ class LiveHistory:
         def stacked(name: str) -> Any:
             return np.stack([getattr(row, name) for row in rows])
 
-        pose, reference = stacked("pose"), stacked("reference")
         return Take(
-            title=session.state,
-            caption="",
-            rate_hz=self.rate_hz,
-            pose=pose,
-            reference=reference,
-            feet=world_feet(session.robot, pose),
-            reference_feet=world_feet(session.robot, reference),
-            wanted=stacked("wanted"),
-            measured=stacked("measured"),
-            stance=stacked("stance"),
-            force=stacked("force"),
-            asked=stacked("asked"),
-            terms=stacked("terms"),
-            reward=stacked("reward"),
-            samples=np.zeros(len(rows), np.int64),
-            cycle_starts=np.zeros(1, np.int64),
+            session.robot,
+            session.state,
+            self.rate_hz,
+            stacked("pose"),
+            stacked("wanted"),
+            np.zeros(len(rows), np.int64),
+            np.zeros(1, np.int64),
+            stacked("reference"),
+            **{name: stacked(name) for name in ("measured", "stance", "force", "asked", "terms", "reward")},
             friction=session.controller.config.stance.friction,
-            weight=session.robot.mass * GRAVITY,
         )
 
     def plot(self) -> tuple[Array, ...]:

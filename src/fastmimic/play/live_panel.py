@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fastmimic.base.errors import FastMimicError
+from fastmimic.play.live_reference import NEUTRAL
 from fastmimic.play.session import playable_methods
 from fastmimic.play.steering import IDLE, read_steering, steering_script
 from fastmimic.play.world import FRICTION
@@ -19,8 +20,7 @@ if TYPE_CHECKING:
     import viser
 
     from fastmimic.play.history import LiveHistory
-    from fastmimic.play.live_scene import LiveScene
-    from fastmimic.play.pacing import Pacer
+    from fastmimic.play.page import LiveScene, Pacer
     from fastmimic.viewer.take import Take
     from fastmimic.viewer.web import Cameras
 
@@ -68,7 +68,10 @@ class PlayPanel:
         self._mistake: str | None = None
         arrange(gui, heading)
         self._state = gui.add_html("")
-        self._add_motions()
+        self._pause = gui.add_button("Pause")
+        self._pause.on_click(lambda _event: self._toggle())
+        motions = gui.add_button_group("motion", self._session.library.names)
+        motions.on_click(lambda _event: self._do(lambda: self._session.switch(str(motions.value))))
         self._add_modulation()
         self._add_push()
         self._add_world()
@@ -110,10 +113,6 @@ class PlayPanel:
             slider.hint = (
                 f"{low:.2f} to {high:.2f} {words}" if free else f"{self._session.motion} has no step to change"
             )
-
-    def show_paused(self) -> None:
-        """Labels the button by its next effect."""
-        self._pause.label = "Go on" if self._pacer.paused else "Pause"
 
     def _status(self) -> str:
         session, pacer = self._session, self._pacer
@@ -157,32 +156,28 @@ class PlayPanel:
             except FastMimicError as error:
                 self._mistake = str(error)
 
-    def _add_motions(self) -> None:
-        session = self._session
-        self._pause = self._gui.add_button("Pause")
-        motions = self._gui.add_button_group("motion", session.library.names)
-        self._pause.on_click(lambda _event: self._toggle())
-        motions.on_click(lambda _event: self._do(lambda: session.switch(str(motions.value))))
-
     def _add_modulation(self) -> None:
         gui, session = self._gui, self._session
-        every = session.library.entries.values()
 
-        def widest(name: str, neutral: float) -> tuple[float, float]:
-            found = [getattr(entry.limits, name) for entry in every]
-            return min(neutral, *(low for low, _ in found)), max(neutral, *(high for _, high in found))
+        def slider(label: str, name: str) -> Any:
+            """From the least to the greatest limit of all motions."""
+            found = np.array([getattr(entry.limits, name) for entry in session.library.entries.values()])
+            low, high = min(NEUTRAL[name], found.min()), max(NEUTRAL[name], found.max())
+            return gui.add_slider(
+                label, float(np.floor(100 * low) / 100), float(np.ceil(100 * high) / 100), 0.01, NEUTRAL[name]
+            )
 
-        self._speed: Any = gui.add_slider("speed ×", *_rounded(*widest("speed", 1.0)), 0.01, 1.0)
-        self._turn: Any = gui.add_slider("turn, rad/s", *_rounded(*widest("turn", 0.0)), 0.01, 0.0)
-        self._lift: Any = gui.add_slider("swing height ×", *_rounded(*widest("lift", 1.0)), 0.01, 1.0)
+        self._speed = slider("speed ×", "speed")
+        self._turn = slider("turn, rad/s", "turn")
+        self._lift = slider("swing height ×", "lift")
         straight = gui.add_button("As it is", hint="speed, turn and swing height of the motion itself")
 
-        for slider in (self._speed, self._turn, self._lift):
-            slider.on_update(lambda _event: self._steer())
+        for each in (self._speed, self._turn, self._lift):
+            each.on_update(lambda _event: self._steer())
 
         @straight.on_click
         def _(_event: Any) -> None:
-            self._speed.value, self._turn.value, self._lift.value = 1.0, 0.0, 1.0
+            self._speed.value, self._turn.value, self._lift.value = NEUTRAL.values()
             self._steer()
 
     def _steer(self) -> None:
@@ -260,21 +255,21 @@ class PlayPanel:
             names = session.library.names
             session.switch(names[(names.index(session.goal) + offset) % len(names)])
 
-        self._command("Pause or go on", "space", self._toggle)
-        self._command("Push", "P", lambda: self._shove())
-        self._command("Motors off", "X", lambda: self._limp())
-        self._command("Motion before", "pageup", lambda: self._do(lambda: at(-1)))
-        self._command("Next motion", "pagedown", lambda: self._do(lambda: at(1)))
-        for key, name in zip(_MOTION_KEYS, session.library.names, strict=False):
-            self._command(f"Motion: {name}", key, partial(self._do, partial(session.switch, name)))
+        def command(label: str, key: Any, what: Callable[[], None]) -> None:
+            gui.add_command(label, hotkey=key).on_trigger(lambda _event: what())
 
-    def _command(self, label: str, key: Any, what: Callable[[], None]) -> None:
-        self._gui.add_command(label, hotkey=key).on_trigger(lambda _event: what())
+        command("Pause or go on", "space", self._toggle)
+        command("Push", "P", self._shove)
+        command("Motors off", "X", self._limp)
+        command("Motion before", "pageup", lambda: self._do(lambda: at(-1)))
+        command("Next motion", "pagedown", lambda: self._do(lambda: at(1)))
+        for key, name in zip(_MOTION_KEYS, session.library.names, strict=False):
+            command(f"Motion: {name}", key, partial(self._do, partial(session.switch, name)))
 
     def _toggle(self) -> None:
         with self._pacer.lock:
             self._pacer.paused = not self._pacer.paused
-        self.show_paused()
+        self._pause.label = "Go on" if self._pacer.paused else "Pause"  # its next effect
 
     def _add_charts(self) -> None:
         gui, plot = self._gui, self._history.plot()
@@ -286,7 +281,3 @@ class PlayPanel:
             self._figures = gui.add_html("")
             with gui.add_folder("Legs in numbers", expand_by_default=False):
                 self._table = gui.add_html("")
-
-
-def _rounded(low: float, high: float) -> tuple[float, float]:
-    return float(np.floor(100 * low) / 100), float(np.ceil(100 * high) / 100)

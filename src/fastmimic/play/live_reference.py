@@ -117,39 +117,28 @@ class LiveReference:
         self._modulate(step)
         self._route()
 
-    def fill(self, rows: NDArray[Any]) -> None:
-        """Fills rows of `SAMPLE` with the controller's reference, from now on."""
-        self._stream.fill(self._course, self._next_course, self.place, self._modulation, rows)
-
-    def fill_demonstration(self, rows: NDArray[Any]) -> None:
-        """Fills rows of `SAMPLE` with the demonstration for scoring, modulated in the same way."""
-        self._stream.fill(self._target, self._next_target, self.place, self._modulation, rows)
+    def fill(self, rows: NDArray[Any], *, scored: bool = False) -> None:
+        """Fills rows of `SAMPLE` with the controller's reference, from now on; if `scored`, with the demonstration,
+        modulated in the same way."""
+        self._stream.fill(*self._courses(scored), self.place, self._modulation, rows)
 
     def advance(self, base_xy: Array) -> None:
         """Advances by a control step that ended with the base at (2,), world, m."""
-        self._stream.advance(self._course, self._next_course, self.place, self._modulation, base_xy)
+        self._stream.advance(*self._courses(), self.place, self._modulation, base_xy)
         if self.place["left"][0]:
             self._arrived()
 
-    @property
-    def _course(self) -> NDArray[Any]:
-        return self._courses[0] if self._transition is None else self._transition.course
-
-    @property
-    def _target(self) -> NDArray[Any]:
-        return self._courses[1] if self._transition is None else self._transition.demonstration
-
-    @property
-    def _next_course(self) -> NDArray[Any] | None:
+    def _courses(self, scored: bool = False) -> tuple[NDArray[Any], NDArray[Any] | None]:
+        """The present course and the next, if known; if `scored`, those of the demonstration."""
+        after: Entry | CourseTransition | None
         if self._transition is not None:
-            return self._following.course
-        return self._armed[1].course if self._armed is not None else None
-
-    @property
-    def _next_target(self) -> NDArray[Any] | None:
-        if self._transition is not None:
-            return self._following.demonstration
-        return self._armed[1].demonstration if self._armed is not None else None
+            now: Entry | CourseTransition = self._transition
+            after = self._following
+        else:
+            now, after = self._balanced, self._armed[1] if self._armed is not None else None
+        if scored:
+            return now.demonstration, None if after is None else after.demonstration
+        return now.course, None if after is None else after.course
 
     def _set_neutral(self) -> None:
         for name, value in NEUTRAL.items():
@@ -172,14 +161,13 @@ class LiveReference:
 
     def _pace(self, speed: float) -> None:
         """Takes the motion as balanced for a speed."""
-        tempo = self._library.tempo(self._entry.name) if speed != 1.0 else None
         entry = self._entry
-        self._paced = speed
-        self._courses = entry.course, entry.demonstration
+        tempo = self._library.tempo(entry.name) if speed != 1.0 else None
+        self._paced, self._balanced = speed, entry
         if tempo is not None:
             target = tempo.at(speed)
             own = target if entry.course is entry.demonstration else tempo.changed(speed, entry.course)
-            self._courses = own, target
+            self._balanced = replace(entry, course=own, demonstration=target)
 
     def _route(self) -> None:
         """Looks for a path to the goal; starts it when both motions allow the modulation."""
@@ -201,8 +189,7 @@ class LiveReference:
             self.place["exit"] = -1
 
     def _enter(self, entry: Entry) -> None:
-        self._entry, self._paced = entry, 1.0
-        self._courses = entry.course, entry.demonstration
+        self._entry, self._balanced, self._paced = entry, entry, 1.0
 
     def _arrived(self) -> None:
         """Handles the start or end of a transition."""

@@ -4,13 +4,15 @@ import math
 import time
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, did_you_mean
-from fastmimic.base.rotations import yaw_from_quat
+from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.control.controller import Controller
 from fastmimic.episode.placement import on_reference
@@ -20,7 +22,6 @@ from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.play.getting_up import GettingUp, GettingUpPhase
 from fastmimic.play.live_reference import LiveReference
-from fastmimic.play.snapshot import Snapshot, take_snapshot
 from fastmimic.play.world import LiveWorld
 from fastmimic.reference.modulation import Limits
 from fastmimic.reference.motion_set import MotionSet
@@ -31,6 +32,35 @@ from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
 _TIMINGS: Final = 2000
 _PREPARING: Final = 50  # control steps between two attempts to prepare something
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The present moment. Arrays are copies.
+
+    Attributes:
+        time_s: simulated since the start.
+        pose, reference: (19,) of the robot and of what it is scored against: position (world, m), quaternion, joints.
+        force, asked: (4, 3) the ground's and the commanded force on each foot, world, N.
+        wanted, measured, stance: (4,) schedule, loaded feet, gait planner.
+        terms, reward: (k,) the reward's terms of this step, 0 while the robot gets up; the reward of this step.
+        velocity_b, turn_rate: (3,) of the base, heading frame, m/s; about the vertical, rad/s.
+        push: (3,) force that pushes, world, N.
+    """
+
+    time_s: float
+    pose: Array
+    reference: Array
+    force: Array
+    asked: Array
+    wanted: NDArray[np.bool_]
+    measured: NDArray[np.bool_]
+    stance: NDArray[np.bool_]
+    terms: Array
+    reward: float
+    velocity_b: Array
+    turn_rate: float
+    push: Array
 
 
 def playable_methods() -> list[str]:
@@ -198,19 +228,31 @@ class LiveSession:
 
     def snapshot(self) -> Snapshot:
         """The present moment."""
-        up = not self.fallen
-        return take_snapshot(
-            self.time_s,
-            self.observation,
-            self._truth[0],
-            self.reference.place["pose"][0],
-            self.controller.memory[0],
-            self._recovery.command["joint_pos"][0],
-            self._loaded,
-            self._scorer.terms[0] if up else np.zeros(len(REWARD_TERMS)),
-            float(self._scorer.reward[0]) if up else 0.0,
-            self.world.force,
-            up=up,
+        obs, truth, memory, up = self.observation, self._truth[0], self.controller.memory[0], not self.fallen
+        yaw = float(yaw_from_quat(obs["root_quat"]))
+        pose = np.concatenate([obs["root_pos"], obs["root_quat"], obs["joint_pos"]])
+        if not np.isfinite(pose).all():
+            pose = np.concatenate([[0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0], self._recovery.command["joint_pos"][0]])
+        x, y, turned = self.reference.place["pose"][0]
+        orientation = quat_multiply(quat_from_yaw(turned), truth["root_quat"])
+        force, asked = np.nan_to_num(obs["foot_force"]), np.array(memory["force"])
+        asked[:, :2] = rotate_planar(yaw, asked[:, :2])
+        velocity = np.array(obs["lin_vel"])
+        velocity[:2] = rotate_planar(-yaw, velocity[:2])
+        return Snapshot(
+            time_s=self.time_s,
+            pose=pose,
+            reference=np.concatenate([[x, y, truth["root_pos"][2]], orientation, truth["joint_pos"]]),
+            force=force,
+            asked=asked if up else np.zeros((4, 3)),
+            wanted=truth["contact"].astype(bool),
+            measured=force[:, 2] > self._loaded,
+            stance=memory["stance"].astype(bool),
+            terms=self._scorer.terms[0].copy() if up else np.zeros(len(REWARD_TERMS)),
+            reward=float(self._scorer.reward[0]) if up else 0.0,
+            velocity_b=velocity,
+            turn_rate=float(obs["ang_vel"][2]),
+            push=self.world.force.copy(),
         )
 
     # simulation
@@ -256,7 +298,7 @@ class LiveSession:
 
     def _score(self, observation: NDArray[Any]) -> None:
         """Scores against the present demonstration, modulated like the reference."""
-        self.reference.fill_demonstration(self._truth)
+        self.reference.fill(self._truth, scored=True)
         self._clock["origin"] = self.reference.place["pose"]
         self._clock["jump"] = self.reference.place["jump"]
         self._scorer.score(self._clock, observation, self.controller.memory)

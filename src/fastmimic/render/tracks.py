@@ -40,12 +40,17 @@ class Track:
     ghost: "Track | None" = None
     contact: NDArray[np.bool_] | None = None
 
+    @property
+    def pose(self) -> Array:
+        """Root position, quaternion and joints (t, 19)."""
+        return np.hstack([np.asarray(a, np.float64) for a in (self.root_pos_w, self.root_quat_wxyz, self.joint_pos)])
+
     def __post_init__(self) -> None:
         n = len(self.root_pos_w)
         shapes = (np.shape(self.root_pos_w), np.shape(self.root_quat_wxyz), np.shape(self.joint_pos))
         if n < 1 or shapes != ((n, 3), (n, 4), (n, 12)):
             raise ConfigError(f"a track needs arrays (t, 3), (t, 4) and (t, 12) with t ≥ 1, found {shapes}")
-        if not all(np.all(np.isfinite(a[0])) for a in (self.root_pos_w, self.root_quat_wxyz, self.joint_pos)):
+        if not np.isfinite(self.pose[0]).all():
             raise ConfigError("a track's first pose is not finite")
         if self.ghost is not None and len(self.ghost.root_pos_w) != n:
             raise ConfigError(f"a ghost has {len(self.ghost.root_pos_w)} samples; its track has {n}")
@@ -78,16 +83,11 @@ class AnimalTrack:
 
 def resample(track: Track, rate_hz: float, times: Array) -> Array:
     """Poses of a track at `times` (n,) s: (n, 19) root position, quaternion and joints, all finite."""
-    root, quat, joints = (
-        np.asarray(a, dtype=np.float64) for a in (track.root_pos_w, track.root_quat_wxyz, track.joint_pos)
-    )
-    bad = ~np.isfinite(np.hstack([root, quat, joints])).all(axis=1)
-    end = int(np.argmax(bad)) if bad.any() else len(root)
-    poses = np.hstack([root[:end], quat_continuous(quat[:end]), joints[:end]])
-    at = np.clip(times * rate_hz, 0, end - 1)
-    low = np.minimum(at.astype(np.int64), max(end - 2, 0))
-    high = np.minimum(low + 1, end - 1)
-    between = poses[low] + (at - low)[:, None] * (poses[high] - poses[low])
+    poses = track.pose
+    bad = ~np.isfinite(poses).all(axis=1)
+    poses = poses[: int(np.argmax(bad)) if bad.any() else len(poses)]
+    poses[:, 3:7] = quat_continuous(poses[:, 3:7])
+    between = _interpolated(poses, rate_hz * times)
     between[:, 3:7] /= np.linalg.norm(between[:, 3:7], axis=1, keepdims=True)
     return between
 
@@ -95,10 +95,15 @@ def resample(track: Track, rate_hz: float, times: Array) -> Array:
 def resample_points(track: AnimalTrack, rate_hz: float, times: Array) -> Array:
     """Points of an animal at `times` (n,) s, (n, k, 3); after the last sample they stay."""
     points = np.asarray(track.points_w, dtype=np.float64)
-    at = np.clip(times * rate_hz, 0, len(points) - 1)
-    low = np.minimum(at.astype(np.int64), max(len(points) - 2, 0))
-    high = np.minimum(low + 1, len(points) - 1)
-    return np.asarray(points[low] + (at - low)[:, None, None] * (points[high] - points[low]))
+    return _interpolated(points.reshape(len(points), -1), rate_hz * times).reshape(-1, *points.shape[1:])
+
+
+def _interpolated(rows: Array, at: Array) -> Array:
+    """Values (n, k) between rows (t, k) at the indices (n,), those outside at the ends."""
+    at = np.clip(at, 0, len(rows) - 1)
+    low = np.minimum(at.astype(np.int64), max(len(rows) - 2, 0))
+    high = np.minimum(low + 1, len(rows) - 1)
+    return np.asarray(rows[low] + (at - low)[:, None] * (rows[high] - rows[low]))
 
 
 def resample_contact(track: Track, rate_hz: float, times: Array) -> NDArray[np.bool_]:

@@ -39,9 +39,7 @@ def contact_meshes(size: float) -> "dict[str, Trimesh]":
 
 def contact_places(take: "Take", row: int) -> Array:
     """Places of the marks (4, 3): on the ground under the feet, world, m."""
-    places = take.feet[row].copy()
-    places[:, 2] = _GROUND_Z
-    return places
+    return np.column_stack([take.feet[row, :, :2], np.full(4, _GROUND_Z)])
 
 
 def contact_flags(take: "Take", row: int) -> dict[str, NDArray[np.bool_]]:
@@ -54,35 +52,25 @@ def contact_flags(take: "Take", row: int) -> dict[str, NDArray[np.bool_]]:
     }
 
 
-def force_arrows(take: "Take", row: int, foot_radius: float, length: float) -> Array:
-    """Ground reaction forces as arrows (k, 2, 3) from the contact points, world, m; only of feet with a force.
-    `foot_radius` is in m, `length`, m, that of an arrow of the robot's weight."""
-    return _arrows(take.force, take, row, foot_radius, length)
-
-
-def asked_segments(take: "Take", row: int, foot_radius: float, length: float) -> Array:
-    """The commanded ground reaction forces as lines (k, 2, 3); arguments as for `force_arrows`."""
-    return _arrows(take.asked, take, row, foot_radius, length)
-
-
-def _arrows(forces: Array | None, take: "Take", row: int, foot_radius: float, length: float) -> Array:
+def force_arrows(take: "Take", row: int, forces: Array | None) -> Array:
+    """Measured or commanded ground reaction forces (t, 4, 3) of a take as arrows (k, 2, 3) from the contact points,
+    world, m; only of feet with a force. An arrow of the robot's weight is as long as a leg."""
     if forces is None:
         return np.zeros((0, 2, 3))
     force = forces[row]
     shown = np.linalg.norm(force, axis=-1) > LEAST_FORCE * take.weight
-    start = _contact_points(take, row, foot_radius)[shown]
-    return np.stack([start, start + force[shown] * length / take.weight], axis=1)
+    start = _contact_points(take, row)[shown]
+    return np.stack([start, start + force[shown] * take.robot.leg_length / take.weight], axis=1)
 
 
-def friction_pyramids(take: "Take", row: int, foot_radius: float, length: float) -> Array:
+def friction_pyramids(take: "Take", row: int) -> Array:
     """Edges (8 k, 2, 3) of each loaded foot's friction pyramid, |f_x|, |f_y| ≤ μ f_z (heading frame), cut at its
-    vertical force. The arrow's tip is in the square while the force is in the pyramid. Arguments as for
-    `force_arrows`."""
+    vertical force. The tip of the force's arrow is in the square while the force is in the pyramid."""
     if take.force is None:
         return np.zeros((0, 2, 3))
-    height = take.force[row, :, 2] * length / take.weight
+    height = take.force[row, :, 2] * take.robot.leg_length / take.weight
     shown = take.force[row, :, 2] > LEAST_FORCE * take.weight
-    apex = _contact_points(take, row, foot_radius)[shown]
+    apex = _contact_points(take, row)[shown]
     corners = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]) * take.friction
     square = np.ones((4, 3))
     square[:, :2] = rotate_planar(float(take.heading[row]), corners)
@@ -141,5 +129,5 @@ def smoothed_path(take: "Take", seconds: float = 0.35) -> Array:
     return np.asarray(gaussian_filter1d(take.pose[:, :2], seconds * take.rate_hz, axis=0, mode="nearest"))
 
 
-def _contact_points(take: "Take", row: int, foot_radius: float) -> Array:
-    return np.asarray(take.feet[row] - np.array([0.0, 0.0, foot_radius]))
+def _contact_points(take: "Take", row: int) -> Array:
+    return np.asarray(take.feet[row] - np.array([0.0, 0.0, take.robot.foot_radius]))

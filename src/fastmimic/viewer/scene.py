@@ -8,14 +8,12 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
-from fastmimic.render.figure_style import LEG_LINES
-from fastmimic.render.video_scene import ghost_rgba
+from fastmimic.render.video_scene import ghost_rgba, leg_rgba
 from fastmimic.robot import Robot
 from fastmimic.viewer.bodies import Puppet
 from fastmimic.viewer.marks import (
     TRAIL_POINTS,
     animal_beside,
-    asked_segments,
     bone_segments,
     contact_flags,
     contact_meshes,
@@ -124,10 +122,11 @@ class RobotScene:
     ) -> None:
         self._server, self._robot, self._puppet, self._animal = server, robot, puppet, animal
         self.aside = aside
-        self._length = robot.leg_length  # of an arrow that carries the weight
         self.root = server.scene.add_frame(name, show_axes=False)
         self._groups = {
-            layer: server.scene.add_frame(f"{name}/{layer}", show_axes=False) for layer in LAYERS if layer != "animal"
+            layer: server.scene.add_frame(f"{name}/{layer}", show_axes=False)
+            for layer in LAYERS
+            if layer != "animal" or animal is not None
         }
         self._grid = server.scene.add_grid(
             f"{name}/ground",
@@ -152,7 +151,8 @@ class RobotScene:
             for leg in LEGS
         ]
         self._title = server.scene.add_label(f"{name}/names/title", take.title, anchor="bottom-center")
-        self._points = self._add_animal(f"{name}/animal") if animal is not None else None
+        if animal is not None:
+            self._add_animal(f"{name}/animal")
         self.set_take(take)
 
     def set_take(self, take: "Take") -> None:
@@ -163,10 +163,7 @@ class RobotScene:
 
     def set_layer(self, layer: str, visible: bool) -> None:
         """Shows or hides one of `LAYERS`."""
-        if layer == "animal":
-            if self._points is not None:
-                self._groups_animal.visible = visible
-        else:
+        if layer in self._groups:
             self._groups[layer].visible = visible
 
     def set_opacity(self, opacity: float | None) -> None:
@@ -190,8 +187,10 @@ class RobotScene:
             _move(self._ghost, ghost)
         self._show_contacts(row)
         self._show_lines(row, placed, ghost)
-        self._show_names(row)
-        if self._animal is not None and self._points is not None:
+        for place, label in zip(contact_places(take, row), self._names, strict=True):
+            label.position = place + np.array([0.0, 0.0, -0.02])
+        self._title.position = take.pose[row, :3] + np.array([0.0, 0.0, 0.55 * self._robot.leg_length])
+        if self._animal is not None:
             points = animal_beside(self._animal, take, row, animal_aside(self._robot))
             self._points.points = points.astype(np.float32)
             self._bones.points = bone_segments(points).astype(np.float32)
@@ -253,48 +252,39 @@ class RobotScene:
         trail = np.zeros((4 * TRAIL_POINTS, 2, 3))
         colours = np.repeat(linear(leg_colours()), 2 * TRAIL_POINTS, axis=0).reshape(-1, 2, 3)
         return {
-            "force": scene.add_arrows(
-                f"{name}/forces/measured",
-                np.array([[[0, 0, 0], [0, 0, 1e-3]]]),
-                linear(np.array(_FORCE_RGB)),
-                shaft_radius=0.006,
-                head_radius=0.015,
-                head_length=0.03,
-                visible=False,
-            ),
-            "asked": scene.add_line_segments(
-                f"{name}/forces/asked", one, _ASKED_RGB, thickness=3.0, thickness_units="screen", visible=False
-            ),
-            "pyramid": scene.add_line_segments(
-                f"{name}/forces/pyramids", one, _PYRAMID_RGB, thickness=1.5, thickness_units="screen", visible=False
-            ),
-            "path": scene.add_line_segments(
-                f"{name}/paths/robot", trail, colours, thickness=2.5, thickness_units="screen"
-            ),
-            "reference_path": scene.add_line_segments(
-                f"{name}/paths/demonstration", trail, _GHOST_RGB, thickness=1.5, thickness_units="screen"
-            ),
+            "force": self._arrows(f"{name}/forces/measured", _FORCE_RGB, 0.006),
+            "asked": self._lines(f"{name}/forces/asked", one, _ASKED_RGB, 3.0),
+            "pyramid": self._lines(f"{name}/forces/pyramids", one, _PYRAMID_RGB, 1.5),
+            "path": self._lines(f"{name}/paths/robot", trail, colours, 2.5),
+            "reference_path": self._lines(f"{name}/paths/demonstration", trail, _GHOST_RGB, 1.5),
             "com": scene.add_icosphere(f"{name}/com/robot", radius=0.018, color=_COM_RGB, cast_shadow=False),
             "reference_com": scene.add_box(
-                f"{name}/com/demonstration",
-                dimensions=(0.03, 0.03, 0.03),
-                color=_GHOST_RGB,
-                cast_shadow=False,
+                f"{name}/com/demonstration", dimensions=(0.03, 0.03, 0.03), color=_GHOST_RGB, cast_shadow=False
             ),
-            "com_drop": scene.add_line_segments(
-                f"{name}/com/drops", np.zeros((6, 2, 3)), _COM_RGB, thickness=2.0, thickness_units="screen"
-            ),
+            "com_drop": self._lines(f"{name}/com/drops", np.zeros((6, 2, 3)), _COM_RGB, 2.0),
         }
 
-    def _add_animal(self, name: str) -> "viser.PointCloudHandle":
-        scene = self._server.scene
-        self._groups_animal = scene.add_frame(name, show_axes=False)
-        assert self._animal is not None
-        points = np.zeros((10, 3))
-        self._bones = scene.add_line_segments(
-            f"{name}/bones", bone_segments(points), _ANIMAL_RGB, thickness=4.0, thickness_units="screen"
+    def _add_animal(self, name: str) -> None:
+        scene, points = self._server.scene, np.zeros((10, 3))
+        self._bones = self._lines(f"{name}/bones", bone_segments(points), _ANIMAL_RGB, 4.0)
+        self._points = scene.add_point_cloud(
+            f"{name}/points", points, _ANIMAL_RGB, point_size=0.022, point_shape="circle"
         )
-        return scene.add_point_cloud(f"{name}/points", points, _ANIMAL_RGB, point_size=0.022, point_shape="circle")
+
+    def _arrows(self, name: str, rgb: tuple[int, int, int], shaft_radius: float) -> Any:
+        """Arrows that are hidden until they have points."""
+        return self._server.scene.add_arrows(
+            name,
+            np.array([[[0, 0, 0], [0, 0, 1e-3]]]),
+            linear(np.array(rgb)),
+            shaft_radius=shaft_radius,
+            head_radius=2.5 * shaft_radius,
+            head_length=5.0 * shaft_radius,
+            visible=False,
+        )
+
+    def _lines(self, name: str, points: Array, colours: Any, pixels: float) -> "viser.LineSegmentsHandle":
+        return self._server.scene.add_line_segments(name, points, colours, thickness=pixels, thickness_units="screen")
 
     def _show_contacts(self, row: int) -> None:
         places = contact_places(self.take, row).astype(np.float32)
@@ -304,10 +294,10 @@ class RobotScene:
             mesh.batched_scales = np.where(flags, 1.0, 1e-4).astype(np.float32)
 
     def _show_lines(self, row: int, placed: "Placed", ghost: "Placed | None") -> None:
-        take, radius, nodes = self.take, self._robot.foot_radius, self._nodes
-        _set_lines(nodes["force"], force_arrows(take, row, radius, self._length))
-        _set_lines(nodes["asked"], asked_segments(take, row, radius, self._length))
-        _set_lines(nodes["pyramid"], friction_pyramids(take, row, radius, self._length))
+        take, nodes = self.take, self._nodes
+        _set_lines(nodes["force"], force_arrows(take, row, take.force))
+        _set_lines(nodes["asked"], force_arrows(take, row, take.asked))
+        _set_lines(nodes["pyramid"], friction_pyramids(take, row))
         _set_lines(nodes["path"], trails(take.feet, row, take.rate_hz))
         drops = [_drop(placed.com, upright=True)]
         nodes["com"].position = placed.com
@@ -321,17 +311,10 @@ class RobotScene:
         for frame, _ in self._ghost:
             frame.visible = ghost is not None
 
-    def _show_names(self, row: int) -> None:
-        for leg, label in enumerate(self._names):
-            place = contact_places(self.take, row)[leg]
-            label.position = place + np.array([0.0, 0.0, -0.02])
-        root = self.take.pose[row, :3]
-        self._title.position = (float(root[0]), float(root[1]), float(root[2]) + 0.55 * self._robot.leg_length)
-
 
 def leg_colours() -> NDArray[np.uint8]:
     """The legs' colours in the figures, (4, 3), 0 to 255."""
-    return np.array([[int(line.color[i : i + 2], 16) for i in (1, 3, 5)] for line in LEG_LINES], dtype=np.uint8)
+    return np.round(255.0 * np.array([leg_rgba(leg, 1.0)[:3] for leg in range(4)])).astype(np.uint8)
 
 
 def linear(rgb: NDArray[Any]) -> NDArray[np.uint8]:
@@ -355,9 +338,5 @@ def _set_lines(node: Any, points: Array) -> None:
 def _drop(com: Array, *, upright: bool) -> Array:
     """The centre of mass on the ground: a line down to an upright or a diagonal cross (3, 2, 3)."""
     foot = np.array([com[0], com[1], 0.003])
-    a, b = (
-        (np.array([1.0, 0, 0]), np.array([0, 1.0, 0]))
-        if upright
-        else (np.array([0.7, 0.7, 0]), np.array([0.7, -0.7, 0]))
-    )
-    return np.array([[com, foot], [foot - 0.04 * a, foot + 0.04 * a], [foot - 0.04 * b, foot + 0.04 * b]])
+    arms = 0.04 * np.array([[1.0, 0, 0], [0, 1.0, 0]] if upright else [[0.7, 0.7, 0], [0.7, -0.7, 0]])
+    return np.array([[com, foot], *([foot - arm, foot + arm] for arm in arms)])
