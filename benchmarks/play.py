@@ -17,8 +17,7 @@ from itertools import product
 
 import numpy as np
 
-from fastmimic.play.motions import DEFAULTS, load_motions
-from fastmimic.play.session import LiveSession
+from fastmimic.play.session import DEFAULTS, LiveSession, load_motions
 from fastmimic.reference.modulation import Limits
 from fastmimic.reference.motion_set import IN_PLACE, MotionSet
 from fastmimic.reference.standing import STAND

@@ -286,8 +286,7 @@ def test_the_verbs_take_what_a_motion_was_optimised_with(
 
 
 def test_render_tells_the_sizes_that_it_takes(run: Run) -> None:
-    from fastmimic.render.encoding import GIF_SIZE
-    from fastmimic.render.quality import HIGH, PREVIEW
+    from fastmimic.render.encoding import GIF_SIZE, HIGH, PREVIEW
 
     said = " ".join(run("render", "--help").out.replace("│", " ").split())
     sizes = [f"{w}x{h}" for w, h in (PREVIEW.size, HIGH.size, GIF_SIZE)]

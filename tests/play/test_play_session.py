@@ -15,9 +15,8 @@ from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, 
 from fastmimic.episode.loop import run_episodes
 from fastmimic.motion.motion import Motion
 from fastmimic.play.live_reference import RATES
-from fastmimic.play.motions import DEFAULTS, load_motions
 from fastmimic.play.page import MOST_BEHIND_S, Pacer
-from fastmimic.play.session import LiveSession, playable_methods
+from fastmimic.play.session import DEFAULTS, LiveSession, load_motions, playable_methods
 from fastmimic.primitive import FOOT_Z, MotionDmp
 from fastmimic.reference.course import course_of, since_middle
 from fastmimic.reference.modulation import LIFT, SPEED, TURN_ACCELERATION, make_tempo
@@ -25,9 +24,9 @@ from fastmimic.reference.motion_set import IN_PLACE, MotionSet
 from fastmimic.reference.standing import STAND
 from fastmimic.reference.stream import MODULATION, Stream, make_place
 from fastmimic.reference.table import SAMPLE, reference_table
+from fastmimic.render.tracks import world_feet
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion
-from fastmimic.viewer.take import world_feet
 
 
 @pytest.fixture(scope="module")

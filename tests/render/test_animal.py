@@ -9,8 +9,7 @@ import pytest
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import DOG, KEYPOINTS
 from fastmimic.motion.motion import Motion
-from fastmimic.render.animal import animal_track
-from fastmimic.render.tracks import motion_track
+from fastmimic.render.tracks import animal_track, motion_track
 from fastmimic.retargeting.retarget import choose_scale
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion

@@ -16,9 +16,8 @@ from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import KEYPOINTS
 from fastmimic.render import video
-from fastmimic.render.animal import animal_track
 from fastmimic.render.offscreen import Offscreen, in_any_thread
-from fastmimic.render.tracks import AnimalTrack, Track, resample
+from fastmimic.render.tracks import AnimalTrack, Track, animal_track, resample
 from fastmimic.render.video import render_video
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion

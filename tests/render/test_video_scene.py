@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from fastmimic.render.quality import HIGH, PREVIEW
+from fastmimic.render.encoding import HIGH, PREVIEW
 from fastmimic.render.video_scene import GHOST_GROUP, build_video_scene, ghost_rgba
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 

@@ -8,7 +8,7 @@ from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import KEYPOINTS
 from fastmimic.motion.motion import Motion
-from fastmimic.render.animal import Animal
+from fastmimic.render.tracks import Animal
 from fastmimic.retargeting.retarget import choose_scale
 from fastmimic.robot import Robot
 from fastmimic.viewer.marks import animal_beside, bone_segments

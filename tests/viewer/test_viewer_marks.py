@@ -84,7 +84,7 @@ def test_the_plot_has_a_cursor_now(take: Take) -> None:
     np.testing.assert_array_equal(data[0][drawn], [0.5, 0.5])
     np.testing.assert_array_equal(data[-1][drawn], [0.0, 1.0])
     assert all(np.isfinite(column).all() for column in data[:-1])
-    for end in (0.0, take.time_at(take.rows - 1)):
+    for end in (0.0, (take.rows - 1) / take.rate_hz):
         assert np.isfinite(plot_data(base, end)[-1]).sum() == 2
 
 

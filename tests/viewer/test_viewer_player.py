@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fastmimic.viewer.player import Player
+from fastmimic.viewer.viewer import Player
 
 
 def _clock() -> Player:

@@ -9,7 +9,7 @@ import pytest
 
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
-from fastmimic.render.animal import Animal
+from fastmimic.render.tracks import Animal
 from fastmimic.robot import Robot
 from fastmimic.viewer.marks import smoothed_path
 from fastmimic.viewer.scene import linear
@@ -84,7 +84,7 @@ def test_a_motion_without_physics_and_the_animal(opened: "Open", trot: Motion, a
     for row in range(0, take.rows, 97):
         _show(viewer, row)
     scene = viewer.robots[0]
-    assert scene.has_animal
+    assert "animal" in scene.layers
     for layer in ("animal", "forces", "ghost"):
         scene.set_layer(layer, False)
     scene.set_opacity(0.3)

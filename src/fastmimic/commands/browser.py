@@ -24,7 +24,7 @@ from fastmimic.viewer.web import free_port, require_viser
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.play.page import PlayPage
-    from fastmimic.render.animal import Animal
+    from fastmimic.render.tracks import Animal
     from fastmimic.viewer.take import Take
     from fastmimic.viewer.viewer import Viewer
 
@@ -86,7 +86,7 @@ class View:
     def _prepare(self, source: MotionSource) -> "tuple[Robot, list[list[Take]], str, Animal | None]":
         """The robot, its takes, the heading, and the animal."""
         from fastmimic.imitation.evaluate import EVALUATION_S
-        from fastmimic.render.animal import Animal
+        from fastmimic.render.tracks import Animal
 
         overrides = self.reading.overrides()
         robot = opt.choose_robot(self.robot, source)
@@ -152,9 +152,8 @@ class Play:
     def run(self) -> int:
         require_viser()
         free_port(self.port)  # before the motions are loaded
-        from fastmimic.play.motions import DEFAULTS, load_motions
         from fastmimic.play.page import PlayPage
-        from fastmimic.play.session import LiveSession, check_method
+        from fastmimic.play.session import DEFAULTS, LiveSession, check_method, load_motions
         from fastmimic.reference.motion_set import MotionSet, warm_up
 
         check_method(self.method)

@@ -18,7 +18,7 @@ from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.optimize.randomization import Randomization
-from fastmimic.render.quality import quality_named
+from fastmimic.render.encoding import quality_named
 from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
 from fastmimic.runs.loading import MotionSource, find_motion
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES

@@ -14,8 +14,7 @@ from fastmimic.commands.console import count_progress, note, put, slow_start
 from fastmimic.episode.plan import default_duration
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.motion.motion import Motion
-from fastmimic.render.encoding import ENDINGS
-from fastmimic.render.quality import quality_named
+from fastmimic.render.encoding import ENDINGS, quality_named
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import find_motion
 from fastmimic.viewer.web import require_viser
@@ -191,8 +190,8 @@ class WriteReport:
 def recorded(e: "RerunEpisodes") -> str:
     """The episodes as a page with a 3D replay, before and after side by side. Raises `ConfigError` if viser is not
     installed or too old."""
-    from fastmimic.viewer.recording import recorded_page
     from fastmimic.viewer.take import rollout_take
+    from fastmimic.viewer.viewer import recorded_page
 
     require_viser()
     shown = [("robot", "", e.motion.target, e.before)]

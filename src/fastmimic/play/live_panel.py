@@ -13,18 +13,21 @@ from fastmimic.play.session import playable_methods
 from fastmimic.play.steering import IDLE, read_steering, steering_script
 from fastmimic.play.world import FRICTION
 from fastmimic.viewer.charts import gait_strip, leg_table, plot_key, plot_series
-from fastmimic.viewer.panel import add_layer_boxes, arrange, charts_window, reward_plot
-from fastmimic.viewer.scene import LAYERS
+from fastmimic.viewer.panel import Panel, add_layer_boxes, charts_window, reward_plot
 
 if TYPE_CHECKING:
     import viser
 
-    from fastmimic.play.history import LiveHistory
-    from fastmimic.play.page import LiveScene, Pacer
+    from fastmimic.play.page import LiveHistory, LiveScene, Pacer
     from fastmimic.viewer.take import Take
     from fastmimic.viewer.web import Cameras
 
 _PACES: Final = {"real time": 1.0, "× 0.5": 0.5, "× 0.25": 0.25, "× 0.1": 0.1}
+_SLIDERS: Final = {
+    "speed": ("speed ×", "of its own"),
+    "turn": ("turn, rad/s", "rad/s added to its own"),
+    "lift": ("swing height ×", "of its own"),
+}  # labels, and the limits' meaning
 _DIRECTIONS: Final = {"← left": 90.0, "→ right": -90.0, "↑ on": 0.0, "↓ back": 180.0}
 _MOTION_KEYS: Final = ("1", "2", "3", "4", "5", "6", "7", "8", "9", "0")
 _MAX_IMPULSE: Final = 20.0
@@ -44,14 +47,8 @@ Start pause
 </div>"""
 
 
-class PlayPanel:
-    """viser's GUI elements and their effects on the session.
-
-    Args:
-        pacer: runs the session.
-        history: of the session.
-        cameras: of the browsers.
-    """
+class PlayPanel(Panel):
+    """viser's GUI elements and their effects on the session that `pacer` runs."""
 
     def __init__(
         self,
@@ -62,11 +59,11 @@ class PlayPanel:
         cameras: "Cameras",
         heading: str,
     ) -> None:
-        self._gui, self._pacer, self._history, self._scene, self._cameras = gui, pacer, history, scene, cameras
+        super().__init__(gui, heading)
+        self._pacer, self._history = pacer, history
         self._session = pacer.session
         self._steering = (0.0, 0.0)
         self._mistake: str | None = None
-        arrange(gui, heading)
         self._state = gui.add_html("")
         self._pause = gui.add_button("Pause")
         self._pause.on_click(lambda _event: self._toggle())
@@ -75,16 +72,11 @@ class PlayPanel:
         self._add_modulation()
         self._add_push()
         self._add_world()
-        self._add_view()
+        self._add_view(scene, cameras)
         self._add_keys()
         self._add_charts()
         self._limits: Any = None
         self.show_limits()
-
-    @property
-    def follow(self) -> bool:
-        """Whether the view follows the robot."""
-        return bool(self._follow.value)
 
     def show(self, take: "Take", plot: tuple[Any, ...]) -> None:
         """Updates texts and charts."""
@@ -103,22 +95,19 @@ class PlayPanel:
         if limits == self._limits:
             return
         self._limits = limits
-        for slider, (low, high), words in (
-            (self._speed, limits.speed, "of its own"),
-            (self._turn, limits.turn, "rad/s added to its own"),
-            (self._lift, limits.lift, "of its own"),
-        ):
-            free = high > low
-            slider.disabled = not free
+        for name, (_label, words) in _SLIDERS.items():
+            low, high = getattr(limits, name)
+            slider = self._sliders[name]
+            slider.disabled = high <= low
             slider.hint = (
-                f"{low:.2f} to {high:.2f} {words}" if free else f"{self._session.motion} has no step to change"
+                f"{low:.2f} to {high:.2f} {words}" if high > low else f"{self._session.motion} has no step to change"
             )
 
     def _status(self) -> str:
         session, pacer = self._session, self._pacer
         on, left, turning, reward = self._history.mean()
         colour = _THERE_RGB if session.goal == session.motion else _ON_THE_WAY_RGB
-        if session.fallen or session.trouble or self._mistake:
+        if session.fallen or session.reference.trouble or self._mistake:
             colour = _TROUBLE_RGB
         factor = "paused" if pacer.paused else f"{100 * pacer.realtime_factor:.0f} % of real time"
         slow = f' style="color:{_TROUBLE_RGB}"' if not pacer.paused and pacer.realtime_factor < 0.95 else ""
@@ -157,27 +146,20 @@ class PlayPanel:
                 self._mistake = str(error)
 
     def _add_modulation(self) -> None:
-        gui, session = self._gui, self._session
-
-        def slider(label: str, name: str) -> Any:
-            """From the least to the greatest limit of all motions."""
-            found = np.array([getattr(entry.limits, name) for entry in session.library.entries.values()])
-            low, high = min(NEUTRAL[name], found.min()), max(NEUTRAL[name], found.max())
-            return gui.add_slider(
-                label, float(np.floor(100 * low) / 100), float(np.ceil(100 * high) / 100), 0.01, NEUTRAL[name]
-            )
-
-        self._speed = slider("speed ×", "speed")
-        self._turn = slider("turn, rad/s", "turn")
-        self._lift = slider("swing height ×", "lift")
-        straight = gui.add_button("As it is", hint="speed, turn and swing height of the motion itself")
-
-        for each in (self._speed, self._turn, self._lift):
-            each.on_update(lambda _event: self._steer())
+        """Sliders from the least to the greatest limit of all motions."""
+        self._sliders: dict[str, Any] = {}
+        for name, texts in _SLIDERS.items():
+            own = NEUTRAL[name]
+            found = np.array([getattr(entry.limits, name) for entry in self._session.library.entries.values()])
+            low, high = np.floor(100 * min(own, found.min())) / 100, np.ceil(100 * max(own, found.max())) / 100
+            self._sliders[name] = self._gui.add_slider(texts[0], float(low), float(high), 0.01, own)
+            self._sliders[name].on_update(lambda _event: self._steer())
+        straight = self._gui.add_button("As it is", hint="speed, turn and swing height of the motion itself")
 
         @straight.on_click
         def _(_event: Any) -> None:
-            self._speed.value, self._turn.value, self._lift.value = NEUTRAL.values()
+            for name, slider in self._sliders.items():
+                slider.value = NEUTRAL[name]
             self._steer()
 
     def _steer(self) -> None:
@@ -188,9 +170,10 @@ class PlayPanel:
         def want() -> None:
             limits = session.library.entry(session.motion).limits
             fast, slow = limits.speed[1] - 1.0, 1.0 - limits.speed[0]
-            session.set_speed(float(self._speed.value) + (on * fast if on > 0 else on * slow))
-            session.set_turn(float(self._turn.value) + left * limits.turn[1])
-            session.set_lift(float(self._lift.value))
+            speed, turn, lift = (float(slider.value) for slider in self._sliders.values())
+            session.set_speed(speed + (on * fast if on > 0 else on * slow))
+            session.set_turn(turn + left * limits.turn[1])
+            session.set_lift(lift)
 
         self._do(want)
 
@@ -224,19 +207,16 @@ class PlayPanel:
         friction.on_update(lambda _event: self._do(lambda: session.world.set_friction(float(friction.value))))
         payload.on_update(lambda _event: self._do(lambda: session.world.set_payload(float(payload.value))))
 
-    def _add_view(self) -> None:
+    def _add_view(self, scene: "LiveScene", cameras: "Cameras") -> None:
         gui, pacer = self._gui, self._pacer
         with gui.add_folder("View", expand_by_default=False):
             pace: Any = gui.add_dropdown("time", tuple(_PACES))
-            self._follow = gui.add_checkbox("follow the robot", True)
-            reset = gui.add_button("Reset the view")
-            add_layer_boxes(gui, [self._scene], [layer for layer in LAYERS if layer != "animal"], _HIDDEN)
+            self._add_camera(cameras)
+            add_layer_boxes(gui, [scene], _HIDDEN)
 
         @pace.on_update
         def _(_event: Any) -> None:
             pacer.pace = _PACES[str(pace.value)]
-
-        reset.on_click(lambda event: self._cameras.reset(event.client))
 
     def _add_keys(self) -> None:
         gui, session = self._gui, self._session

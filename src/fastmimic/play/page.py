@@ -1,30 +1,38 @@
-"""The page of a live session: simulation in real time in one thread, drawing in another."""
+"""The page of a live session: simulation in real time in one thread, drawing of its recent past in another."""
 
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fastmimic.play.history import LiveHistory
+from fastmimic.base.arrays import Array
+from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.play.live_panel import PlayPanel
-from fastmimic.robot import Robot
 from fastmimic.viewer.bodies import Puppet
+from fastmimic.viewer.marks import TRAIL_POINTS, TRAIL_S
 from fastmimic.viewer.scene import RobotScene
+from fastmimic.viewer.take import Take
 from fastmimic.viewer.web import DEFAULT_PORT, FRAMES_PER_S, Cameras, WebPage
 
 if TYPE_CHECKING:
     import viser
 
-    from fastmimic.play.session import LiveSession
-    from fastmimic.viewer.take import Take
+    from fastmimic.play.session import LiveSession, Snapshot
 
 CHUNK_S: Final = 0.01  # between checks of the clock, at least
 MOST_BEHIND_S: Final = 0.05  # delay that is caught up; the real-time factor shows the rest
 WINDOW_S: Final = 1.0  # of the real-time factor
-_GROUND: Final = (24.0, 24.0)
+RATE_HZ: Final = 100.0  # of the history
+KEPT_S: Final = 2.0
+PLOT_S: Final = 15.0
+MEAN_S: Final = 0.5
+_PLOT_HZ: Final = 12.5
+_FOLLOW_S: Final = 0.6
+_LEASH_M: Final = 0.25
 _PUSH_RGB: Final = (230, 120, 0)
 _PUSH_S: Final = 0.6  # time that a push is shown
 _LEAST_ARROW: Final = 0.5  # of the leg's length
@@ -89,20 +97,97 @@ class Pacer:
             self.realtime_factor = sum(entry[1] for entry in window) / due if due > 0 else 1.0
 
 
+class LiveHistory:
+    """Collects snapshots of a session at `RATE_HZ`; not thread-safe."""
+
+    def __init__(self, session: "LiveSession") -> None:
+        self._session = session
+        self.every = max(1, round(session.rate_hz / RATE_HZ))  # control steps between two snapshots
+        self.rate_hz = session.rate_hz / self.every
+        # so that the dashes of the trails, which go by number, lie still: four of their steps at once
+        self._drop = 4 * max(1, round(TRAIL_S * self.rate_hz / TRAIL_POINTS))
+        self._keep = round(KEPT_S * self.rate_hz)
+        self._rows: list[Snapshot] = []
+        self._plot: deque[tuple[float, ...]] = deque(maxlen=round(PLOT_S * _PLOT_HZ))
+        self._plot_every = max(1, round(self.rate_hz / _PLOT_HZ))
+        self._count = 0
+        self.followed = np.zeros(2)  # m, the robot's place without sway, for the view
+        self.add()
+
+    def add(self) -> None:
+        """Adds the present moment."""
+        now = self._session.snapshot()
+        if not self._rows:
+            self.followed = now.pose[:2].copy()
+        self._rows.append(now)
+        if len(self._rows) > self._keep + self._drop:
+            del self._rows[: self._drop]
+        velocity = rotate_planar(float(yaw_from_quat(now.pose[3:7])), now.velocity_b[:2])
+        ahead = now.pose[:2] - self.followed
+        self.followed = self.followed + velocity / self.rate_hz + ahead / (_FOLLOW_S * self.rate_hz)
+        far = float(np.linalg.norm(now.pose[:2] - self.followed))
+        if far > _LEASH_M:
+            self.followed = now.pose[:2] + (self.followed - now.pose[:2]) * _LEASH_M / far
+        if self._count % self._plot_every == 0:
+            self._plot.append((now.time_s, *now.terms, now.reward))
+        self._count += 1
+
+    @property
+    def now(self) -> "Snapshot":
+        """The last moment."""
+        return self._rows[-1]
+
+    def push(self, within_s: float) -> Array | None:
+        """The last pushing force (3,) in this time, world, N; None without one."""
+        return next((row.push for row in reversed(self._last(within_s)) if row.push.any()), None)
+
+    def mean(self) -> tuple[float, float, float, float]:
+        """Velocity forwards and to the left, m/s, turn rate, rad/s, and reward, over the last `MEAN_S`."""
+        values = [(*row.velocity_b[:2], row.turn_rate, row.reward) for row in self._last(MEAN_S)]
+        on, left, turning, reward = np.mean(values, axis=0).tolist()
+        return on, left, turning, reward
+
+    def _last(self, seconds: float) -> "list[Snapshot]":
+        return self._rows[-max(1, round(seconds * self.rate_hz)) :]
+
+    def take(self) -> Take:
+        """The last `KEPT_S`, with the present in the last row."""
+        session, rows = self._session, self._rows
+
+        def stacked(name: str) -> Any:
+            return np.stack([getattr(row, name) for row in rows])
+
+        return Take(
+            session.robot,
+            session.state,
+            self.rate_hz,
+            stacked("pose"),
+            stacked("wanted"),
+            np.zeros(len(rows), np.int64),
+            np.zeros(1, np.int64),
+            stacked("reference"),
+            **{name: stacked(name) for name in ("measured", "stance", "force", "asked", "terms", "reward")},
+            friction=session.controller.config.stance.friction,
+        )
+
+    def plot(self) -> tuple[Array, ...]:
+        """The reward's plot: time before now, s, the five terms, the reward; (k,) each."""
+        values = np.array(self._plot)
+        values[:, 0] -= values[-1, 0]
+        return tuple(np.ascontiguousarray(column) for column in values.T)
+
+
 class LiveScene(RobotScene):
     """Follows a history instead of a take."""
 
-    def __init__(self, server: "viser.ViserServer", robot: Robot, history: "LiveHistory") -> None:
+    def __init__(self, server: "viser.ViserServer", history: LiveHistory) -> None:
         self._history = history
-        super().__init__(server, "/live", robot, Puppet(robot), history.take(), 0.0, _GROUND)
+        take = history.take()
+        super().__init__(server, "/live", Puppet(take.robot), take)
         self._push_arrow = self._arrows("/live/push", _PUSH_RGB, 0.012)
 
-    def set_take(self, take: "Take") -> None:
-        """Shows another take, at the place that the history follows."""
-        if not hasattr(self, "take") or take.title != self.take.title:
-            self._title.text = take.title
-        self.take = take
-        self._path = np.broadcast_to(self._history.followed, (take.rows, 2))
+    def _followed(self, take: Take) -> Array:
+        return np.broadcast_to(self._history.followed, (take.rows, 2))
 
     def show(self, row: int, *, follow: bool) -> None:
         """As `RobotScene.show`, with the push."""
@@ -125,9 +210,9 @@ class PlayPage(WebPage):
         self.session = session
         self.pacer = Pacer(session)
         self.history = LiveHistory(session)
-        self.scene = LiveScene(self.server, session.robot, self.history)
-        self.cameras = Cameras(self.server, session.robot, [0.0], 0.0)
-        self.panel = PlayPanel(self.server.gui, self.pacer, self.history, self.scene, self.cameras, heading)
+        self.scene = LiveScene(self.server, self.history)
+        cameras = Cameras(self.server, session.robot, [0.0], 0.0)
+        self.panel = PlayPanel(self.server.gui, self.pacer, self.history, self.scene, cameras, heading)
         self._charts_at = 0.0
         self.draw()
 
@@ -146,26 +231,16 @@ class PlayPage(WebPage):
 
     def run(self, stop: threading.Event) -> None:
         """Plays until `stop` is set; pauses without a browser."""
-        failure: list[BaseException] = []
-
-        def simulate() -> None:
+        with ThreadPoolExecutor(1) as executor:
+            simulation = executor.submit(self.pacer.run, stop, self.history.add, self.history.every, self.watched)
+            simulation.add_done_callback(lambda _: stop.set())
             try:
-                self.pacer.run(stop, self.history.add, self.history.every, self.watched)
-            except BaseException as error:  # noqa: BLE001 - handed to the caller's thread
-                failure.append(error)
+                while not stop.wait(1.0 / FRAMES_PER_S if self.watched() else _IDLE_S):
+                    if self.watched():
+                        self.draw()
+                    else:
+                        with self.pacer.lock:
+                            self.session.library.prepare(self.session.motion)
+            finally:
                 stop.set()
-
-        simulation = threading.Thread(target=simulate, daemon=True)
-        simulation.start()
-        try:
-            while not stop.wait(1.0 / FRAMES_PER_S if self.watched() else _IDLE_S):
-                if self.watched():
-                    self.draw()
-                else:
-                    with self.pacer.lock:
-                        self.session.library.prepare(self.session.motion)
-        finally:
-            stop.set()
-            simulation.join()
-        if failure:
-            raise failure[0]
+        simulation.result()

@@ -1,10 +1,12 @@
-"""The live session: a robot under the controller, steered by hand, script or test."""
+"""The live session: a robot under the controller, steered by hand, script or test, and the motions that it plays."""
 
 import math
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, count
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -13,6 +15,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
+from fastmimic.clips.synthesis import GAITS
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.control.controller import Controller
 from fastmimic.episode.placement import on_reference
@@ -20,16 +23,17 @@ from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.episode.scorer import Scorer
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
-from fastmimic.play.getting_up import GettingUp, GettingUpPhase
 from fastmimic.play.live_reference import LiveReference
-from fastmimic.play.world import LiveWorld
-from fastmimic.reference.modulation import Limits
-from fastmimic.reference.motion_set import MotionSet
-from fastmimic.reference.standing import STAND
+from fastmimic.play.world import GettingUp, GettingUpPhase, LiveWorld
+from fastmimic.reference.motion_set import IN_PLACE, MotionSet, in_place
+from fastmimic.reference.standing import STAND, standing
 from fastmimic.reference.table import CLOCK, SAMPLE
 from fastmimic.robot import Robot
+from fastmimic.runs.loading import MotionSource, find_motion
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
+DEFAULTS: Final = (STAND, IN_PLACE, "walk", "trot", "pace", "turn", "side-step", "spin", "backward-trot", "bound")
+_MADE: Final = {STAND: standing, IN_PLACE: in_place}
 _TIMINGS: Final = 2000
 _PREPARING: Final = 50  # control steps between two attempts to prepare something
 
@@ -73,6 +77,30 @@ def check_method(name: str) -> None:
     names = playable_methods()
     if name not in names:
         raise ConfigError(f"'{name}' cannot be played; there are {', '.join(names)}{did_you_mean(name, names)}")
+
+
+def load_motions(sources: Sequence[str | MotionSource], robot: Robot) -> dict[str, Motion]:
+    """Motions by the names used in a session, from names, clips, robot motions (.npz) or folders of runs; also "stand"
+    and "in-place". Raises `FastMimicError` for unknown ones or files that cannot be read."""
+    found: dict[str, Motion] = {}
+    for given in sources:
+        source = find_motion(given) if isinstance(given, str) else given
+        name = source.name
+        if name in _MADE:
+            motion = _MADE[name](robot)
+        else:
+            motion = source.load(robot)
+            name = name if name in GAITS or ":" in name else _short(name, motion)
+        numbered = (f"{name} ({k})" for k in count(2))
+        found[next(free for free in chain([name], numbered) if free not in found)] = motion
+    return found
+
+
+def _short(source: str, motion: Motion) -> str:
+    path = Path(source)
+    if path.is_dir():
+        return path.resolve().name
+    return motion.name if path.stem == "motion" else path.stem
 
 
 class LiveSession:
@@ -192,16 +220,6 @@ class LiveSession:
     def goal(self) -> str:
         """The motion requested."""
         return self.reference.goal
-
-    @property
-    def trouble(self) -> str | None:
-        """Why the robot does not reach the goal; None if it does."""
-        return self.reference.trouble
-
-    @property
-    def limits(self) -> Limits:
-        """Present limits of the modulation."""
-        return self.reference.limits
 
     @property
     def modulation(self) -> dict[str, float]:

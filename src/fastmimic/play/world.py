@@ -1,22 +1,33 @@
-"""Changes to robot and ground during a session: pushes, friction, payload."""
+"""What happens to a live robot: pushes, another friction, a payload, and getting up after a fall.
+
+It gets up by relaxing its joints, folding its legs and rising; if it lies on its side or back, it is first set upright.
+"""
 
 import math
-from typing import TYPE_CHECKING, Final
+from enum import Enum
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
-from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
-
-if TYPE_CHECKING:
-    from fastmimic.simulation.mujoco_sim import MujocoSimulation
-
+from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
+from fastmimic.reference.standing import along, rising_path, smooth, standing_gains
+from fastmimic.robot import Robot
+from fastmimic.robot.state import COMMAND
+from fastmimic.simulation.mujoco_sim import GROUND_FRICTION, MujocoSimulation
 
 PUSH_S: Final = 0.1  # duration of a push
 MAX_IMPULSE: Final = 100.0
 FRICTION: Final = (0.2, 1.5)
 MAX_PAYLOAD_KG: Final = 10.0
+LIMP_S: Final = 0.5
+FOLD_S: Final = 0.7
+RISE_S: Final = 1.0
+SETTLE_S: Final = 0.3
+_UPRIGHT: Final = 0.7  # cosine of the largest tilt from which the legs can push up
+_TRIES: Final = 3
 
 
 class LiveWorld:
@@ -27,7 +38,7 @@ class LiveWorld:
         payload_kg: mass at the trunk's centre of mass, unknown to the controller.
     """
 
-    def __init__(self, simulation: "MujocoSimulation") -> None:
+    def __init__(self, simulation: MujocoSimulation) -> None:
         import mujoco
 
         model = simulation.model
@@ -81,3 +92,76 @@ class LiveWorld:
         self._mass[0, self.trunk] = self._own_mass + mass_kg
         self._batch.set_const()
         self.payload_kg = mass_kg
+
+
+class GettingUpPhase(Enum):
+    LIMP = "fallen"
+    FOLD = "folding its legs"
+    RISE = "getting up"
+    DONE = "up"
+
+
+class GettingUp:
+    """Attempts to get up, until the robot stands with joints `stand`, (12,) rad, and base `height`, m."""
+
+    def __init__(self, robot: Robot, simulation: MujocoSimulation, stand: Array, height: float, dt: float) -> None:
+        self._simulation, self._dt = simulation, dt
+        self._stand, self._height = stand, height
+        self._path, self._folded_height = rising_path(robot, stand)
+        self._stiffness, self._damping = standing_gains(robot)
+        self.command = np.zeros(1, COMMAND)
+        self._from = self._path[0]
+        self.begin()
+        self.phase = GettingUpPhase.DONE
+
+    def begin(self) -> None:
+        """Starts after a fall."""
+        self.phase, self._time, self._tries = GettingUpPhase.LIMP, 0.0, 0
+
+    def step(self, observation: NDArray[Any]) -> NDArray[Any]:
+        """Commands (1,) of `COMMAND` for the next control step, from an observation (1,)."""
+        obs, command = observation[0], self.command
+        self._time += self._dt
+        command["torque"] = 0.0
+        command["joint_vel"] = 0.0
+        if not np.isfinite(obs["root_pos"]).all() or not np.isfinite(obs["joint_pos"]).all():
+            self._set_on_belly(np.zeros(2), 0.0)
+            obs = self._simulation.observation[0]
+        if self.phase is GettingUpPhase.LIMP:
+            command["stiffness"], command["damping"] = 0.0, 2.0 * self._damping
+            command["joint_pos"] = obs["joint_pos"]
+            if self._time >= LIMP_S:
+                if self._up(obs) < _UPRIGHT or self._tries >= _TRIES:
+                    self._set_on_belly(obs["root_pos"][:2], float(yaw_from_quat(obs["root_quat"])))
+                else:
+                    self._go(GettingUpPhase.FOLD, obs)
+            return command
+        command["stiffness"], command["damping"] = self._stiffness, self._damping
+        if self.phase is GettingUpPhase.FOLD:
+            share = smooth(self._time / FOLD_S)
+            command["joint_pos"] = self._from + share * (self._path[0] - self._from)
+            if self._time >= FOLD_S:
+                self._go(GettingUpPhase.RISE, obs)
+        else:
+            command["joint_pos"] = along(self._path, self._time / RISE_S)
+            if self._time >= RISE_S + SETTLE_S:
+                stands = self._up(obs) > 0.95 and obs["root_pos"][2] > 0.7 * self._height
+                self._tries += 1
+                self._go(GettingUpPhase.DONE if stands and obs["other_contact"] < 0.5 else GettingUpPhase.LIMP, obs)
+        return command
+
+    def _go(self, phase: GettingUpPhase, obs: Any) -> None:
+        self.phase, self._time, self._from = phase, 0.0, np.array(obs["joint_pos"])
+
+    def _set_on_belly(self, xy: Array, yaw: float) -> None:
+        """Places the robot on its belly with folded legs, in the same place and heading."""
+        position = np.array([[xy[0], xy[1], self._folded_height]])
+        zero = np.zeros((1, 3))
+        self._simulation.reset(position, quat_from_yaw(np.array([yaw])), self._path[:1], zero, zero, np.zeros((1, 12)))
+        self._tries = 0
+        self._go(GettingUpPhase.RISE, self._simulation.observation[0])
+
+    @staticmethod
+    def _up(obs: Any) -> float:
+        """Cosine of the trunk's tilt."""
+        return float(quat_rotate(obs["root_quat"], np.array([0.0, 0.0, 1.0]))[2])

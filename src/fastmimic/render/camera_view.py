@@ -4,7 +4,6 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.render.video_scene import GHOST_GROUP, LIGHT_DIR, VideoScene
@@ -33,13 +32,8 @@ _MAX_MARKS: Final = 400  # bones, trails and contacts drawn at once, with their 
 
 
 class CameraView:
-    """Poses the robots of a video scene and collects what to draw.
-
-    Args:
-        video_scene: the model to pose.
-        azimuth_deg: the camera's direction of sight, from the world's x axis.
-        distance: from the camera to the point that it looks at, m.
-    """
+    """Poses the robots of a video scene and collects what to draw. The camera looks along `azimuth_deg`, from the
+    world's x axis, at a point in `distance`, m."""
 
     def __init__(self, video_scene: VideoScene, azimuth_deg: float, distance: float) -> None:
         self._video_scene = video_scene
@@ -109,46 +103,32 @@ class CameraView:
         video_scene = self._video_scene
         period = 2 * video_scene.tile
         for tiles in video_scene.tiles:
-            geom = self._geom_of(tiles)
+            geom = next(g for g in self.scene.geoms[: self.scene.ngeom] if g.objtype == _GEOM and g.objid == tiles)
             geom.pos[:2] = self._data.geom_xpos[tiles, :2] + period * np.round(look_at[:2] / period)
         if video_scene.quality.shadow_map:
             light = self.scene.lights[self.scene.nlight - 1]
             direction = np.array(LIGHT_DIR) / np.linalg.norm(LIGHT_DIR)
             light.pos[:] = look_at - _LIGHT_DISTANCE * direction
 
-    def _geom_of(self, geom_id: int) -> mujoco.MjvGeom:
-        return next(g for g in self.scene.geoms[: self.scene.ngeom] if g.objtype == _GEOM and g.objid == geom_id)
-
     def _cast_shadow(self) -> None:
         """Appends the robot's geoms again, flattened onto the ground: much faster than a shadow map."""
         if self._video_scene.quality.shadow_map:
             return
         if self._shadows is None:
-            self._shadows = _new_shadows(self.scene, self._video_scene.casts_shadow)
+            geoms, end, casts_shadow = self.scene.geoms, self.scene.ngeom, self._video_scene.casts_shadow
+            casting = [geom for geom in geoms[:end] if geom.objtype == _GEOM and casts_shadow[geom.objid]]
+            self._shadows = [(geom, geoms[end + k]) for k, geom in enumerate(casting)]
+            for geom, shadow in self._shadows:
+                _start_shadow(geom, shadow)
         for geom, shadow in self._shadows:
             _flatten(geom, shadow)
         self.scene.ngeom += len(self._shadows)
 
 
-def _new_shadows(
-    scene: mujoco.MjvScene, casts_shadow: NDArray[np.bool_]
-) -> list[tuple[mujoco.MjvGeom, mujoco.MjvGeom]]:
-    """The geoms that cast a shadow, each with its shadow's slot."""
-    pairs: list[tuple[mujoco.MjvGeom, mujoco.MjvGeom]] = []
-    for i in range(scene.ngeom):
-        geom = scene.geoms[i]
-        if geom.objtype != _GEOM or not casts_shadow[geom.objid]:
-            continue
-        shadow = scene.geoms[scene.ngeom + len(pairs)]
-        _start_shadow(geom, shadow)
-        pairs.append((geom, shadow))
-    return pairs
-
-
 def _start_shadow(geom: mujoco.MjvGeom, shadow: mujoco.MjvGeom) -> None:
     """Gives `shadow` the geom's shape and the colour of ambient light."""
     color = np.array(_SHADOW_RGBA, dtype=np.float32)
-    mujoco.mjv_initGeom(shadow, geom.type, np.ones(3), np.zeros(3), np.eye(3).ravel(), color)
+    mujoco.mjv_initGeom(shadow, geom.type, np.ones(3), _ZERO, _UPRIGHT, color)
     shadow.size[:], shadow.dataid = geom.size, geom.dataid
     shadow.emission, shadow.specular, shadow.shininess = 0.6, 0.0, 0.0
 

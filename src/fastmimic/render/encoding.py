@@ -1,19 +1,18 @@
-"""Video files: H.264, VP9 or GIF, written atomically."""
+"""Video files: H.264, VP9 or GIF, written atomically; qualities of drawing and encoding."""
 
 import os
 import subprocess
 import sys
 import tempfile
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.errors import ConfigError, OutputError
-from fastmimic.render.quality import PREVIEW, Quality
+from fastmimic.base.errors import ConfigError, OutputError, did_you_mean
 
 FPS: Final = 30.0
 GIF_FPS: Final = 20.0
@@ -26,9 +25,46 @@ _PALETTE: Final = (
     "split[all][drawn];[all]palettegen=stats_mode=full[palette];"
     "[drawn][palette]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
 )  # 256 colours from all frames, which the encoder holds until the end
-
-
 _PIPE: Final = 2**20  # bytes, the most that Linux allows
+
+
+@dataclass(frozen=True)
+class Quality:
+    """The quality of a video's drawing.
+
+    Attributes:
+        name: as on the command line.
+        size: default width and height, pixels.
+        shadow_map: resolution of the light's depth map, pixels each way; 0 for geoms flattened onto the ground, ten
+            times as fast without a graphics card.
+        samples: of each pixel, for smooth edges; 0 for one.
+        reflectance: of the ground.
+        textured: whether the ground's pattern is a texture, which blurs with distance, or tiles, which are faster.
+        facets: around a round shape.
+        preset, crf: libx264's effort and loss.
+    """
+
+    name: str
+    size: tuple[int, int]
+    shadow_map: int
+    samples: int
+    reflectance: float
+    textured: bool
+    facets: int
+    preset: str
+    crf: int
+
+
+PREVIEW: Final = Quality("preview", (800, 450), 0, 0, 0.0, False, 8, "ultrafast", 25)
+HIGH: Final = Quality("high", (1280, 720), 2048, 4, 0.06, True, 36, "medium", 19)
+QUALITIES: Final = {quality.name: quality for quality in (PREVIEW, HIGH)}
+
+
+def quality_named(name: str) -> Quality:
+    """The quality of that name; raises `ConfigError`."""
+    if name not in QUALITIES:
+        raise ConfigError(f"unknown quality '{name}'; there are {', '.join(QUALITIES)}{did_you_mean(name, QUALITIES)}")
+    return QUALITIES[name]
 
 
 class VideoFile:
@@ -73,7 +109,14 @@ class VideoFile:
         self._arguments = _arguments(source_size, size, fps, ending, quality)
 
     def __enter__(self) -> "VideoFile":
-        self._temporary = _temporary_beside(self._path, self._path.suffix.lower())
+        path = self._path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix.lower())
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from None
+        os.close(handle)
+        self._temporary = Path(name)
         try:
             self._messages: IO[bytes] = tempfile.TemporaryFile()
             self._encoder = subprocess.Popen(
@@ -83,7 +126,9 @@ class VideoFile:
                 stderr=self._messages,
                 start_new_session=True,  # Ctrl-C is ours to handle
             )
-            _widen(self._encoder.stdin)
+            assert self._encoder.stdin is not None
+            self._pipe = self._encoder.stdin
+            _widen(self._pipe)
         except BaseException:
             self._temporary.unlink(missing_ok=True)
             raise
@@ -94,16 +139,13 @@ class VideoFile:
 
         A frame as OpenGL drew it, last row first in memory, is not copied.
         """
-        assert self._encoder.stdin is not None
         try:
-            self._encoder.stdin.write(np.ascontiguousarray(frame[::-1]).data)
+            self._pipe.write(np.ascontiguousarray(frame[::-1]).data)
         except OSError:
             self._encoder.wait()
             raise OutputError(f"{self._path}: the video encoder stopped ({self._complaint()})") from None
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             if kind is None:
                 self._finish()
@@ -111,9 +153,8 @@ class VideoFile:
             if self._encoder.poll() is None:
                 self._encoder.kill()
                 self._encoder.wait()
-            if self._encoder.stdin is not None:
-                with suppress(OSError):  # what it had not read is lost with it
-                    self._encoder.stdin.close()
+            with suppress(OSError):  # what it had not read is lost with it
+                self._pipe.close()
             self._messages.close()
             self._temporary.unlink(missing_ok=True)
 
@@ -134,25 +175,14 @@ class VideoFile:
         return lines[-1] if lines else f"exit status {self._encoder.returncode}"
 
 
-def _widen(pipe: "IO[bytes] | None") -> None:
+def _widen(pipe: IO[bytes]) -> None:
     """Enlarges a pipe's buffer where allowed."""
-    if pipe is None or not sys.platform.startswith("linux"):
+    if not sys.platform.startswith("linux"):
         return
     import fcntl
 
     with suppress(OSError):
         fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, _PIPE)
-
-
-def _temporary_beside(path: Path, ending: str) -> Path:
-    """An empty file in the same folder, for atomic replacement."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=ending)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from None
-    os.close(handle)
-    return Path(name)
 
 
 def _ffmpeg() -> str:

@@ -10,7 +10,6 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 _OFF: Final = ("disable", "disabled", "off", "false", "0")
 _NAMED: Final = ("egl", "osmesa", "glfw", "cgl")
-
-
 BLANK: Final = (0.93, 0.95, 0.97)  # colour of an empty cell: that of the haze
 
 
@@ -86,20 +83,13 @@ class Offscreen:
     def __enter__(self) -> "Offscreen":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
 def grid_cells(count: int, width: int, height: int, columns: int | None = None) -> list[tuple[int, int, int, int]]:
-    """Left, top, right, bottom of the cells of a grid, row by row, in pixels from the top left.
-
-    Args:
-        count: of pictures; the last row is completed by empty cells.
-        width, height: of the whole, pixels.
-        columns: of the grid; as many as pictures if None.
-    """
+    """Left, top, right, bottom of the cells of a grid of `width` x `height` pixels for `count` pictures, row by row, in
+    pixels from the top left; the last row is completed by empty cells. One row if `columns` is None."""
     columns = count if columns is None else columns
     rows = -(-count // columns)
     x = np.linspace(0, width, columns + 1).round().astype(int).tolist()
@@ -122,15 +112,7 @@ def _open(model: "mujoco.MjModel", width: int, height: int) -> tuple[Any, Any]:
                 gl.make_current()
                 context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
-        except (
-            ImportError,
-            OSError,
-            RuntimeError,
-            AttributeError,
-            TypeError,
-            ValueError,
-            OpenGLError,
-        ) as error:
+        except (ImportError, OSError, RuntimeError, AttributeError, TypeError, ValueError, OpenGLError) as error:
             # libraries that are absent or half there show in as many ways
             failures.append(f"{backend}: {' '.join(str(error).split())[:120]}")
             continue

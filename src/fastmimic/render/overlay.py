@@ -26,7 +26,7 @@ class Overlay:
         panels: a title and a caption for each panel, row by row.
         legend: colour (r, g, b, 0 to 1) and name of the translucent robot; None without one.
         speed_note: such as "slow motion × 0.25", shown with the clock.
-        columns: of panels; as many as panels if None.
+        columns: of panels.
         clock: whether the time is shown.
     """
 
@@ -35,11 +35,11 @@ class Overlay:
         width: int,
         height: int,
         panels: Sequence[tuple[str, str]],
-        legend: tuple[tuple[float, float, float], str] | None = None,
-        speed_note: str = "",
+        legend: tuple[tuple[float, float, float], str] | None,
+        speed_note: str,
         *,
-        columns: int | None = None,
-        clock: bool = True,
+        columns: int,
+        clock: bool,
     ) -> None:
         self._note = f"   {speed_note}" if speed_note else ""
         self._clock = clock
@@ -54,23 +54,22 @@ class Overlay:
         if legend is not None:
             plate = _legend_plate(*legend, self._unit)
             self._patches.append(_Patch(plate, height - plate.height - margin, width - plate.width - margin))
-        self._columns = sorted({left for left, *_ in cells} - {0})
-        self._rows = sorted({top for _, top, *_ in cells} - {0})
+        half = max(1, round(1.5 * self._unit))  # of the bars between panels
+        self._columns = [slice(at - half, at + half) for at in {left for left, *_ in cells} - {0}]
+        self._rows = [slice(at - half, at + half) for at in {top for _, top, *_ in cells} - {0}]
         self._clock_at = (margin, height - margin)
 
     def draw(self, frame: NDArray[np.uint8], time_s: float) -> None:
         """Draws onto `frame` (height, width, 3) in place."""
-        half = max(1, round(1.5 * self._unit))
         for bar in self._columns:
-            frame[:, bar - half : bar + half] = 255
+            frame[:, bar] = 255
         for bar in self._rows:
-            frame[bar - half : bar + half] = 255
+            frame[bar] = 255
         for patch in self._patches:
             patch.blend(frame)
-        if not self._clock:
-            return
-        clock = _clock_plate(f"{time_s:.1f} s{self._note}", self._unit)
-        _Patch(clock, self._clock_at[1] - clock.height, self._clock_at[0]).blend(frame)
+        if self._clock:
+            clock = _clock_plate(f"{time_s:.1f} s{self._note}", self._unit)
+            _Patch(clock, self._clock_at[1] - clock.height, self._clock_at[0]).blend(frame)
 
 
 def _unit(width: int, height: int, cell_height: int) -> float:

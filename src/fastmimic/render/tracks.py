@@ -1,4 +1,4 @@
-"""Tracks: poses of robots and animals over time for videos, made from logs and motions."""
+"""Tracks: poses of robots and animals over time for videos, made from logs, motions and clips."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -8,9 +8,19 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.rotations import quat_continuous, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
-from fastmimic.clips.clip import Skeleton
+from fastmimic.base.rotations import (
+    quat_continuous,
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate,
+    rotate_planar,
+    yaw_from_quat,
+)
+from fastmimic.clips.clip import Clip, Skeleton
 from fastmimic.motion.motion import Motion
+from fastmimic.retargeting.config import RetargetConfig
+from fastmimic.retargeting.retarget import choose_scale
+from fastmimic.retargeting.track import extract
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 
@@ -149,13 +159,24 @@ def motion_track(
     if motion.cycle is None:
         n = min(n, motion.n_samples)
     cycle, sample = np.divmod(np.arange(n), motion.n_samples)
-    origin = _cycle_origins(motion, int(cycle[-1]) + 1)[cycle]
+    origins = np.zeros((int(cycle[-1]) + 1, 3))  # x, y, yaw at the start of each cycle
+    for k in range(1, len(origins)):
+        assert motion.cycle is not None
+        origins[k, :2] = origins[k - 1, :2] + rotate_planar(origins[k - 1, 2], motion.cycle[:2])
+        origins[k, 2] = origins[k - 1, 2] + motion.cycle[2]
+    origin = origins[cycle]
     yaw0 = float(yaw_from_quat(motion.root_quat_wxyz[0]))
     first = motion.root_pos_w[0]
     position = motion.root_pos_w[sample] - np.array([first[0], first[1], 0.0])
     position[:, :2] = origin[:, :2] + rotate_planar(origin[:, 2] - yaw0, position[:, :2])
     quat = quat_multiply(quat_from_yaw(origin[:, 2] - yaw0), motion.root_quat_wxyz[sample])
     return Track(position, quat, motion.joint_pos[sample], title, caption, ghost, motion.contact[sample])
+
+
+def world_feet(robot: Robot, pose: Array) -> Array:
+    """Centres of the feet (t, 4, 3) at poses (t, 19), world, m."""
+    feet = foot_positions(robot, np.ascontiguousarray(pose[:, 7:]))
+    return np.asarray(pose[:, None, :3] + quat_rotate(pose[:, None, 3:7], feet))
 
 
 def realised_feet(rollout: "Rollout", robot: Robot, episode: int = 0) -> Array:
@@ -166,11 +187,54 @@ def realised_feet(rollout: "Rollout", robot: Robot, episode: int = 0) -> Array:
     return feet
 
 
-def _cycle_origins(motion: Motion, cycles: int) -> Array:
-    """(x, y, yaw) at the start of each cycle, (cycles, 3)."""
-    origin = np.zeros((cycles, 3))
-    for k in range(1, cycles):
-        assert motion.cycle is not None
-        origin[k, :2] = origin[k - 1, :2] + rotate_planar(origin[k - 1, 2], motion.cycle[:2])
-        origin[k, 2] = origin[k - 1, 2] + motion.cycle[2]
-    return origin
+class Animal:
+    """A clip's points on the ground in its own heading frame, scaled as in retargeting. `motion`, made of the clip, may
+    have another length; it is then run through from start to end.
+
+    Attributes:
+        points: (t, 10, 3) keypoints, heading frame, origin on the ground under the middle of neck and pelvis, m.
+        body: (t, k, 3) the points that the skeleton joins, in the same frame.
+        skeleton: of the clip, with radii at the robot's size.
+    """
+
+    def __init__(self, clip: Clip, robot: Robot, motion: Motion) -> None:
+        scale = choose_scale(clip, robot)
+        source = extract(clip, scale, RetargetConfig().roll_share)
+        ground = np.percentile(scale * clip.toes_w[..., 2], 10, axis=0).mean()
+
+        def local(points_w: Array) -> Array:
+            points = scale * points_w
+            points[..., :2] = rotate_planar(-source.heading[:, None], points[..., :2] - source.root_xy[:, None])
+            points[..., 2] -= ground
+            return points
+
+        self.points, self.body = local(clip.points_w), local(clip.drawn_w)
+        bones = clip.skeleton
+        self.skeleton = Skeleton(bones.points, bones.bones, tuple(scale * radius for radius in bones.radii))
+        self._periodic = motion.target.cycle is not None
+        self._samples = motion.target.n_samples
+
+    def local(self, sample: int) -> Array:
+        """Keypoints (10, 3) at a sample of the demonstration, in the frame of `points`, m."""
+        return self.at(self.points, sample)
+
+    def at(self, points: Array, sample: int) -> Array:
+        """`points` or `body` (t, k, 3) at a sample of the demonstration: (k, 3)."""
+        n = len(points)
+        share = sample / self._samples if self._periodic else sample / max(self._samples - 1, 1)
+        at = share * (n if self._periodic else n - 1)
+        low = min(int(at), n - 1)
+        high = (low + 1) % n if self._periodic else min(low + 1, n - 1)
+        return np.asarray(points[low] + (at - low) * (points[high] - points[low]))
+
+
+def animal_track(
+    clip: Clip, robot: Robot, motion: Motion, duration_s: float, title: str = "", caption: str = ""
+) -> AnimalTrack:
+    """The first `duration_s` of a clip's animal, at the robot's size, on the path and at the rate of `motion`."""
+    animal = Animal(clip, robot, motion)
+    path = motion_track(motion.target, duration_s)
+    heading = yaw_from_quat(path.root_quat_wxyz)
+    points = np.array([animal.at(animal.body, i % motion.target.n_samples) for i in range(len(path.root_pos_w))])
+    points[..., :2] = path.root_pos_w[:, None, :2] + rotate_planar(heading[:, None], points[..., :2])
+    return AnimalTrack(points, animal.skeleton, title, caption)

@@ -2,12 +2,12 @@
 
 import logging
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import available_cores
-from fastmimic.base.rotations import quat_rotate, yaw_from_quat
-from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, VideoFile
+from fastmimic.base.rotations import yaw_from_quat
+from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, PREVIEW, Quality, VideoFile, quality_named
 from fastmimic.render.offscreen import NoRendererError, Offscreen, in_any_thread
 from fastmimic.render.overlay import Overlay
-from fastmimic.render.quality import PREVIEW, Quality, quality_named
-from fastmimic.render.tracks import AnimalTrack, Track, resample, resample_contact, resample_points
+from fastmimic.render.tracks import AnimalTrack, Track, resample, resample_contact, resample_points, world_feet
 from fastmimic.render.video_scene import TILE_M, VideoScene, build_video_scene, ghost_rgba, leg_rgba
 from fastmimic.robot import Robot
 
@@ -31,8 +30,6 @@ if TYPE_CHECKING:
     from fastmimic.render.camera_view import CameraView
 
 _LOG = logging.getLogger(__name__)
-
-
 _CAMERA_AZIMUTH_DEG: Final = 122.0  # from the initial heading: the robot crosses the picture
 _CAMERA_SMOOTHING_S: Final = 0.35
 _LOOK_AT_HEIGHT: Final = 0.62  # share of the base's height; leaves room for text and shadow
@@ -45,6 +42,7 @@ _TRAIL_WIDTH: Final = 3.0  # pixels in a picture of 720 lines; at least half of 
 _BONE_RGBA: Final = (0.66, 0.47, 0.30, 1.0)
 
 AnyTrack: TypeAlias = Track | AnimalTrack
+_Paint: TypeAlias = Callable[[int], Future[NDArray[np.uint8]]]  # starts drawing a frame (height, width, 3)
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,7 @@ def render_video(
         rate_hz: samples a second of the tracks.
         fps: frames a second of the video; if None 30, or a GIF's 20.
         size: width and height, pixels, even but for a GIF; if None the quality's, or a GIF's 640 x 360.
-        quality: one of `fastmimic.render.quality.QUALITIES`.
+        quality: one of `fastmimic.render.encoding.QUALITIES`.
         progress: called with (frames done, frames in all) after each frame.
         slow_motion: how many times slower than reality the video plays.
         supersampling: draw larger by this factor and scale down.
@@ -167,32 +165,28 @@ def render_video(
     if not 1 <= columns <= len(tracks):
         raise ConfigError(f"{len(tracks)} panels cannot stand in {columns} columns")
     drawn_size = (round(size[0] * supersampling), round(size[1] * supersampling))
-    times = _frame_times(max(_samples(t) for t in tracks), rate_hz, fps * slow_motion)
+    count = max(1, round(max(_samples(t) for t in tracks) / rate_hz * (fps * slow_motion)))
+    times = np.arange(count) / (fps * slow_motion)  # in the motion, s
     frames = _frames(times, window_s)
     video = VideoFile(path, drawn_size, size, fps, quality, frames=len(frames))
     shown = [_shown(robot, track, rate_hz, times, marks) for track in tracks]
     video_scene = _build(robot, shown, drawn_size, quality, loop_m)
     overlay = _overlay(tracks, drawn_size, slow_motion, columns, clock)
 
-    def panels() -> list[_Panel]:
-        return _panels(video_scene, robot, shown, times, drawn_size, columns)
-
     try:
-        with ExitStack() as painters:
-            film = [
-                painters.enter_context(_Painter(video_scene, panels, columns)) for _ in range(_painters(len(frames)))
-            ]
+        with ExitStack() as stack:
+            painters = []
+            # without a graphics card each painter uses one core and sometimes waits
+            number = min(_MAX_PAINTERS, available_cores() + 1, len(frames)) if in_any_thread() else 1
+            for _ in range(number):
+                panels = _panels(video_scene, robot, shown, times, drawn_size, columns)
+                painters.append(stack.enter_context(_painter(video_scene, panels, columns)))
             with video:
-                _film(film, frames, times, overlay, video, progress)
+                _film(painters, frames, times, overlay, video, progress)
     except NoRendererError as error:
         _LOG.warning("%s was not written: %s; set MUJOCO_GL to a backend that works", path, error)
         return None
     return VideoInfo(len(frames), len(frames) / fps)
-
-
-def _painters(frames: int) -> int:
-    """Number of painters: without a graphics card each uses one core and sometimes waits."""
-    return max(1, min(_MAX_PAINTERS, available_cores() + 1, frames)) if in_any_thread() else 1
 
 
 class _Here(Executor):
@@ -200,46 +194,28 @@ class _Here(Executor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:  # noqa: BLE001 - it is raised by whoever asks for the result
-            future.set_exception(error)
+        future.set_result(fn(*args, **kwargs))
         return future
 
 
-class _Painter:
+@contextmanager
+def _painter(video_scene: VideoScene, panels: list[_Panel], columns: int) -> Iterator[_Paint]:
     """Draws frames in its own thread, to which its OpenGL context belongs; contexts of a window system stay in the
-    caller's thread. `panels` makes its own panels, since drawing poses them. Raises `NoRendererError`."""
+    caller's thread. Its panels are its own, since drawing poses them. Raises `NoRendererError`."""
+    with ThreadPoolExecutor(max_workers=1) if in_any_thread() else _Here() as thread:
+        screen = thread.submit(Offscreen, video_scene.model).result()
 
-    def __init__(self, video_scene: VideoScene, panels: Callable[[], list[_Panel]], columns: int) -> None:
-        self._columns = columns
-        self._panels = panels()
-        self._thread: Executor = ThreadPoolExecutor(max_workers=1) if in_any_thread() else _Here()
+        def draw(frame: int) -> NDArray[np.uint8]:
+            return screen.draw([panel.scene(frame) for panel in panels], columns)
+
         try:
-            self._screen = self._thread.submit(Offscreen, video_scene.model).result()
-        except BaseException:
-            self._thread.shutdown()
-            raise
-
-    def paint(self, frame: int) -> Future[NDArray[np.uint8]]:
-        """Starts drawing a frame (height, width, 3)."""
-        return self._thread.submit(self._draw, frame)
-
-    def _draw(self, frame: int) -> NDArray[np.uint8]:
-        return self._screen.draw([panel.scene(frame) for panel in self._panels], self._columns)
-
-    def __enter__(self) -> "_Painter":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._thread.submit(self._screen.close).result()
-        self._thread.shutdown()
+            yield partial(thread.submit, draw)
+        finally:
+            thread.submit(screen.close).result()
 
 
 def _film(
-    painters: list[_Painter],
+    painters: list[_Paint],
     frames: range,
     times: Array,
     overlay: Overlay,
@@ -247,21 +223,15 @@ def _film(
     progress: Callable[[int, int], None] | None,
 ) -> None:
     """Labels and writes the frames in order, while the painters draw the next ones by turns."""
-    ahead = deque(painter.paint(i) for painter, i in zip(painters, frames, strict=False))
+    ahead = deque(paint(i) for paint, i in zip(painters, frames, strict=False))
     for done, i in enumerate(frames, start=1):
         frame = ahead.popleft().result()
         if (following := done - 1 + len(painters)) < len(frames):
-            ahead.append(painters[(done - 1) % len(painters)].paint(frames[following]))
+            ahead.append(painters[(done - 1) % len(painters)](frames[following]))
         overlay.draw(frame, float(times[i]))
         video.write(frame)
         if progress is not None:
             progress(done, len(frames))
-
-
-def _frame_times(samples: int, rate_hz: float, frames_per_s: float) -> Array:
-    """Times in the motion at which frames are taken, s."""
-    count = max(1, round(samples / rate_hz * frames_per_s))
-    return np.arange(count) / frames_per_s
 
 
 def _frames(times: Array, window_s: tuple[float, float] | None) -> range:
@@ -290,12 +260,9 @@ def _shown(robot: Robot, track: AnyTrack, rate_hz: float, times: Array, marks: b
     yaw = float(yaw_from_quat(pose[0, 3:7]))
     if not marks:
         return _Shown(pose[:, :3], yaw, pose, ghost)
-    from fastmimic.robot.kinematics import foot_positions
-
     moments = times[:, None] - np.linspace(0.0, _TRAIL_S, _TRAIL_PIECES + 1)
     before = resample(track, rate_hz, np.maximum(moments, 0.0).ravel())
-    feet_b = foot_positions(robot, np.ascontiguousarray(before[:, 7:]))
-    feet = (before[:, None, :3] + quat_rotate(before[:, None, 3:7], feet_b)).reshape(*moments.shape, 4, 3)
+    feet = world_feet(robot, before).reshape(*moments.shape, 4, 3)
     return _Shown(pose[:, :3], yaw, pose, ghost, feet, resample_contact(track, rate_hz, times))
 
 

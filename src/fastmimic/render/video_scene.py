@@ -1,15 +1,15 @@
 """The MuJoCo scene of a video: the robot, its ghost, the ground and the light."""
 
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from matplotlib.colors import to_rgba
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
+from fastmimic.render.encoding import PREVIEW, Quality
 from fastmimic.render.figure_style import DEMONSTRATION, LEG_LINES
-from fastmimic.render.quality import PREVIEW, Quality
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
@@ -36,18 +36,12 @@ _HAZE: Final = (0.93, 0.95, 0.97)
 
 def ghost_rgba(alpha: float = 0.36) -> tuple[float, float, float, float]:
     """The demonstration's colour in the figures, translucent."""
-    return (*_rgb(DEMONSTRATION.color), alpha)
+    return to_rgba(DEMONSTRATION.color, alpha)
 
 
 def leg_rgba(leg: int, alpha: float) -> tuple[float, float, float, float]:
     """A leg's colour in the figures."""
-    return (*_rgb(LEG_LINES[leg].color), alpha)
-
-
-@cache
-def _rgb(color: str) -> tuple[float, float, float]:
-    r, g, b = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    return r, g, b
+    return to_rgba(LEG_LINES[leg].color, alpha)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +88,13 @@ def build_video_scene(
     spec = mujoco.MjSpec()
     _set_visual(spec, width, height, quality)
     _add_ground(spec, floor, quality, tile)
-    _add_light(spec, quality)
+    spec.worldbody.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        dir=LIGHT_DIR,
+        diffuse=[0.55, 0.55, 0.55],
+        specular=[0.2, 0.2, 0.2],
+        castshadow=quality.shadow_map > 0,
+    )
     for prefix in (_ROBOT, _GHOST)[: 1 + ghost]:
         spec.attach(_bare_robot(robot), prefix=prefix, frame=spec.worldbody.add_frame())
     model = spec.compile()
@@ -212,18 +212,6 @@ def _quads(low: Array, high: Array) -> tuple[Array, NDArray[np.int32]]:
     vertices[:, :, 1] = np.stack([low[:, 1], low[:, 1], high[:, 1], high[:, 1]], axis=1)
     first = 4 * np.arange(len(low))[:, None, None]
     return vertices, (first + np.array([[0, 1, 2], [0, 2, 3]])).astype(np.int32)
-
-
-def _add_light(spec: "mujoco.MjSpec", quality: Quality) -> None:
-    import mujoco
-
-    spec.worldbody.add_light(
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        dir=LIGHT_DIR,
-        diffuse=[0.55, 0.55, 0.55],
-        specular=[0.2, 0.2, 0.2],
-        castshadow=quality.shadow_map > 0,
-    )
 
 
 def _bare_robot(robot: Robot) -> "mujoco.MjSpec":

@@ -206,7 +206,7 @@ def write_video(
     quality: str = "preview",
 ) -> bool:
     """Adds the video, and its time to the metrics; False, with a warning in the log, if nothing can draw. `progress` is
-    called with (frames done, frames in all); `quality` is one of `fastmimic.render.quality.QUALITIES`. Raises
+    called with (frames done, frames in all); `quality` is one of `fastmimic.render.encoding.QUALITIES`. Raises
     `OutputError`."""
     from fastmimic.render.video import render_video
 

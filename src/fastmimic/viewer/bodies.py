@@ -1,7 +1,6 @@
 """The robot's meshes and kinematics, from the MuJoCo model of the videos, so that both look alike."""
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,23 +21,15 @@ _SHARP_RAD: Final = np.radians(30.0)  # edges above this angle are not shaded sm
 _VISIBLE_GROUPS: Final = 2
 
 
-@dataclass(frozen=True, eq=False)
-class BodyMesh:
+class BodyMesh(NamedTuple):
     """A moving body; its parts have one colour each (0 to 255) and are in the body's frame, m."""
 
     name: str
     parts: "tuple[tuple[Trimesh, Rgb], ...]"
 
 
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """The places of a robot's bodies.
-
-    Attributes:
-        position: (b, 3) world, m.
-        wxyz: (b, 4) body → world.
-        com: (3,) centre of mass of the whole robot, world, m.
-    """
+class Placed(NamedTuple):
+    """The places of a robot's bodies in the world: position (b, 3), m, wxyz (b, 4), and centre of mass (3,), m."""
 
     position: Array
     wxyz: Array

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
-from fastmimic.episode.reward import REWARD_TERMS, RewardTerm, reward_weights
+from fastmimic.episode.reward import REWARD_TERMS, reward_weights
 from fastmimic.render.figure_style import INK, LEG_LINES, MUTED
 from fastmimic.viewer.marks import contact_flags, friction_use
 
@@ -27,15 +27,15 @@ _KINDS: Final = (("wanted", "wanted"), ("measured", "loaded"), ("stance", "stanc
 
 def plot_series() -> tuple[dict[str, Any], ...]:
     """uPlot's series: time, the five terms with their weights, the reward, and the cursor."""
-    terms = [_term_series(term, weight) for term, weight in zip(REWARD_TERMS.values(), reward_weights(), strict=True)]
-    reward = {"label": "reward", "stroke": INK, "width": 2.5, "points": {"show": False}}
-    cursor = {"label": "now", "stroke": "#ff0033", "width": 2, "points": {"show": False}}
-    return ({"label": "t, s"}, *terms, reward, cursor)
 
+    def line(label: str, color: str, width: float, **more: Any) -> dict[str, Any]:
+        return {"label": label, "stroke": color, "width": width, "points": {"show": False}, **more}
 
-def _term_series(term: RewardTerm, weight: float) -> dict[str, Any]:
-    line = {"stroke": term.color, "dash": list(term.dash), "width": 1.5, "points": {"show": False}}
-    return {"label": f"{term.label} × {weight:g}", **line}
+    terms = [
+        line(f"{term.label} × {weight:g}", term.color, 1.5, dash=list(term.dash))
+        for term, weight in zip(REWARD_TERMS.values(), reward_weights(), strict=True)
+    ]
+    return ({"label": "t, s"}, *terms, line("reward", INK, 2.5), line("now", "#ff0033", 2))
 
 
 def plot_key() -> str:
@@ -44,11 +44,11 @@ def plot_key() -> str:
     return ", ".join([*terms, f'<b style="color:{INK}">reward</b>'])
 
 
-def plot_base(take: "Take", points: int = PLOT_POINTS) -> Array:
-    """The reward of an episode for the plot (≤ `points`, 7): time, five terms, reward."""
+def plot_base(take: "Take") -> Array:
+    """The reward of an episode for the plot (≤ `PLOT_POINTS`, 7): time, five terms, reward."""
     assert take.terms is not None
     assert take.reward is not None
-    rows = np.unique(np.linspace(0, take.rows - 1, min(points, take.rows)).round().astype(np.int64))
+    rows = np.unique(np.linspace(0, take.rows - 1, min(PLOT_POINTS, take.rows)).round().astype(np.int64))
     return np.column_stack([rows / take.rate_hz, take.terms[rows], take.reward[rows]])
 
 
@@ -71,7 +71,6 @@ def gait_strip(take: "Take", row: int, now: float = 0.5) -> str:
     first, end = max(left_row, 0), min(left_row + samples + 1, take.rows)
     leg_height = len(_KINDS) * _ROW + _LEG_GAP
     height = len(LEGS) * leg_height + 14
-    known = {"wanted": take.wanted, "measured": take.measured, "stance": take.stance}
     parts = [
         f'<svg viewBox="0 0 {_STRIP_WIDTH} {height}" width="100%" role="img" aria-label="gait strip"'
         ' style="display:block;background:#fff;padding:0 16px 0 4px;box-sizing:border-box">'
@@ -79,6 +78,9 @@ def gait_strip(take: "Take", row: int, now: float = 0.5) -> str:
 
     def x(at: float) -> float:
         return _LEFT + (at - left_row) / samples * (_STRIP_WIDTH - _LEFT)
+
+    def write(text: str, x: float, y: float, anchor: str, colour: str) -> None:
+        parts.append(f'<text x="{x}" y="{y}" font-size="8.5" text-anchor="{anchor}" fill="{colour}">{text}</text>')
 
     for leg, name in enumerate(LEGS):
         colour = LEG_LINES[leg].color
@@ -89,14 +91,9 @@ def gait_strip(take: "Take", row: int, now: float = 0.5) -> str:
         fills = {"wanted": "none", "measured": colour, "stance": f"url(#h{leg})"}
         for k, (kind, label) in enumerate(_KINDS):
             y = leg * leg_height + k * _ROW
-            text = f"{name} {label}" if k == 0 else label
-            parts.append(
-                f'<text x="{_LEFT - 4}" y="{y + 7.5}" font-size="8.5" text-anchor="end" fill="{INK}">{text}</text>'
-            )
-            flags = known[kind]
-            if flags is None:
-                continue
-            for a, b in runs(flags[first:end, leg]):
+            write(f"{name} {label}" if k == 0 else label, _LEFT - 4, y + 7.5, "end", INK)
+            flags = getattr(take, kind)
+            for a, b in [] if flags is None else runs(flags[first:end, leg]):
                 left, right = x(first + a), x(first + b)
                 parts.append(
                     f'<rect x="{left:.1f}" y="{y + 1}" width="{max(right - left, 0.5):.1f}" height="{_ROW - 2}"'
@@ -107,10 +104,7 @@ def gait_strip(take: "Take", row: int, now: float = 0.5) -> str:
     ends = [(0.0, f"−{now * STRIP_S:g} s"), (now, "now")] + ([(1.0, f"+{(1 - now) * STRIP_S:g} s")] if now < 1 else [])
     for share, text in ends:
         anchor = "start" if share == 0 else "end" if share == 1 else "middle"
-        at = _LEFT + share * (_STRIP_WIDTH - _LEFT)
-        parts.append(
-            f'<text x="{at}" y="{bottom + 9}" font-size="8.5" text-anchor="{anchor}" fill="{MUTED}">{text}</text>'
-        )
+        write(text, _LEFT + share * (_STRIP_WIDTH - _LEFT), bottom + 9, anchor, MUTED)
     return "".join([*parts, "</svg>"])
 
 
@@ -144,6 +138,5 @@ def status_line(take: "Take", row: int) -> str:
     reward = "" if take.reward is None else f" · reward now <b>{take.reward[row]:.2f}</b>"
     fallen = take.fell_at is not None and row >= take.fell_at
     state = ' · <b style="color:#b03060">fallen</b>' if fallen else ""
-    title = html.escape(take.title)
-    caption = html.escape(take.caption)
+    title, caption = html.escape(take.title), html.escape(take.caption)
     return f'<div style="font-size:13px;padding:4px 10px"><b>{title}</b> · {caption}{reward}{state}</div>'

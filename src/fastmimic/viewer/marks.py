@@ -16,7 +16,7 @@ from fastmimic.clips.clip import KEYPOINTS
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-    from fastmimic.render.animal import Animal
+    from fastmimic.render.tracks import Animal
     from fastmimic.viewer.take import Take
 
 TRAIL_S: Final = 1.0
@@ -44,12 +44,8 @@ def contact_places(take: "Take", row: int) -> Array:
 
 def contact_flags(take: "Take", row: int) -> dict[str, NDArray[np.bool_]]:
     """Visible marks (4,) by name; none if unknown."""
-    none = np.zeros(4, dtype=np.bool_)
-    return {
-        "wanted": take.wanted[row],
-        "measured": none if take.measured is None else take.measured[row],
-        "stance": none if take.stance is None else take.stance[row],
-    }
+    known = {"wanted": take.wanted, "measured": take.measured, "stance": take.stance}
+    return {kind: np.zeros(4, np.bool_) if flags is None else flags[row] for kind, flags in known.items()}
 
 
 def force_arrows(take: "Take", row: int, forces: Array | None) -> Array:

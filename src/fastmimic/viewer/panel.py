@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fastmimic.viewer.charts import gait_strip, leg_table, plot_base, plot_data, plot_key, plot_series, status_line
-from fastmimic.viewer.player import REPEATS
 from fastmimic.viewer.scene import LAYERS
 
 if TYPE_CHECKING:
@@ -16,12 +15,12 @@ if TYPE_CHECKING:
 
     import viser
 
-    from fastmimic.viewer.player import Player
     from fastmimic.viewer.scene import RobotScene
-    from fastmimic.viewer.take import Take
+    from fastmimic.viewer.viewer import Player, Repeat
+    from fastmimic.viewer.web import Cameras
 
-SPEEDS: Final = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
-_REPEAT_WORDS: Final = {"all": "everything", "cycle": "this cycle", "off": "nothing"}
+_SPEEDS: Final = {f"× {speed:g}": speed for speed in (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)}
+_REPEATS: "Final[dict[str, Repeat]]" = {"everything": "all", "this cycle": "cycle", "nothing": "off"}
 _CYCLES: Final = {"first": 0, "− 1": -1, "+ 1": 1}
 _STEP_S: Final = 0.01
 _FRAMES: Final = {"− 10 ms": -1, "+ 10 ms": 1}
@@ -44,13 +43,32 @@ reward: {terms}
 </div>"""
 
 
-class ViewerPanel:
+class Panel:
+    """Controls docked at the right, with a heading."""
+
+    def __init__(self, gui: "viser.GuiApi", heading: str) -> None:
+        self._gui = gui
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(_CONTROLS_WIDTH)
+        gui.add_html(f'<div style="font-size:15px;font-weight:700;padding:2px 10px">{html.escape(heading)}</div>')
+
+    def _add_camera(self, cameras: "Cameras") -> None:
+        self._follow = self._gui.add_checkbox("follow the robot", True)
+        self._gui.add_button("Reset the view").on_click(lambda event: cameras.reset(event.client))
+
+    @property
+    def follow(self) -> bool:
+        """Whether the view follows the robots."""
+        return bool(self._follow.value)
+
+
+class ViewerPanel(Panel):
     """viser's GUI elements and their effects on the player.
 
     Args:
         lock: held while the player changes.
         robots: moved by the player.
-        reset_camera: called with the requesting browser.
         episodes: number of episodes.
         choose: called with the episode that the user chooses.
     """
@@ -61,29 +79,23 @@ class ViewerPanel:
         player: "Player",
         lock: "threading.RLock",
         robots: "Sequence[RobotScene]",
-        reset_camera: "Callable[[viser.ClientHandle | None], None]",
+        cameras: "Cameras",
         heading: str,
         episodes: int,
         choose: "Callable[[int], None]",
     ) -> None:
-        self._gui, self._player, self._lock, self._robots = gui, player, lock, robots
-        self._reset_camera = reset_camera
+        super().__init__(gui, heading)
+        self._player, self._lock, self._robots = player, lock, robots
         self.version = 0  # counts the changes that the scene must follow
-        arrange(gui, heading)
-        self._add_playback()
-        self._add_episodes(episodes, choose)
+        self._add_playback(cameras)
+        if episodes > 1:
+            chosen = gui.add_dropdown("episode", tuple(str(i) for i in range(episodes)), initial_value="0")
+            chosen.on_update(lambda _event: choose(int(str(chosen.value))))
         self._add_layers()
-        self._charts: list[_TakeCharts] = []
         with charts_window(gui, "Charts"):
-            for scene in robots:
-                self._charts.append(_TakeCharts(gui, scene.take, alone=len(robots) == 1))
+            self._charts = [_TakeCharts(gui, scene, alone=len(robots) == 1) for scene in robots]
         with gui.add_folder("Key", expand_by_default=False):
             gui.add_html(_KEY.format(terms=plot_key()))
-
-    @property
-    def follow(self) -> bool:
-        """Whether the view follows the robots."""
-        return bool(self._follow.value)
 
     def show(self, row: int) -> None:
         """Updates slider and charts."""
@@ -92,8 +104,8 @@ class ViewerPanel:
         cycles = len(player.cycle_starts)
         text = f"cycle {player.cycle + 1} of {cycles}" if cycles > 1 else "one pass"
         self._cycle.content = f'<div style="font-size:12px;padding:0 10px">{text}</div>'
-        for charts, scene in zip(self._charts, self._robots, strict=True):
-            charts.show(scene.take, scene.take.clamp(row))
+        for charts in self._charts:
+            charts.show(row)
 
     def show_playing(self) -> None:
         """Labels the button by its next effect."""
@@ -102,20 +114,17 @@ class ViewerPanel:
     def set_takes(self) -> None:
         """Adopts the takes now in the scenes."""
         self._time.max = max(_last_s(self._player), 0.0)
-        for charts, scene in zip(self._charts, self._robots, strict=True):
-            charts.set_take(scene.take)
 
-    def _add_playback(self) -> None:
+    def _add_playback(self, cameras: "Cameras") -> None:
         gui, player = self._gui, self._player
         self._play = gui.add_button("Pause")
         self._time: Any = gui.add_slider("time, s", 0.0, _last_s(player), round(1.0 / player.rate_hz, 6), 0.0)
         self._cycle = gui.add_html("")
         cycles = gui.add_button_group("cycle", tuple(_CYCLES))
         frames = gui.add_button_group("step", tuple(_FRAMES))
-        speed = gui.add_dropdown("speed", tuple(f"× {s:g}" for s in SPEEDS), initial_value="× 1")
-        repeat = gui.add_dropdown("repeat", tuple(_REPEAT_WORDS.values()), initial_value=_REPEAT_WORDS["all"])
-        self._follow = gui.add_checkbox("follow the robot", True)
-        reset = gui.add_button("Reset the view")
+        speed = gui.add_dropdown("speed", tuple(_SPEEDS), initial_value="× 1")
+        repeat = gui.add_dropdown("repeat", tuple(_REPEATS))
+        self._add_camera(cameras)
 
         def go_to(row: int) -> None:
             player.playing = False
@@ -132,10 +141,10 @@ class ViewerPanel:
             go_to(player.row + _FRAMES[str(frames.value)] * max(1, round(_STEP_S * player.rate_hz)))
 
         def set_speed() -> None:
-            player.speed = float(str(speed.value).removeprefix("× "))
+            player.speed = _SPEEDS[str(speed.value)]
 
         def set_repeat() -> None:
-            player.repeat = next(r for r in REPEATS if _REPEAT_WORDS[r] == repeat.value)
+            player.repeat = _REPEATS[str(repeat.value)]
 
         @self._time.on_update
         def _(event: Any) -> None:
@@ -148,7 +157,6 @@ class ViewerPanel:
         speed.on_update(lambda _event: self._change(set_speed))
         repeat.on_update(lambda _event: self._change(set_repeat))
         self._follow.on_update(lambda _event: self._change())
-        reset.on_click(lambda event: self._reset_camera(event.client))
 
     def _change(self, act: "Callable[[], None] | None" = None) -> None:
         """Changes the player between two pictures."""
@@ -158,16 +166,10 @@ class ViewerPanel:
             self.show_playing()
             self.version += 1
 
-    def _add_episodes(self, episodes: int, choose: "Callable[[int], None]") -> None:
-        if episodes > 1:
-            chosen = self._gui.add_dropdown("episode", tuple(str(i) for i in range(episodes)), initial_value="0")
-            chosen.on_update(lambda _event: choose(int(str(chosen.value))))
-
     def _add_layers(self) -> None:
         robots = self._robots
         with self._gui.add_folder("Show", expand_by_default=False):
-            shown = [layer for layer in LAYERS if layer != "animal" or any(scene.has_animal for scene in robots)]
-            add_layer_boxes(self._gui, robots, shown)
+            add_layer_boxes(self._gui, robots)
             xray = self._gui.add_checkbox("robot translucent", False)
 
             @xray.on_update
@@ -177,36 +179,26 @@ class ViewerPanel:
 
 
 class _TakeCharts:
-    def __init__(self, gui: "viser.GuiApi", take: "Take", *, alone: bool) -> None:
+    """The charts of the take in a scene."""
+
+    def __init__(self, gui: "viser.GuiApi", scene: "RobotScene", *, alone: bool) -> None:
+        self._scene = scene
         self._status, self._strip = gui.add_html(""), gui.add_html("")
         self._plot: Any = None
-        self.set_take(take)
-        if take.terms is not None:
-            self._plot = reward_plot(
-                gui, plot_data(self._base, 0.0), plot_series(), 190 if alone else 130, legend=alone
-            )
+        if scene.take.terms is not None:
+            data = plot_data(plot_base(scene.take), 0.0)
+            self._plot = reward_plot(gui, data, plot_series(), 190 if alone else 130, legend=alone)
         with gui.add_folder("Legs in numbers", expand_by_default=alone):
             self._table = gui.add_html("")
 
-    def set_take(self, take: "Take") -> None:
-        """Adopts another take."""
-        self._base: Any = None if take.terms is None else plot_base(take)
-
-    def show(self, take: "Take", row: int) -> None:
-        """Updates the charts."""
+    def show(self, row: int) -> None:
+        take = self._scene.take
+        row = take.clamp(row)
         self._status.content = status_line(take, row)
         self._table.content = leg_table(take, row)
         self._strip.content = gait_strip(take, row)
         if self._plot is not None:
-            self._plot.data = plot_data(self._base, take.time_at(row))
-
-
-def arrange(gui: "viser.GuiApi", heading: str) -> None:
-    """Docks the controls at the right, with a heading."""
-    gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
-    gui.main_panel.dock_right()
-    gui.main_panel.set_width(_CONTROLS_WIDTH)
-    gui.add_html(f'<div style="font-size:15px;font-weight:700;padding:2px 10px">{html.escape(heading)}</div>')
+            self._plot.data = plot_data(plot_base(take), row / take.rate_hz)
 
 
 def charts_window(gui: "viser.GuiApi", title: str) -> Any:
@@ -217,10 +209,8 @@ def charts_window(gui: "viser.GuiApi", title: str) -> Any:
     return window.add_tab(title)
 
 
-def add_layer_boxes(
-    gui: "viser.GuiApi", robots: "Sequence[RobotScene]", layers: Sequence[str], hidden: Sequence[str] = ()
-) -> None:
-    """A check box for each of the `LAYERS`; the `hidden` ones are hidden at first."""
+def add_layer_boxes(gui: "viser.GuiApi", robots: "Sequence[RobotScene]", hidden: Sequence[str] = ()) -> None:
+    """A check box for each layer of the first robot; the `hidden` ones are hidden at first."""
 
     def add(layer: str) -> None:
         box = gui.add_checkbox(LAYERS[layer], layer not in hidden)
@@ -230,10 +220,9 @@ def add_layer_boxes(
                 scene.set_layer(layer, bool(box.value))
 
         box.on_update(update)
-        if layer in hidden:
-            update()
+        update()
 
-    for layer in layers:
+    for layer in robots[0].layers:
         add(layer)
 
 

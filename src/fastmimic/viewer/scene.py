@@ -26,8 +26,9 @@ from fastmimic.viewer.marks import (
 
 if TYPE_CHECKING:
     import viser
+    from trimesh import Trimesh
 
-    from fastmimic.render.animal import Animal
+    from fastmimic.render.tracks import Animal
     from fastmimic.viewer.bodies import BodyMesh, Placed
     from fastmimic.viewer.take import Take
 
@@ -42,6 +43,7 @@ LAYERS: Final = {
     "animal": "animal",
 }  # names and labels
 
+WIDE_GROUND: Final = (24.0, 24.0)
 _CELL_M: Final = 0.25
 _FORCE_RGB: Final = (178, 24, 43)
 _ASKED_RGB: Final = (20, 20, 20)
@@ -63,7 +65,6 @@ def animal_aside(robot: Robot) -> float:
 
 def line_up(
     server: "viser.ViserServer",
-    robot: Robot,
     takes: "Sequence[Take]",
     animal: "Animal | None" = None,
     names: Sequence[str] | None = None,
@@ -71,34 +72,21 @@ def line_up(
     """Robots side by side, seen from the front the first on the left.
 
     Args:
-        takes: each one's first take.
+        takes: each one's first take, of the same robot.
         animal: beside the first; None for none.
         names: of their frames in the scene tree.
     """
-    n = len(takes)
-    ground = (24.0, 24.0) if n == 1 else (3.0, round(gap(robot) / _CELL_M) * _CELL_M)
-    puppet = Puppet(robot)
+    n, between, puppet = len(takes), gap(takes[0].robot), Puppet(takes[0].robot)
+    ground = WIDE_GROUND if n == 1 else (3.0, round(between / _CELL_M) * _CELL_M)
+    names = names if names is not None else [f"robot{i}" for i in range(n)]
     return [
-        RobotScene(
-            server,
-            f"/{names[i]}" if names is not None else f"/robot{i}",
-            robot,
-            puppet,
-            take,
-            gap(robot) * (i - 0.5 * (n - 1)),
-            ground,
-            animal if i == 0 else None,
-        )
-        for i, take in enumerate(takes)
+        RobotScene(server, f"/{name}", puppet, take, between * (i - 0.5 * (n - 1)), ground, animal if i == 0 else None)
+        for i, (name, take) in enumerate(zip(names, takes, strict=True))
     ]
 
 
 class RobotScene:
-    """One robot with its marks.
-
-    Attributes:
-        aside: its place, m to the left of the middle.
-        root: its frame, which holds everything else.
+    """One robot with its marks; `root` is its frame, which holds everything else.
 
     Args:
         name: of its frame in the scene tree.
@@ -113,14 +101,13 @@ class RobotScene:
         self,
         server: "viser.ViserServer",
         name: str,
-        robot: Robot,
         puppet: Puppet,
         take: "Take",
-        aside: float,
-        ground: tuple[float, float],
+        aside: float = 0.0,
+        ground: tuple[float, float] = WIDE_GROUND,
         animal: "Animal | None" = None,
     ) -> None:
-        self._server, self._robot, self._puppet, self._animal = server, robot, puppet, animal
+        self._server, self._robot, self._puppet, self._animal = server, take.robot, puppet, animal
         self.aside = aside
         self.root = server.scene.add_frame(name, show_axes=False)
         self._groups = {
@@ -144,7 +131,10 @@ class RobotScene:
         )
         self._bodies = self._add_bodies(f"{name}/robot", puppet.bodies, None)
         self._ghost = self._add_bodies(f"{name}/ghost", puppet.ghost_bodies, ghost_rgba()[3])
-        self._contacts = self._add_contacts(f"{name}/contacts")
+        self._contacts = {
+            kind: self._add_marks(f"{name}/contacts/{kind}", mesh)
+            for kind, mesh in contact_meshes(2.0 * self._robot.foot_radius).items()
+        }
         self._nodes = self._add_lines(name)
         self._names = [
             server.scene.add_label(f"{name}/names/{leg}", leg, font_screen_scale=0.8, anchor="top-center")
@@ -158,8 +148,12 @@ class RobotScene:
     def set_take(self, take: "Take") -> None:
         """Shows another take."""
         self.take = take
-        self._path = smoothed_path(take)
+        self._path = self._followed(take)
         self._title.text = take.title
+
+    def _followed(self, take: "Take") -> Array:
+        """The path (t, 2) that the view follows, m."""
+        return smoothed_path(take)
 
     def set_layer(self, layer: str, visible: bool) -> None:
         """Shows or hides one of `LAYERS`."""
@@ -185,9 +179,12 @@ class RobotScene:
         _move(self._bodies, placed)
         if ghost is not None:
             _move(self._ghost, ghost)
-        self._show_contacts(row)
         self._show_lines(row, placed, ghost)
-        for place, label in zip(contact_places(take, row), self._names, strict=True):
+        places = contact_places(take, row)
+        for kind, flags in contact_flags(take, row).items():
+            self._contacts[kind].batched_positions = places.astype(np.float32)
+            self._contacts[kind].batched_scales = np.where(flags, 1.0, 1e-4).astype(np.float32)
+        for place, label in zip(places, self._names, strict=True):
             label.position = place + np.array([0.0, 0.0, -0.02])
         self._title.position = take.pose[row, :3] + np.array([0.0, 0.0, 0.55 * self._robot.leg_length])
         if self._animal is not None:
@@ -197,14 +194,12 @@ class RobotScene:
 
     def frame(self, body: str) -> "viser.FrameHandle":
         """The scene node of one of the robot's bodies; raises `KeyError`."""
-        names = [each.name for each in self._puppet.bodies]
-        if body not in names:
-            raise KeyError(body)
-        return self._bodies[names.index(body)][0]
+        return {each.name: frame for each, (frame, _) in zip(self._puppet.bodies, self._bodies, strict=True)}[body]
 
     @property
-    def has_animal(self) -> bool:
-        return self._animal is not None
+    def layers(self) -> tuple[str, ...]:
+        """Those of `LAYERS` that it has."""
+        return tuple(self._groups)
 
     def _add_bodies(
         self, name: str, bodies: "tuple[BodyMesh, ...]", opacity: float | None
@@ -228,24 +223,21 @@ class RobotScene:
             found.append((frame, meshes))
         return found
 
-    def _add_contacts(self, name: str) -> dict[str, "viser.BatchedMeshHandle"]:
-        colours = leg_colours()
-        return {
-            kind: self._server.scene.add_batched_meshes_simple(
-                f"{name}/{kind}",
-                mesh.vertices,
-                mesh.faces,
-                batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (4, 1)),
-                batched_positions=np.zeros((4, 3)),
-                batched_scales=np.ones(4),
-                batched_colors=linear(colours),
-                lod="off",
-                side="double",
-                cast_shadow=False,
-                receive_shadow=False,
-            )
-            for kind, mesh in contact_meshes(2.0 * self._robot.foot_radius).items()
-        }
+    def _add_marks(self, name: str, mesh: "Trimesh") -> "viser.BatchedMeshHandle":
+        """A mark under each foot."""
+        return self._server.scene.add_batched_meshes_simple(
+            name,
+            mesh.vertices,
+            mesh.faces,
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (4, 1)),
+            batched_positions=np.zeros((4, 3)),
+            batched_scales=np.ones(4),
+            batched_colors=linear(leg_colours()),
+            lod="off",
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
     def _add_lines(self, name: str) -> dict[str, Any]:
         scene, one = self._server.scene, np.zeros((1, 2, 3))
@@ -285,13 +277,6 @@ class RobotScene:
 
     def _lines(self, name: str, points: Array, colours: Any, pixels: float) -> "viser.LineSegmentsHandle":
         return self._server.scene.add_line_segments(name, points, colours, thickness=pixels, thickness_units="screen")
-
-    def _show_contacts(self, row: int) -> None:
-        places = contact_places(self.take, row).astype(np.float32)
-        for kind, flags in contact_flags(self.take, row).items():
-            mesh = self._contacts[kind]
-            mesh.batched_positions = places
-            mesh.batched_scales = np.where(flags, 1.0, 1e-4).astype(np.float32)
 
     def _show_lines(self, row: int, placed: "Placed", ghost: "Placed | None") -> None:
         take, nodes = self.take, self._nodes

@@ -11,9 +11,8 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
 from fastmimic.motion.motion import Motion
-from fastmimic.render.tracks import motion_track, rollout_track
+from fastmimic.render.tracks import motion_track, rollout_track, world_feet
 from fastmimic.robot import Robot
-from fastmimic.robot.kinematics import foot_positions
 
 if TYPE_CHECKING:
     from fastmimic.control.config import ControllerConfig
@@ -84,10 +83,6 @@ class Take:
     def heading(self) -> Array:
         """Heading of the robot (t,), rad."""
         return np.asarray(yaw_from_quat(self.pose[:, 3:7]))
-
-    def time_at(self, row: int) -> float:
-        """Time of a row, s."""
-        return row / self.rate_hz
 
     def clamp(self, row: int) -> int:
         """The nearest existing row, for takes of different length."""
@@ -163,9 +158,3 @@ def held(pose: Array) -> Array:
     finite = np.isfinite(pose).all(axis=1)
     last = np.maximum.accumulate(np.where(finite, np.arange(len(pose)), 0))
     return pose[last]
-
-
-def world_feet(robot: Robot, pose: Array) -> Array:
-    """Centres of the feet (t, 4, 3) at poses (t, 19), world, m."""
-    feet = foot_positions(robot, np.ascontiguousarray(pose[:, 7:]))
-    return np.asarray(pose[:, None, :3] + quat_rotate(pose[:, None, 3:7], feet))

@@ -54,23 +54,6 @@ def require_viser() -> None:
         raise ConfigError(f"viser {viser.__version__} is too old: pip install --upgrade 'fastmimic[view]'")
 
 
-def start_server(port: int = DEFAULT_PORT) -> "viser.ViserServer":
-    """viser's server, silent, on loopback, at the first free port from `port` on; raises `ConfigError`."""
-    require_viser()
-    import viser
-
-    # connections that come and go are no news
-    logging.getLogger("websockets").setLevel(logging.CRITICAL)
-    with contextlib.redirect_stdout(io.StringIO()):
-        return viser.ViserServer(host=HOST, port=free_port(port), label="FastMimic", verbose=False)
-
-
-def stop_server(server: "viser.ViserServer") -> None:
-    """Stops the server, silently."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        server.stop()
-
-
 @dataclass(frozen=True)
 class Camera:
     """A camera's place and target, scene coordinates, m."""
@@ -107,18 +90,13 @@ def default_camera(robot: Robot, beside: Sequence[float], yaw: float, aspect: fl
     return Camera((x, y, z), (float(look_at[0]), float(look_at[1]), height))
 
 
-def aim_at_first(server: "viser.ViserServer", camera: Camera) -> None:
-    """Sets the initial camera of each browser."""
-    initial = server.initial_camera
-    initial.position, initial.look_at, initial.fov = camera.position, camera.look_at, _FOV_RAD
-
-
 class Cameras:
     """The cameras of all browsers, and their initial place; arguments as for `default_camera`."""
 
     def __init__(self, server: "viser.ViserServer", robot: Robot, beside: Sequence[float], yaw: float) -> None:
         self._server, self._robot, self._beside, self._yaw = server, robot, tuple(beside), yaw
-        aim_at_first(server, default_camera(robot, beside, yaw))
+        camera, initial = default_camera(robot, beside, yaw), server.initial_camera
+        initial.position, initial.look_at, initial.fov = camera.position, camera.look_at, _FOV_RAD
         server.on_client_connect(self._welcome)
 
     def reset(self, client: "viser.ClientHandle | None") -> None:
@@ -148,10 +126,16 @@ class Cameras:
 
 
 class WebPage:
-    """A page served to this machine's browsers by viser's `server`. A context manager; otherwise `close` it."""
+    """A page served by viser's `server`, silently, to this machine's browsers, at the first free port from `port` on. A
+    context manager; otherwise `close` it. Raises `ConfigError` if viser is not installed, or no port is free."""
 
-    def __init__(self, port: int) -> None:
-        self.server = start_server(port)
+    def __init__(self, port: int = DEFAULT_PORT) -> None:
+        require_viser()
+        import viser
+
+        logging.getLogger("websockets").setLevel(logging.CRITICAL)  # connections that come and go are no news
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server = viser.ViserServer(host=HOST, port=free_port(port), label="FastMimic", verbose=False)
 
     @property
     def url(self) -> str:
@@ -164,7 +148,8 @@ class WebPage:
 
     def close(self) -> None:
         """Stops the server."""
-        stop_server(self.server)
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
 
     def __enter__(self) -> Self:
         return self
