@@ -49,8 +49,9 @@ def test_frames_are_the_same_however_many_draw_them(
 ) -> None:
     track = replace(walk(0.3), ghost=walk(0.3, offset_m=0.1))
     made = []
+    monkeypatch.setattr(video, "available_cores", lambda: 8)
     for painters in (1, 3):
-        monkeypatch.setattr(video, "_painters", lambda frames, painters=painters: painters)
+        monkeypatch.setattr(video, "_MAX_PAINTERS", painters)
         path = tmp_path / f"{painters}.mp4"
         render_video(a1, [track, track], path, rate_hz=RATE_HZ, fps=25, size=SIZE)
         made.append(read_video(path))
