@@ -23,7 +23,7 @@ from marked import put
 import fastmimic as fm
 from fastmimic.base.machine import available_cores
 from fastmimic.cli import main as fastmimic
-from fastmimic.experiments.compare import ComparisonPlan, compare
+from fastmimic.experiments.compare import ComparisonPlan, prepare
 from fastmimic.experiments.comparison_run import ComparisonSettings
 from fastmimic.runs.work_folder import ENVIRONMENT
 
@@ -84,7 +84,8 @@ def scaling() -> None:
     threads = time.perf_counter() - began
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
-        compare(plan, Path(folder), workers=cores, report=lambda effort, row: None, prepared=lambda name: None)
+        prepared = prepare(plan, Path(folder), keep=True, prepared=lambda name: None)
+        prepared.perform(cores, lambda effort, row: None)
         processes = time.perf_counter() - began
     print(f"{cores} searches of {SEARCH['iterations']} iterations on {cores} cores")
     print(f"  one after the other, {cores} threads each: {threads:.1f} s")

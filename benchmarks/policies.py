@@ -30,8 +30,7 @@ from marked import put
 
 from fastmimic.cli import main as fastmimic
 from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS
-from fastmimic.experiments.comparison_folder import RUNS
-from fastmimic.experiments.comparison_run import Run, slug
+from fastmimic.experiments.comparison_run import RUNS, Run, slug
 from fastmimic.experiments.transfer import STAGES, all_trials, transfer_table
 from fastmimic.learning.training import EVALUATIONS
 from fastmimic.render.figure_style import save

@@ -25,7 +25,7 @@ from fastmimic.base.files import replace_file
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.plan import episode_duration, nominal_start
-from fastmimic.experiments.subject import Subject
+from fastmimic.experiments.experiment import Subject
 from fastmimic.experiments.transfer import LAST, STAGES, TransferSettings, run_trials
 from fastmimic.imitation.methods import controller_for
 

@@ -15,9 +15,8 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import perturbed_start
 from fastmimic.episode.reward import TERMS, WEIGHTS
 from fastmimic.experiments.ablations import ABLATIONS, ablation_named, ablations_of
-from fastmimic.experiments.compare import ComparisonPlan, compare, prepare
-from fastmimic.experiments.comparison_folder import ComparisonFolder
-from fastmimic.experiments.comparison_run import ComparisonSettings, Row, finished_row
+from fastmimic.experiments.compare import ComparisonPlan, prepare
+from fastmimic.experiments.comparison_run import ComparisonFolder, ComparisonSettings, Row, finished_row
 from fastmimic.experiments.parallel import RunProgress
 from fastmimic.experiments.tables import COLUMNS, ablation_table, comparison_table, summaries
 from fastmimic.imitation.evaluate import evaluate
@@ -43,7 +42,7 @@ def run(plan: ComparisonPlan, out: Path, workers: int = 1) -> tuple[list[Row], l
         assert effort.remaining_s is None or effort.remaining_s >= 0
         reported.append((effort.share, row))
 
-    return compare(plan, out, workers=workers, report=report, prepared=lambda name: None), reported
+    return prepare(plan, out, keep=True, prepared=lambda name: None).perform(workers, report), reported
 
 
 def figures(row: Row) -> Row:
@@ -228,7 +227,7 @@ class TestKept:
             raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            compare(plan, tmp_path, workers=1, report=stop, prepared=lambda name: None)
+            prepare(plan, tmp_path, keep=True, prepared=lambda name: None).perform(1, stop)
         folder = tmp_path / "runs" / plan.runs[0].folder
         assert {p.name for p in folder.iterdir()} == {"checkpoint.npz"}
         resumed, reported = run(plan, tmp_path)

@@ -12,8 +12,8 @@ from control.motions import gait
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.base.text import csv_text
 from fastmimic.episode.plan import Start
-from fastmimic.experiments import stress
-from fastmimic.experiments.results import load_part, save_part
+from fastmimic.experiments import experiment
+from fastmimic.experiments.experiment import Search, Subject, check_methods, load_part, make_subject, save_part
 from fastmimic.experiments.stress import (
     COLUMNS,
     StressSettings,
@@ -22,7 +22,6 @@ from fastmimic.experiments.stress import (
     sweep,
     tolerances,
 )
-from fastmimic.experiments.subject import Search, Subject, check_methods, make_subject
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion
 from fastmimic.report.experiment_figures import stress_figure
@@ -80,13 +79,13 @@ class TestSweep:
         self, subject: Subject, robot: Robot, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         starts: list[Start] = []
-        real = stress.run_episodes
+        real = experiment.run_episodes
 
         def seen(*args: Any, start: Start, **rest: Any) -> Any:
             starts.append(start)
             return real(*args, start=start, **rest)
 
-        monkeypatch.setattr(stress, "run_episodes", seen)
+        monkeypatch.setattr(experiment, "run_episodes", seen)
         sweep(subject, "payload", robot, dataclasses.replace(SETTINGS, episodes=5, duration_s=0.02))
         samples = starts[0].sample.reshape(-1, 5)
         assert samples[0, 0] == 0

@@ -11,7 +11,7 @@ pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install '
 from control.motions import gait
 from fastmimic.base.text import csv_text
 from fastmimic.episode.loop import run_episodes
-from fastmimic.experiments.subject import Search, Subject, make_subject
+from fastmimic.experiments.experiment import Search, Subject, make_subject
 from fastmimic.experiments.transfer import (
     COLUMNS,
     IDENTIFIED,

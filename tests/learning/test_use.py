@@ -12,9 +12,8 @@ from fastmimic.base.errors import ConfigError, OutputError, PolicyError
 from fastmimic.cli import main
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import perturbed_start
-from fastmimic.experiments.compare import ComparisonPlan, choose_policies, compare, prepare
-from fastmimic.experiments.comparison_folder import ComparisonFolder
-from fastmimic.experiments.comparison_run import ComparisonSettings, Row
+from fastmimic.experiments.compare import ComparisonPlan, choose_policies, prepare
+from fastmimic.experiments.comparison_run import ComparisonFolder, ComparisonSettings, Row
 from fastmimic.experiments.tables import comparison_table
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.imitation.imitate import imitate
@@ -45,7 +44,7 @@ def policy_file(robot: Robot, motion: Motion, tmp_path_factory: pytest.TempPathF
 
 
 def run(plan: ComparisonPlan, out: Path) -> list[Row]:
-    return compare(plan, out, workers=1, report=lambda *_: None, prepared=lambda name: None)
+    return prepare(plan, out, keep=True, prepared=lambda name: None).perform(1, lambda *_: None)
 
 
 class TestInTheClosedLoop:
@@ -175,7 +174,7 @@ class TestCompare:
     def test_seeds_of_training_are_seeds(self, robot: Robot, motion: Motion, policy_file: Path, tmp_path: Path) -> None:
         follower(robot, motion, seed=1).save(tmp_path / "b" / "policy.npz")
         chosen = choose_policies([tmp_path, policy_file], ["side-step"])
-        assert [(c.motion, c.seed) for c in chosen] == [("side-step", 0), ("side-step", 1)]
+        assert [(run.motion, run.seed) for run in chosen] == [("side-step", 0), ("side-step", 1)]
         other = follower(robot, motion, seed=1)
         other.biases[0][0] += 1
         other.save(tmp_path / "c" / "policy.npz")

@@ -22,8 +22,7 @@ from fastmimic.runs.work_folder import TABLE
 
 if TYPE_CHECKING:
     from fastmimic.experiments.compare import ComparisonPlan, Prepared
-    from fastmimic.experiments.comparison_folder import ComparisonFolder
-    from fastmimic.experiments.comparison_run import Row
+    from fastmimic.experiments.comparison_run import ComparisonFolder, Row
     from fastmimic.experiments.parallel import ReportProgress, RunProgress
 
 
@@ -65,7 +64,7 @@ class Compare:
         opt.check_duration(self.duration)
         plan = self._plan()
         from fastmimic.experiments.compare import prepare
-        from fastmimic.experiments.comparison_folder import ABLATION_TABLE, open_comparison
+        from fastmimic.experiments.comparison_run import ABLATION_TABLE, open_comparison
         from fastmimic.report.comparison_figures import write_comparison
 
         workers = self.workers if self.workers is not None else available_cores()
@@ -109,7 +108,7 @@ class Compare:
         default = BUILT_IN_MOTIONS if self.builtin else PAPER_MOTIONS
         motions = self.motions if self.motions is not None else default
         methods = self.methods if self.methods is not None else (*PAPER_METHODS, *([RL] if self.policy else []))
-        policies = choose_policies(self.policy, motions) if self.policy else ()
+        policies = choose_policies(self.policy, motions) if self.policy else {}
         return ComparisonPlan(settings, motions, methods, self.seeds, self.ablations, policies)
 
 
@@ -141,7 +140,7 @@ def _environment(plan: "ComparisonPlan", workers: int, kept: "Sequence[Row]") ->
         "methods": methods,
         "seeds": max(run.seed for run in runs) + 1,
         "ablations": variants,
-        **({"policies": {str(p.run): str(p.file) for p in plan.policies}} if plan.policies else {}),
+        **({"policies": {str(run): str(file) for run, file in plan.policies.items()}} if plan.policies else {}),
         "workers": workers,
         "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
         "versions": versions(),

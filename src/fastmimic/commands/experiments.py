@@ -21,8 +21,8 @@ from fastmimic.simulation.simulators import SECOND_SIMULATOR, check_simulator
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.loop import MakeController
+    from fastmimic.experiments.experiment import Subject
     from fastmimic.experiments.stress import StressSettings
-    from fastmimic.experiments.subject import Subject
 
 ResultsFolder = Annotated[
     Path, opt.option("FOLDER", "Folder of the results. One with results needs --resume or --overwrite.")
@@ -54,7 +54,7 @@ class ExperimentOptions:
 
     def opened(self, experiment: str, parts: str, written: tuple[str, ...], about: dict[str, Any]) -> WorkFolder:
         """The folder of the results; see `open_results`."""
-        from fastmimic.experiments.results import open_results
+        from fastmimic.experiments.experiment import open_results
 
         resume, overwrite = self.folder.resume, self.folder.overwrite
         return open_results(self.out, experiment, parts, written, about, resume=resume, overwrite=overwrite)
@@ -63,7 +63,7 @@ class ExperimentOptions:
         self, method: str, motion: Motion, robot: Robot, policy: "tuple[MakeController, str] | None"
     ) -> "Subject":
         """The method with its motion, optimised first if the method does that."""
-        from fastmimic.experiments.subject import Search, make_subject
+        from fastmimic.experiments.experiment import Search, make_subject
 
         search = Search(self.config, self.search.iterations, self.search.population, self.seed, self.choice)
         with optimisation_progress() as progress:
@@ -109,8 +109,8 @@ class Stress(ExperimentOptions):
 
     def run(self) -> int:
         opt.check_duration(self.duration)
+        from fastmimic.experiments.experiment import check_methods
         from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of
-        from fastmimic.experiments.subject import check_methods
         from fastmimic.report.experiment_figures import STRESS_FILES, write_stress
 
         check_methods(self.methods, self.policy is not None)
@@ -148,12 +148,12 @@ class Stress(ExperimentOptions):
         total: int,
     ) -> None:
         """Runs the sweeps of one method that are not finished yet."""
-        from fastmimic.experiments.results import load_part, save_part
-        from fastmimic.experiments.stress import sweep, sweep_file
+        from fastmimic.experiments.experiment import load_part, part_file, save_part
+        from fastmimic.experiments.stress import SWEEPS, sweep
 
         with share_progress("sweeps") as bar, slow_start(f"{subject.method.name}: first sweep; {FIRST_USE}"):
             for k, name in enumerate(names, done + 1):
-                path = sweep_file(self.out, subject.method.name, name)
+                path = part_file(self.out / SWEEPS, subject.method.name, name)
                 if load_part(path, subject.digest) is None:
                     save_part(path, sweep(subject, name, robot, settings), subject.digest)
                 if bar is not None:
@@ -187,9 +187,8 @@ class Transfer(ExperimentOptions):
 
     def run(self) -> int:
         opt.check_duration(self.duration)
-        from fastmimic.experiments.results import load_part, save_part
-        from fastmimic.experiments.subject import check_methods
-        from fastmimic.experiments.transfer import PARTS, TransferSettings, part_file, run_trials
+        from fastmimic.experiments.experiment import check_methods, load_part, part_file, save_part
+        from fastmimic.experiments.transfer import PARTS, TransferSettings, run_trials
         from fastmimic.report.experiment_figures import TRANSFER_FILES, write_transfer
 
         if not self.motions:
@@ -216,7 +215,7 @@ class Transfer(ExperimentOptions):
             for robot, motion in loaded:
                 for method in self.methods:
                     subject = self.subject(method, motion, robot, policy)
-                    path = part_file(self.out, motion.name, method)
+                    path = part_file(self.out / PARTS, motion.name, method)
                     if load_part(path, subject.digest) is None:
                         with slow_start(f"{motion.name}, {method}: running; {FIRST_USE}"):
                             save_part(path, run_trials(subject, robot, settings), subject.digest)

@@ -1,7 +1,7 @@
 """The comparison: the list of runs, their inputs, and their rows."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -10,12 +10,13 @@ from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.formats import detect_format
 from fastmimic.control.config import controller_config
 from fastmimic.experiments.ablations import ABLATED, ablation_named, ablations_of
-from fastmimic.experiments.comparison_folder import RUNS
 from fastmimic.experiments.comparison_run import (
     POLICY,
+    RUNS,
     ComparisonSettings,
     Row,
     Run,
+    check_unique,
     digest,
     finished_row,
     run_of,
@@ -41,20 +42,6 @@ BUILT_IN_MOTIONS: Final = ("trot", "pace", "turn", "side-step")
 
 
 @dataclass(frozen=True)
-class ChosenPolicy:
-    """The policy for a motion: `seed` of its training, and its `file`."""
-
-    motion: str
-    seed: int
-    file: Path
-
-    @property
-    def run(self) -> Run:
-        """The policy's run."""
-        return Run(self.motion, RL, "", self.seed)
-
-
-@dataclass(frozen=True)
 class ComparisonPlan:
     """All runs of a comparison, in order of execution.
 
@@ -62,7 +49,7 @@ class ComparisonPlan:
         motions: names, or files.
         seeds: number of seeds of the methods that optimise.
         ablations: whether to run the variants of `ABLATED` as well.
-        policies: of the learned method; see `choose_policies`.
+        policies: files of the learned method by run; see `choose_policies`.
     """
 
     settings: ComparisonSettings
@@ -70,7 +57,7 @@ class ComparisonPlan:
     methods: tuple[str, ...]
     seeds: int
     ablations: bool
-    policies: tuple[ChosenPolicy, ...] = ()
+    policies: Mapping[Run, Path] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.motions:
@@ -88,10 +75,8 @@ class ComparisonPlan:
             )
         if self.policies and RL not in self.methods:
             raise ConfigError(f"policies are for the method '{RL}', which is not among {', '.join(self.methods)}")
-        for what, names in (("motion", [_stem(m) for m in self.motions]), ("method", self.methods)):
-            twice = sorted({name for name in names if list(names).count(name) > 1})
-            if twice:
-                raise ConfigError(f"{what} {', '.join(twice)} is given twice")
+        check_unique("motion", [_stem(motion) for motion in self.motions])
+        check_unique("method", self.methods)
         controller_config(self.settings.config)
         CmaSettings(self.settings.iterations, self.settings.population)
         Objective(self.settings.duration_s)
@@ -111,7 +96,7 @@ class ComparisonPlan:
         optimising = [name for name in methods if method_named(name).optimises]
         once = [name for name in methods if name not in optimising and name != RL]
         runs = [Run(motion, name, "", 0) for motion in self.motions for name in once]
-        runs += [policy.run for policy in self.policies]
+        runs += self.policies
         for seed in range(self.seeds):
             runs += [Run(motion, name, "", seed) for motion in self.motions for name in optimising]
         for seed in range(self.seeds):
@@ -167,9 +152,8 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
     """
     robot = load_robot(plan.settings.robot)
     files = {_file(out, *key): motion for key, motion in _demonstrations(plan, robot, prepared)}
-    given = {policy.run: policy.file for policy in plan.policies}
     policies = {
-        run: _policy(file, robot, files[_file(out, run.motion, consistent=True)]) for run, file in given.items()
+        run: _policy(file, robot, files[_file(out, run.motion, consistent=True)]) for run, file in plan.policies.items()
     }
     found = _finished(out) if keep else {}
     known = dict(files)
@@ -190,7 +174,7 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
             plan.settings,
             _file(out, run.motion, ablation_named(run.variant).consistent),
             out / RUNS / run.folder,
-            given.get(run),
+            plan.policies.get(run),
         )
         for run in plan.runs
         if run not in found
@@ -206,22 +190,8 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
     )
 
 
-def compare(
-    plan: ComparisonPlan, out: Path, *, workers: int, report: ReportProgress, prepared: Callable[[str], None]
-) -> list[Row]:
-    """Performs the runs of the plan that are not finished, and returns the rows of all runs.
-
-    Args:
-        out: folder of motions and runs. Finished runs are kept, begun ones continue from their checkpoints.
-        prepared: called with the name of each retargeted motion.
-
-    Raises `FastMimicError` as in `prepare`, or as the first failed run. Finished runs survive that and Ctrl-C.
-    """
-    return prepare(plan, out, keep=True, prepared=prepared).perform(workers, report)
-
-
-def choose_policies(places: Sequence[Path], motions: Sequence[str]) -> tuple[ChosenPolicy, ...]:
-    """The policies for each motion, in the order of the motions and of the training seeds.
+def choose_policies(places: Sequence[Path], motions: Sequence[str]) -> dict[Run, Path]:
+    """The policies' runs and files for each motion, in the order of the motions and of the training seeds.
 
     Args:
         places: policy files, and folders to search at any depth.
@@ -236,28 +206,26 @@ def choose_policies(places: Sequence[Path], motions: Sequence[str]) -> tuple[Cho
     for place in places:
         files.update(dict.fromkeys(sorted(place.rglob(POLICY)), False) if place.is_dir() else {place: True})
     names = {_own_name(motion): motion for motion in motions}
-    found: dict[Run, ChosenPolicy] = {}
+    found: dict[Run, Path] = {}
     for file, named in files.items():
         policy = Policy.load(file)
         if policy.motion not in names:
             if named:
                 raise ConfigError(f"{file}: a policy for '{policy.motion}', not among {', '.join(motions)}")
             continue
-        chosen = ChosenPolicy(names[policy.motion], policy.seed, file)
-        if chosen.run in found and Policy.load(found[chosen.run].file).digest == policy.digest:
+        run = Run(names[policy.motion], RL, "", policy.seed)
+        if run in found and Policy.load(found[run]).digest == policy.digest:
             continue  # a copy
-        if chosen.run in found:
-            raise ConfigError(
-                f"{found[chosen.run].file} and {file}: two policies for '{chosen.motion}', both of seed {chosen.seed}"
-            )
-        found[chosen.run] = chosen
-    missing = [motion for motion in motions if all(chosen.motion != motion for chosen in found.values())]
+        if run in found:
+            raise ConfigError(f"{found[run]} and {file}: two policies for '{run.motion}', both of seed {run.seed}")
+        found[run] = file
+    missing = [motion for motion in motions if all(run.motion != motion for run in found)]
     if missing:
         raise ConfigError(
             f"no policy for {', '.join(missing)} in {', '.join(str(p) for p in places)}; 'fastmimic train' makes one,"
             " or leave the motion out with --motions"
         )
-    return tuple(sorted(found.values(), key=lambda chosen: (motions.index(chosen.motion), chosen.seed)))
+    return {run: found[run] for run in sorted(found, key=lambda run: (motions.index(run.motion), run.seed))}
 
 
 def _own_name(motion: str) -> str:
@@ -309,11 +277,8 @@ def _demonstrations(
         motion = load_motion(name, robot).target
         yield (name, True), motion
         if raw:
-            yield (name, False), _raw(name, robot)
+            if Path(name).is_file() and detect_format(name) == "npz":
+                raise ConfigError(f"--ablations need the clip: '{name}' is already a robot motion")
+            config = RetargetConfig(consistent=False)
+            yield (name, False), retarget(open_clip(name, robot=robot), robot, config=config)[0]
         prepared(name)
-
-
-def _raw(name: str, robot: Robot) -> Motion:
-    if Path(name).is_file() and detect_format(name) == "npz":
-        raise ConfigError(f"--ablations need the clip: '{name}' is already a robot motion")
-    return retarget(open_clip(name, robot=robot), robot, config=RetargetConfig(consistent=False))[0]

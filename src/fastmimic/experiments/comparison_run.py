@@ -1,4 +1,4 @@
-"""One run of a comparison: a method on a motion with a seed, and its row of results.
+"""A run of a comparison (a method on a motion with a seed, and its row of results), and the comparison's folder.
 
 The seed of an optimised method is that of CMA-ES. Other methods are deterministic in simulation (paper) and run once,
 as seed 0. All runs have the same evaluation: one nominal episode from the motion's start (`reward`), and episodes from
@@ -9,22 +9,23 @@ import hashlib
 import json
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fastmimic.base.errors import OutputError
-from fastmimic.base.files import replace_file, write_text
+from fastmimic.base.errors import ConfigError, OutputError
+from fastmimic.base.files import read_json, replace_file, write_json, write_text
 from fastmimic.base.machine import versions
 from fastmimic.base.text import plain
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.plan import episode_duration
 from fastmimic.episode.rollout import Rollout
-from fastmimic.experiments.ablations import ablation_named
+from fastmimic.experiments.ablations import ABLATIONS, ablation_named
 from fastmimic.experiments.measurement import (
     EVALUATION_S,
     PERTURBED_EPISODES,
@@ -34,13 +35,13 @@ from fastmimic.experiments.measurement import (
     named_values,
 )
 from fastmimic.imitation.imitate import Imitation, imitate
-from fastmimic.imitation.methods import method_named
+from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import Progress
 from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.optimize.problem import Objective
 from fastmimic.robot import Robot
-from fastmimic.runs.work_folder import CHECKPOINT, MOTION
+from fastmimic.runs.work_folder import CHECKPOINT, ENVIRONMENT, MOTION, MOTIONS, RESULTS_CSV, TABLE, WorkFolder, created
 
 if TYPE_CHECKING:
     from fastmimic.learning.policy import Policy
@@ -49,6 +50,13 @@ ROW: Final = "row.json"
 TRACKING: Final = "tracking.npz"
 POLICY: Final = "policy.npz"
 RUN_FILES: Final = (ROW, MOTION, TRACKING, CHECKPOINT, POLICY)
+RUNS: Final = "runs"
+COMPARISON: Final = "comparison.png"
+TRACKING_FIGURE: Final = "tracking.png"
+ABLATION_TABLE: Final = "ablations.md"
+ABLATION_FIGURE: Final = "ablations.png"
+WRITTEN: Final = (RESULTS_CSV, TABLE, COMPARISON, TRACKING_FIGURE, ABLATION_TABLE, ABLATION_FIGURE)
+"""Files made from the finished runs."""
 
 _TRACKED_CYCLES: Final = 2
 _WARM_UP_S: Final = 0.01
@@ -108,6 +116,13 @@ def slug(text: str) -> str:
     return re.sub(r"[^\w.-]+", "_", text)
 
 
+def check_unique(what: str, names: Sequence[str]) -> None:
+    """Raises `ConfigError` if a name is given twice."""
+    twice = sorted({name for name in names if list(names).count(name) > 1})
+    if twice:
+        raise ConfigError(f"{what} {', '.join(twice)} is given twice")
+
+
 def controller_of(run: Run, settings: ComparisonSettings) -> ControllerConfig:
     """The run's controller before its method changes it."""
     return ablation_named(run.variant).change(controller_config(settings.config))
@@ -151,8 +166,12 @@ def perform(
     checkpoint = folder / CHECKPOINT
     resumed = checkpoint.is_file()
     config = controller_of(run, settings)
+    controller = None
+    if policy is not None:
+        from fastmimic.learning.policy import controlled_by  # imports Gymnasium, which other runs do not need
+
+        controller = controlled_by(policy)
     # compile or load before the clock starts
-    controller = None if policy is None else _controlled_by(policy)
     run_episodes(
         robot,
         demonstration,
@@ -212,12 +231,6 @@ def finished_row(folder: Path) -> Row | None:
 def run_of(row: Row) -> Run:
     """The run of a row."""
     return Run(row["motion"], row["method"], row["variant"], row["seed"])
-
-
-def _controlled_by(policy: "Policy") -> MakeController:
-    from fastmimic.learning.policy import controlled_by  # imports Gymnasium, which other runs do not need
-
-    return controlled_by(policy)
 
 
 def _with_training(row: Row, policy: "Policy") -> Row:
@@ -281,3 +294,69 @@ def _save_tracking(path: Path, demonstration: Motion, before: Rollout, after: Ro
             after=realised[window],
         ),
     )
+
+
+@dataclass(frozen=True)
+class ComparisonFolder(WorkFolder):
+    """The files of a comparison."""
+
+    @classmethod
+    def at(cls, path: Path) -> "ComparisonFolder":
+        files = (*WRITTEN, *(f"{RUNS}/*/{name}" for name in RUN_FILES), f"{MOTIONS}/*.npz")
+        return cls(path, "a comparison", ENVIRONMENT, "settings", files)
+
+    @property
+    def begun(self) -> bool:
+        """Whether any run has written something."""
+        return (self.path / RUNS).is_dir()
+
+    def begin(self, environment: Mapping[str, Any], *, overwrite: bool) -> None:
+        """Writes `environment.json`; with `overwrite`, removes the comparison in the folder first. Motions of an
+        earlier `environment.json` keep their places. Raises `OutputError` if a file cannot be removed or written."""
+        earlier = [] if overwrite else self.motions()
+        if overwrite:
+            self.clear()
+        motions = [*(name for name in earlier if name in environment["motions"]), *environment["motions"]]
+        write_json(self.path / ENVIRONMENT, {**environment, "motions": list(dict.fromkeys(motions))})
+
+    def motions(self) -> list[str]:
+        """The motions in `environment.json`, if it exists."""
+        try:
+            return [str(name) for name in read_json(self.path / ENVIRONMENT)["motions"]]
+        except (ConfigError, KeyError, TypeError):
+            return []
+
+    def in_order(self, rows: Sequence[Row]) -> list[Row]:
+        """Rows in the order of a plan that has all of them."""
+        motions = list(dict.fromkeys([*self.motions(), *(row["motion"] for row in rows)]))
+        methods, variants = list(METHODS), ["", *ABLATIONS]
+
+        def place(row: Row) -> tuple[int, ...]:
+            kind = (bool(row["variant"]), method_named(row["method"]).optimises, row["seed"])
+            return (*kind, motions.index(row["motion"]), methods.index(row["method"]), variants.index(row["variant"]))
+
+        return sorted(rows, key=place)
+
+
+@contextmanager
+def open_comparison(
+    path: Path, settings: Mapping[str, Any], *, resume: bool, overwrite: bool
+) -> Iterator[ComparisonFolder]:
+    """Prepares a folder for a comparison before long work begins; restores it if no run finishes.
+
+    Args:
+        settings: must equal those of `environment.json` to resume.
+
+    Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be
+    written.
+    """
+    folder = ComparisonFolder.at(path)
+    new = not folder.found()
+    folder.check(settings, resume=resume, overwrite=overwrite)
+    with created(path):
+        try:
+            yield folder
+        except BaseException:
+            if new and not folder.begun:
+                folder.clear()
+            raise

@@ -90,7 +90,9 @@ def measure(
         "swing_clearance_least_share": np.nanmin(share) if np.isfinite(share).any() else None,
         "early_contacts_per_s": nominal.early_contacts_per_s,
         "stance_slip_m": nominal.stance_slip_m,
-        "style_distance": None if method.own_feet else _style(result),
+        "style_distance": None
+        if method.own_feet
+        else style_distance(result.motion.foot_pos_b, demonstration.foot_pos_b),
         "style_distance_realised": _realised_style(after, demonstration, robot),
         "foot_z_rmse_before_m": unoptimised.foot_z_rmse_m,
         "foot_z_rmse_after_m": nominal.foot_z_rmse_m,
@@ -113,10 +115,6 @@ def foot_courses(rollout: Rollout, robot: Robot) -> tuple[Array, Array]:
     feet = foot_positions(robot, rollout.log.observation["joint_pos"][0])
     feet[rollout.steps[0] :] = np.nan
     return rollout.log.demonstration["foot_pos"][0], feet
-
-
-def _style(result: Imitation) -> float:
-    return style_distance(result.motion.foot_pos_b, result.demonstration.foot_pos_b)
 
 
 def _realised_style(rollout: Rollout, demonstration: Motion, robot: Robot) -> float | None:

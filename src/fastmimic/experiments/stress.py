@@ -13,11 +13,10 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.errors import ConfigError
-from fastmimic.episode.loop import run_episodes
+from fastmimic.base.text import markdown_table
 from fastmimic.episode.plan import Start, episode_duration, nominal_start, start_room
-from fastmimic.experiments.comparison_run import Row, slug
-from fastmimic.experiments.results import all_parts
-from fastmimic.experiments.subject import Subject
+from fastmimic.experiments.comparison_run import Row, check_unique
+from fastmimic.experiments.experiment import Subject, all_parts
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
@@ -97,9 +96,7 @@ def disturbances_of(names: Sequence[str] | None, simulator: str) -> list[str]:
             raise ConfigError(
                 f"disturbance '{name}' is not realised in {simulator}; those that are: {', '.join(there)}"
             )
-    twice = sorted({name for name in names if list(names).count(name) > 1})
-    if twice:
-        raise ConfigError(f"disturbance {', '.join(twice)} is given twice")
+    check_unique("disturbance", names)
     return list(names)
 
 
@@ -120,19 +117,14 @@ def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSett
     motion is too short for a push, or does not fit the robot."""
     kind, motion = DISTURBANCES[disturbance], subject.motion
     seconds = check_length(motion, [disturbance], settings)
-    start = _starts(settings.episodes, start_room(motion, seconds), settings.seed)
+    start = nominal_start(settings.episodes)
+    random = np.random.default_rng(settings.seed)
+    start.sample[1:] = random.integers(start_room(motion, seconds), size=settings.episodes - 1)
     rows = []
     for levels in _batches(kind.levels, settings.episodes if kind.per_robot else AT_ONCE):
         values = tuple(float(v) for v in np.repeat(levels, settings.episodes)) if kind.per_robot else levels
-        rollout = run_episodes(
-            robot,
-            motion,
-            start=_repeated(start, len(levels)),
-            duration_s=seconds,
-            config=subject.config,
-            conditions=settings.conditions(Disturbance(disturbance, values)),
-            controller=subject.controller,
-        )
+        conditions = settings.conditions(Disturbance(disturbance, values))
+        rollout = subject.run(robot, seconds, _repeated(start, len(levels)), conditions)
         for i, level in enumerate(levels):
             own = slice(i * settings.episodes, (i + 1) * settings.episodes)
             rows.append(
@@ -155,12 +147,6 @@ def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSett
     return rows
 
 
-def _starts(episodes: int, room: int, seed: int) -> Start:
-    start = nominal_start(episodes)
-    start.sample[1:] = np.random.default_rng(seed).integers(room, size=episodes - 1)
-    return start
-
-
 def _batches(levels: tuple[float, ...], episodes: int) -> list[tuple[float, ...]]:
     count = max(1, AT_ONCE // episodes)
     return [levels[i : i + count] for i in range(0, len(levels), count)]
@@ -173,11 +159,6 @@ def _repeated(start: Start, times: int) -> Start:
         np.tile(start.velocity_offset, (times, 1)),
         np.tile(start.streams, times),
     )
-
-
-def sweep_file(out: Path, method: str, disturbance: str) -> Path:
-    """The file of a finished sweep."""
-    return out / SWEEPS / f"{slug(f'{method}-{disturbance}')}.json"
 
 
 def all_sweeps(out: Path) -> list[Row]:
@@ -222,35 +203,33 @@ def stress_table(rows: Sequence[Row], settings: StressSettings, missing: int) ->
     found = tolerances(rows)
     methods = list(dict.fromkeys(t.method for t in found))
     by = {(t.method, t.disturbance): t for t in found}
+    body = []
+    for name in dict.fromkeys(t.disturbance for t in found):
+        kind = DISTURBANCES[name]
+        cells = [by.get((method, name)) for method in methods]
+        tried = next(t for t in cells if t is not None)
+        unit = f", {kind.unit}" if kind.unit else ""
+        range_tried = f"{_number(tried.lower_tried)} … {_number(tried.upper_tried)}"
+        body.append([f"{name}{unit}", range_tried, *(_withstood(t) for t in cells)])
+    said = []
+    for m in methods:
+        own = [row for row in rows if row["method"] == m]
+        nominal = [row["reward_mean"] for row in own if row["value"] == DISTURBANCES[row["disturbance"]].nominal]
+        success = max(t.nominal_success for t in found if t.method == m)
+        said.append(f"{method_named(m).label} {float(np.mean(nominal)):.3f}, {success:.0%} without a fall")
     first = rows[0]
+    unfinished = f" **Unfinished: {missing} sweeps are missing.**" if missing else ""
     lines = [
         f"`{first['motion']}` on {settings.robot} in {settings.simulator}, controller told the {settings.observe};"
         f" withstood: at least {SUCCESS:.0%} of {settings.episodes} episodes of {first['duration_s']:g} s without a"
-        f" fall.{f' **Unfinished: {missing} sweeps are missing.**' if missing else ''}",
+        f" fall.{unfinished}",
         "",
-        f"| disturbance | tried | {' | '.join(method_named(m).label for m in methods)} |",
-        f"| {' | '.join(['---'] * (2 + len(methods)))} |",
+        *markdown_table(["disturbance", "tried", *(method_named(m).label for m in methods)], body),
+        "",
+        f"Undisturbed, mean reward and success over the same starts: {'; '.join(said)}.",
+        "",
     ]
-    for name in dict.fromkeys(t.disturbance for t in found):
-        kind = DISTURBANCES[name]
-        own = [by.get((method, name)) for method in methods]
-        tried = next(t for t in own if t is not None)
-        cells = [_withstood(t) for t in own]
-        unit = f", {kind.unit}" if kind.unit else ""
-        lines.append(
-            f"| {name}{unit} | {_number(tried.lower_tried)} … {_number(tried.upper_tried)} | {' | '.join(cells)} |"
-        )
-    nominal = {method: [t.nominal_success for t in found if t.method == method] for method in methods}
-    said = "; ".join(
-        f"{method_named(m).label} {_nominal_reward(rows, m):.3f}, {max(s):.0%} without a fall"
-        for m, s in nominal.items()
-    )
-    return "\n".join([*lines, "", f"Undisturbed, mean reward and success over the same starts: {said}.", ""])
-
-
-def _nominal_reward(rows: Sequence[Row], method: str) -> float:
-    own = [r for r in rows if r["method"] == method and r["value"] == DISTURBANCES[r["disturbance"]].nominal]
-    return float(np.mean([row["reward_mean"] for row in own]))
+    return "\n".join(lines)
 
 
 def _withstood(t: Tolerance | None) -> str:

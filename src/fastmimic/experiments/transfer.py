@@ -14,13 +14,12 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.errors import ConfigError, LogError
+from fastmimic.base.text import markdown_table
 from fastmimic.control.config import ControllerConfig
-from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import Start, episode_duration, perturbed_start
 from fastmimic.episode.rollout import run_log
-from fastmimic.experiments.comparison_run import Row, slug
-from fastmimic.experiments.results import all_parts
-from fastmimic.experiments.subject import Subject
+from fastmimic.experiments.comparison_run import Row
+from fastmimic.experiments.experiment import Subject, all_parts
 from fastmimic.identification.identify import identify
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.robot import Robot
@@ -122,16 +121,8 @@ def run_trials(
     seconds = episode_duration(motion, settings.duration_s)
     start = trial_starts(settings.trials, settings.seed)
     for stage in (*stages, IDENTIFIED) if settings.identify else stages:
-        config = identified_config(subject, robot, settings) if stage is IDENTIFIED else subject.config
-        rollout = run_episodes(
-            robot,
-            motion,
-            start=start,
-            duration_s=seconds,
-            config=config,
-            conditions=stage.conditions(settings.seed),
-            controller=subject.controller,
-        )
+        config = identified_config(subject, robot, settings) if stage is IDENTIFIED else None
+        rollout = subject.run(robot, seconds, start, stage.conditions(settings.seed), config=config)
         rows += [
             {
                 "motion": motion.name,
@@ -157,16 +148,7 @@ def identified_config(subject: Subject, robot: Robot, settings: TransferSettings
     """
     motion, conditions = subject.motion, IDENTIFIED.conditions(settings.seed)
     start = trial_starts(settings.trials + 1, settings.seed).part(slice(settings.trials, None))
-    rollout = run_episodes(
-        robot,
-        motion,
-        start=start,
-        duration_s=episode_duration(motion, IDENTIFICATION_S),
-        config=subject.config,
-        log=True,
-        conditions=conditions,
-        controller=subject.controller,
-    )
+    rollout = subject.run(robot, episode_duration(motion, IDENTIFICATION_S), start, conditions, log=True)
     assert rollout.log is not None, "asked for"
     latency_s = conditions.estimator.latency_s
     log = run_log(rollout.log, 0, robot=robot.name, motion=motion.name, latency_s=latency_s)
@@ -175,11 +157,6 @@ def identified_config(subject: Subject, robot: Robot, settings: TransferSettings
     except LogError as error:
         _LOG.warning("%s, %s: nothing was identified: %s", motion.name, subject.method.name, error)
         return subject.config
-
-
-def part_file(out: Path, motion: str, method: str) -> Path:
-    """The file of the finished trials of a method on a motion."""
-    return out / PARTS / f"{slug(f'{motion}-{method}')}.json"
 
 
 def all_trials(out: Path) -> list[Row]:
@@ -240,22 +217,23 @@ def transfer_table(rows: Sequence[Row], missing: int) -> str:
     """Rewards by motion, method and stage next to the paper's, as Markdown; `missing` counts unfinished pairs of motion
     and method."""
     found, stages = transferred(rows), stages_of(rows)
-    lines = [
-        f"| motion | method | {' | '.join(stage.label for stage in stages)} | change to {_short(stages[-1])} |",
-        f"| {' | '.join(['---'] * (3 + len(stages)))} |",
-    ]
+    last = "(c)" if stages[-1] is STAGES[-1] else stages[-1].label
+    header = ["motion", "method", *(stage.label for stage in stages), f"change to {last}"]
+    body = []
     for t in found:
-        cells = [_cell(rewards, int(falls)) for rewards, falls in zip(t.rewards, t.falls, strict=True)]
-        lines.append(
-            f"| `{t.motion}` | {method_named(t.method).label} | {' | '.join(cells)} | {-100 * t.drop:+.0f} % |"
-        )
+        cells = []
+        for rewards, falls in zip(t.rewards, t.falls, strict=True):
+            fell = f", {falls} of {len(rewards)} fell" if falls else ""
+            cells.append(f"{rewards.mean():.3f} ± {rewards.std():.3f}{fell}")
+        body.append([f"`{t.motion}`", method_named(t.method).label, *cells, f"{-100 * t.drop:+.0f} %"])
     for label, simulated, deviation, real, spread in PAPER:
-        cells = [
-            f"{simulated:.3f} ± {deviation:.3f}",
-            *[""] * (len(stages) - 2),
-            f"on the robot {real:.3f} ± {spread:.3f}",
-        ]
-        lines.append(f"| turn (paper) | {label} | {' | '.join(cells)} | {100 * (real / simulated - 1):+.0f} % |")
+        cells = [f"{simulated:.3f} ± {deviation:.3f}", *[""] * (len(stages) - 2)]
+        change = f"{100 * (real / simulated - 1):+.0f} %"
+        body.append(["turn (paper)", label, *cells, f"on the robot {real:.3f} ± {spread:.3f}", change])
+    about_identified = (
+        f"{IDENTIFIED.label}: the same with friction and payload that were identified from one other run of"
+        f" {IDENTIFICATION_S:g} s there."
+    )
     first = rows[0]
     notes = [
         f"Mean ± standard deviation over {found[0].rewards.shape[1]} trials of {first['duration_s']:g} s on"
@@ -263,22 +241,7 @@ def transfer_table(rows: Sequence[Row], missing: int) -> str:
         + (" but what was identified." if IDENTIFIED in stages else ".")
         + (f" **Unfinished: {missing} of motion and method are missing.**" if missing else ""),
         *(f"{stage.label}: {stage}." for stage in STAGES),
-        *([_ABOUT_IDENTIFIED] if IDENTIFIED in stages else []),
+        *([about_identified] if IDENTIFIED in stages else []),
         "The paper's row is another clip on another robot: for context only.",
     ]
-    return "\n".join([*lines, "", *(f"- {note}" for note in notes), ""])
-
-
-_ABOUT_IDENTIFIED: Final = (
-    f"{IDENTIFIED.label}: the same with friction and payload that were identified from one other run of"
-    f" {IDENTIFICATION_S:g} s there."
-)
-
-
-def _short(stage: TransferStage) -> str:
-    return "(c)" if stage is STAGES[-1] else stage.label
-
-
-def _cell(rewards: np.ndarray, falls: int) -> str:
-    fell = f", {falls} of {len(rewards)} fell" if falls else ""
-    return f"{rewards.mean():.3f} ± {rewards.std():.3f}{fell}"
+    return "\n".join([*markdown_table(header, body), "", *(f"- {note}" for note in notes), ""])

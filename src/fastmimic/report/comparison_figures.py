@@ -16,16 +16,19 @@ from fastmimic.base.files import remove_file
 from fastmimic.base.text import csv_text
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.compare import ComparisonPlan
-from fastmimic.experiments.comparison_folder import (
+from fastmimic.experiments.comparison_run import (
     ABLATION_FIGURE,
     ABLATION_TABLE,
     COMPARISON,
     RUNS,
+    TRACKING,
     TRACKING_FIGURE,
     WRITTEN,
     ComparisonFolder,
+    Row,
+    Run,
+    run_of,
 )
-from fastmimic.experiments.comparison_run import TRACKING, Row, Run, run_of
 from fastmimic.experiments.tables import COLUMNS, Summary, ablation_table, comparison_table, summaries
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.render.figure_style import (

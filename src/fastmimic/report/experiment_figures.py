@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from fastmimic.base.text import csv_text
 from fastmimic.experiments import stress, transfer
+from fastmimic.experiments.experiment import part_file
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.render.figure_style import INK, MUTED, Line, legend_below, new_figure, save, tidy, write_at
 from fastmimic.runs.work_folder import RESULTS_CSV, TABLE, WorkFolder
@@ -42,7 +43,7 @@ def write_stress(folder: WorkFolder, settings: stress.StressSettings, planned: S
     rows = stress.all_sweeps(folder.path)
     if not rows:
         return
-    missing = sum(not stress.sweep_file(folder.path, *one).is_file() for one in planned)
+    missing = sum(not part_file(folder.path / stress.SWEEPS, *one).is_file() for one in planned)
     folder.write(RESULTS_CSV, csv_text(stress.COLUMNS, rows))
     folder.write(TABLE, stress.stress_table(rows, settings, missing))
     about = f"{rows[0]['motion']} on {settings.robot} in {settings.simulator}, {settings.episodes} episodes a point"
@@ -104,7 +105,7 @@ def write_transfer(folder: WorkFolder, planned: Sequence[tuple[str, str]]) -> No
     rows = sorted(found, key=lambda row: order.index(row["motion"]) if row["motion"] in order else len(order))
     if not rows:
         return
-    missing = sum(not transfer.part_file(folder.path, *one).is_file() for one in planned)
+    missing = sum(not part_file(folder.path / transfer.PARTS, *one).is_file() for one in planned)
     folder.write(RESULTS_CSV, csv_text(transfer.COLUMNS, rows))
     folder.write(TABLE, transfer.transfer_table(rows, missing))
     save(transfer_figure(rows), folder.path / TRANSFER_FIGURE)

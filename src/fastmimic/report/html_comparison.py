@@ -7,8 +7,15 @@ from typing import Any, Final
 from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.base.files import read_json
 from fastmimic.experiments.ablations import ABLATED
-from fastmimic.experiments.comparison_folder import ABLATION_FIGURE, ABLATION_TABLE, COMPARISON, RUNS, TRACKING_FIGURE
-from fastmimic.experiments.comparison_run import Row, finished_row
+from fastmimic.experiments.comparison_run import (
+    ABLATION_FIGURE,
+    ABLATION_TABLE,
+    COMPARISON,
+    RUNS,
+    TRACKING_FIGURE,
+    Row,
+    finished_row,
+)
 from fastmimic.experiments.tables import summaries
 from fastmimic.imitation.methods import method_named
 from fastmimic.report import html_methods

@@ -122,18 +122,12 @@ class RunData:
         missing: a sentence for each missing thing and what is left out.
     """
 
-    path: Path
     metrics: dict[str, Any]
     config: dict[str, Any]
     search: SearchHistory | None
     episodes: RerunEpisodes | None
     video: Path | None
     missing: tuple[str, ...]
-
-    @property
-    def optimised(self) -> bool:
-        """Whether the run has an optimised motion."""
-        return bool(self.metrics["parameters"])
 
 
 def read_run(path: Path) -> RunData:
@@ -163,7 +157,7 @@ def read_run(path: Path) -> RunData:
     video = path / VIDEO if (path / VIDEO).is_file() else None
     if video is None and not config.get("arguments", {}).get("no_video"):
         missing.append(f"{path / VIDEO} is missing: without the video")
-    return RunData(path, metrics, config, search, episodes, video, tuple(missing))
+    return RunData(metrics, config, search, episodes, video, tuple(missing))
 
 
 def _run_again(path: Path, metrics: dict[str, Any], config: dict[str, Any]) -> RerunEpisodes:

@@ -1,24 +1,30 @@
-"""Subjects of `stress` and `transfer`: a method with its motion, optimised or read once."""
+"""What `stress` and `transfer` share: subjects (methods with their motions), and the folder of finished parts."""
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from fastmimic.base.errors import ConfigError, OutputError
+from fastmimic.base.files import check_folder, write_json, write_text
+from fastmimic.base.machine import versions
 from fastmimic.control.config import ControllerConfig, controller_config
-from fastmimic.episode.loop import MakeController
-from fastmimic.experiments.comparison_run import slug
+from fastmimic.episode.loop import MakeController, run_episodes
+from fastmimic.episode.plan import Start
+from fastmimic.episode.rollout import Rollout
+from fastmimic.experiments.comparison_run import Row, check_unique, slug
 from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import Method, check_controller, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, Progress
 from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.robot import Robot
+from fastmimic.runs.work_folder import ENVIRONMENT, MOTIONS, WorkFolder
+from fastmimic.simulation.conditions import Conditions
 
 DURATION_S: Final = 5.0  # s, length of the optimisation's episodes, as in `imitate`
 
@@ -54,6 +60,28 @@ class Subject:
     controller: MakeController | None = None
     policy: str = ""
 
+    def run(
+        self,
+        robot: Robot,
+        seconds: float,
+        start: Start,
+        conditions: Conditions,
+        *,
+        config: ControllerConfig | None = None,
+        log: bool = False,
+    ) -> Rollout:
+        """Episodes of its motion; `config` in place of its own."""
+        return run_episodes(
+            robot,
+            self.motion,
+            start=start,
+            duration_s=seconds,
+            config=config if config is not None else self.config,
+            conditions=conditions,
+            controller=self.controller,
+            log=log,
+        )
+
     @property
     def digest(self) -> str:
         """16 hexadecimal digits of everything that determines its episodes but the robot and the conditions."""
@@ -68,9 +96,7 @@ def check_methods(names: Sequence[str], policy: bool) -> None:
     """Raises `ConfigError` if there is no method, a repeated or unknown one, or one that lacks its policy."""
     if not names:
         raise ConfigError("give at least one method, such as mbc")
-    twice = sorted({name for name in names if list(names).count(name) > 1})
-    if twice:
-        raise ConfigError(f"method {', '.join(twice)} is given twice")
+    check_unique("method", names)
     for name in names:
         method = method_named(name)
         check_controller(method, policy and method.learned)
@@ -135,3 +161,68 @@ def make_subject(
     result.motion.save(path)
     checkpoint.unlink(missing_ok=True)
     return Subject(chosen, result.motion, config)
+
+
+def open_results(
+    path: Path,
+    experiment: str,
+    parts: str,
+    written: Sequence[str],
+    settings: Mapping[str, Any],
+    *,
+    resume: bool,
+    overwrite: bool,
+) -> WorkFolder:
+    """Checks a folder before long work begins, and writes its `environment.json`.
+
+    Args:
+        experiment: its name, such as "stress".
+        parts: name of the subfolder with the finished parts.
+        written: names of the files made from the parts.
+        settings: must equal the earlier ones to resume.
+
+    Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be
+    written.
+    """
+    files = (*written, f"{parts}/*.json", f"{MOTIONS}/*.npz")
+    folder = WorkFolder(path, "an experiment", ENVIRONMENT, "settings", files, experiment)
+    folder.check(settings, resume=resume, overwrite=overwrite)
+    check_folder(path)
+    if overwrite:
+        folder.clear()
+    about = {"experiment": experiment, "settings": dict(settings), "versions": versions()}
+    write_json(path / ENVIRONMENT, about)
+    return folder
+
+
+def part_file(folder: Path, *names: str) -> Path:
+    """The file of a finished part."""
+    return folder / f"{slug('-'.join(names))}.json"
+
+
+def save_part(path: Path, rows: Sequence[Row], digest: str) -> None:
+    """Writes finished rows; raises `OutputError` if it cannot."""
+    write_text(path, json.dumps({"digest": digest, "rows": list(rows)}, indent=1, allow_nan=False))
+
+
+def load_part(path: Path, digest: str) -> list[Row] | None:
+    """Finished rows, or None; raises `OutputError` if they are damaged or of another content."""
+    if not path.is_file():
+        return None
+    of, rows = _read(path)
+    if of != digest:
+        raise OutputError(f"{path} is of another motion or controller; choose another --out, or give --overwrite")
+    return rows
+
+
+def all_parts(folder: Path) -> list[Row]:
+    """The rows of all parts in a folder; raises `OutputError` for a damaged one."""
+    return [row for path in sorted(folder.glob("*.json")) for row in _read(path)[1]]
+
+
+def _read(path: Path) -> tuple[str, list[Row]]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        return str(found["digest"]), [dict(row) for row in found["rows"]]
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise OutputError(f"{path}: cannot be read ({error}); remove it, and --resume makes it anew") from None
