@@ -34,8 +34,8 @@ class Start:
     def n(self) -> int:
         return len(self.sample)
 
-    def part(self, rows: slice) -> "Start":
-        """Some of the episodes."""
+    def part(self, rows: slice | NDArray[np.int64]) -> "Start":
+        """Some of the episodes, by indices also repeatedly."""
         return Start(self.sample[rows], self.joint_offset[rows], self.velocity_offset[rows], self.streams[rows])
 
     @property

@@ -14,7 +14,7 @@ import numpy as np
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.text import markdown_table
-from fastmimic.episode.plan import Start, episode_duration, nominal_start, start_room
+from fastmimic.episode.plan import episode_duration, nominal_start, start_room
 from fastmimic.experiments.comparison_run import Row, check_unique
 from fastmimic.experiments.experiment import Subject, all_parts
 from fastmimic.imitation.methods import METHODS, method_named
@@ -124,7 +124,8 @@ def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSett
     for levels in _batches(kind.levels, settings.episodes if kind.per_robot else AT_ONCE):
         values = tuple(float(v) for v in np.repeat(levels, settings.episodes)) if kind.per_robot else levels
         conditions = settings.conditions(Disturbance(disturbance, values))
-        rollout = subject.run(robot, seconds, _repeated(start, len(levels)), conditions)
+        repeated = start.part(np.tile(np.arange(settings.episodes), len(levels)))
+        rollout = subject.run(robot, seconds, repeated, conditions)
         for i, level in enumerate(levels):
             own = slice(i * settings.episodes, (i + 1) * settings.episodes)
             rows.append(
@@ -150,15 +151,6 @@ def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSett
 def _batches(levels: tuple[float, ...], episodes: int) -> list[tuple[float, ...]]:
     count = max(1, AT_ONCE // episodes)
     return [levels[i : i + count] for i in range(0, len(levels), count)]
-
-
-def _repeated(start: Start, times: int) -> Start:
-    return Start(
-        np.tile(start.sample, times),
-        np.tile(start.joint_offset, (times, 1)),
-        np.tile(start.velocity_offset, (times, 1)),
-        np.tile(start.streams, times),
-    )
 
 
 def all_sweeps(out: Path) -> list[Row]:

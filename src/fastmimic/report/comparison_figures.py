@@ -31,18 +31,8 @@ from fastmimic.experiments.comparison_run import (
 )
 from fastmimic.experiments.tables import COLUMNS, Summary, ablation_table, comparison_table, summaries
 from fastmimic.imitation.methods import METHODS, method_named
-from fastmimic.render.figure_style import (
-    AFTER,
-    BEFORE,
-    DEMONSTRATION,
-    INK,
-    MUTED,
-    legend_below,
-    new_figure,
-    save,
-    tidy,
-    write_at,
-)
+from fastmimic.render import figure_style as style
+from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED
 from fastmimic.runs.work_folder import RESULTS_CSV, TABLE
 
 SHOWN: Final = "dog:pace"  # the tracking figure's motion, as in the paper; else the first one compared
@@ -67,7 +57,7 @@ def write_comparison(
         expected = len(whole) + sum(not run.variant for run in missing)
         folder.write(TABLE, comparison_table(whole, expected))
         figure = comparison_figure(summaries(whole), f"Reward by method, {whole[0]['robot']}")
-        save(figure, folder.path / COMPARISON)
+        style.save(figure, folder.path / COMPARISON)
         written += [TABLE, COMPARISON, *_write_tracking(folder, whole)]
     of = {row["motion"] for row in found if row["variant"]} | {*(plan.motions if plan.ablations else ())}
     own = [row for row in found if row["method"] == ABLATED and row["motion"] in of]
@@ -75,7 +65,7 @@ def write_comparison(
         left = sum(run.method == ABLATED and run.motion in of for run in missing)
         folder.write(ABLATION_TABLE, ablation_table(own, len(own) + left))
         title = f"What the parts of {method_named(ABLATED).label} are worth, {own[0]['robot']}"
-        save(ablation_figure(summaries(own), title), folder.path / ABLATION_FIGURE)
+        style.save(ablation_figure(summaries(own), title), folder.path / ABLATION_FIGURE)
         written += [ABLATION_TABLE, ABLATION_FIGURE]
     for name in WRITTEN:
         if name not in written:
@@ -101,7 +91,7 @@ def _write_tracking(folder: ComparisonFolder, rows: Sequence[Row]) -> list[str]:
             " --resume makes it anew"
         ) from None
     title = f"Tracking before and after {method_named(method).label}, {row['robot']} (course: {run.motion})"
-    save(tracking_bars(summaries(own), courses, rate_hz, start_s, title), folder.path / TRACKING_FIGURE)
+    style.save(tracking_bars(summaries(own), courses, rate_hz, start_s, title), folder.path / TRACKING_FIGURE)
     return [TRACKING_FIGURE]
 
 
@@ -110,7 +100,7 @@ def comparison_figure(summaries: Sequence[Summary], title: str) -> Figure:
     motions = list(dict.fromkeys(s.motion for s in summaries))
     methods = [name for name in METHODS if any(s.method == name for s in summaries)]
     found = {(s.motion, s.method): s for s in summaries}
-    figure = new_figure(max(7.5, 1.2 + 0.42 * len(motions) * (len(methods) + 1)), 4.6, title)
+    figure = style.new_figure(max(7.5, 1.2 + 0.42 * len(motions) * (len(methods) + 1)), 4.6, title)
     axes = figure.subplots()
     width = _BAR / len(methods)
     for j, name in enumerate(methods):
@@ -122,14 +112,16 @@ def comparison_figure(summaries: Sequence[Summary], title: str) -> Figure:
     axes.set_xlim(-0.55, len(motions) - 0.45)
     axes.set_ylim(0, 1.12)
     axes.set_yticks(np.linspace(0, 1, 6))
-    tidy(axes, "Bars: one nominal episode, mean ± std over the seeds. Circles: perturbed starts", "", "reward (0 to 1)")
+    style.tidy(
+        axes, "Bars: one nominal episode, mean ± std over the seeds. Circles: perturbed starts", "", "reward (0 to 1)"
+    )
     axes.grid(False, axis="x")
     axes.tick_params(axis="x", labelsize=9.5, length=0)
     bars = [
         Patch(facecolor=m.color, hatch=m.hatch, edgecolor="white", label=m.label)
         for m in (METHODS[name] for name in methods)
     ]
-    legend_below(figure, more=[*bars, *_marks()])
+    style.legend_below(figure, more=[*bars, *_marks()])
     return figure
 
 
@@ -153,7 +145,7 @@ def _bar(axes: Axes, x: float, width: float, s: Summary, color: str, hatch: str)
     text = f"{mean:.3f}{_falls(s)}".replace(" ", "\n", 1)
     tall = _LABEL * len(text.splitlines()) + _CIRCLE
     near = rough is not None and -_CIRCLE < rough - top < tall  # the circle would be where the number goes
-    write_at(axes, text, (x, max(rough, top) if near and rough is not None else top), (0, 5 if near else 3), 7)
+    style.write_at(axes, text, (x, max(rough, top) if near and rough is not None else top), (0, 5 if near else 3), 7)
 
 
 def tracking_bars(
@@ -170,7 +162,7 @@ def tracking_bars(
         rate_hz: of the courses.
         start_s: time of their first sample in the episode, s.
     """
-    figure = new_figure(12.0, 6.4, title)
+    figure = style.new_figure(12.0, 6.4, title)
     grid = figure.subplots(2, 2, width_ratios=(3, 2))
     time = start_s + np.arange(len(courses["demonstration"])) / rate_hz
     leg = LEGS.index(_TRACKED_LEG)
@@ -178,10 +170,10 @@ def tracking_bars(
         axes = grid[row, 0]
         for key, line, order in (("demonstration", DEMONSTRATION, 2), ("before", BEFORE, 4), ("after", AFTER, 3)):
             axes.plot(time, courses[key][:, leg, axis], **line.kwargs(), label=key, zorder=order)
-        tidy(axes, f"{_TRACKED_LEG} foot {name}", "time (s)", f"foot {name}, body frame (m)")
+        style.tidy(axes, f"{_TRACKED_LEG} foot {name}", "time (s)", f"foot {name}, body frame (m)")
         axes.set_xlim(time[0], time[-1])
         _error_bars(grid[row, 1], summaries, name)
-    legend_below(figure, grid[0, 0])
+    style.legend_below(figure, grid[0, 0])
     return figure
 
 
@@ -200,11 +192,11 @@ def _error_bars(axes: Axes, summaries: Sequence[Summary], axis: str) -> None:
         highest = 1e3 * max(before, after + (std or 0.0))
         fell = "\n(fell before)" if (s.mean("fell_before") or 0.0) > 0 else ""
         percent = round(100 * (after - before) / before) if before > 0 else 0
-        write_at(axes, (f"{percent:+d} %" if percent else "±0 %") + fell, (i, highest), (0, 3), 8.5)
+        style.write_at(axes, (f"{percent:+d} %" if percent else "±0 %") + fell, (i, highest), (0, 3), 8.5)
         top = max(top, highest)
     axes.set_xticks(range(len(summaries)), [s.motion for s in summaries])
     axes.set_ylim(0, 1.25 * top if top > 0 else 1.0)
-    tidy(axes, f"Foot {axis}: error before → after", "", "RMS, four feet (mm)")
+    style.tidy(axes, f"Foot {axis}: error before → after", "", "RMS, four feet (mm)")
     axes.grid(False, axis="x")
 
 
@@ -220,7 +212,7 @@ def ablation_figure(summaries: Sequence[Summary], title: str) -> Figure:
     variants = list(dict.fromkeys(s.variant for s in summaries))
     variants.sort(key=bool)  # the method itself first
     found = {(s.motion, s.variant): s for s in summaries}
-    figure = new_figure(2.6 + 2.4 * len(motions), 1.5 + 0.36 * len(variants), title)
+    figure = style.new_figure(2.6 + 2.4 * len(motions), 1.5 + 0.36 * len(variants), title)
     grid = figure.subplots(1, len(motions), sharey=True, squeeze=False)
     for axes, motion in zip(grid[0], motions, strict=True):
         for j, variant in enumerate(variants):
@@ -232,10 +224,10 @@ def ablation_figure(summaries: Sequence[Summary], title: str) -> Figure:
         axes.set_xlim(0, 1)
         axes.set_xticks((0, 0.5, 1))
         axes.set_yticks(range(len(variants)), [v or f"{method_named(ABLATED).label}, as it is" for v in variants])
-        tidy(axes, motion, "reward", "")
+        style.tidy(axes, motion, "reward", "")
         axes.grid(False, axis="y")
     grid[0, 0].invert_yaxis()
-    legend_below(figure, more=_marks(), size=8.5)
+    style.legend_below(figure, more=_marks(), size=8.5)
     return figure
 
 
@@ -247,4 +239,4 @@ def _row(axes: Axes, y: float, s: Summary) -> None:
         axes.errorbar(mean, y, xerr=std, color=INK, capsize=2.5, linewidth=1.1)
     if rough is not None:
         axes.plot(rough, y, **_PERTURBED, markersize=4.5, clip_on=False)
-    write_at(axes, f"{mean:.3f}{_falls(s)}", (1, y), (5, 0), 7.5, ha="left", va="center", annotation_clip=False)
+    style.write_at(axes, f"{mean:.3f}{_falls(s)}", (1, y), (5, 0), 7.5, ha="left", va="center", annotation_clip=False)

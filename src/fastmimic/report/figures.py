@@ -11,24 +11,13 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.conventions import LEGS
 from fastmimic.episode.rollout import Rollout
 from fastmimic.imitation.imitate import Imitation
 from fastmimic.imitation.methods import method_named
-from fastmimic.render.figure_style import (
-    AFTER,
-    BEFORE,
-    DEMONSTRATION,
-    INK,
-    MUTED,
-    STANCE,
-    legend_below,
-    new_figure,
-    save,
-    tidy,
-    write_at,
-)
+from fastmimic.render import figure_style as style
+from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, STANCE
 from fastmimic.render.tracks import Track, realised_feet, rollout_track
 from fastmimic.runs.work_folder import CONVERGENCE, TRACKING, VIDEO, RunFolder
 
@@ -62,12 +51,12 @@ def convergence_figure(
     k, best, mean, std, sigma = (
         np.atleast_1d(np.asarray(a, dtype=np.float64)) for a in (iteration, best, mean, std, sigma)
     )
-    figure = new_figure(8.0, 5.6, title)
+    figure = style.new_figure(8.0, 5.6, title)
     reward, step = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     shown = best if randomized else np.fmax.accumulate(best)
     _draw_reward(reward, k, shown, mean, std, baseline, randomized)
     step.semilogy(k, sigma, color=INK, linewidth=1.4, marker=_marker(k), markersize=4)
-    tidy(step, "Step size of the search: it shrinks as the optimiser settles", "iteration", "σ (–)")
+    style.tidy(step, "Step size of the search: it shrinks as the optimiser settles", "iteration", "σ (–)")
     _label_step_sizes(step, sigma)
     step.xaxis.set_major_locator(MaxNLocator(integer=True))
     return figure
@@ -83,12 +72,12 @@ def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, bas
     axes.plot(k, best, **AFTER.kwargs(), marker=marker, markersize=4, label=label)
     axes.axhline(baseline, color=DEMONSTRATION.color, linestyle=DEMONSTRATION.linestyle, linewidth=1.4)
     said = f"not optimised{', first robots' if randomized else ''} {baseline:.3f}"
-    style = {"xycoords": ("axes fraction", "data"), "ha": "right", "color": DEMONSTRATION.color}
-    write_at(axes, said, (1, baseline), (-2, 3), 8.5, **style)
+    where = {"xycoords": ("axes fraction", "data"), "ha": "right", "color": DEMONSTRATION.color}
+    style.write_at(axes, said, (1, baseline), (-2, 3), 8.5, **where)
     title = f"Objective of the search, other robots in each of {len(best)} iterations"
     if not randomized:
         title = f"Objective of the search: {baseline:.3f} → {best[-1]:.3f} after {len(best)} iterations"
-    tidy(axes, title, ylabel="reward − penalty for lost clearance")
+    style.tidy(axes, title, ylabel="reward − penalty for lost clearance")
     axes.legend(loc="lower right", bbox_to_anchor=(1, 0.04), fontsize=8.5, frameon=True, framealpha=0.9)
     drawn = np.concatenate([best, mean, mean - std, mean + std, [baseline]])
     drawn = drawn[np.isfinite(drawn)]
@@ -138,7 +127,7 @@ def tracking_figure(
     wanted, *realised = (np.asarray(a, dtype=np.float64) for a in (demonstration, before, after))
     stance = np.asarray(contact, dtype=bool)
     start, end = window_s if window_s is not None else (time[0], time[-1])
-    figure = new_figure(14.0, 6.2, title)
+    figure = style.new_figure(14.0, 6.2, title)
     grid = figure.subplots(2, 4, sharex=True)
     for row, axis in enumerate((2, 0)):
         drawn = [wanted[:, :, axis], *(feet[:, :, axis] for feet in realised)]
@@ -150,13 +139,13 @@ def tracking_figure(
                 axes.plot(time, feet[:, leg], **line.kwargs(), label=label)
             errors = [rmse(feet[:, leg], drawn[0][:, leg]) for feet in drawn[1:]]
             before_mm, after_mm = (f"{1000 * e:.1f}" if np.isfinite(e) else "–" for e in errors)
-            tidy(axes, f"{name} {'xyz'[axis]}: RMSE {before_mm} → {after_mm} mm")
+            style.tidy(axes, f"{name} {'xyz'[axis]}: RMSE {before_mm} → {after_mm} mm")
             axes.set_xlim(start, end if end > start else start + 1.0)
         _same_span(grid[row], drawn, (time >= start) & (time <= end))
         grid[row, 0].set_ylabel(f"foot {'xyz'[axis]}, body frame (m)", fontsize=9, color=MUTED)
     for axes in grid[1]:
         axes.set_xlabel("time (s)", fontsize=9, color=MUTED)
-    legend_below(figure, grid[0, 0], [Patch(color=STANCE, label="stance in the demonstration")])
+    style.legend_below(figure, grid[0, 0], [Patch(color=STANCE, label="stance in the demonstration")])
     return figure
 
 
@@ -178,10 +167,9 @@ def rmse(values: Array, reference: Array) -> float:
 
 def shade(axes: Axes, time_s: Array, stance: NDArray[np.bool_]) -> None:
     """Shades the times at which `stance` (t,) holds; each sample lasts until the next."""
-    edges = np.diff(np.concatenate([[0], stance.astype(np.int8), [0]]))
     dt = time_s[1] - time_s[0] if len(time_s) > 1 else 0.0
     ends = np.append(time_s, time_s[-1] + dt)
-    for start, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+    for start, end in stretches(stance):
         axes.axvspan(ends[start], ends[end], color=STANCE, linewidth=0, zorder=0)
 
 
@@ -195,8 +183,8 @@ def draw_run(result: Imitation, folder: RunFolder) -> None:
         figure = convergence_figure(
             list(iteration), best, h.mean, h.std, h.sigma, h.baseline, title, randomized=h.randomized
         )
-        save(figure, folder.path / CONVERGENCE)
-    save(_tracked(result, title), folder.path / TRACKING)
+        style.save(figure, folder.path / CONVERGENCE)
+    style.save(_tracked(result, title), folder.path / TRACKING)
 
 
 def write_video(

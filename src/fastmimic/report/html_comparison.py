@@ -1,26 +1,22 @@
-"""The pages of a comparison and of other experiments."""
+"""The pages of a comparison, with the plots of its methods and ablations, and of other experiments."""
 
 import csv
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
+
+import numpy as np
 
 from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.base.files import read_json
+from fastmimic.experiments import comparison_run as compared
 from fastmimic.experiments.ablations import ABLATED
-from fastmimic.experiments.comparison_run import (
-    ABLATION_FIGURE,
-    ABLATION_TABLE,
-    COMPARISON,
-    RUNS,
-    TRACKING_FIGURE,
-    Row,
-    finished_row,
-)
-from fastmimic.experiments.tables import summaries
-from fastmimic.imitation.methods import method_named
-from fastmimic.report import html_methods
+from fastmimic.experiments.comparison_run import Row, finished_row
+from fastmimic.experiments.tables import Summary, summaries
+from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.report.html_page import HtmlReport, render
-from fastmimic.report.html_plots import Figure
+from fastmimic.report.html_plots import Figure, Key, Plot, bar_marker, layout_of, numbers, points, rows_axis, rule
 from fastmimic.runs.work_folder import ENVIRONMENT, RESULTS_CSV, TABLE
 
 _TEXT: Final = ("motion", "method", "variant", "robot", "config", "parameters", "digest")
@@ -39,6 +35,39 @@ _EACH: Final = (  # column of results.csv, heading, digits, scale
     ("cpu_s", "processor time, s", 1, 1.0),
     ("evaluations", "episodes", 0, 1.0),
 )
+_BAR: Final = 0.84  # share of a group's width taken by bars
+_ALIKE: Final = 0.005  # rewards closer than this are called alike
+_SEED: Final = Key("each seed", "var(--ink)", symbol="circle-open")
+_ROUGH: Final = Key("from perturbed starts", "var(--ink)", symbol="circle-open")
+_WHOLE: Final = Key(f"{method_named(ABLATED).label} unchanged", "var(--muted)", "dash")
+_BEFORE: Final = Key("before the optimisation", "var(--ink)")
+_NOMINAL: Final = Key("nominal, mean ± std over the seeds", "var(--after)", symbol="diamond")
+_INK_BARS: Final = {"color": "var(--ink)", "thickness": 1.2, "width": 3}
+
+
+class Measure(NamedTuple):
+    """A drawn column of `results.csv`."""
+
+    column: str
+    title: str
+    unit: str  # of the axis
+    scale: float = 1.0  # from the column's unit to the axis'
+    top: float | None = None  # of the axis; None for automatic
+    before: str = ""  # the same column before optimisation
+
+
+_REWARDS: Final = (
+    Measure("reward", "Nominal episode", "reward (0 to 1)", top=1.05),
+    Measure("reward_perturbed", "Perturbed starts, mean over the episodes", "reward (0 to 1)", top=1.05),
+)
+_HOW: Final = (
+    Measure(
+        "swing_clearance_least_share", "Swing clearance, least of four legs", "share of the demonstration's (%)", 100
+    ),
+    Measure("style_distance_realised", "Style distance of what the feet did", "0 the same, 1 not lifted"),
+    Measure("foot_z_rmse_after_m", "Foot height error", "RMS, four feet (mm)", 1e3, before="foot_z_rmse_before_m"),
+    Measure("foot_x_rmse_after_m", "Fore-aft error", "RMS, four feet (mm)", 1e3, before="foot_x_rmse_before_m"),
+)
 
 
 def comparison_page(path: Path) -> HtmlReport:
@@ -52,12 +81,14 @@ def comparison_page(path: Path) -> HtmlReport:
     except (KeyError, TypeError) as error:
         raise ConfigError(f"{path / ENVIRONMENT}: cannot be read ({error})") from None
     rows = _rows(path, missing)
-    parts = {"methods": _methods(path, [row for row in rows if not row["variant"]], missing)}
+    parts = {"methods": _methods_part(path, [row for row in rows if not row["variant"]], missing)}
     of = {row["motion"] for row in rows if row["variant"]}
     if of or about.get("ablations"):
         own = [row for row in rows if row["motion"] in of and row["method"] == ABLATED]
-        figures = [html_methods.ablations(summaries(own))] if own else []
-        parts["ablations"] = _part(path, figures, [] if own else [ABLATION_FIGURE], ABLATION_TABLE, missing)
+        figures = [ablations(summaries(own))] if own else []
+        parts["ablations"] = _part(
+            path, figures, [] if own else [compared.ABLATION_FIGURE], compared.ABLATION_TABLE, missing
+        )
     return render(
         "comparison.html",
         [figure for part in parts.values() for figure in part["figures"]],
@@ -91,17 +122,17 @@ def _text(path: Path) -> str | None:
         return None
 
 
-def _methods(path: Path, rows: list[Row], missing: list[str]) -> dict[str, Any]:
+def _methods_part(path: Path, rows: list[Row], missing: list[str]) -> dict[str, Any]:
     """Plots of the methods, or their picture if no run has finished, pictures of the tracking, and the table."""
     figures, pictures = [], []
     if rows:
         found = summaries(rows)
-        spent = html_methods.cost(found)
-        figures = [html_methods.rewards(found), html_methods.manners(found), *([] if spent is None else [spent])]
+        spent = cost(found)
+        figures = [rewards(found), manners(found), *([] if spent is None else [spent])]
     else:
-        pictures.append(COMPARISON)
+        pictures.append(compared.COMPARISON)
     if not rows or any(method_named(row["method"]).optimises for row in rows):
-        pictures.append(TRACKING_FIGURE)
+        pictures.append(compared.TRACKING_FIGURE)
     return _part(path, figures, pictures, TABLE, missing)
 
 
@@ -143,9 +174,183 @@ def _rows(path: Path, missing: list[str]) -> list[Row]:
         pass
     except (OSError, ValueError, KeyError, TypeError, FastMimicError) as error:
         raise ConfigError(f"{path / RESULTS_CSV}: cannot be read ({error})") from None
-    runs = path / RUNS
+    runs = path / compared.RUNS
     folders = sorted(folder for folder in runs.iterdir() if folder.is_dir()) if runs.is_dir() else []
     found = [row for row in map(finished_row, folders) if row is not None]
     kept = f"{len(found)} finished runs are shown" if found else "without plots"
     missing.append(f"{path / RESULTS_CSV} is missing, as in a comparison that is not finished: {kept}")
     return found
+
+
+def rewards(found: Sequence[Summary]) -> Figure:
+    """Reward of every method on every motion, nominal and from perturbed starts; without variants."""
+    means = {method_named(m).label: _over_motions(found, m, "reward") for m in _methods(found)}
+    best = max(means.values())
+    leading = [label for label, mean in means.items() if mean > best - _ALIKE]
+    title = "Reward of each method on each motion"
+    if len(means) > 1 and len(leading) == 1:
+        title += f": {leading[0]} is best, {best:.3f} on average"
+    elif len(means) > 1:
+        title += f": {', '.join(leading[:-1])} and {leading[-1]} are within {_ALIKE:g}, {best:.3f} on average at best"
+    return Figure(
+        "rewards",
+        title,
+        "Bars are means over the seeds with their sample standard deviation; a circle is one seed. The perturbed starts"
+        " are the same for every method, and no optimisation has seen them.",
+        [_bars(found, measure) for measure in _REWARDS],
+        1,
+        (*map(_key, _methods(found)), _SEED),
+    )
+
+
+def manners(found: Sequence[Summary]) -> Figure:
+    """Similarity to the animal's motion, and tracking; without variants."""
+    return Figure(
+        "manners",
+        "Style and tracking: a reward that is got by shuffling shows here",
+        "Swing clearance of 100 % lifts the feet as the demonstration does; a style distance of 0 is its very step. A"
+        " line across a bar is the error before the optimisation.",
+        [_bars(found, measure, height=270) for measure in _HOW],
+        2,
+        (*map(_key, _methods(found)), _SEED, _BEFORE),
+    )
+
+
+def cost(found: Sequence[Summary]) -> Figure | None:
+    """Reward against processor time, without variants; None if no run has one."""
+    data = []
+    for name in _methods(found):
+        rows = [row for s in found if s.method == name for row in s.rows if row.get("cpu_s")]
+        if rows:
+            x, y = numbers([row["cpu_s"] for row in rows]), numbers([row["reward"] for row in rows], 17)
+            trace = points(x, y, _key(name), "%{text}: reward %{y:.3f}, %{x:.3g} s")
+            trace["marker"]["line"] = {"width": 1, "color": "var(--paper)"}
+            data.append({**trace, "text": [f"{row['motion']}, seed {row['seed']:g}" for row in rows]})
+    if not data:
+        return None
+    layout = layout_of("processor time (s)", "reward (0 to 1)", 330, hovermode="closest")
+    layout["xaxis"]["type"] = "log"
+    return Figure(
+        "cost",
+        "What a reward costs: the processor time of each run, optimisation and evaluation",
+        "One point a run, on the machine named below. Methods that optimise nothing need only the evaluation.",
+        [Plot("", data, layout)],
+        1,
+        [replace(_key(name), pattern=None) for name in _methods(found)],
+    )
+
+
+def ablations(found: Sequence[Summary]) -> Figure:
+    """Reward of the method and of its variants, one panel per motion."""
+    variants = sorted(dict.fromkeys(s.variant for s in found), key=bool)
+    losses = {v: _change(found, v) for v in variants if v}
+    there = {v: loss for v, loss in losses.items() if loss is not None}
+    title = "Ablations"
+    if there:
+        worst = min(there, key=lambda v: there[v])
+        title = f"What the parts contribute: most is lost by {worst}, {there[worst]:+.3f} of reward on average"
+    plots = []
+    for motion in dict.fromkeys(s.motion for s in found):
+        own = [s for s in found if s.motion == motion]
+        names = [s.variant or ABLATED for s in own]
+        data = []
+        for column, key, hover, size in (
+            ("reward", _NOMINAL, "reward", 10),
+            ("reward_perturbed", _ROUGH, "perturbed starts", 8),
+        ):
+            means = numbers([np.nan if (mean := s.mean(column)) is None else mean for s in own], 17)
+            data.append(points(means, names, key, f"%{{y}}: {hover} %{{x:.3f}}<extra></extra>", size=size))
+        stds = numbers([s.std("reward") or 0.0 for s in own])
+        data[0]["error_x"] = {"type": "data", "array": stds, **_INK_BARS}
+        layout = layout_of("reward", "", 90 + 24 * len(variants), hovermode="closest")
+        layout["yaxis"] |= rows_axis([v or ABLATED for v in variants])
+        whole = next((s.mean("reward") for s in own if not s.variant), None)
+        if whole is not None:
+            layout["shapes"] = [rule(_WHOLE, x=whole, width=1.2)]
+        plots.append(Plot(motion, data, layout))
+    return Figure(
+        "ablation",
+        title,
+        f"Each row is {method_named(ABLATED).label} with one part taken away or changed, optimised again. The scales"
+        " begin where the values do.",
+        plots,
+        2,
+        (_NOMINAL, _ROUGH, _WHOLE),
+    )
+
+
+def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Plot:
+    """Bars grouped by motion."""
+    motions, methods = list(dict.fromkeys(s.motion for s in found)), _methods(found)
+    width = _BAR / len(methods)
+    data: list[dict[str, Any]] = []
+    dots: tuple[list[float], list[float], list[str]] = ([], [], [])
+    before: list[dict[str, Any]] = []
+    for j, name in enumerate(methods):
+        own = [s for s in found if s.method == name and s.mean(measure.column) is not None]
+        at = [motions.index(s.motion) - _BAR / 2 + (j + 0.5) * width for s in own]
+        means = [measure.scale * float(s.mean(measure.column) or 0.0) for s in own]
+        stds = [measure.scale * float(s.std(measure.column) or 0.0) for s in own]
+        label = method_named(name).label
+        data.append(
+            {
+                "type": "bar",
+                "name": label,
+                "x": numbers(at),
+                "y": numbers(means, 17),
+                "width": numbers([0.9 * width] * len(own)),
+                "customdata": [[s.motion, std] for s, std in zip(own, numbers(stds), strict=True)],
+                "marker": bar_marker(_key(name), fgopacity=0.7, size=7, solidity=0.25),
+                "error_y": {"type": "data", "array": numbers(stds), "visible": any(stds), **_INK_BARS},
+                "hovertemplate": f"{label} on %{{customdata[0]}}: %{{y:.4g}} ± %{{customdata[1]:.2g}}<extra></extra>",
+            }
+        )
+        for s, x in zip(own, at, strict=True):
+            values = s.values(measure.column)
+            if len(values) > 1:
+                dots[0].extend([x] * len(values))
+                dots[1].extend(measure.scale * v for v in values)
+                dots[2].extend(f"{label} on {s.motion}, seed {row['seed']:g}" for row in s.rows)
+            was = s.mean(measure.before) if measure.before and method_named(name).optimises else None
+            if was is not None:
+                y = measure.scale * was
+                ends = {"xref": "x", "yref": "y", "x0": x - 0.45 * width, "x1": x + 0.45 * width, "y0": y, "y1": y}
+                before.append({"type": "line", **ends, "line": {"color": "var(--ink)", "width": 2}})
+    seeds = points(numbers(dots[0]), numbers(dots[1], 17), _SEED, "%{text}: %{y:.4g}<extra></extra>", size=5)
+    data.append({**seeds, "text": dots[2]})
+    layout = layout_of("motion", measure.unit, height, hovermode="closest", barmode="overlay", shapes=before)
+    layout["xaxis"] |= {
+        "tickmode": "array",
+        "tickvals": list(range(len(motions))),
+        "ticktext": motions,
+        "range": [-0.55, len(motions) - 0.45],
+        "showgrid": False,
+    }
+    layout["yaxis"] |= {"rangemode": "tozero"} if measure.top is None else {"range": [0, measure.top]}
+    return Plot(measure.title, data, layout)
+
+
+def _key(method: str) -> Key:
+    known = METHODS[method]
+    return Key(known.label, f"var(--method-{method})", symbol=known.symbol, pattern=known.hatch[:1])
+
+
+def _methods(found: Sequence[Summary]) -> list[str]:
+    return [name for name in METHODS if any(s.method == name for s in found)]
+
+
+def _over_motions(found: Sequence[Summary], method: str, column: str) -> float:
+    """Mean over the motions of a method's means; −1 without any."""
+    values = [s.mean(column) for s in found if s.method == method]
+    return float(np.mean([v for v in values if v is not None])) if any(v is not None for v in values) else -1.0
+
+
+def _change(found: Sequence[Summary], variant: str) -> float | None:
+    """Change of the reward against the unchanged method, mean over the motions that have both."""
+    whole = {s.motion: s.mean("reward") for s in found if not s.variant}
+    changes = [
+        float(s.mean("reward") or 0.0) - float(whole[s.motion] or 0.0)
+        for s in found
+        if s.variant == variant and whole.get(s.motion) is not None
+    ]
+    return float(np.mean(changes)) if changes else None

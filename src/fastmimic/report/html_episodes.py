@@ -5,8 +5,9 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.conventions import GRAVITY, JOINTS_PER_LEG, LEGS
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.reward import REWARD_TERMS, reward_weights
@@ -22,27 +23,23 @@ LOADED: Final = 0.05  # share of the robot's weight above which friction is plot
 
 def feet(e: RerunEpisodes) -> list[Figure]:
     """Height and fore-aft position of the four feet, two figures."""
-    time, window = e.times, e.first_window
-    shown = (time >= window[0]) & (time <= window[1])
-    wanted = e.log.demonstration["foot_pos"][0]
-    realised = [realised_feet(rollout, e.robot) for rollout, *_ in e.series]
+    time, shown = e.times, _shown(e)
+    drawn = _paths(e)
     figures = []
     for axis, name, what in ((2, "foot-z", "Foot height"), (0, "foot-x", "Fore-aft position of the feet")):
-        values = np.concatenate([wanted[shown], *(f[shown] for f in realised)])[:, :, axis]
+        values = np.concatenate([path[shown] for path, _ in drawn])[:, :, axis]
         low, high = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
         half = 0.56 * max(float(np.max(high - low)), 0.01)
         plots = []
         for leg, label in enumerate(LEGS):
-            # the dots of before over the line of after, and the demonstration below both
-            found = zip([*realised, wanted], [*e.keys, DEMONSTRATION], strict=True)
             errors = [1e3 * float(rollout.foot_rmse[0, leg, axis]) for rollout, *_ in e.series]
             centre = float(low[leg] + high[leg]) / 2
             plot = draw.time_plot(
                 label,
                 f"{'xyz'[axis]}, body frame (m)",
                 time,
-                [(path[:, leg, axis], key) for path, key in found],
-                window,
+                [(path[:, leg, axis], key) for path, key in drawn],
+                e.first_window,
                 (centre - half, centre + half),
                 shapes=[*draw.shades(time, e.log.wanted[0, :, leg]), *e.segment_lines],
                 note=f"RMS error {arrow(errors, 1)} mm",
@@ -63,14 +60,20 @@ def feet(e: RerunEpisodes) -> list[Figure]:
     return figures
 
 
+def _paths(e: RerunEpisodes) -> list[tuple[Array, Key]]:
+    """Realised paths of the feet and the demonstration's, (t, 4, 3) m, the first on top."""
+    realised = [(realised_feet(rollout, e.robot), key) for rollout, _, key in e.series]
+    return [*realised, (e.log.demonstration["foot_pos"][0], DEMONSTRATION)]
+
+
+def _shown(e: RerunEpisodes) -> NDArray[np.bool_]:
+    start, end = e.first_window
+    return (e.times >= start) & (e.times <= end)
+
+
 def paths(e: RerunEpisodes) -> Figure:
     """The feet from the side: fore-aft position against height."""
-    time, window = e.times, e.first_window
-    shown = (time >= window[0]) & (time <= window[1])
-    drawn = [
-        (e.log.demonstration["foot_pos"][0], DEMONSTRATION),
-        *((realised_feet(rollout, e.robot), key) for rollout, _, key in reversed(e.series)),
-    ]
+    shown, drawn = _shown(e), _paths(e)
     lifted = swing_clearance(e.motion.target, e.robot.foot_radius)
     plots = []
     shares: list[list[float]] = []
@@ -78,7 +81,7 @@ def paths(e: RerunEpisodes) -> Figure:
         hover = "x %{x:.3f} m, z %{y:.3f} m"
         data = [
             draw.line(numbers(path[shown, leg, 0]), path[shown, leg, 2], key, width=1.7, hovertemplate=hover)
-            for path, key in drawn
+            for path, key in reversed(drawn)
         ]
         layout = draw.layout_of("x, body frame (m)", "z, body frame (m)", 230, hovermode="closest")
         share = [100 * float(rollout.clearance[0, leg] / lifted[leg]) for rollout, *_ in e.series]
@@ -115,7 +118,7 @@ def gait(e: RerunEpisodes) -> Figure:
         for source, row, word in zip((log.wanted[0], log.stance[0], loaded), rows, words, strict=True):
             base, length, names = [], [], []
             for leg, label in enumerate(LEGS):
-                for a, b in draw.intervals(source[:alive, leg]):
+                for a, b in stretches(source[:alive, leg]):
                     base.append(a / log.rate_hz)
                     length.append((b - a) / log.rate_hz)
                     names.append(f"{label} {word}")

@@ -8,25 +8,18 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, stretches
 
 
 @dataclass(frozen=True)
 class Key:
-    """A series: its name and style, in a plot and in the legend.
-
-    Attributes:
-        color: `var(--name)` of the style sheet.
-        dash: one of Plotly's dash patterns.
-        symbol: Plotly's name of a marker, for points.
-        pattern: Plotly's name of a pattern, for an area or bars; "" for a plain one.
-    """
+    """A series: its name and style, in a plot and in the legend, as Plotly names them."""
 
     label: str
-    color: str
+    color: str  # `var(--name)` of the style sheet
     dash: str = "solid"
-    symbol: str = ""
-    pattern: str | None = None
+    symbol: str = ""  # for points
+    pattern: str | None = None  # for an area or bars; "" for a plain one
 
 
 @dataclass(frozen=True)
@@ -41,20 +34,13 @@ class Plot:
 
 @dataclass(frozen=True)
 class Figure:
-    """Plots under one heading.
+    """Plots under one heading."""
 
-    Attributes:
-        name: its id in the page.
-        hint: how to read it.
-        columns: of the plots on a wide page.
-        legend: the styles of the series.
-    """
-
-    name: str
+    name: str  # its id in the page
     title: str
-    hint: str
+    hint: str  # how to read it
     plots: Sequence[Plot]
-    columns: int = 1
+    columns: int = 1  # of the plots on a wide page
     legend: Sequence[Key] = ()
 
 
@@ -157,12 +143,6 @@ def time_plot(
     return Plot(title, data, layout_of("time (s)", y, height, span, yrange, shapes=list(shapes)), note)
 
 
-def intervals(on: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First index and end of each stretch of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(np.int8), [0]])))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-
-
 def shades(time: Array, stance: NDArray[np.bool_]) -> list[dict[str, Any]]:
     ends = np.append(time, time[-1])
     return [
@@ -178,7 +158,7 @@ def shades(time: Array, stance: NDArray[np.bool_]) -> list[dict[str, Any]]:
             "line": {"width": 0},
             "layer": "below",
         }
-        for a, b in intervals(stance)
+        for a, b in stretches(stance)
     ]
 
 

@@ -8,24 +8,14 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.rotations import matrix_from_quat
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.segment import DISCRETE, STAND, TURN, Segment
 from fastmimic.motion.motion import Motion
-from fastmimic.render.figure_style import (
-    AFTER,
-    BEFORE,
-    INK,
-    LEG_LINES,
-    LIMIT,
-    MUTED,
-    STANCE,
-    legend_below,
-    new_figure,
-    tidy,
-)
+from fastmimic.render import figure_style as style
+from fastmimic.render.figure_style import AFTER, BEFORE, INK, LEG_LINES, LIMIT, MUTED, STANCE
 from fastmimic.robot import Robot
 
 _GAIT_COLORS: Final = {
@@ -46,7 +36,7 @@ def motion_figure(motion: Motion, robot: Robot, title: str | None = None) -> Fig
 
     The default title has the motion's name with its period, speed and yaw a cycle.
     """
-    figure = new_figure(15.0, 7.6, title if title is not None else _heading(motion, robot))
+    figure = style.new_figure(15.0, 7.6, title if title is not None else _heading(motion, robot))
     grid = figure.subplots(3, 3, sharex=True)
     time = np.arange(motion.n_samples, dtype=np.float64) / motion.rate_hz
     _draw_gait(grid[0, 0], time, motion.dt, motion.contact)
@@ -58,14 +48,14 @@ def motion_figure(motion: Motion, robot: Robot, title: str | None = None) -> Fig
     angles, rates = (a.reshape(-1, 4, 3) for a in (motion.joint_pos, motion.joint_vel))
     for joint, name in enumerate(JOINTS_PER_LEG):
         _draw_joint(grid[joint, 1], time, angles[:, :, joint], lower[0, joint], upper[0, joint])
-        tidy(grid[joint, 1], f"{name} angle", ylabel="rad")
+        style.tidy(grid[joint, 1], f"{name} angle", ylabel="rad")
         _draw_joint(grid[joint, 2], time, rates[:, :, joint], -speed[0, joint], speed[0, joint])
         share = 100 * np.max(np.abs(rates[:, :, joint]) / speed[:, joint])
-        tidy(grid[joint, 2], f"{name} speed: peak is {share:.0f} % of the limit", ylabel="rad/s")
+        style.tidy(grid[joint, 2], f"{name} speed: peak is {share:.0f} % of the limit", ylabel="rad/s")
     for axes in grid[2]:
         axes.set_xlabel("time (s)", fontsize=9, color=MUTED)
         axes.set_xlim(0, motion.period_s)
-    legend_below(figure, grid[0, 1])
+    style.legend_below(figure, grid[0, 1])
     return figure
 
 
@@ -81,20 +71,18 @@ def _draw_gait(axes: Axes, time: Array, dt: float, contact: NDArray[np.bool_]) -
     """One row per leg, FR at the top: a bar while the foot is in stance."""
     rows = range(len(LEGS))[::-1]
     for leg, row in enumerate(rows):
-        edges = np.diff(np.concatenate([[0], contact[:, leg].astype(np.int8), [0]]))
-        starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-        bars = [(time[a], (b - a) * dt) for a, b in zip(starts, ends, strict=True)]
+        bars = [(time[a], (b - a) * dt) for a, b in stretches(contact[:, leg])]
         axes.broken_barh(bars, (row - 0.36, 0.72), facecolor=LEG_LINES[leg].color, edgecolor=INK, linewidth=0.6)
     duty = contact.mean(axis=0)
     axes.set_ylim(-0.6, len(LEGS) - 0.4)
-    tidy(axes, "gait: a bar is stance; the number is the duty factor")
+    style.tidy(axes, "gait: a bar is stance; the number is the duty factor")
     axes.set_yticks(list(rows), [f"{leg}  {d:.2f}" for leg, d in zip(LEGS, duty, strict=True)])
     axes.grid(False, axis="y")
 
 
 def _draw_height(axes: Axes, time: Array, root_pos_w: Array) -> None:
     axes.plot(time, root_pos_w[:, 2], **AFTER.kwargs())
-    tidy(axes, "base height above the ground", ylabel="m")
+    style.tidy(axes, "base height above the ground", ylabel="m")
     _widen(axes, 0.04)
 
 
@@ -104,7 +92,7 @@ def _draw_tilt(axes: Axes, time: Array, root_quat_wxyz: Array) -> None:
     roll = np.arctan2(R[:, 2, 1], R[:, 2, 2])
     axes.plot(time, np.degrees(pitch), **AFTER.kwargs(), label="pitch")
     axes.plot(time, np.degrees(roll), **BEFORE.kwargs(), label="roll")
-    tidy(axes, "base pitch (solid, nose down positive) and roll (dotted)", ylabel="degrees")
+    style.tidy(axes, "base pitch (solid, nose down positive) and roll (dotted)", ylabel="degrees")
     _widen(axes, 4.0)
 
 
@@ -129,7 +117,7 @@ def segments_figure(clip: Clip, segments: list[Segment], title: str) -> Figure:
     """A take over time: segments by name (of `fastmimic.clips.segment.find_segments`), the toes' fore-aft paths, and
     the trunk's speed and heading."""
     seconds = clip.n_frames / clip.rate_hz
-    figure = new_figure(float(np.clip(0.45 * seconds, 10.0, 40.0)), 6.4, f"{title}: {_summary(segments)}")
+    figure = style.new_figure(float(np.clip(0.45 * seconds, 10.0, 40.0)), 6.4, f"{title}: {_summary(segments)}")
     bars, feet, speed, heading = figure.subplots(4, 1, sharex=True, height_ratios=(1.1, 2, 1, 1))
     _draw_bars(bars, segments, clip.rate_hz)
     time = np.arange(clip.n_frames) / clip.rate_hz
@@ -143,9 +131,9 @@ def segments_figure(clip: Clip, segments: list[Segment], title: str) -> Figure:
     trunk = (clip.point("neck") + clip.point("pelvis"))[:, :2] / 2
     speed.plot(time, _smooth_speed(trunk, clip.rate_hz), color=INK, linewidth=1.2)
     heading.plot(time, np.degrees(yaw - yaw[0]), color=INK, linewidth=1.2)
-    tidy(feet, "Toes ahead of their hips: what is compared with itself", ylabel="m")
-    tidy(speed, "Speed of the trunk, in the animal's size", ylabel="m/s")
-    tidy(heading, "Heading, from the first", "time (s)", "deg")
+    style.tidy(feet, "Toes ahead of their hips: what is compared with itself", ylabel="m")
+    style.tidy(speed, "Speed of the trunk, in the animal's size", ylabel="m/s")
+    style.tidy(heading, "Heading, from the first", "time (s)", "deg")
     for axes in (feet, speed, heading):
         for segment in segments:
             axes.axvline(segment.start / clip.rate_hz, color=MUTED, linewidth=0.5, alpha=0.6)
@@ -179,7 +167,7 @@ def _draw_bars(axes: Axes, segments: list[Segment], rate_hz: float) -> None:
             rotation=90 if upright else 0,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1} if hatch else None,
         )
-    tidy(axes, "Segments: gait, and the period of a cycle in frames; hatched: does not repeat")
+    style.tidy(axes, "Segments: gait, and the period of a cycle in frames; hatched: does not repeat")
     axes.set_yticks([])
     axes.set_ylim(-0.5, 0.5)
 
