@@ -67,21 +67,15 @@ class StressSettings:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Range of a disturbance that a method tolerates: levels around the nominal one up to the first failure.
-
-    Attributes:
-        lower, upper: its limits; None if the nominal level itself fails.
-        lower_tried, upper_tried: the outermost levels of the sweep.
-        nominal_success: share of episodes without a fall under no disturbance.
-    """
+    """Range of a disturbance that a method tolerates: levels around the nominal one up to the first failure."""
 
     method: str
     disturbance: str
-    lower: float | None
+    lower: float | None  # both are None if the nominal level itself fails
     upper: float | None
-    lower_tried: float
+    lower_tried: float  # the outermost levels of the sweep
     upper_tried: float
-    nominal_success: float
+    nominal_success: float  # share of episodes without a fall under no disturbance
 
 
 def disturbances_of(names: Sequence[str] | None, simulator: str) -> list[str]:

@@ -167,17 +167,12 @@ def all_trials(out: Path) -> list[Row]:
 
 @dataclass(frozen=True)
 class Transferred:
-    """The trials of one method on one motion.
-
-    Attributes:
-        rewards: (stages, trials) in the order of `stages_of`.
-        falls: (stages,) number of trials that ended in a fall.
-    """
+    """The trials of one method on one motion."""
 
     motion: str
     method: str
-    rewards: np.ndarray
-    falls: np.ndarray
+    rewards: np.ndarray  # (stages, trials), in the order of `stages_of`
+    falls: np.ndarray  # (stages,) number of trials that ended in a fall
 
     @property
     def drop(self) -> float:

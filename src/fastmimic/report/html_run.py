@@ -28,15 +28,10 @@ TRANSITION_S: Final = 2.0  # of a stitched motion, shown at first
 
 @dataclass(frozen=True, eq=False)
 class SearchHistory:
-    """The optimiser's candidates.
+    """The optimiser's candidates."""
 
-    Attributes:
-        scores: (i, p) of each generation's candidates.
-        candidates: (i, p, k) their parameters, scaled to [0, 1] within the bounds.
-    """
-
-    scores: Array
-    candidates: Array
+    scores: Array  # (i, p) of each generation's candidates
+    candidates: Array  # (i, p, k) their parameters, scaled to [0, 1] within the bounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,20 +109,14 @@ def _log_of(rollout: Rollout) -> Log:
 
 @dataclass(frozen=True, eq=False)
 class RunData:
-    """The contents of a run's folder.
-
-    Attributes:
-        search: None if nothing was optimised or it is missing.
-        episodes: None if they cannot be simulated again.
-        missing: a sentence for each missing thing and what is left out.
-    """
+    """The contents of a run's folder."""
 
     metrics: dict[str, Any]
     config: dict[str, Any]
-    search: SearchHistory | None
-    episodes: RerunEpisodes | None
+    search: SearchHistory | None  # None if nothing was optimised or it is missing
+    episodes: RerunEpisodes | None  # None if they cannot be simulated again
     video: Path | None
-    missing: tuple[str, ...]
+    missing: tuple[str, ...]  # a sentence for each missing thing and what is left out
 
 
 def read_run(path: Path) -> RunData:
