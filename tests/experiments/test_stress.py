@@ -98,7 +98,7 @@ class TestSweep:
         self, subject: Subject, robot: Robot, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         kind = dataclasses.replace(DISTURBANCES["roughness"], levels=(0.0, 0.03))
-        monkeypatch.setitem(DISTURBANCES._entries, "roughness", kind)
+        monkeypatch.setitem(DISTURBANCES, "roughness", kind)
         rows = sweep(subject, "roughness", robot, SETTINGS)
         assert [row["value"] for row in rows] == [0.0, 0.03]
 
