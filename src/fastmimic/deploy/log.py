@@ -66,7 +66,6 @@ GROUND_TRUTH: Final = np.dtype(
 )
 """One measured state, whether or not it arrived: time since the start, s; tick (the driver's sequence number); true
 state; command of the motors; whether they damped for lack of commands; whether the motion service was active."""
-_SINGLE: Final = ("time", "tick", "damped", "service")
 
 
 class Recorder:
@@ -202,12 +201,8 @@ def load_ground_truth(path: str | Path) -> NDArray[Any]:
         with np.load(path, allow_pickle=False) as file:
             if int(file["format_version"]) != FORMAT_VERSION:
                 raise OutputError(f"{path}: version {int(file['format_version'])}, expected {FORMAT_VERSION}")
-            rows = np.zeros(len(file["time"]), GROUND_TRUTH)
-            rows["observation"] = from_columns("", OBSERVATION, file)
-            rows["command"] = from_columns("command_", COMMAND, file)
-            for name in _SINGLE:
-                rows[name] = file[name]
-            return rows
+            observation = {f"observation_{name}": file[name] for name in OBSERVATION.names or ()}
+            return from_columns("", GROUND_TRUTH, dict(file) | observation)
     except (OSError, ValueError, KeyError) as error:
         raise OutputError(f"{path}: not a log of 'fastmimic robot-sim' ({type(error).__name__})") from None
 
@@ -237,11 +232,8 @@ class GroundTruthLog:
 
     def save(self, path: str | Path) -> None:
         """Writes the file; raises `OutputError`."""
-        rows = self.rows()
-        arrays: dict[str, Any] = {"format_version": np.array(FORMAT_VERSION)}
-        arrays |= {name: rows[name] for name in _SINGLE}
-        arrays |= columns("", rows["observation"]) | columns("command_", rows["command"])
-        replace_file(path, lambda file: np.savez(file, **arrays))
+        arrays = {name.removeprefix("observation_"): column for name, column in columns("", self.rows()).items()}
+        replace_file(path, lambda file: np.savez(file, format_version=FORMAT_VERSION, **arrays))
 
 
 @contextmanager
