@@ -2,7 +2,6 @@
 
 import os
 import pty
-import runpy
 import signal
 import time
 from collections.abc import Callable
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 
 from deploy.rig import Rig, assert_damped, once
+from fastmimic.base.configuration import describe
 from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.base.text import markdown_table
 from fastmimic.deploy.computer import StopSwitch
@@ -399,11 +399,11 @@ class TestLimits:
             read_limits(a1, None, settings)
 
     def test_the_documentation_has_their_table(self) -> None:
-        docs = Path(__file__).parents[2] / "docs"
-        described = runpy.run_path(str(docs / "hooks.py"))["_parameter_rows"](SafetyLimits)
-        rows = markdown_table(("limit", "default", "unit", "range", "meaning, and `stopped_by`"), described)
-        page = (docs / "deploy.md").read_text(encoding="utf-8")
-        found = page.split("<!-- limits:begin -->")[1].split("<!-- limits:end -->")[0]
+        rows = markdown_table(
+            ("limit", "default", "unit", "range", "meaning, and `stopped_by`"), describe(SafetyLimits)
+        )
+        page = Path(__file__).parents[2] / "docs" / "deploy.md"
+        found = page.read_text(encoding="utf-8").split("<!-- limits:begin -->")[1].split("<!-- limits:end -->")[0]
         assert found.split("\n")[1:-1] == rows
 
     def test_a_file_that_is_none(self, a1: Robot, tmp_path: Path) -> None:
