@@ -9,84 +9,121 @@ the line `<!-- not run: reason -->` is skipped. The first command with a wrong e
 
 import os
 import re
+import resource
+import shlex
 import subprocess
 import sys
+import traceback
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 import fastmimic as fm
+from fastmimic import cli
+from fastmimic.base.extensions import load_extensions
 
 BLOCK = re.compile(r"^(?:<!-- not run: (.+) -->\n)?```(bash|python)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NOT_OURS = re.compile(r"^(?:pip|make|git|sudo|python|cd|\.ci/run|sbatch|tensorboard)\b.*$", re.MULTILINE)
 COLUMN_OF_POINT = (0, 3, 11, 6, 20, 16, 15, 10, 23, 19)
 """Which of a dog file's 27 points each of `POINT_NAMES` is."""
-STAND_IN = """#!{python}
-import os, sys
-from fastmimic import cli
-
-arguments = sys.argv[1:]
-verb, rest = arguments[0], arguments[1:]
-long = verb in ("view", "play", "robot-sim", "data", "train", "compare", "stress", "transfer", "library")
-long = long or ("--driver" in rest and rest[rest.index("--driver") + 1] != "sim") or "--policy" in rest
-long = long or "pybullet" in rest
-data = os.path.isdir(os.environ.get("FASTMIMIC_DATA", ""))
-missing = not data and any(word.startswith(("dog:", "anim:")) for word in rest)
-missing = missing or any(
-    word.startswith("runs/") and before != "--out" and not os.path.exists(word)
-    for before, word in zip(arguments, rest)
-)
-placeholder = any(word in text for text in rest for word in ("NAME", "MOTION", "CLIPS", "\\u2026"))
-if long or missing or placeholder:
-    from fastmimic.base.extensions import load_extensions
-
-    load_extensions()
-    cli.VERBS[verb]
-    try:
-        cli._parse(verb, rest)
-    except cli._UsageError as error:
-        sys.exit(f"{{verb}}: {{error}}")
-    sys.exit(print("(parsed only)", flush=True))
-if verb in ("imitate", "stitch"):
-    for name, value in (("--iterations", "2"), ("--population", "4")):
-        if name in rest:
-            rest[rest.index(name) + 1] = value
-        else:
-            rest += [name, value]
-    rest += [] if "--no-video" in rest else ["--no-video"]
-of_log = any(word.endswith("log.npz") for word in rest)  # is scored as long as it is
-if verb in ("evaluate", "render") and "--duration" not in rest and not of_log:
-    rest += ["--duration", "1.5" if "--log" in rest else "0.5"]
-if verb == "deploy":
-    rest += ["--lock-step", "--duration", "1.5"]
-sys.exit(cli.main([verb, *rest]))
-"""
+LONG = {"view", "play", "robot-sim", "data", "train", "compare", "stress", "transfer", "library"}
+"""Verbs that take long, wait for a user, or fetch."""
+SHELL = re.compile(r"[|&;<>$`(){}\[\]*]|^(?!fastmimic )", re.MULTILINE)
+"""In a bash block: more than commands of `fastmimic`, one a line."""
 
 
 def main(folder: Path, pages: list[Path]) -> None:
     tools = folder.resolve() / "bin"
     tools.mkdir(parents=True, exist_ok=True)
     stand_in = tools / "fastmimic"
-    stand_in.write_text(STAND_IN.format(python=sys.executable))
+    stand_in.write_text(f'#!/bin/sh\nexec {sys.executable} {Path(__file__).resolve()} -- "$@"\n')
     stand_in.chmod(0o755)
-    write_dog(folder / "my_dog.txt", cycles=3)
+    os.environ["PATH"] = f"{tools}{os.pathsep}{os.environ['PATH']}"
+    os.chdir(folder)
+    write_dog(Path("my_dog.txt"), cycles=3)
     for name in ("my_take.txt", "take.txt", "my_animal.txt"):
-        write_dog(folder / name, cycles=12)
-    np.save(folder / "points.npy", fm.open_clip("walk").points_w)
-    (folder / "my_robot.xml").write_text(fm.load_robot("go1").spec().to_xml(), encoding="utf-8")
-    environment = os.environ | {"PATH": f"{tools}{os.pathsep}{os.environ['PATH']}"}
-    for page in pages:
-        for reason, language, code in BLOCK.findall(page.read_text(encoding="utf-8")):
+        write_dog(Path(name), cycles=12)
+    np.save("points.npy", fm.open_clip("walk").points_w)
+    Path("my_robot.xml").write_text(fm.load_robot("go1").spec().to_xml(), encoding="utf-8")
+    fm.evaluate("trot", duration_s=0.1)  # loads what commands need, once for all of them
+    for page, text in [(page, page.read_text(encoding="utf-8")) for page in pages]:
+        for reason, language, code in BLOCK.findall(text):
             if reason:
-                say(f"-- {page}: not run: {reason}\n")
+                say(f"-- {page.name}: not run: {reason}\n")
                 continue
-            if language == "bash":
-                command = ["bash", "-euo", "pipefail", "-c", NOT_OURS.sub("", code)]
-            else:
-                command = [sys.executable, "-c", code]
-            say(f"-- {page}: {language}\n{code}")
-            if done := subprocess.run(command, cwd=folder, env=environment, check=False).returncode:
+            say(f"-- {page.name}: {language}\n{code}")
+            before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+            if done := (run_bash if language == "bash" else run_python)(code):
                 sys.exit(f"{page}: a block ends with status {done}")
+            say(f"   {resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before:.1f} s of a processor\n")
+
+
+def run_python(code: str) -> int:
+    return in_child(lambda: exec(compile(code, "block", "exec"), {"__name__": "__main__"}))
+
+
+def run_bash(code: str) -> int:
+    code = NOT_OURS.sub("", code)
+    plain = re.sub(r"^\s*(#.*)?\n| *#.*$", "", code.replace("\\\n", " "), flags=re.MULTILINE)
+    if SHELL.search(plain.strip()):
+        return subprocess.run(["bash", "-euo", "pipefail", "-c", code], check=False).returncode
+    commands = [shlex.split(line) for line in plain.splitlines()]
+    return next((done for words in commands if (done := in_child(partial(fastmimic, words[1:])))), 0)
+
+
+def in_child(work: Callable[[], int | None]) -> int:
+    """The exit status of a copy of this process that does `work`: faster than a new one, which imports everything."""
+    if child := os.fork():
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    status = 1
+    try:
+        status = work() or 0
+    except SystemExit as error:
+        status = error.code if isinstance(error.code, int) else 1
+        if isinstance(error.code, str):
+            sys.stderr.write(error.code + "\n")
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+
+
+def fastmimic(arguments: list[str]) -> int:
+    """The command line, with short searches and episodes, and with what would take long only parsed."""
+    verb, rest = arguments[0], arguments[1:]
+    long = verb in LONG or "--policy" in rest or "pybullet" in rest
+    long = long or ("--driver" in rest and rest[rest.index("--driver") + 1] != "sim")
+    data = os.path.isdir(os.environ.get("FASTMIMIC_DATA", ""))
+    missing = not data and any(word.startswith(("dog:", "anim:")) for word in rest)
+    missing = missing or any(
+        word.startswith("runs/") and before != "--out" and not os.path.exists(word)
+        for before, word in zip(arguments, rest, strict=False)
+    )
+    if long or missing or any(word in text for text in rest for word in ("NAME", "MOTION", "CLIPS", "…")):
+        load_extensions()
+        try:
+            cli._parse(verb, rest)
+        except cli._UsageError as error:
+            sys.exit(f"{verb}: {error}")
+        say("(parsed only)\n")
+        return 0
+    if verb in ("imitate", "stitch"):
+        for name, value in (("--iterations", "2"), ("--population", "4")):
+            if name in rest:
+                rest[rest.index(name) + 1] = value
+            else:
+                rest += [name, value]
+        rest += [] if "--no-video" in rest else ["--no-video"]
+    of_log = any(word.endswith("log.npz") for word in rest)  # is scored as long as it is
+    if verb in ("evaluate", "render") and "--duration" not in rest and not of_log:
+        rest += ["--duration", "1.5" if "--log" in rest else "0.5"]
+    if verb == "deploy":
+        rest += ["--lock-step", "--duration", "1.5"]
+    return cli.main([verb, *rest])
 
 
 def say(text: str) -> None:
@@ -107,4 +144,6 @@ def write_dog(path: Path, cycles: int) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), [Path(page) for page in sys.argv[2:]])
+    if sys.argv[1] == "--":
+        sys.exit(fastmimic(sys.argv[2:]))
+    main(Path(sys.argv[1]), [Path(page).resolve() for page in sys.argv[2:]])

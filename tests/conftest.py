@@ -101,7 +101,8 @@ class Skips:
                 self.reasons[reason].append(report.nodeid)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        if session.config.cache is not None and not self.again:
+        chosen = session.config.option.markexpr or session.config.option.keyword  # says little of what is missing
+        if session.config.cache is not None and not self.again and not chosen:
             session.config.cache.set(SKIPPED, sorted(name for names in self.reasons.values() for name in names))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
