@@ -22,7 +22,7 @@ import numpy as np
 
 import fastmimic as fm
 from fastmimic import cli
-from fastmimic.base.extensions import load_extensions
+from fastmimic.base.registry import load_extensions
 
 BLOCK = re.compile(r"^(?:<!-- not run: (.+) -->\n)?```(bash|python)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NOT_OURS = re.compile(r"^(?:pip|make|git|sudo|python|cd|\.ci/run|sbatch|tensorboard)\b.*$", re.MULTILINE)
@@ -84,7 +84,7 @@ def in_child(work: Callable[[], int | None]) -> int:
         status = error.code if isinstance(error.code, int) else 1
         if isinstance(error.code, str):
             sys.stderr.write(error.code + "\n")
-    except BaseException:
+    except BaseException:  # noqa: BLE001, what it is is shown
         traceback.print_exc()
     finally:
         sys.stdout.flush()
