@@ -1,13 +1,11 @@
 """The guard of changes that are meant to move no bits: hashes of motions, rewards, searches, comparisons, observations.
 
-    python benchmarks/hashes.py --write hashes.json     on the code as it was
-    python benchmarks/hashes.py --check hashes.json     on the changed code: says what moved, exit status 1 if anything
-    python benchmarks/hashes.py --only rewards          some groups of cases; without --write or --check it prints them
+    python benchmarks/hashes.py --against HEAD~1     hashes that commit, too; says what moved, exit status 1 if anything
+    python benchmarks/hashes.py --only rewards       some groups of cases; without --against they are printed
 
 Runs the product through its public face alone (`import fastmimic`, the command line), so that it outlives any change
 inside. Numbers are hashed as bytes: a single bit that moves is told. Times, versions and paths are left out. Another
-processor may round differently: write and check on the same machine. `benchmarks/hashes.json` is the state of this
-commit on an x86-64 machine with AVX2; those of recordings need FASTMIMIC_DATA.
+processor rounds differently, so both states are hashed on the same machine; recordings need FASTMIMIC_DATA.
 """
 
 import argparse
@@ -236,13 +234,29 @@ def command(*arguments: str) -> Any:
     return json.loads(run.stdout) if "--json" in arguments else run.stdout
 
 
+def hashes_of(commit: str, groups: list[str]) -> dict[str, str]:
+    """What this script finds on the code of a commit."""
+    here = Path(__file__).resolve()
+    with tempfile.TemporaryDirectory() as scratch:
+        tree, file = Path(scratch) / "tree", Path(scratch) / "hashes.json"
+        subprocess.run(["git", "worktree", "add", "--detach", tree, commit], cwd=here.parent, check=True)
+        try:
+            source = {"PYTHONPATH": str(tree / "src")}
+            words = [sys.executable, str(here), "--only", *groups, "--write", str(file)]
+            subprocess.run(words, cwd=scratch, env=os.environ | source, check=True)
+            return dict(json.loads(file.read_text()))
+        finally:
+            subprocess.run(["git", "worktree", "remove", "--force", tree], cwd=here.parent, check=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="+", choices=list(GROUPS), default=list(GROUPS))
+    parser.add_argument("--against", metavar="COMMIT")
     parser.add_argument("--write", type=Path, metavar="FILE")
-    parser.add_argument("--check", type=Path, metavar="FILE")
     arguments = parser.parse_args()
-    known: dict[str, str] = json.loads(arguments.check.read_text()) if arguments.check else {}
+    known = hashes_of(arguments.against, arguments.only) if arguments.against else {}
+    print(f"the code in {Path(fm.__file__).parent}", flush=True)
     found: dict[str, str] = {}
     moved = 0
     for group in arguments.only:
@@ -252,12 +266,12 @@ def main() -> None:
             same = known.get(name, value) == value
             moved += not same
             print(f"{value}  {name}" if same else f"{value}  {name}  MOVED, was {known[name]}", flush=True)
-    missing = [name for name in known if name not in found and name.split(":")[0] in arguments.only]
+    missing = [name for name in known if name not in found]
     for name in missing:
         print(f"MISSING  {name}")
     if arguments.write:
         arguments.write.write_text(json.dumps(found, indent=1) + "\n")
-    if arguments.check:
+    if arguments.against:
         print(f"{len(found)} cases, {moved} moved, {len(missing)} missing")
         sys.exit(1 if moved or missing else 0)
 
