@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from fastmimic.robot.scaling import A1_JOINT_INERTIA, A1_LEG_LENGTH_M
+from fastmimic.robot.robot import A1_JOINT_INERTIA, A1_LEG_LENGTH_M
 
 
 def body(mass: float, joint_inertia: float = A1_JOINT_INERTIA) -> Any:

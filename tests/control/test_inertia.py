@@ -63,7 +63,7 @@ def test_inertia_is_that_of_the_mass_matrix_with_the_feet_held(name: str) -> Non
 def test_a_stretched_leg_counts_as_rigid(robot: Robot) -> None:
     model, inertia = pack_model(robot)[0], robot.inertia_b.copy()
     joints = np.array([0.1, 0.5, 0.0])
-    g = robot.geometry.rows[0]
+    g = robot.geometry[0]
     joints[2] = np.arctan2(g[8], g[9]) - np.arctan2(g[6], g[7])  # hip, knee and foot in a line
     foot = foot_positions(robot, np.tile(joints, 4))[0]
     add_standing_leg(model, 0, joints, foot, np.zeros(3), np.zeros(1, WORK)[0], inertia)

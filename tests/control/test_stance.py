@@ -18,7 +18,7 @@ from fastmimic.control.stance import (
     invert_symmetric_3x3,
     stance_forces,
 )
-from fastmimic.robot.scaling import A1_MASS_KG
+from fastmimic.robot.robot import A1_MASS_KG
 from fastmimic.robot.state import MEMORY
 
 MASS = 12.0

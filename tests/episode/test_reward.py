@@ -56,7 +56,7 @@ class Scoring:
         """Terms (n, 5) of this step."""
         context = ScoringContext(
             table=self.table,
-            geometry=self.robot.geometry.rows,
+            geometry=self.robot.geometry,
             foot_radius=self.robot.foot_radius,
             threshold=0.2 * LOADED,
             dt=DT,

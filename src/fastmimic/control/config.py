@@ -30,7 +30,7 @@ from fastmimic.control.config_parts import (
     SwingConfig,
 )
 from fastmimic.robot import Robot
-from fastmimic.robot.scaling import joint_ratio, length_ratio, mass_ratio
+from fastmimic.robot.robot import joint_ratio, length_ratio, mass_ratio
 
 FILE_FORMAT: Final = {"format": "fastmimic controller", "version": 1}
 

@@ -1,7 +1,7 @@
 """The parameters of each part of the controller; `fastmimic.control.config` joins them.
 
 Forces are multiples of the robot's weight, and gains of the trunk act on accelerations and angles: neither depends on
-the robot. The rest has the values of an A1 and is scaled to another robot (`fastmimic.robot.scaling`): joint gains by
+the robot. The rest has the values of an A1 and is scaled to another robot (`fastmimic.robot.robot`): joint gains by
 what the joints move, R by the mass squared, lengths by the leg.
 """
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined, kernel, record_dtype
-from fastmimic.robot.dynamics import cross
+from fastmimic.robot.dynamics import cross, rotated
 from fastmimic.robot.kinematics import leg_jacobian
 
 WORK: Final = record_dtype(
@@ -30,13 +30,6 @@ WORK: Final = record_dtype(
     ]
 )  # work memory, body frame
 _LEAST_REACH: Final = 1e-6  # m³, |det J| below which a leg is stretched so far that it counts as rigid
-
-
-@inlined
-def _turned(sa: float, ca: float, s: float, c: float, v: Array, out: Array) -> None:
-    """Rx(a) Ry(θ) v, with (s, c) the sine and cosine of θ."""
-    x, z = c * v[0] + s * v[2], -s * v[0] + c * v[2]
-    out[0], out[1], out[2] = x, ca * v[1] - sa * z, sa * v[1] + ca * z
 
 
 @inlined
@@ -83,11 +76,9 @@ def add_standing_leg(model: Any, leg: int, q: Array, foot: Array, com: Array, wo
             inertia[axis, other] += total
     origins = work.origins
     origins[0, :] = g[0:3]
-    work.vector[0], work.vector[1], work.vector[2] = g[4], g[3], g[5]
-    _turned(sa, ca, 0.0, 1.0, work.vector, origins[1])
+    origins[1, 0], origins[1, 1], origins[1, 2] = rotated(sa, ca, 0.0, 1.0, g[4], g[3], g[5])
     s, c = np.sin(q[1]), np.cos(q[1])
-    work.vector[0], work.vector[1], work.vector[2] = g[6], 0.0, g[7]
-    _turned(sa, ca, s, c, work.vector, origins[2])
+    origins[2, 0], origins[2, 1], origins[2, 2] = rotated(sa, ca, s, c, g[6], 0.0, g[7])
     for k in range(3):
         origins[1, k] += origins[0, k]
         origins[2, k] += origins[1, k]
@@ -95,8 +86,8 @@ def add_standing_leg(model: Any, leg: int, q: Array, foot: Array, com: Array, wo
     for link in range(3):
         theta += q[link] if link > 0 else 0.0
         s, c = np.sin(theta), np.cos(theta)
-        place = work.place
-        _turned(sa, ca, s, c, model.link_com[leg, link], place)
+        place, com_link = work.place, model.link_com[leg, link]
+        place[0], place[1], place[2] = rotated(sa, ca, s, c, com_link[0], com_link[1], com_link[2])
         for k in range(3):
             place[k] += origins[link, k]
         for axis in range(3):

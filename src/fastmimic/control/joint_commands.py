@@ -19,10 +19,8 @@ def add_leg_dynamics(config: Any, model: Any, obs: Any, memory: Any, command: An
         return
     part = slice(3 * leg, 3 * leg + 3)
     leg_inverse_dynamics(
-        model.geometry[leg],
-        model.link_mass[leg],
-        model.link_com[leg],
-        model.link_inertia[leg],
+        model,
+        leg,
         obs.joint_pos[part],
         obs.joint_vel[part],
         scratch.joint_acc[part],

@@ -19,7 +19,7 @@ def _feet_and_com(model: Any, obs: Any, rotation: Array, feet: Array, arms: Arra
     for leg in range(4):
         q = obs.joint_pos[3 * leg : 3 * leg + 3]
         feet[leg, 0], feet[leg, 1], feet[leg, 2] = leg_forward(model.geometry[leg], q[0], q[1], q[2])
-        m0, m1, m2 = leg_mass_moment(model.geometry[leg], model.link_mass[leg], model.link_com[leg], q)
+        m0, m1, m2 = leg_mass_moment(model, leg, q)
         com[0] += m0
         com[1] += m1
         com[2] += m2

@@ -18,7 +18,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.reference.table import CLOCK, SAMPLE
 from fastmimic.robot import Robot
-from fastmimic.robot.scaling import joint_ratio
+from fastmimic.robot.robot import joint_ratio
 
 
 @documented

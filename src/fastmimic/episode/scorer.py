@@ -56,7 +56,7 @@ class Scorer:
         self.tallies = np.zeros(n, TALLY)
         self.context = ScoringContext(
             table=table,
-            geometry=robot.geometry.rows,
+            geometry=robot.geometry,
             foot_radius=robot.foot_radius,
             threshold=config.gait.contact_threshold * robot.mass * GRAVITY,
             dt=1.0 / rate_hz,

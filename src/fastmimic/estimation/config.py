@@ -117,5 +117,5 @@ def pack_config(config: EstimatorConfig, robot: Robot, rate_hz: float) -> NDArra
     record["force_gain"] = dt / (dt + config.force_time)
     record["tare_gain"] = min(1.0, dt / config.tare_time)
     record["foot_radius"] = robot.foot_radius
-    record["geometry"] = robot.geometry.rows
+    record["geometry"] = robot.geometry
     return record

@@ -1,22 +1,90 @@
-"""From a log to the controller's parameters: friction and payload, and a file that every command takes."""
+"""From a log to the controller's parameters: friction and payload, and a file that every command takes.
 
+Friction: a sliding foot is pushed back along the ground by μ times the normal force (Coulomb); a foot that holds says
+only that μ is above its force ratio. Payload: what the feet bear beyond the robot alone, by the motors' torques through
+the legs and by the feet's force sensors, each only as good as its gains. The log of the same robot without a payload
+takes the gains out.
+"""
+
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.arrays import Array
 from fastmimic.base.configuration import changed
+from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import LogError
 from fastmimic.base.files import write_json
 from fastmimic.control.config import FILE_FORMAT, ControllerConfig, controller_config
 from fastmimic.episode.run_log import RunLog
-from fastmimic.identification.forces import ground_forces
-from fastmimic.identification.friction import Friction, identify_friction
-from fastmimic.identification.payload import Payload, identify_payload
+from fastmimic.identification.forces import GroundForces, ground_forces
 from fastmimic.robot import Robot
 
 FRICTION_MARGIN: Final = 0.85
 """Share of the identified coefficient that the controller assumes, as its friction pyramid's edges reach √2 times as
 far as its sides: about the best for side-steps on floors of 0.4 to 0.6."""
+
+SLIDING_SPEED: Final = 0.15  # m/s; five times the estimator's velocity error
+OPPOSED: Final = 0.9  # least cosine between the force along the ground and the direction from which the foot slides
+EVENT_S: Final = 0.01  # shortest slide that counts
+EDGE_S: Final = 0.01  # left out at both ends of a contact, where the smoothing mixes it with the swing
+PRESSED: Final = 0.1  # least normal force, multiples of the robot's weight
+EVENTS: Final = 3  # fewer slides count as none
+HELD: Final = 0.95  # quantile of the holding feet's force ratios that is the lower bound
+TORQUE_GAIN_ERROR: Final = 0.05  # standard deviation of a motor's torque constant, a fraction
+_RESAMPLED: Final = 400
+
+FOOT_GAIN_ERROR: Final = 0.1  # standard deviation of a foot sensor's gain, a fraction
+STANDING_S: Final = 0.04  # stance required before and after a sample, to leave impacts out
+SWINGING_S: Final = 0.01
+SAMPLES: Final = 50
+LEG_ERROR_KG: Final = 0.2  # kg; standard deviation of a weight by torques, from joint friction and rotors
+TARED: Final = 0.01  # remaining gain error with an unloaded run, standard deviation as a share of the robot's mass
+_INDEPENDENT_S: Final = 0.1  # time after which a weight is a new one
+
+
+@dataclass(frozen=True)
+class Friction:
+    """The ground's coefficient of friction by a log.
+
+    Attributes:
+        value: the estimate; None if no foot slid.
+        lower: end of the 95 % interval; without a slide a lower bound.
+        upper: the other end; None if no foot slid.
+        slides: how many slides of a foot it is taken from.
+        slid_s: their time in all, s.
+    """
+
+    value: float | None
+    lower: float
+    upper: float | None
+    slides: int
+    slid_s: float
+
+
+@dataclass(frozen=True)
+class Payload:
+    """The mass on the trunk by a log.
+
+    Attributes:
+        mass: kg beyond the robot's model; below 0 for a lighter robot.
+        lower, upper: 95 % interval, kg.
+        tared: whether a run without payload took the sensors' gains out.
+    """
+
+    mass: float
+    lower: float
+    upper: float
+    tared: bool
+
+    @property
+    def certain(self) -> float:
+        """For the controller, kg: the mass if the 95 % interval lies above 0, else 0."""
+        return self.mass if self.lower > 0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -84,3 +152,141 @@ def identify(log: RunLog, robot: Robot, unloaded: RunLog | None = None) -> Ident
         if friction.value is None:
             raise
     return Identification(log.robot, log.motion, log.duration_s, friction, payload)
+
+
+def identify_friction(forces: GroundForces, robot: Robot) -> Friction:
+    """The coefficient of friction with a 95 % interval: scatter of the slides and the torque sensors' gains."""
+    events, bound = _slides(forces, robot), _bound(forces, robot)
+    nothing = Friction(None, bound, None, 0, 0.0)
+    if len(events) < EVENTS:
+        return nothing
+    value = _coefficient(forces.force(), events)
+    rng = np.random.default_rng(0)
+    ratios, weights = _of_events(forces.force(), events)
+    drawn = rng.integers(len(events), size=(_RESAMPLED, len(events)))
+    scatter = float(np.std([_weighted_median(ratios[d], weights[d]) for d in drawn]))
+    spread = 1.96 * float(np.hypot(scatter, _gain_error(forces, lambda f: _coefficient(f, events))))
+    if value + spread < bound:  # feet held at more: what seemed to slide did not
+        return nothing
+    seconds = forces.dt * sum(len(rows) for rows, _ in events)
+    return Friction(value, max(0.0, value - spread), value + spread, len(events), seconds)
+
+
+def _pressed(forces: GroundForces, force: Array, robot: Robot) -> NDArray[np.bool_]:
+    """(t, 4) where a ratio of forces means anything."""
+    pressed = forces.loaded & (forces.settled_s >= EDGE_S) & forces.usable[:, None]
+    return np.asarray(pressed & (force[..., 2] > PRESSED * robot.mass * GRAVITY))
+
+
+def _slides(forces: GroundForces, robot: Robot) -> list[tuple[NDArray[np.intp], int]]:
+    """Samples and leg of each slide."""
+    force = forces.force()
+    speed = np.linalg.norm(forces.velocity, axis=-1)
+    along = np.linalg.norm(force[..., :2], axis=-1)
+    opposed = -np.einsum("tli,tli->tl", force[..., :2], forces.velocity) > OPPOSED * along * speed
+    sliding = _pressed(forces, force, robot) & (speed > SLIDING_SPEED) & opposed
+    found = []
+    for leg in range(4):
+        edges = np.flatnonzero(np.diff(sliding[:, leg].astype(np.int8), prepend=0, append=0))
+        found += [(np.arange(a, b), leg) for a, b in edges.reshape(-1, 2) if (b - a) * forces.dt >= EVENT_S - 1e-9]
+    return found
+
+
+def _of_events(force: Array, events: list[tuple[NDArray[np.intp], int]]) -> tuple[Array, Array]:
+    """Ratio of the impulses along the ground and normal to it in each slide, and the latter, its weight."""
+    along = np.array([np.linalg.norm(force[rows, leg, :2], axis=-1).sum() for rows, leg in events])
+    normal = np.array([force[rows, leg, 2].sum() for rows, leg in events])
+    return along / normal, normal
+
+
+def _coefficient(force: Array, events: list[tuple[NDArray[np.intp], int]]) -> float:
+    return _weighted_median(*_of_events(force, events))
+
+
+def _weighted_median(values: Array, weights: Array) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+def _gain_error(forces: GroundForces, estimate: Callable[[Array], float]) -> float:
+    """Standard deviation of an estimate from forces (t, 4, 3), N, by independent errors of the torque constants."""
+    nominal, total = estimate(forces.force()), 0.0
+    for leg in range(4):
+        for joint in range(3):
+            gain = np.ones((4, 3))
+            gain[leg, joint] += TORQUE_GAIN_ERROR
+            total += (estimate(forces.force(gain)) - nominal) ** 2
+    return float(np.sqrt(total))
+
+
+def _bound(forces: GroundForces, robot: Robot) -> float:
+    """Force ratio at which feet held, less the effect of the torque sensors' gains; 0 if none was pressed."""
+    force = forces.force()
+    held = _pressed(forces, force, robot) & (np.linalg.norm(forces.velocity, axis=-1) < SLIDING_SPEED)
+    if not held.any():
+        return 0.0
+
+    def bound(force: Array) -> float:
+        ratio = np.linalg.norm(force[..., :2], axis=-1)[held] / np.maximum(force[..., 2][held], 1.0)
+        return float(np.quantile(ratio, HELD))
+
+    return max(0.0, bound(force) - 1.96 * _gain_error(forces, bound))
+
+
+def identify_payload(forces: GroundForces, robot: Robot, unloaded: GroundForces | None = None) -> Payload:
+    """The mass that the feet bear beyond the robot's without payload; raises `LogError` if they stood too short.
+    `unloaded` is from a run of the same robot without payload."""
+    by_motors = _gain_error(forces, lambda force: float(np.median(_excess(forces, force[..., 2]))))
+    found, spreads = [], []
+    for by_feet, error in (
+        (False, float(np.hypot(by_motors, LEG_ERROR_KG))),
+        (True, _foot_gain_error(forces, forces.sensed)),
+    ):
+        mass, scatter = _weighed(forces, by_feet)
+        if unloaded is not None:
+            before, noise = _weighed(unloaded, by_feet)
+            mass = robot.mass * (robot.mass + mass) / (robot.mass + before) - robot.mass
+            scatter, error = float(np.hypot(scatter, noise)), TARED * (robot.mass + mass)
+        found.append(mass)
+        spreads.append(float(np.hypot(scatter, error)))
+    weights = 1.0 / np.square(spreads)
+    mass = float(np.average(found, weights=weights))
+    spread = 1.96 * float(weights.sum() ** -0.5)
+    return Payload(mass, mass - spread, mass + spread, unloaded is not None)
+
+
+def _standing(forces: GroundForces) -> NDArray[np.bool_]:
+    """(t,) samples in which every foot either stands or swings, at least two stand, and none has just switched."""
+    least = np.where(forces.loaded, STANDING_S, SWINGING_S)
+    sure = (forces.settled_s >= least).all(axis=1) & (forces.loaded.sum(axis=1) >= 2) & forces.usable
+    if int(sure.sum()) < SAMPLES:
+        raise LogError(
+            f"feet stand in only {int(sure.sum())} control steps of the log; {SAMPLES} are needed to weigh the robot."
+            " Log a longer run, or a slower motion"
+        )
+    return np.asarray(sure)
+
+
+def _excess(forces: GroundForces, vertical: Array) -> Array:
+    """Mass beyond the robot's in each sample in which it stands, kg, by the forces on loaded feet (t, 4), N."""
+    sure, borne = _standing(forces), vertical * forces.loaded
+    return np.asarray((borne[sure].sum(axis=1) - forces.need[sure]) / forces.lift[sure])
+
+
+def _weighed(forces: GroundForces, by_feet: bool) -> tuple[float, float]:
+    """Median mass beyond the robot's, by the foot sensors or the motors' torques, and its standard deviation by the
+    samples' scatter, kg."""
+    mass = _excess(forces, forces.sensed if by_feet else forces.force()[..., 2])
+    independent = max(1.0, len(mass) * forces.dt / _INDEPENDENT_S)
+    scatter = 1.4826 * float(np.median(np.abs(mass - np.median(mass))))
+    return float(np.median(mass)), 1.2533 * scatter / float(np.sqrt(independent))
+
+
+def _foot_gain_error(forces: GroundForces, borne: Array) -> float:
+    """Standard deviation of the mass by independent errors of the foot sensors' gains, kg."""
+    nominal, total = np.median(_excess(forces, borne)), 0.0
+    for foot in range(4):
+        gain = 1 + FOOT_GAIN_ERROR * (np.arange(4) == foot)
+        total += float(np.median(_excess(forces, borne * gain)) - nominal) ** 2
+    return float(np.sqrt(total))

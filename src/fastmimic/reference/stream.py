@@ -49,7 +49,7 @@ class Stream:
     """Fills tables of one robot's reference. Not thread-safe."""
 
     def __init__(self, robot: Robot, rate_hz: float) -> None:
-        self._geometry = robot.geometry.rows
+        self._geometry = robot.geometry
         self._limits = np.stack([robot.joint_lower, robot.joint_upper])
         self._dt = 1.0 / rate_hz
         self._work = np.zeros(1, _WORK)

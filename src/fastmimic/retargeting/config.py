@@ -10,7 +10,7 @@ from fastmimic.retargeting.balance import BalanceConfig
 from fastmimic.retargeting.contact_schedule import ContactScheduleConfig
 from fastmimic.retargeting.feet import SwingPathConfig
 from fastmimic.robot import Robot
-from fastmimic.robot.scaling import length_ratio
+from fastmimic.robot.robot import length_ratio
 
 _Settings = TypeVar("_Settings")
 

@@ -1,12 +1,13 @@
 """Rigid-body dynamics: one leg on a moving trunk in closed form, and the whole robot through MuJoCo. The closed form is
 recursive Newton-Euler (Featherstone 2008, ch. 5) for three hinges (x, y, y), with every vector in the body frame."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined, kernel
+from fastmimic.robot.state import pack_model
 
 if TYPE_CHECKING:
     from fastmimic.robot.robot import Robot
@@ -18,7 +19,7 @@ def cross(a0: float, a1: float, a2: float, b0: float, b1: float, b2: float) -> t
 
 
 @inlined
-def _rotated(sa: float, ca: float, s: float, c: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+def rotated(sa: float, ca: float, s: float, c: float, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Rx(a) Ry(θ) (x, y, z), with (s, c) the sine and cosine of θ."""
     u = c * x + s * z
     w = -s * x + c * z
@@ -34,7 +35,7 @@ def _inertia_times(
     y = ca * v1 + sa * v2
     x = c * v0 - s * w
     z = s * v0 + c * w
-    return _rotated(
+    return rotated(
         sa,
         ca,
         s,
@@ -47,24 +48,20 @@ def _inertia_times(
 
 @inlined
 def leg_inverse_dynamics(
-    geometry: Array,
-    mass: Array,
-    com: Array,
-    inertia: Array,
-    q: Array,
-    dq: Array,
-    ddq: Array,
-    omega: Array,
-    acceleration: Array,
-    out: Array,
+    model: Any, leg: int, q: Array, dq: Array, ddq: Array, omega: Array, acceleration: Array, out: Array
 ) -> None:
     """Joint torques `out` (3,), N·m, that give one leg without ground forces the accelerations `ddq`; rotor inertia
     excluded.
 
-    `geometry` (12,) is the leg's row of `LegGeometry`; `mass`, `com` and `inertia` (3, ...) are those of its links, in
-    their own frames; `omega` (3,) is the trunk's angular velocity, rad/s, and `acceleration` (3,) that of the base's
-    origin minus gravity, m/s² (standing still: +9.81 upwards), both in the body frame.
+    `model` is a record of `MODEL`; `omega` (3,) is the trunk's angular velocity, rad/s, and `acceleration` (3,) that of
+    the base's origin minus gravity, m/s² (standing still: +9.81 upwards), both in the body frame.
     """
+    geometry, mass, com, inertia = (
+        model.geometry[leg],
+        model.link_mass[leg],
+        model.link_com[leg],
+        model.link_inertia[leg],
+    )
     ca, sa = np.cos(q[0]), np.sin(q[0])
     # each link's position: origin o, link frame Rx(a) Ry(theta); forces summed about the three joint axes
     ox, oy, oz = geometry[0], geometry[1], geometry[2]
@@ -91,7 +88,7 @@ def leg_inverse_dynamics(
             theta += q[link]
         ct, st = np.cos(theta), np.sin(theta)
         # force and moment of this link about its centre of mass
-        p0, p1, p2 = _rotated(sa, ca, st, ct, com[link, 0], com[link, 1], com[link, 2])
+        p0, p1, p2 = rotated(sa, ca, st, ct, com[link, 0], com[link, 1], com[link, 2])
         b0, b1, b2 = cross(w0, w1, w2, p0, p1, p2)
         c0, c1, c2 = cross(w0, w1, w2, b0, b1, b2)
         d0, d1, d2 = cross(e0, e1, e2, p0, p1, p2)
@@ -109,65 +106,48 @@ def leg_inverse_dynamics(
             m0, m1, m2 = cross(ox + p0 - o3x, oy + p1 - o3y, oz + p2 - o3z, f0, f1, f2)
             out[2] += ca * (n1 + m1) + sa * (n2 + m2)
         if link == 0:
-            r0, r1, r2 = _rotated(sa, ca, 0.0, 1.0, geometry[4], geometry[3], geometry[5])
+            r0, r1, r2 = rotated(sa, ca, 0.0, 1.0, geometry[4], geometry[3], geometry[5])
             o2x, o2y, o2z = ox + r0, oy + r1, oz + r2
             ox, oy, oz = o2x, o2y, o2z
         elif link == 1:
-            r0, r1, r2 = _rotated(sa, ca, st, ct, geometry[6], 0.0, geometry[7])
+            r0, r1, r2 = rotated(sa, ca, st, ct, geometry[6], 0.0, geometry[7])
             o3x, o3y, o3z = ox + r0, oy + r1, oz + r2
             ox, oy, oz = o3x, o3y, o3z
 
 
 @inlined
-def leg_mass_moment(geometry: Array, mass: Array, com: Array, q: Array) -> tuple[float, float, float]:
-    """Σ mass × centre of one leg's links in the body frame, kg·m."""
+def leg_mass_moment(model: Any, leg: int, q: Array) -> tuple[float, float, float]:
+    """Σ mass × centre of one leg's links in the body frame, kg·m; `model` is a record of `MODEL`."""
+    geometry, mass, com = model.geometry[leg], model.link_mass[leg], model.link_com[leg]
     ca, sa = np.cos(q[0]), np.sin(q[0])
     s1, c1 = np.sin(q[1]), np.cos(q[1])
     s2, c2 = np.sin(q[1] + q[2]), np.cos(q[1] + q[2])
     ox, oy, oz = geometry[0], geometry[1], geometry[2]
-    px, py, pz = _rotated(sa, ca, 0.0, 1.0, com[0, 0], com[0, 1], com[0, 2])
+    px, py, pz = rotated(sa, ca, 0.0, 1.0, com[0, 0], com[0, 1], com[0, 2])
     mx, my, mz = mass[0] * (ox + px), mass[0] * (oy + py), mass[0] * (oz + pz)
-    rx, ry, rz = _rotated(sa, ca, 0.0, 1.0, geometry[4], geometry[3], geometry[5])
+    rx, ry, rz = rotated(sa, ca, 0.0, 1.0, geometry[4], geometry[3], geometry[5])
     ox, oy, oz = ox + rx, oy + ry, oz + rz
-    px, py, pz = _rotated(sa, ca, s1, c1, com[1, 0], com[1, 1], com[1, 2])
+    px, py, pz = rotated(sa, ca, s1, c1, com[1, 0], com[1, 1], com[1, 2])
     mx, my, mz = mx + mass[1] * (ox + px), my + mass[1] * (oy + py), mz + mass[1] * (oz + pz)
-    rx, ry, rz = _rotated(sa, ca, s1, c1, geometry[6], 0.0, geometry[7])
+    rx, ry, rz = rotated(sa, ca, s1, c1, geometry[6], 0.0, geometry[7])
     ox, oy, oz = ox + rx, oy + ry, oz + rz
-    px, py, pz = _rotated(sa, ca, s2, c2, com[2, 0], com[2, 1], com[2, 2])
+    px, py, pz = rotated(sa, ca, s2, c2, com[2, 0], com[2, 1], com[2, 2])
     return mx + mass[2] * (ox + px), my + mass[2] * (oy + py), mz + mass[2] * (oz + pz)
 
 
 @kernel
 def _inverse_dynamics(
-    rows: Array,
-    mass: Array,
-    com: Array,
-    inertia: Array,
-    armature: Array,
-    q: Array,
-    dq: Array,
-    ddq: Array,
-    omega: Array,
-    acceleration: Array,
-    out: Array,
+    models: Any, q: Array, dq: Array, ddq: Array, omega: Array, acceleration: Array, out: Array
 ) -> None:
+    model = models[0]
     for n in range(q.shape[0]):
         for leg in range(4):
             part = slice(3 * leg, 3 * leg + 3)
             leg_inverse_dynamics(
-                rows[leg],
-                mass[leg],
-                com[leg],
-                inertia[leg],
-                q[n, part],
-                dq[n, part],
-                ddq[n, part],
-                omega[n],
-                acceleration[n],
-                out[n, part],
+                model, leg, q[n, part], dq[n, part], ddq[n, part], omega[n], acceleration[n], out[n, part]
             )
         for j in range(12):
-            out[n, j] += armature[j] * ddq[n, j]
+            out[n, j] += model.armature[j] * ddq[n, j]
 
 
 def leg_torques(
@@ -176,21 +156,10 @@ def leg_torques(
     """Joint torques (n, 12), N·m, rotor inertia included, that move the legs while no foot touches the ground. Joints
     are (n, 12) rad, rad/s, rad/s². `ang_vel_b` (n, 3), rad/s, is the trunk's; `acceleration_b` (n, 3), m/s², is that of
     the base's origin minus gravity, body frame."""
-    q, dq, ddq = (np.ascontiguousarray(x, dtype=np.float64) for x in (joint_pos, joint_vel, joint_acc))
+    given = (joint_pos, joint_vel, joint_acc, ang_vel_b, acceleration_b)
+    q, dq, ddq, omega, acceleration = (np.ascontiguousarray(x, dtype=np.float64) for x in given)
     out = np.empty_like(q)
-    _inverse_dynamics(
-        robot.geometry.rows,
-        robot.link_mass,
-        robot.link_com,
-        robot.link_inertia,
-        robot.armature,
-        q,
-        dq,
-        ddq,
-        np.ascontiguousarray(ang_vel_b, dtype=np.float64),
-        np.ascontiguousarray(acceleration_b, dtype=np.float64),
-        out,
-    )
+    _inverse_dynamics(pack_model(robot), q, dq, ddq, omega, acceleration, out)
     return out
 
 

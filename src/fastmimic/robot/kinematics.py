@@ -8,7 +8,7 @@ where d collects all lateral offsets (they commute with the two pitch rotations)
 abduction frame, and t and c are thigh and calf in their plane.
 """
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,26 +20,9 @@ if TYPE_CHECKING:
     from fastmimic.robot.robot import Robot
 
 
-class LegGeometry(NamedTuple):
-    """Legs for the kernels: (4, 12) rows of p₀ (3), d, s_x, s_z, t_x, t_z, c_x, c_z, knee sign, 0."""
-
-    rows: Array
-
-
-def leg_geometry(robot: "Robot") -> LegGeometry:
-    rows = np.zeros((4, 12))
-    rows[:, 0:3] = robot.hip_pos_b
-    rows[:, 3] = robot.lateral_offset
-    rows[:, 4:6] = robot.hip_shift
-    rows[:, 6:8] = robot.thigh_vector[:, [0, 2]]
-    rows[:, 8:10] = robot.calf_vector[:, [0, 2]]
-    rows[:, 10] = robot.knee_sign
-    return LegGeometry(rows)
-
-
 @inlined
 def leg_forward(g: Array, a: float, h: float, k: float) -> tuple[float, float, float]:
-    """Foot centre of one leg in the body frame; `g` is its geometry row."""
+    """Foot centre of one leg in the body frame; `g` is its row of `Robot.geometry`."""
     ch, sh = np.cos(h), np.sin(h)
     ck, sk = np.cos(k), np.sin(k)
     ux = g[6] + ck * g[8] + sk * g[9]
@@ -121,7 +104,7 @@ def foot_positions(robot: "Robot", joint_pos: Array) -> Array:
     """Foot centres (..., 4, 3), body frame, m, at joint angles (..., 12), rad."""
     q = np.ascontiguousarray(joint_pos, dtype=np.float64)
     out = np.empty((q.size // 12, 4, 3))
-    _forward(robot.geometry.rows, q.reshape(-1, 12), out)
+    _forward(robot.geometry, q.reshape(-1, 12), out)
     return out.reshape(*q.shape[:-1], 4, 3)
 
 
@@ -129,7 +112,7 @@ def foot_jacobians(robot: "Robot", joint_pos: Array) -> Array:
     """Jacobians (..., 4, 3, 3), m/rad, of each foot (body frame) by its leg's joints, at angles (..., 12), rad."""
     q = np.ascontiguousarray(joint_pos, dtype=np.float64)
     out = np.empty((q.size // 12, 4, 3, 3))
-    _jacobians(robot.geometry.rows, q.reshape(-1, 12), out)
+    _jacobians(robot.geometry, q.reshape(-1, 12), out)
     return out.reshape(*q.shape[:-1], 4, 3, 3)
 
 
@@ -140,5 +123,5 @@ def inverse_kinematics(robot: "Robot", foot_pos_b: Array) -> tuple[Array, NDArra
     p = np.ascontiguousarray(foot_pos_b, dtype=np.float64)
     n = p.size // 12
     q, reachable = np.empty((n, 12)), np.empty((n, 4), dtype=np.bool_)
-    _inverse(robot.geometry.rows, p.reshape(-1, 4, 3), q, reachable)
+    _inverse(robot.geometry, p.reshape(-1, 4, 3), q, reachable)
     return q.reshape(*p.shape[:-2], 12), reachable.reshape(*p.shape[:-2], 4)

@@ -21,9 +21,9 @@ _AXES: Final = {"abduction": (1.0, 0.0, 0.0), "hip": (0.0, 1.0, 0.0), "knee": (0
 _AXIS_TOLERANCE: Final = 1e-6
 
 
-def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
-    """Reads a `Robot` from a MuJoCo specification; `where` names it in messages. Raises `RobotError`: the model does
-    not compile or is not a twelve-joint quadruped."""
+def robot_from_spec(spec: "mujoco.MjSpec", default_name: str) -> Robot:
+    """Reads a `Robot` from a MuJoCo specification, which may have no name. Raises `RobotError`: the model does not
+    compile or is not a twelve-joint quadruped."""
     import mujoco
 
     try:
@@ -31,16 +31,16 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
         model = spec.compile()
         xml = spec.to_xml()
     except (ValueError, RuntimeError) as error:
-        raise RobotError(f"{where}: MuJoCo cannot compile this model ({one_line(error)})") from None
-    trunk = _trunk(model, where)
-    roots = _leg_roots(model, trunk, where)
+        raise RobotError(f"MuJoCo cannot compile this model ({one_line(error)})") from None
+    trunk = _trunk(model)
+    roots = _leg_roots(model, trunk)
     at_zero = _at_zero(model, trunk)
-    reversed_joints = [joint for root in roots for joint in _reversed(model, at_zero, root, where)]
+    reversed_joints = [joint for root in roots for joint in _reversed(model, at_zero, root)]
     if reversed_joints:
         _turn_round(spec, model, reversed_joints)
         model, xml = spec.compile(), spec.to_xml()  # the zero pose stays
-    legs = [_leg(model, at_zero, trunk, root, where) for root in roots]
-    order = _order(model, legs, where)
+    legs = [_leg(model, at_zero, trunk, root) for root in roots]
+    order = _order(model, legs)
     legs = [legs[i] for i in order]
 
     home = _home(model)
@@ -55,7 +55,7 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
     speed, speed_assumed = _speed_limit(model)
     lower, upper, range_assumed = _ranges(model, joints)
     return Robot(
-        name=model.names[: model.names.index(b"\0")].decode() or Path(where).stem,
+        name=model.names[: model.names.index(b"\0")].decode() or default_name,
         xml=xml,
         mass=float(model.body_subtreemass[trunk]),
         inertia_b=inertia_b,
@@ -69,7 +69,7 @@ def robot_from_spec(spec: "mujoco.MjSpec", where: str) -> Robot:
         foot_radius=legs[0].foot_radius,
         joint_lower=lower,
         joint_upper=upper,
-        torque_limit=_torque_limits(model, joints, where),
+        torque_limit=_torque_limits(model, joints),
         joint_speed_limit=np.tile(speed, 4),
         armature=model.dof_armature[model.jnt_dofadr[joints]].copy(),
         joint_damping=model.dof_damping[model.jnt_dofadr[joints]].copy(),
@@ -133,26 +133,26 @@ def one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def _trunk(model: "mujoco.MjModel", where: str) -> int:
+def _trunk(model: "mujoco.MjModel") -> int:
     import mujoco
 
     hinges = int(np.sum(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE))
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     if len(free) != 1 or hinges != 12 or model.njnt != 13:
         raise RobotError(
-            f"{where}: expected one free joint and 12 hinge joints (abduction, hip, knee in each of four legs);"
+            f"expected one free joint and 12 hinge joints (abduction, hip, knee in each of four legs);"
             f" found {len(free)} free, {hinges} hinge and {model.njnt - len(free) - hinges} other joints"
         )
     return int(model.jnt_bodyid[free[0]])
 
 
-def _leg_roots(model: "mujoco.MjModel", trunk: int, where: str) -> list[int]:
+def _leg_roots(model: "mujoco.MjModel", trunk: int) -> list[int]:
     """Bodies with a hinge directly below the trunk, apart from fixed bodies."""
     roots = [
         int(b) for b in range(trunk + 1, model.nbody) if model.body_jntnum[b] and _moving_parent(model, b) == trunk
     ]
     if len(roots) != 4:
-        raise RobotError(f"{where}: expected 4 legs on body '{model.body(trunk).name}', found {len(roots)}")
+        raise RobotError(f"expected 4 legs on body '{model.body(trunk).name}', found {len(roots)}")
     return roots
 
 
@@ -163,7 +163,7 @@ def _moving_parent(model: "mujoco.MjModel", body: int) -> int:
     return parent
 
 
-def _chain(model: "mujoco.MjModel", root: int, where: str) -> list[int]:
+def _chain(model: "mujoco.MjModel", root: int) -> list[int]:
     """The three bodies of a leg."""
     chain = [root]
     while True:
@@ -174,7 +174,7 @@ def _chain(model: "mujoco.MjModel", root: int, where: str) -> list[int]:
         if len(children) > 1 or len(chain) > 3:
             break
     if len(chain) != 3 or any(model.body_jntnum[b] != 1 for b in chain):
-        raise RobotError(f"{where}: {_label(model, root)} is not a chain of three links with one joint each")
+        raise RobotError(f"{_label(model, root)} is not a chain of three links with one joint each")
     return chain
 
 
@@ -193,17 +193,17 @@ def _at_zero(model: "mujoco.MjModel", trunk: int) -> "mujoco.MjData":
     return data
 
 
-def _reversed(model: "mujoco.MjModel", at_zero: "mujoco.MjData", root: int, where: str) -> list[int]:
+def _reversed(model: "mujoco.MjModel", at_zero: "mujoco.MjData", root: int) -> list[int]:
     """The joints of a leg that turn about the opposite of the common axis; `RobotError` for any other axis."""
     found = []
-    joints = (int(model.body_jntadr[b]) for b in _chain(model, root, where))
+    joints = (int(model.body_jntadr[b]) for b in _chain(model, root))
     for joint, role in zip(joints, JOINTS_PER_LEG, strict=True):
         axis, common = at_zero.xaxis[joint], np.array(_AXES[role])
         if np.max(np.abs(axis + common)) <= _AXIS_TOLERANCE:
             found.append(joint)
         elif np.max(np.abs(axis - common)) > _AXIS_TOLERANCE:
             raise RobotError(
-                f"{where}: {role} joint '{model.joint(joint).name}' turns about {np.round(axis, 3).tolist()};"
+                f"{role} joint '{model.joint(joint).name}' turns about {np.round(axis, 3).tolist()};"
                 f" expected {list(_AXES[role])} (x forward, y left), or its opposite, when all joints are at zero"
             )
     return found
@@ -225,19 +225,17 @@ def _turn_round(spec: "mujoco.MjSpec", model: "mujoco.MjModel", joints: list[int
         key.qpos = pose
 
 
-def _leg(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int, root: int, where: str) -> _Leg:
+def _leg(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int, root: int) -> _Leg:
     """A leg, from the positions of its parts with all joints at zero."""
-    chain, label = _chain(model, root, where), _label(model, root)
+    chain = _chain(model, root)
     joints = tuple(int(model.body_jntadr[b]) for b in chain)
     for joint in joints:
         if not (model.jnt_limited[joint] or model.nkey):
-            raise RobotError(
-                f"{where}: joint '{model.joint(joint).name}' has no range, and no keyframe shows how it is bent"
-            )
+            raise RobotError(f"joint '{model.joint(joint).name}' has no range, and no keyframe shows how it is bent")
         if model.qpos0[model.jnt_qposadr[joint]] != 0:
-            raise RobotError(f"{where}: joint '{model.joint(joint).name}' has a reference angle; expected ref=0")
+            raise RobotError(f"joint '{model.joint(joint).name}' has a reference angle; expected ref=0")
     anchors = [data.xanchor[j] - data.xpos[trunk] for j in joints]
-    foot = _foot_geom(model, data, chain[-1], label, where)
+    foot = _foot_geom(model, data, chain[-1], root)
     foot_pos = data.geom_xpos[foot] - data.xpos[trunk]
     to_hip, thigh, calf = anchors[1] - anchors[0], anchors[2] - anchors[1], foot_pos - anchors[2]
     bent = _home(model)[model.jnt_qposadr[joints[2]]]
@@ -255,7 +253,7 @@ def _leg(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int, root: int, 
     )
 
 
-def _foot_geom(model: "mujoco.MjModel", data: "mujoco.MjData", calf: int, label: str, where: str) -> int:
+def _foot_geom(model: "mujoco.MjModel", data: "mujoco.MjData", calf: int, root: int) -> int:
     """The lowest colliding sphere on the last link or on a body fixed to it."""
     import mujoco
 
@@ -267,20 +265,18 @@ def _foot_geom(model: "mujoco.MjModel", data: "mujoco.MjData", calf: int, label:
         and (model.geom_contype[g] or model.geom_conaffinity[g])
     ]
     if not spheres:
-        raise RobotError(f"{where}: {label} has no colliding sphere on its last link to serve as the foot")
+        raise RobotError(f"{_label(model, root)} has no colliding sphere on its last link to serve as the foot")
     return min(spheres, key=lambda g: float(data.geom_xpos[g, 2]))
 
 
-def _order(model: "mujoco.MjModel", legs: list[_Leg], where: str) -> list[int]:
+def _order(model: "mujoco.MjModel", legs: list[_Leg]) -> list[int]:
     """Indices of FR, FL, RR, RL among the legs, by hip position."""
     signs = {"FR": (1, -1), "FL": (1, 1), "RR": (-1, -1), "RL": (-1, 1)}
     found = [tuple(np.sign(leg.hip_pos[:2]).astype(int)) for leg in legs]
     order = [found.index(signs[leg]) for leg in LEGS if signs[leg] in found]
     if len(order) != 4:
-        where_hips = ", ".join(str(np.round(leg.hip_pos[:2], 3).tolist()) for leg in legs)
-        raise RobotError(
-            f"{where}: expected one leg front right, front left, rear right, rear left; hips at {where_hips}"
-        )
+        hips = ", ".join(str(np.round(leg.hip_pos[:2], 3).tolist()) for leg in legs)
+        raise RobotError(f"expected one leg front right, front left, rear right, rear left; hips at {hips}")
     return order
 
 
@@ -341,7 +337,7 @@ def _whole_body(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int) -> t
     return rotation.T @ com, rotation.T @ inertia @ rotation
 
 
-def _torque_limits(model: "mujoco.MjModel", joints: list[int], where: str) -> Array:
+def _torque_limits(model: "mujoco.MjModel", joints: list[int]) -> Array:
     """From the actuator's force range, the control range of a plain motor, or the joint's own force range."""
     limits = np.zeros(len(joints))
     for i, joint in enumerate(joints):
@@ -357,7 +353,7 @@ def _torque_limits(model: "mujoco.MjModel", joints: list[int], where: str) -> Ar
                 candidates.append(gear * gain * model.actuator_ctrlrange[actuator, 1])
         if not candidates or min(candidates) <= 0:
             raise RobotError(
-                f"{where}: joint '{model.joint(joint).name}' has no torque limit;"
+                f"joint '{model.joint(joint).name}' has no torque limit;"
                 " give its actuator a forcerange or the joint an actuatorfrcrange"
             )
         limits[i] = min(candidates)

@@ -1,19 +1,30 @@
-"""`Robot`: the geometry, inertia and limits of a quadruped, read from its MJCF."""
+"""`Robot`: the geometry, inertia and limits of a quadruped, read from its MJCF, by name or from a file.
+
+Parameters are given for an A1 and scaled to other robots. The A1's constants have all digits, so that each ratio of an
+A1 is exactly 1; `tests/control/test_config.py` checks them.
+"""
 
 import re
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import resources
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.errors import RobotError, did_you_mean
 
 if TYPE_CHECKING:
     import mujoco
 
-    from fastmimic.robot.kinematics import LegGeometry
+ROBOT_NAMES: Final = ("a1", "go1", "go2")  # each is the file NAME.xml beside this one
+ROBOT_CHOICES: Final = f"{', '.join(ROBOT_NAMES)}, or the MJCF of your own"  # for help texts
 
+A1_MASS_KG: Final = 12.453000000000001
+A1_JOINT_INERTIA: Final = 0.037411360960741595  # mean of `Robot.joint_inertia`, kg·m²
+A1_LEG_LENGTH_M: Final = 0.4
 
 _NOWHERE: Final = re.compile(r' (pos="0 0 0"|quat="1 0 0 0")')
 _ROUNDED_ZERO: Final = re.compile(r"-?\d(\.\d+)?e-(1[2-9]|[2-9]\d)\b|(?<![\d.])-0(?![\d.])")
@@ -124,8 +135,58 @@ class Robot:
         return self.thigh_length + self.calf_length
 
     @cached_property
-    def geometry(self) -> "LegGeometry":
-        """The leg geometry for the compiled kinematics."""
-        from fastmimic.robot.kinematics import leg_geometry
+    def geometry(self) -> Array:
+        """(4, 12) legs for the kinematics: p₀ (3), d, s_x, s_z, t_x, t_z, c_x, c_z, knee sign, 0."""
+        rows = np.zeros((4, 12))
+        rows[:, 0:3] = self.hip_pos_b
+        rows[:, 3] = self.lateral_offset
+        rows[:, 4:6] = self.hip_shift
+        rows[:, 6:8] = self.thigh_vector[:, [0, 2]]
+        rows[:, 8:10] = self.calf_vector[:, [0, 2]]
+        rows[:, 10] = self.knee_sign
+        return rows
 
-        return leg_geometry(self)
+
+def load_robot(robot: str | Path | Robot) -> Robot:
+    """Returns a built-in robot by name or reads the user's own MJCF; a `Robot` is returned unchanged. Raises
+    `RobotError`: no such robot or file, not an MJCF, or not a quadruped with abduction, hip and knee joints."""
+    import mujoco
+
+    from fastmimic.robot.mjcf import one_line, robot_from_spec
+
+    if isinstance(robot, Robot):
+        return robot
+    name = str(robot)
+    path = Path(robot)
+    if name.lower() in ROBOT_NAMES:
+        text = resources.files("fastmimic.robot").joinpath(f"{name.lower()}.xml").read_text(encoding="utf-8")
+        spec = mujoco.MjSpec.from_string(text)
+    elif not path.exists():
+        hint = did_you_mean(name, ROBOT_NAMES)
+        raise RobotError(f"unknown robot '{name}': not one of {', '.join(ROBOT_NAMES)} and not a file{hint}")
+    elif path.is_dir():
+        raise RobotError(f"{path}: a folder; expected an MJCF file")
+    else:
+        try:
+            spec = mujoco.MjSpec.from_file(str(path))
+        except (ValueError, OSError, UnicodeDecodeError) as error:
+            raise RobotError(f"{path}: not a readable MJCF ({one_line(error)})") from None
+    try:
+        return robot_from_spec(spec, path.stem)
+    except RobotError as error:
+        raise RobotError(f"{path}: {error}") from None
+
+
+def mass_ratio(robot: Robot) -> float:
+    """An A1's mass over the robot's."""
+    return A1_MASS_KG / robot.mass
+
+
+def joint_ratio(robot: Robot) -> float:
+    """Joint inertia of the robot over an A1's. Gains in this ratio keep frequency and damping of the legs."""
+    return float(np.mean(robot.joint_inertia)) / A1_JOINT_INERTIA
+
+
+def length_ratio(robot: Robot) -> float:
+    """The robot's leg length over an A1's."""
+    return robot.leg_length / A1_LEG_LENGTH_M

@@ -93,11 +93,12 @@ MODEL: Final = record_dtype(
 def pack_model(robot: "Robot") -> NDArray[Any]:
     """Packs a robot as an array of one `MODEL` record."""
     record = np.zeros(1, MODEL)
-    record["geometry"] = robot.geometry.rows
-    record["inertia"] = robot.inertia_b
-    record["trunk_moment"] = robot.trunk_mass * robot.trunk_com_b
-    record["lower"], record["upper"] = robot.joint_lower, robot.joint_upper
-    for name in ("mass", "link_mass", "link_com", "link_inertia", "armature", "joint_damping", "joint_friction"):
-        record[name] = getattr(robot, name)
-    record["torque_limit"], record["foot_radius"] = robot.torque_limit, robot.foot_radius
+    given = {
+        "inertia": robot.inertia_b,
+        "trunk_moment": robot.trunk_mass * robot.trunk_com_b,
+        "lower": robot.joint_lower,
+        "upper": robot.joint_upper,
+    }
+    for name in MODEL.names or ():
+        record[name] = given[name] if name in given else getattr(robot, name)
     return record
