@@ -23,7 +23,7 @@ import fastmimic as fm
 from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.control.config_parts import HorizonConfig
 from fastmimic.control.controller import Controller
-from fastmimic.control.daqp import OPTIMAL, solve_qp
+from fastmimic.control.native import OPTIMAL, solve_qp
 from fastmimic.episode.loop import ClosedLoop
 from fastmimic.episode.plan import perturbed_start
 
@@ -225,10 +225,10 @@ def measure(seconds: float, per_motion: int, rate_hz: float) -> dict[str, Any]:
             **how,
         }
     from fastmimic.base.conventions import GRAVITY
-    from fastmimic.control.daqp import make_workspace
-    from fastmimic.control.horizon_qp import MAX_CONSTRAINTS, MAX_VARIABLES
+    from fastmimic.control.horizon import HORIZON_CONSTRAINTS, HORIZON_VARIABLES
+    from fastmimic.control.native import make_workspace
 
-    workspace = make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS)[0]
+    workspace = make_workspace(HORIZON_VARIABLES, HORIZON_CONSTRAINTS)[0]
     return {
         "solve_us": percentiles(everything),
         "plans": len(everything),

@@ -21,8 +21,8 @@ from marked import put
 from numpy.typing import NDArray
 
 import fastmimic as fm
+from fastmimic.episode.metrics import style_distance
 from fastmimic.episode.plan import Start, perturbed_start
-from fastmimic.episode.style import style_distance
 from fastmimic.motion.contacts import stances_of
 from fastmimic.optimize.parameters import FEET_AND_TRUNK
 from fastmimic.optimize.problem import ImitationProblem

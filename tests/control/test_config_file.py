@@ -15,12 +15,12 @@ from fastmimic.control.config import (
     ControllerConfig,
     controller_config,
     default_config,
+    loaded_robot,
     paper_config,
     read_config,
 )
 from fastmimic.control.config_parts import LoadConfig
 from fastmimic.control.controller import Controller
-from fastmimic.control.load import loaded_robot
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import load_motion
 

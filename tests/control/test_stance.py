@@ -10,7 +10,7 @@ from control.bodies import body
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.control.config_parts import StanceConfig
-from fastmimic.control.daqp import make_workspace
+from fastmimic.control.native import make_workspace
 from fastmimic.control.stance import (
     _HOLD_STEPS,
     MAX_CONSTRAINTS,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fastmimic.episode.style import style_distance
+from fastmimic.episode.metrics import style_distance
 
 PHASE = np.linspace(0, 2 * np.pi, 200, endpoint=False)
 LEGS = np.array([0.0, np.pi, np.pi, 0.0])

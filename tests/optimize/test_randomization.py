@@ -104,13 +104,13 @@ class TestScores:
     """Common random numbers: what two candidates of an iteration meet is the same."""
 
     def test_the_same_candidate_has_the_same_score(self, make: Make, some: np.ndarray) -> None:
-        a, b, c = make().evaluate_over(some, OVER_TWO.of_iteration(0, 0))
+        a, b, c = make().evaluate(some, OVER_TWO.of_iteration(0, 0))
         assert b == c
         assert a != b
 
     def test_a_candidates_score_does_not_depend_on_the_others(self, make: Make, some: np.ndarray) -> None:
         robots = OVER_TWO.of_iteration(0, 0)
-        together, alone = make().evaluate_over(some, robots), make().evaluate_over(some[1:2], robots)
+        together, alone = make().evaluate(some, robots), make().evaluate(some[1:2], robots)
         assert together[1] == alone[0]
 
     def test_every_candidate_meets_every_robot(self, make: Make, some: np.ndarray) -> None:
@@ -120,19 +120,19 @@ class TestScores:
         each = []
         for i in range(2):
             one = tuple(dataclasses.replace(d, values=d.values[i : i + 1]) for d in robots)
-            each.append(problem.evaluate_over(some, one))
-        np.testing.assert_array_equal(problem.evaluate_over(some, robots), np.mean(each, axis=0))
+            each.append(problem.evaluate(some, one))
+        np.testing.assert_array_equal(problem.evaluate(some, robots), np.mean(each, axis=0))
         assert np.all(each[0] != each[1])
 
     def test_the_robot_as_it_is_scores_as_without_randomisation(self, make: Make, some: np.ndarray) -> None:
         problem = make(Randomization())
         first = tuple(dataclasses.replace(d, values=d.values[:1]) for d in Randomization().of_iteration(0, 0))
-        np.testing.assert_allclose(problem.evaluate_over(some, first), problem.evaluate(some), atol=2e-3)
+        np.testing.assert_allclose(problem.evaluate(some, first), problem.evaluate(some), atol=2e-3)
 
     def test_the_worst_is_no_better_than_the_mean(self, make: Make, some: np.ndarray) -> None:
         robots = OVER_THREE.of_iteration(0, 0)
-        mean = make(OVER_THREE).evaluate_over(some, robots)
-        worst = make(dataclasses.replace(OVER_THREE, criterion="worst")).evaluate_over(some, robots)
+        mean = make(OVER_THREE).evaluate(some, robots)
+        worst = make(dataclasses.replace(OVER_THREE, criterion="worst")).evaluate(some, robots)
         assert np.all(worst < mean)
 
     def test_criteria_are_over_the_last_axis(self) -> None:
@@ -142,20 +142,20 @@ class TestScores:
 
     def test_other_robots_give_other_scores(self, make: Make, some: np.ndarray) -> None:
         problem = make()
-        one, two = (problem.evaluate_over(some, OVER_TWO.of_iteration(0, i)) for i in range(2))
+        one, two = (problem.evaluate(some, OVER_TWO.of_iteration(0, i)) for i in range(2))
         assert np.all(one != two)
-        np.testing.assert_array_equal(problem.evaluate_over(some, OVER_TWO.of_iteration(0, 0)), one, "and back")
+        np.testing.assert_array_equal(problem.evaluate(some, OVER_TWO.of_iteration(0, 0)), one, "and back")
 
     def test_three_workers_divide_a_candidates_robots_without_a_trace(self, make: Make, some: np.ndarray) -> None:
         robots = OVER_TWO.of_iteration(0, 0)
-        divided = make(workers=4).evaluate_over(some, robots)  # 6 episodes: some begin in the middle of a candidate
-        np.testing.assert_array_equal(divided, make().evaluate_over(some, robots))
+        divided = make(workers=4).evaluate(some, robots)  # 6 episodes: some begin in the middle of a candidate
+        np.testing.assert_array_equal(divided, make().evaluate(some, robots))
 
     def test_a_stitched_motion_is_scored_over_several_robots(self, robot: Robot, demonstration: Motion) -> None:
         whole = stitch_motions(robot, [demonstration, demonstration], [2, 2])
         problem = StitchedProblem(robot, whole, objective=Objective(randomization=OVER_TWO), workers=1)
         assert problem.randomization == OVER_TWO
-        scores = problem.evaluate_over(np.stack([problem.initial] * 2), OVER_TWO.of_iteration(0, 0))
+        scores = problem.evaluate(np.stack([problem.initial] * 2), OVER_TWO.of_iteration(0, 0))
         assert scores[0] == scores[1] != problem.evaluate(problem.initial[None])[0]
 
 
@@ -170,13 +170,13 @@ class TestSearch:
 
     def test_each_iteration_is_scored_on_its_own_robots(self, make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
         problem = make()
-        evaluate, met = problem.evaluate_over, []
+        evaluate, met = problem.evaluate, []
 
         def noted(x: np.ndarray, robots: tuple[object, ...]) -> np.ndarray:
             met.append((len(x), robots))
             return evaluate(x, robots)  # type: ignore[arg-type]
 
-        monkeypatch.setattr(problem, "evaluate_over", noted)
+        monkeypatch.setattr(problem, "evaluate", noted)
         optimize(problem, SETTINGS)
         of = [OVER_TWO.of_iteration(SETTINGS.seed, i) for i in range(3)]
         assert met == [(1, of[0]), (4, of[0]), (4, of[1]), (4, of[2]), (4, of[0])]
@@ -201,8 +201,8 @@ class TestSearch:
         self, make: Make, straight: Optimum
     ) -> None:
         problem, robots = make(), OVER_TWO.of_iteration(SETTINGS.seed, 0)
-        assert straight.score == problem.evaluate_over(straight.x[None], robots)[0]
-        assert straight.history.baseline == problem.evaluate_over(problem.initial[None], robots)[0]
+        assert straight.score == problem.evaluate(straight.x[None], robots)[0]
+        assert straight.history.baseline == problem.evaluate(problem.initial[None], robots)[0]
 
     def test_evaluations_are_all_episodes_that_were_run(self, straight: Optimum) -> None:
         searched = (1 + 3 * 4 + 4) * 2
@@ -234,7 +234,7 @@ class TestInterrupted:
     @staticmethod
     def stopped_at(problem: ImitationProblem, call: int) -> Optimum:
         """Ctrl-C when candidates are scored for the `call`-th time."""
-        evaluate, calls = problem.evaluate_over, 0
+        evaluate, calls = problem.evaluate, 0
 
         def interrupted(x: np.ndarray, robots: tuple[Disturbance, ...]) -> np.ndarray:
             nonlocal calls
@@ -244,7 +244,7 @@ class TestInterrupted:
             return evaluate(x, robots)
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(problem, "evaluate_over", interrupted)
+            patch.setattr(problem, "evaluate", interrupted)
             return optimize(problem, SETTINGS)
 
     def test_before_anything_was_found_it_is_the_unmodulated_motion(self, make: Make) -> None:

@@ -30,7 +30,7 @@ from fastmimic.control.config_parts import (
     SwingConfig,
 )
 from fastmimic.robot import Robot
-from fastmimic.robot.robot import joint_ratio, length_ratio, mass_ratio
+from fastmimic.robot.robot import combined, joint_ratio, length_ratio, mass_ratio
 
 FILE_FORMAT: Final = {"format": "fastmimic controller", "version": 1}
 
@@ -207,3 +207,15 @@ def pack_config(config: ControllerConfig, robot: Robot) -> NDArray[Any]:
     record["horizon_interval"] = round(config.rate_hz / config.horizon.solve_rate_hz)
     record["recovery_resync"] = record["dt"] / max(config.recovery.resync_time, 1.0 / config.rate_hz)
     return record
+
+
+def loaded_robot(robot: Robot, load: LoadConfig) -> Robot:
+    """The robot with a point mass on its trunk; its specification, from which simulations are built, is unchanged."""
+    if load.mass == 0:
+        return robot
+    place, point = np.array(load.position), np.zeros((3, 3))
+    mass, com_b, inertia_b = combined([(robot.mass, robot.com_b, robot.inertia_b), (load.mass, place, point)])
+    trunk_mass, trunk_com_b, _ = combined([(robot.trunk_mass, robot.trunk_com_b, point), (load.mass, place, point)])
+    return dataclasses.replace(
+        robot, mass=mass, com_b=com_b, inertia_b=inertia_b, trunk_mass=trunk_mass, trunk_com_b=trunk_com_b
+    )

@@ -1,35 +1,85 @@
 """The controller: from robot states and references to joint commands of all robots, compiled (paper, §III-B)."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.jit import inlined, kernel
+from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.vectors import heading_vector, times, transposed_times
-from fastmimic.control.adaptation import stance_leg
-from fastmimic.control.config import ControllerConfig, default_config, pack_config
-from fastmimic.control.daqp import make_workspace
+from fastmimic.control.config import ControllerConfig, default_config, loaded_robot, pack_config
 from fastmimic.control.gait import plan_leg
-from fastmimic.control.horizon import PLAN, plan_forces, track_plan
+from fastmimic.control.horizon import HORIZON_CONSTRAINTS, HORIZON_VARIABLES, PLAN, plan_forces, track_plan
 from fastmimic.control.horizon_preview import FORESIGHT
-from fastmimic.control.horizon_qp import MAX_CONSTRAINTS as HORIZON_CONSTRAINTS
-from fastmimic.control.horizon_qp import MAX_VARIABLES as HORIZON_VARIABLES
+from fastmimic.control.inertia import WORK as INERTIA_WORK
 from fastmimic.control.inertia import add_standing_leg
-from fastmimic.control.joint_commands import add_leg_dynamics, clip_command, compensate_friction
-from fastmimic.control.load import loaded_robot
+from fastmimic.control.joint_commands import add_leg_dynamics, clip_command, compensate_friction, stance_leg
+from fastmimic.control.native import make_workspace, seconds_now
 from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, stance_forces
-from fastmimic.control.stopwatch import seconds_now
 from fastmimic.control.swing import lift_off, swing_leg
 from fastmimic.control.tracking import compare_to_reference, desired_motion
-from fastmimic.control.workspace import SCRATCH
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import stack_tables
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, MEMORY, pack_model
+
+SCRATCH: Final = record_dtype(
+    [
+        ("rotation", "f8", (3, 3)),  # body → heading frame
+        ("reference_rotation", "f8", (3, 3)),  # reference's body → robot's heading frame
+        ("turn", "f8", (2,)),  # cos and sin from the robot's heading to that of the reference's origin
+        ("com", "f8", (3,)),  # body frame
+        ("inertia", "f8", (3, 3)),  # heading frame
+        ("inverse_inertia", "f8", (3, 3)),
+        ("feet", "f8", (4, 3)),  # body frame
+        ("arms", "f8", (4, 3)),  # feet from the CoM, heading frame
+        # velocities and accelerations of the base and of the reference, heading frame
+        ("lin_vel", "f8", (3,)),
+        ("ang_vel", "f8", (3,)),
+        ("ref_lin_vel", "f8", (3,)),
+        ("ref_ang_vel", "f8", (3,)),
+        ("ref_lin_acc", "f8", (3,)),
+        ("ref_ang_acc", "f8", (3,)),
+        ("leg_acc", "f8", (3,)),  # that the reference's legs take
+        # reference minus robot, heading frame
+        ("error", "f8", (3,)),  # of the position; x and y then relative to the feet
+        ("angle_error", "f8", (3,)),
+        ("lin_vel_error", "f8", (3,)),
+        ("ang_vel_error", "f8", (3,)),
+        ("shift", "f8", (2,)),  # of the reference to where the standing feet are
+        # the same in the body frame, for the legs
+        ("position_error", "f8", (3,)),
+        ("velocity_error", "f8", (3,)),
+        ("lin_vel_b", "f8", (3,)),
+        ("ang_vel_b", "f8", (3,)),
+        ("ref_lin_vel_b", "f8", (3,)),  # in the reference's own body frame
+        ("ref_ang_vel_b", "f8", (3,)),
+        # stance
+        ("desired", "f8", (6,)),  # acceleration that the forces have to give, heading frame
+        ("columns", "f8", (12, 6)),
+        ("gravity_acc", "f8", (3,)),  # desired linear acceleration minus gravity, heading frame
+        ("gravity_acc_b", "f8", (3,)),
+        # turning over the standing feet: angular acceleration beyond the reference's, and its moment
+        ("beyond", "f8", (3,)),
+        ("beyond_b", "f8", (3,)),
+        ("moment", "f8", (3,)),
+        ("moment_b", "f8", (3,)),
+        ("held_inertia", "f8", (3, 3)),  # of the trunk with the standing feet held, body frame
+        ("held", INERTIA_WORK),
+        # legs
+        ("jacobian", "f8", (3, 3)),
+        ("force_b", "f8", (3,)),
+        ("foot_target", "f8", (3,)),  # body frame
+        ("joint_acc", "f8", (12,)),
+        ("torque", "f8", (3,)),
+        ("recovering", "f8"),  # 1 after a push, else 0
+    ]
+)
+"""Work memory of the control law, one record per thread, so that it allocates nothing. The suffix _b is for the body
+frame."""
 
 
 class RobotRecords(NamedTuple):

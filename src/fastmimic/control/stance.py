@@ -11,7 +11,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel
-from fastmimic.control.daqp import INFINITY, OPTIMAL, solve_qp
+from fastmimic.control.native import INFINITY, OPTIMAL, solve_qp
 
 MAX_VARIABLES = 12
 MAX_CONSTRAINTS = 4 + 32

@@ -2,23 +2,20 @@
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError
-from fastmimic.base.rotations import quat_rotate, rotate_planar, yaw_from_quat
-from fastmimic.control.config import ControllerConfig, default_config, pack_config
+from fastmimic.base.rotations import quat_rotate, quat_rotate_inverse, rotate_planar, yaw_from_quat
+from fastmimic.control.config import ControllerConfig, default_config, loaded_robot, pack_config
 from fastmimic.control.controller import Controller
-from fastmimic.control.load import loaded_robot
 from fastmimic.episode.observer import Observer
-from fastmimic.episode.placement import on_reference
 from fastmimic.episode.plan import Start, episode_steps, nominal_start
-from fastmimic.episode.recorder import EpisodeRecorder
-from fastmimic.episode.rollout import Rollout, summarised
-from fastmimic.episode.scorer import Scorer
+from fastmimic.episode.rollout import Log, Rollout, summarised
+from fastmimic.episode.scorer import Scorer, demonstration_in_world
 from fastmimic.estimation.estimator import START
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import (
@@ -59,6 +56,41 @@ class LoopController(Protocol):
 
 MakeController = Callable[[Robot, Motion, int, ControllerConfig], LoopController]
 """Makes a controller for a robot, its demonstration, n robots, and the loop's configuration."""
+
+
+class Placement(NamedTuple):
+    """State of n robots, in the order of `Simulation.reset`.
+
+    Attributes:
+        root_pos, root_quat: (n, 3) m and (n, 4), world frame.
+        joint_pos: (n, 12) rad.
+        lin_vel: (n, 3) m/s, world frame.
+        ang_vel_b: (n, 3) rad/s, body frame.
+        joint_vel: (n, 12) rad/s.
+    """
+
+    root_pos: Array
+    root_quat: Array
+    joint_pos: Array
+    lin_vel: Array
+    ang_vel_b: Array
+    joint_vel: Array
+
+
+def on_reference(table: NDArray[Any], sample: NDArray[np.int64], origin: Array) -> Placement:
+    """The states at samples (n,) of a table (t,) of `SAMPLE` with its origin at (n, 3) (x, y, yaw) in the world."""
+    position, quat = world_root(table, sample, origin)
+    velocity, turning = np.array(table["lin_vel"][sample]), np.array(table["ang_vel"][sample])
+    velocity[:, :2] = rotate_planar(origin[:, 2], velocity[:, :2])
+    turning[:, :2] = rotate_planar(origin[:, 2], turning[:, :2])
+    return Placement(
+        position,
+        quat,
+        table["joint_pos"][sample],
+        velocity,
+        quat_rotate_inverse(quat, turning),
+        table["joint_vel"][sample],
+    )
 
 
 class ClosedLoop:
@@ -126,7 +158,7 @@ class ClosedLoop:
         """
         self.place(start, references)
         rate_hz, scorer = self.controller.config.rate_hz, self.scorer
-        recorder = EpisodeRecorder(self, steps) if log else None
+        recorder = _Recorder(self, steps) if log else None
         cuts = [0, *(d for d in divisions if 0 < d < steps), steps] if len(divisions) else []
         counted = [scorer.counted()]
         for step in range(steps):
@@ -229,6 +261,47 @@ def _lift_to_ground(robot: Robot, position: Array, quat: Array, joints: Array) -
     """How far to raise each base (n,) so that no foot starts below the ground, m."""
     feet = position[:, None] + quat_rotate(quat[:, None], foot_positions(robot, joints))
     return np.maximum(0.0, robot.foot_radius - feet[..., 2].min(axis=1))
+
+
+class _Recorder:
+    """Keeps the whole course of a loop's episodes."""
+
+    def __init__(self, loop: ClosedLoop, steps: int) -> None:
+        self._loop = loop
+        self._kept = {
+            name: np.zeros((loop.n, steps, *value.shape[1:]), value.dtype) for name, value in self._present().items()
+        }
+
+    def add(self, step: int) -> None:
+        """Copies the state after a control step."""
+        for name, value in self._present().items():
+            self._kept[name][:, step] = value
+
+    def log(self) -> Log:
+        kept = dict(self._kept)
+        demonstration = demonstration_in_world(self._loop.table, kept.pop("sample"), kept.pop("origin"))
+        wanted = demonstration["contact"].astype(bool)
+        rate_hz = self._loop.controller.config.rate_hz
+        return Log(rate_hz=rate_hz, wanted=wanted, demonstration=demonstration, **kept)
+
+    def _present(self) -> dict[str, NDArray[Any]]:
+        """What is kept of each step: fields of `Log`, and the clocks' `sample` and `origin`."""
+        loop, memory = self._loop, self._loop.controller.memory
+        up = loop.scorer.tallies["fallen"] == 0
+        found = {
+            "observation": loop.simulation.observation,
+            "command": loop.controller.command,
+            "stance": memory["stance"].astype(bool),
+            "force": memory["force"],
+            "solve_time": memory["solve_time"],
+            "terms": np.where(up[:, None], loop.scorer.terms, 0.0),
+            "sample": loop.clocks["sample"],
+            "origin": loop.clocks["origin"],
+        }
+        if loop.observer is not None:
+            found["estimate"] = loop.observer.estimator.observation
+            found["reading"] = loop.observer.sensors.reading
+        return found
 
 
 def run_episodes(

@@ -8,10 +8,9 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.text import plain
 from fastmimic.episode.loop import MakeController, run_episodes
-from fastmimic.episode.metrics import Metrics, swing_clearance
+from fastmimic.episode.metrics import Metrics, style_distance, swing_clearance
 from fastmimic.episode.plan import episode_duration, perturbed_start, start_room
 from fastmimic.episode.rollout import Rollout
-from fastmimic.episode.style import style_distance
 from fastmimic.imitation.imitate import Imitation
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion

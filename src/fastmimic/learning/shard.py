@@ -12,7 +12,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.jit import kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.control.config import default_config
-from fastmimic.episode.placement import Placement
+from fastmimic.episode.loop import Placement
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.episode.scorer import Scorer
 from fastmimic.learning.config import PolicyConfig, pack_settings

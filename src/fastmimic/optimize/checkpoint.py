@@ -48,11 +48,6 @@ class Checkpoint:
         )
 
     @staticmethod
-    def iterations(path: str | Path) -> int:
-        """Number of iterations in any problem's checkpoint; raises `CheckpointError` if it is damaged."""
-        return len(Checkpoint.scores_of(path))
-
-    @staticmethod
     def scores_of(path: str | Path) -> Array:
         """Scores (i, p) in any problem's checkpoint; raises `CheckpointError` if it is damaged."""
         try:

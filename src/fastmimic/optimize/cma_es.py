@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import CheckpointError, ConfigError
-from fastmimic.episode.plan import Start, nominal_start
-from fastmimic.episode.rollout import Rollout
+from fastmimic.episode.plan import nominal_start
 from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.optimize.final_choice import FinalChoice
 from fastmimic.optimize.problem import Problem
@@ -163,7 +161,7 @@ class _Search:
                 self._tell(u, self._evaluate(self._physical(u), len(self.scores)))
                 elapsed = time.perf_counter() - began
                 done = len(self.scores)
-                if self.checkpoint is not None and done % self.settings.checkpoint_every == 0:
+                if done % self.settings.checkpoint_every == 0:
                     self._save(before + elapsed)
                 if progress is not None:
                     each = elapsed / (done - done_before)
@@ -177,19 +175,26 @@ class _Search:
             interrupted = True
             whole = len(self.sigma)  # an interrupt may come while an iteration is being recorded
             del self.candidates[whole:], self.scores[whole:], self.means[whole:]
-        if self.checkpoint is not None and self.scores:
-            self._save(before + time.perf_counter() - began)
+        self._save(before + time.perf_counter() - began)
         x, score, validation, hurried = self._choose(given)
         elapsed = before + time.perf_counter() - began
-        if self.checkpoint is not None and self.scores:
-            self._save(elapsed)
-        searched = (len(given) + sum(len(s) for s in self.scores) + self.rescored) * self.robots
+        self._save(elapsed)
+        scores = np.array(self.scores).reshape(-1, self.settings.population)
+        searched = (len(given) + scores.size + self.rescored) * self.robots
         validated = self.validated * self.validation_episodes
         return Optimum(
             x=x,
             score=score,
             validation=validation,
-            history=self._history(baseline, float(given.max())),
+            history=History(
+                best=scores.max(axis=1),
+                mean=scores.mean(axis=1),
+                std=scores.std(axis=1),
+                sigma=np.array(self.sigma),
+                baseline=baseline,
+                start=float(given.max()),
+                randomized=self.randomization is not None,
+            ),
             evaluations=searched + validated,
             simulated_s=(searched * self.problem.steps + validated * self.validation_steps)
             / self.problem.config.rate_hz,
@@ -200,7 +205,7 @@ class _Search:
     def _evaluate(self, x: Array, iteration: int) -> Array:
         if self.randomization is None:
             return self.problem.evaluate(x)
-        return self.problem.evaluate_over(x, self.randomization.of_iteration(self.settings.seed, iteration))
+        return self.problem.evaluate(x, self.randomization.of_iteration(self.settings.seed, iteration))
 
     def _physical(self, u: Array) -> Array:
         return self.lower + self.span * u
@@ -230,9 +235,8 @@ class _Search:
         return saved.elapsed_s
 
     def _save(self, elapsed: float) -> None:
-        """Saves the course; never replaces a longer one."""
-        assert self.checkpoint is not None
-        if len(self.scores) < self.recorded:
+        """Saves the course, if there are a file and a course; never replaces a longer one."""
+        if self.checkpoint is None or not self.scores or len(self.scores) < self.recorded:
             return
         Checkpoint(self.identity, np.array(self.candidates), np.array(self.scores), elapsed).save(self.checkpoint)
 
@@ -254,7 +258,8 @@ class _Search:
                 scores[len(given) :] = self._evaluate(best, 0)
                 self.rescored = len(best)
             for i, table in enumerate(tables):
-                validation[i] = self._validate(table, start, steps, robots)
+                own = self.problem.scores(np.repeat(table[None], start.n, axis=0), start, steps, robots)
+                validation[i] = np.mean(own) if self.randomization is None else self.randomization.scored(own)
         except KeyboardInterrupt:
             hurried = True
         self.validated = int(np.isfinite(validation).sum())
@@ -263,9 +268,7 @@ class _Search:
 
     def _best(self, baseline: float) -> tuple[Array, Array]:
         """The best candidates of all iterations that score at least the baseline, and their scores."""
-        if not self.scores:
-            return np.zeros((0, len(self.lower))), np.zeros(0)
-        flat, u = np.concatenate(self.scores), np.concatenate(self.candidates)
+        flat, u = np.array(self.scores).ravel(), np.array(self.candidates).reshape(-1, len(self.lower))
         best = np.argsort(-flat, kind="stable")[: self.choice.candidates]
         best = best[flat[best] >= baseline]
         return self._physical(u[best]), flat[best]
@@ -280,23 +283,6 @@ class _Search:
             rows += [self.means[i], self.candidates[i][best]]
             scores += [float(self.scores[i][best])] * 2
         return self._physical(np.array(rows).reshape(-1, len(self.lower))), np.array(scores)
-
-    def _validate(self, table: NDArray[Any], start: Start, steps: int, robots: tuple[Disturbance, ...]) -> float:
-        tables = np.repeat(table[None], start.n, axis=0)
-        if self.randomization is None:
-            return float(np.mean(self._scored(self.problem.rollout(tables, start, steps))))
-        return float(self.randomization.scored(self._scored(self.problem.rollout(tables, start, steps, robots))))
-
-    def _scored(self, rollouts: list[Rollout]) -> Array:
-        return np.concatenate([self.problem.score(r) for r in rollouts])
-
-    def _history(self, baseline: float, start: float) -> History:
-        if not self.scores:
-            empty = np.zeros(0)
-            return History(empty, empty, empty, empty, baseline, start, self.randomization is not None)
-        scores = np.array(self.scores)
-        best, mean, std = scores.max(axis=1), scores.mean(axis=1), scores.std(axis=1)
-        return History(best, mean, std, np.array(self.sigma), baseline, start, self.randomization is not None)
 
 
 def _make_strategy(start: Array, settings: CmaSettings) -> Any:

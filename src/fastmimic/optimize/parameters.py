@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from fastmimic.base.conventions import LEGS
-from fastmimic.base.errors import ConfigError, MotionError, did_you_mean
+from fastmimic.base.errors import ConfigError, MotionError, unknown
 from fastmimic.motion.motion import Motion
 
 if TYPE_CHECKING:  # loads the compiler
@@ -105,10 +105,7 @@ def needed_group(group: str, *started: Iterable[str]) -> str:
 
 def _check_group(group: str) -> None:
     if group not in PARAMETER_GROUPS:
-        raise ConfigError(
-            f"unknown parameters '{group}'; there are {', '.join(PARAMETER_GROUPS)}"
-            f"{did_you_mean(group, PARAMETER_GROUPS)}"
-        )
+        raise unknown("parameters", group, PARAMETER_GROUPS)
 
 
 def moved_by(motion: Motion) -> dict[str, float]:

@@ -75,7 +75,14 @@ class Objective:
 
 class Problem(ABC):
     """Scores parameter vectors in closed loop, in parallel, with the same bits for any number of workers. Subclasses
-    define what a vector means: `tables` and `motion`."""
+    define what a vector means: `tables` and `motion`.
+
+    Attributes:
+        steps: control steps in an episode.
+        start: (k,) where the search begins.
+    """
+
+    steps: int
 
     def __init__(
         self,
@@ -94,17 +101,12 @@ class Problem(ABC):
         self.robot = robot
         self.demonstration = demonstration
         self.parameters = tuple(parameters)
+        self.start = self.initial
         self.objective = objective
         self.config = config if config is not None else default_config()
         self.workers = workers if workers is not None else available_cores()
         self.divisions: tuple[int, ...] = ()  # control steps that divide episodes into parts
-        self._loops: dict[tuple[int, int], ClosedLoop] = {}
-        self._disturbed: dict[tuple[int, int], ClosedLoop] = {}
-
-    @property
-    @abstractmethod
-    def steps(self) -> int:
-        """Control steps in an episode."""
+        self._loops: dict[tuple[int, int, bool], ClosedLoop] = {}
 
     @abstractmethod
     def motion(self, x: Array) -> Motion:
@@ -131,11 +133,6 @@ class Problem(ABC):
     def initial(self) -> Array:
         """(k,) the unmodulated motion."""
         return np.array([p.initial for p in self.parameters])
-
-    @property
-    def start(self) -> Array:
-        """(k,) where the search begins."""
-        return self.initial
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -184,32 +181,28 @@ class Problem(ABC):
         with ThreadPoolExecutor(len(parts)) as pool:
             return list(pool.map(run, range(len(parts))))
 
-    def evaluate(self, x: Array) -> Array:
-        """Scores of n candidates (n, k), greater is better, (n,)."""
-        rollouts = self.rollout(self.tables(x), nominal_start(len(x)), self.steps)
-        return np.concatenate([self.score(r) for r in rollouts])
-
-    def evaluate_over(self, x: Array, robots: Sequence[Disturbance]) -> Array:
-        """Scores of n candidates (n, k) by the criterion over the same m robots (m values per disturbance), (n,)."""
-        assert self.randomization is not None
-        m = len(robots[0].values)
+    def evaluate(self, x: Array, robots: Sequence[Disturbance] = ()) -> Array:
+        """Scores of n candidates (n, k), greater is better, (n,): of the nominal robot, or by the criterion over the
+        same m robots (m values per disturbance)."""
+        m = len(robots[0].values) if robots else 1
         tables = np.repeat(self.tables(x), m, axis=0)
-        rollouts = self.rollout(tables, nominal_start(len(tables)), self.steps, repeated(robots, len(x)))
-        scores = np.concatenate([self.score(r) for r in rollouts])
+        scores = self.scores(tables, nominal_start(len(tables)), self.steps, repeated(robots, len(x)))
+        if self.randomization is None or not robots:
+            return scores
         return self.randomization.scored(scores.reshape(len(x), m))
 
-    def _loop(self, worker: int, n: int, robots: tuple[Disturbance, ...] = ()) -> ClosedLoop:
-        key = (worker, n)
-        if robots:  # each iteration has other robots, so keep only the last ones
-            loop = self._disturbed.get(key)
-            if loop is None or loop.conditions.disturbances != robots:
-                conditions = Conditions(disturbances=robots)
-                loop = ClosedLoop(self.robot, self.demonstration, n, self.config, conditions=conditions)
-                self._disturbed[key] = loop
-            return loop
-        if key not in self._loops:
-            self._loops[key] = ClosedLoop(self.robot, self.demonstration, n, self.config)
-        return self._loops[key]
+    def scores(self, tables: NDArray[Any], start: Start, steps: int, robots: Sequence[Disturbance] = ()) -> Array:
+        """Objective of each episode, (n,); arguments as for `rollout`."""
+        return np.concatenate([self.score(r) for r in self.rollout(tables, start, steps, robots)])
+
+    def _loop(self, worker: int, n: int, robots: tuple[Disturbance, ...]) -> ClosedLoop:
+        key = worker, n, bool(robots)
+        loop = self._loops.get(key)
+        if loop is None or loop.conditions.disturbances != robots:  # each iteration's robots replace the last ones
+            conditions = Conditions(disturbances=robots)
+            loop = ClosedLoop(self.robot, self.demonstration, n, self.config, conditions=conditions)
+            self._loops[key] = loop
+        return loop
 
 
 class ImitationProblem(Problem):
@@ -242,24 +235,16 @@ class ImitationProblem(Problem):
             objective = replace(objective, duration_s=(demonstration.n_samples - 1) / demonstration.rate_hz)
         parameters = parameters_of_group(group, dmp)
         super().__init__(robot, demonstration, parameters, objective=objective, config=config, workers=workers)
-        self._start = np.array(begun_at(parameters, moved or {}))
+        self.start = np.array(begun_at(parameters, moved or {}))
         self.dmp = dmp
-        self._steps = episode_steps(self.objective.duration_s, self.config.rate_hz)
-        if self._repeats and self._steps < demonstration.n_samples:  # each parameter must act within an episode
-            self._steps = math.ceil(_CYCLES * demonstration.n_samples)
+        self.steps = episode_steps(self.objective.duration_s, self.config.rate_hz)
+        if self._repeats and self.steps < demonstration.n_samples:  # each parameter must act within an episode
+            self.steps = math.ceil(_CYCLES * demonstration.n_samples)
         self._clearance = swing_clearance(demonstration, robot.foot_radius)
         self._base = reference_table(dmp.motion(), robot)
         self._goals = {i: dmp.index(name) for i, name in self._moved("goal")}
         self._amplitudes = {i: dmp.index(name) for i, name in self._moved("amplitude")}
         self._moves_root = min((*self._goals.values(), *self._amplitudes.values())) < FEET.start
-
-    @property
-    def start(self) -> Array:
-        return self._start
-
-    @property
-    def steps(self) -> int:
-        return self._steps
 
     def motion(self, x: Array) -> Motion:
         goal, amplitude = self._modulation(x[None])

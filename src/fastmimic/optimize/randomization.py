@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import ConfigError, did_you_mean
+from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S
 from fastmimic.simulation.disturbances import Disturbance
 from fastmimic.simulation.ranges import PUSH_WINDOW_S, Range, check_once, draw, parse_range, usual_range
@@ -57,10 +57,7 @@ class Randomization:
                 f"randomisation takes at least 2 robots, found {self.robots}: the robot as it is, and one that differs"
             )
         if self.criterion not in CRITERIA:
-            raise ConfigError(
-                f"unknown criterion '{self.criterion}'; there are {', '.join(CRITERIA)}"
-                f"{did_you_mean(self.criterion, CRITERIA)}"
-            )
+            raise unknown("criterion", self.criterion, CRITERIA)
         given: Sequence[Any] = self.over
         if isinstance(given, str):
             given = (given,)

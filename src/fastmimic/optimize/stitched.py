@@ -70,6 +70,7 @@ class StitchedProblem(Problem):
         `MotionError` if the motion is not stitched.
         """
         self.layout = Layout.of(demonstration)
+        self.steps = demonstration.n_samples - 1
         objective = replace(objective or Objective(), duration_s=(demonstration.n_samples - 1) / demonstration.rate_hz)
         fits = [MotionDmp.fit(part, robot, n_basis) for part in demonstration.parts]
         self.segments = [
@@ -92,22 +93,13 @@ class StitchedProblem(Problem):
         if unknown:
             raise ConfigError(f"the start names {', '.join(unknown)}, which is not optimised here")
         values = np.array([float(given.get(p.name, p.initial)) for p in parameters])
-        self._start = np.clip(values, *self.bounds)
+        self.start = np.clip(values, *self.bounds)
         self.divisions = tuple(s.first for s in self.layout.segments[1:])
         self._table = reference_table(demonstration, robot)
         self._parts = [reference_table(part, robot) for part in demonstration.parts]
         self._trunk, self._feet = self.layout.trunk_weights(), self.layout.foot_weights()
         self._share = np.diff([0, *self.divisions, self.steps]) / self.steps
         self._clearance = segment_clearance(demonstration, robot.foot_radius, self.layout)
-
-    @property
-    def steps(self) -> int:
-        return self.demonstration.n_samples - 1
-
-    @property
-    def start(self) -> Array:
-        """(k,) start of the search: usually the segments' own optima."""
-        return self._start
 
     def of_segments(self, x: Array) -> list[Array]:
         """Parameters (..., k) split by segment, (..., k_i)."""

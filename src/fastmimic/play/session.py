@@ -18,7 +18,7 @@ from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar
 from fastmimic.clips.synthesis import GAITS
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.control.controller import Controller
-from fastmimic.episode.placement import on_reference
+from fastmimic.episode.loop import on_reference
 from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.episode.scorer import Scorer
 from fastmimic.imitation.methods import METHODS

@@ -10,7 +10,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.errors import RobotError
-from fastmimic.robot.robot import Robot
+from fastmimic.robot.robot import Robot, combined
 
 if TYPE_CHECKING:
     import mujoco
@@ -310,19 +310,7 @@ def _composite(model: "mujoco.MjModel", body: int) -> tuple[float, Array, Array]
                 )
 
     collect(body, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-    return _combine(parts)
-
-
-def _combine(parts: list[tuple[float, Array, Array]]) -> tuple[float, Array, Array]:
-    mass = sum(m for m, _, _ in parts)
-    if mass <= 0:
-        return 0.0, np.zeros(3), np.zeros((3, 3))
-    com = sum((m * c for m, c, _ in parts), np.zeros(3)) / mass
-    inertia = np.zeros((3, 3))
-    for m, c, i in parts:
-        d = c - com
-        inertia += i + m * (d @ d * np.eye(3) - np.outer(d, d))
-    return mass, com, inertia
+    return combined(parts)
 
 
 def _whole_body(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int) -> tuple[Array, Array]:
@@ -333,7 +321,7 @@ def _whole_body(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int) -> t
         axes = data.ximat[body].reshape(3, 3)
         inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
         parts.append((float(model.body_mass[body]), data.xipos[body] - data.xpos[trunk], inertia))
-    _, com, inertia = _combine(parts)
+    _, com, inertia = combined(parts)
     return rotation.T @ com, rotation.T @ inertia @ rotation
 
 

@@ -190,3 +190,16 @@ def joint_ratio(robot: Robot) -> float:
 def length_ratio(robot: Robot) -> float:
     """The robot's leg length over an A1's."""
     return robot.leg_length / A1_LEG_LENGTH_M
+
+
+def combined(parts: list[tuple[float, Array, Array]]) -> tuple[float, Array, Array]:
+    """Mass, centre of mass and central inertia of several bodies in one frame, from those of each."""
+    mass = sum(m for m, _, _ in parts)
+    if mass <= 0:
+        return 0.0, np.zeros(3), np.zeros((3, 3))
+    com = sum((m * c for m, c, _ in parts), np.zeros(3)) / mass
+    inertia = np.zeros((3, 3))
+    for m, c, i in parts:
+        d = c - com
+        inertia += i + m * (d @ d * np.eye(3) - np.outer(d, d))
+    return mass, com, inertia

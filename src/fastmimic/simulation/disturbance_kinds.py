@@ -18,6 +18,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.registry import Registry
 from fastmimic.base.rotations import matrix_from_quat
+from fastmimic.robot.robot import combined
 from fastmimic.simulation.simulators import SIMULATORS
 
 PUSH_TIME_S: Final = 2.0  # after the start of an episode, when the robot has settled into its gait
@@ -127,14 +128,8 @@ def _trunk_load(simulation: Any, _: Array) -> None:
 def loaded(mass: float, com: Array, inertia: Array, payload: float) -> tuple[float, Array, Array]:
     """Mass (kg), centre of mass (3,) (m) and inertia (3, 3) about it (kg·m²) of a trunk with a `payload` (kg). `mass`,
     `com` and `inertia` are those of the trunk alone, in its frame."""
-    at = np.array([0.0, 0.0, PAYLOAD_HEIGHT_M])
-    total = mass + payload
-    centre = (mass * com + payload * at) / total
-    about = inertia + payload * PAYLOAD_SIDE_M**2 / 6.0 * np.eye(3)
-    for m, position in ((mass, com), (payload, at)):
-        d = position - centre
-        about = about + m * (d @ d * np.eye(3) - np.outer(d, d))
-    return total, centre, about
+    at, cube = np.array([0.0, 0.0, PAYLOAD_HEIGHT_M]), payload * PAYLOAD_SIDE_M**2 / 6.0 * np.eye(3)
+    return combined([(mass, com, inertia + cube), (payload, at, np.zeros((3, 3)))])
 
 
 def _both(*levels: float) -> tuple[float, ...]:

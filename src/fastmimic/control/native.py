@@ -1,4 +1,4 @@
-"""DAQP's C function, callable from compiled code (Arnström, Bemporad, Axehill 2022).
+"""C functions, callable from compiled code: DAQP's solver (Arnström, Bemporad, Axehill 2022) and the monotonic clock.
 
     min ½ xᵀHx + fᵀx   subject to   lower ≤ (x[:ms], A x) ≤ upper
 
@@ -9,6 +9,8 @@ DAQP), the slower Python function is called instead, with the same results.
 
 import ctypes
 import functools
+import sys
+import time
 from typing import Any, Final
 
 import numpy as np
@@ -131,7 +133,7 @@ def _native_works() -> bool:
     return flag == OPTIMAL and bool(np.allclose(w["x"], (1.0, 0.5), atol=1e-9))
 
 
-def _choose() -> Any:
+def _choose_solver() -> Any:
     if numba_config.DISABLE_JIT:  # type: ignore[attr-defined]
         return _solve_plain
     library = _library()
@@ -140,5 +142,42 @@ def _choose() -> Any:
     return _solve_native if _native_works() else _solve_object
 
 
-solve_qp = _choose()
+solve_qp = _choose_solver()
 """solve_qp(workspace, n, m, ms) → exit flag, `OPTIMAL` if solved; the solution is in `workspace.x[:n]`."""
+
+
+_MONOTONIC: Final = 6 if sys.platform == "darwin" else 1  # CLOCK_MONOTONIC
+
+_clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.voidptr))
+
+
+@kernel
+def _now_native(timespec: NDArray[np.int64]) -> float:
+    _clock_gettime(_MONOTONIC, timespec.ctypes)
+    return timespec[0] + 1e-9 * timespec[1]
+
+
+@kernel
+def _now_object(timespec: NDArray[np.int64]) -> float:
+    with objmode(now="float64"):
+        now = time.perf_counter()
+    return now
+
+
+def _now_plain(timespec: NDArray[np.int64]) -> float:
+    return time.perf_counter()
+
+
+def _choose_clock() -> Any:
+    if numba_config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return _now_plain
+    try:
+        _ = ctypes.CDLL(None).clock_gettime
+    except (OSError, AttributeError, TypeError):
+        return _now_object
+    return _now_native
+
+
+seconds_now = _choose_clock()
+"""seconds_now(timespec) → s since some moment; `timespec` is (2,) int64 scratch, sec and ns on 64-bit systems. For
+timing only, never for behaviour."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba import config as numba_config
 
-from fastmimic.control.daqp import (
+from fastmimic.control.native import (
     INFINITY,
     OPTIMAL,
     _solve_object,
