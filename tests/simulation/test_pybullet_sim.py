@@ -16,12 +16,11 @@ from fastmimic.episode.plan import nominal_start
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND
-from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.conditions import Conditions, rough_ground, turns
 from fastmimic.simulation.disturbances import Disturbance, parse_disturbance
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION, MujocoSimulation
 from fastmimic.simulation.pybullet_sim import PybulletSimulation
 from fastmimic.simulation.simulators import make_simulation
-from fastmimic.simulation.terrain import rough_ground, turns
 from robot.mjcf import a1_tree, find, random_joints, random_quat, write
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

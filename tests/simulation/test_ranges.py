@@ -7,12 +7,12 @@ import pytest
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S
-from fastmimic.simulation.disturbances import make_world
-from fastmimic.simulation.ranges import (
+from fastmimic.simulation.disturbances import (
     PUSH_WINDOW_S,
     Range,
     check_once,
     draw,
+    make_world,
     parse_range,
     part,
     repeated,

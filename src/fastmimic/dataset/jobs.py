@@ -36,7 +36,7 @@ from fastmimic.optimize.randomization import Randomization
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.pybullet_description import DESCRIPTIONS
+from fastmimic.simulation.pybullet_sim import DESCRIPTIONS
 from fastmimic.simulation.simulators import SECOND_SIMULATOR
 
 WORK: Final = "work"

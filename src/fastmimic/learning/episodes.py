@@ -22,8 +22,8 @@ from fastmimic.learning.shard import DRAWS, Shard
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
-from fastmimic.simulation.ranges import Range, draw_uniform
-from fastmimic.simulation.ranges import part as part_of
+from fastmimic.simulation.disturbances import Range, draw_uniform
+from fastmimic.simulation.disturbances import part as part_of
 
 Seen = NDArray[np.float32]
 

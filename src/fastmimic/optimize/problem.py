@@ -36,9 +36,8 @@ from fastmimic.primitive.coordinates import FEET
 from fastmimic.reference.table import put_root, reference_table
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.disturbances import Disturbance
-from fastmimic.simulation.ranges import part as part_of
-from fastmimic.simulation.ranges import repeated
+from fastmimic.simulation.disturbances import Disturbance, repeated
+from fastmimic.simulation.disturbances import part as part_of
 
 _CYCLES: Final = 1.5  # cycles in an episode, if the requested length does not hold one cycle
 

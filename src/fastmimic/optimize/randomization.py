@@ -15,8 +15,15 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S
-from fastmimic.simulation.disturbances import Disturbance
-from fastmimic.simulation.ranges import PUSH_WINDOW_S, Range, check_once, draw, parse_range, usual_range
+from fastmimic.simulation.disturbances import (
+    PUSH_WINDOW_S,
+    Disturbance,
+    Range,
+    check_once,
+    draw,
+    parse_range,
+    usual_range,
+)
 
 ROBOTS: Final = 4  # per candidate by default; the cost of a search is in proportion
 _WORST: Final = "worst"

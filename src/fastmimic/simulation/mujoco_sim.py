@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY, LEGS
-from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import kernel
 from fastmimic.robot import Robot
 from fastmimic.robot.state import OBSERVATION
+from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, substeps_of
 
 FLOOR: Final = "fastmimic_floor"
-DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
 GROUND_FRICTION: Final = 0.8
 FOOT_FIRST: Final = 0.3  # foot radii by which the rest of its link has to be higher than a standing foot
 STANDING_LEANS_DEG: Final = (-60.0, -30.0, 0.0, 30.0, 60.0)  # of the calf from the vertical, in stance
@@ -192,13 +191,7 @@ class MujocoSimulation:
         ground: HeightField | None = None,
     ) -> None:
         """Raises `ConfigError` if the physics rate is not a multiple of the control rate."""
-        substeps = physics_rate_hz / control_rate_hz
-        if substeps < 1 or abs(substeps - round(substeps)) > 1e-9:
-            raise ConfigError(
-                f"the physics rate ({physics_rate_hz:g} Hz) must be a multiple of the control rate"
-                f" ({control_rate_hz:g} Hz)"
-            )
-        self.substeps = round(substeps)
+        self.substeps = substeps_of(physics_rate_hz, control_rate_hz)
         self.model = build_model(robot, physics_rate_hz, ground)
         self.batch = Batch(self.model, n, nthread=threads)
         self.observation = np.zeros(n, OBSERVATION)
@@ -216,16 +209,20 @@ class MujocoSimulation:
     ) -> None:
         """Puts the robots into given states (n, …), world frame but for the angular velocity (body frame)."""
         self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        self._qpos[:, :3], self._qpos[:, 3:7] = root_pos, root_quat
-        self._qpos[:, self._index[:12]] = joint_pos
-        self._qvel[:, :3], self._qvel[:, 3:6] = lin_vel, ang_vel_b
-        self._qvel[:, self._index[12:]] = joint_vel
-        self._ctrl[:] = 0.0
-        self._bias[:, :, 1:3] = 0.0
+        self._set(np.arange(len(self.observation)), root_pos, root_quat, joint_pos, lin_vel, ang_vel_b, joint_vel)
         self.batch.forward()
         self.observe()
 
-    def place(
+    def place(self, rows: NDArray[np.int64], *state: Array) -> None:
+        """Puts some robots (k,) into given states and leaves the others alone; arrays (k, …) as in `reset`. Their
+        contact forces are 0 until the next step."""
+        self.batch.reset(rows, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        self._set(rows, *state)
+        self.observe()
+        self.observation["foot_force"][rows] = 0.0
+        self.observation["other_contact"][rows] = 0.0
+
+    def _set(
         self,
         rows: NDArray[np.int64],
         root_pos: Array,
@@ -235,9 +232,6 @@ class MujocoSimulation:
         ang_vel_b: Array,
         joint_vel: Array,
     ) -> None:
-        """Puts some robots (k,) into given states and leaves the others alone; arrays (k, …) as in `reset`. Their
-        contact forces are 0 until the next step."""
-        self.batch.reset(rows, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         joints, joint_dofs = self._index[:12], self._index[12:]
         self._qpos[rows, :3], self._qpos[rows, 3:7] = root_pos, root_quat
         self._qpos[rows[:, None], joints] = joint_pos
@@ -245,9 +239,6 @@ class MujocoSimulation:
         self._qvel[rows[:, None], joint_dofs] = joint_vel
         self._ctrl[rows] = 0.0
         self._bias[rows, :, 1:3] = 0.0
-        self.observe()
-        self.observation["foot_force"][rows] = 0.0
-        self.observation["other_contact"][rows] = 0.0
 
     def observe(self) -> NDArray[Any]:
         """The present states, (n,) of `OBSERVATION`; contact forces are those of the last substep."""

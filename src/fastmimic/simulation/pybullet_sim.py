@@ -5,9 +5,11 @@ our MJCF's; it has no rotor inertia. Contacts are Bullet's: rigid, by sequential
 """
 
 import contextlib
+import io
+import os
 import tempfile
-import weakref
-from collections.abc import Sequence
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,13 +23,13 @@ from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate,
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import OBSERVATION
-from fastmimic.simulation.disturbance_kinds import DISTURBANCES
+from fastmimic.simulation.conditions import CELL_M, rough_ground, turns
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M
 from fastmimic.simulation.disturbances import Disturbance, driving_limit, make_world
-from fastmimic.simulation.pybullet_description import changed_description, quiet, read_description, require_pybullet
-from fastmimic.simulation.terrain import CELL_M, rough_ground, turns
+from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, substeps_of
 
-DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
-
+DESCRIPTIONS: Final = {"a1": "a1/a1.urdf"}  # in the package `pybullet_data`, by robot
+_TRUNK: Final = "trunk"
 _JOINTS: Final = tuple(f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "upper", "lower"))
 _TOES: Final = tuple(f"{leg}_toe" for leg in LEGS)
 _FIT_M: Final = 2e-3  # largest difference of the feet from those of our model
@@ -49,33 +51,24 @@ class PybulletSimulation:
         """Bullet and the motor law step at `physics_rate_hz`; `seed` is for uneven ground; a disturbance has one value,
         or one for each robot. Raises `ConfigError` if PyBullet is missing, the robot (of `DESCRIPTIONS`) or a
         disturbance is not supported, or the physics rate is not a multiple of the control rate."""
-        substeps = physics_rate_hz / control_rate_hz
-        if substeps < 1 or abs(substeps - round(substeps)) > 1e-9:
-            raise ConfigError(
-                f"the physics rate ({physics_rate_hz:g} Hz) must be a multiple of the control rate"
-                f" ({control_rate_hz:g} Hz)"
-            )
-        self._bullet = bullet = require_pybullet()
+        pybullet, BulletClient = require_pybullet()
         description = read_description(robot)
-        self.substeps = round(substeps)
+        self.substeps = substeps_of(physics_rate_hz, control_rate_hz)
         self.observation = np.zeros(n, OBSERVATION)
         self._rate = physics_rate_hz
         self._seed = seed
         self.world = world = make_world(disturbances, n, "pybullet")
         self._heights = rough_ground(float(world["roughness"][0]), seed) if world.has("roughness") else None
         self._turns = turns(n, seed)
-        self._clients: list[int] = []
-        self._close = weakref.finalize(self, _disconnect, bullet, self._clients)
+        self._clients: list[Any] = []
         for _ in range(n):
-            client = bullet.connect(bullet.DIRECT)
-            if client < 0:
+            bullet = BulletClient(pybullet.DIRECT)
+            if not bullet.isConnected():
                 raise ConfigError(f"PyBullet has room for {len(self._clients)} robots at a time; {n} were asked for")
-            self._clients.append(client)
+            self._clients.append(bullet)
         loads = np.column_stack([world[name] for name in ("payload", "com-x", "com-y")])
         self._descriptions = [changed_description(description, *load) for load in loads.tolist()]
-        self._bodies = [
-            _Body(bullet, client, text) for client, text in zip(self._clients, self._descriptions, strict=True)
-        ]
+        self._bodies = [_Body(bullet, text) for bullet, text in zip(self._clients, self._descriptions, strict=True)]
         self._limit = np.minimum(self._bodies[0].torque_limit, robot.torque_limit)
         _check_fit(self._bodies[0], robot)
         self._sent: list[NDArray[Any]] = []
@@ -86,7 +79,8 @@ class PybulletSimulation:
 
     def close(self) -> None:
         """Ends the physics clients; garbage collection does so otherwise."""
-        self._close()
+        while self._clients:
+            self._clients.pop().disconnect()
 
     def reset(
         self, root_pos: Array, root_quat: Array, joint_pos: Array, lin_vel: Array, ang_vel_b: Array, joint_vel: Array
@@ -99,8 +93,8 @@ class PybulletSimulation:
             for a, k in ((root_pos, 3), (root_quat, 4), (joint_pos, 12), (lin_vel, 3), (ang_vel_b, 3), (joint_vel, 12))
         ]
         self._steps, self._sent, self._headings = 0, [], None
-        for i, client in enumerate(self._clients):
-            self._load(i, client)
+        for i in range(n):
+            self._load(i)
             position, quat, joints, velocity, turning, speeds = (a[i] for a in wide)
             self._bodies[i].place(position, quat, joints, velocity, quat_rotate(quat, turning), speeds)
         for name in self.world.given:
@@ -138,87 +132,75 @@ class PybulletSimulation:
                     body.push(push[i], self._headings[i])
                 if self.world.at_each_step:
                     body.pull(self.trunk_force[i])
-                self._bullet.stepSimulation(physicsClientId=self._clients[i])
+                self._clients[i].stepSimulation()
             body.observe(self.observation[i], self._rate)
         self._steps += 1
         return self.observation
 
-    def _load(self, i: int, client: int) -> None:
+    def _load(self, i: int) -> None:
         """An empty world with its ground and the robot."""
-        bullet, world = self._bullet, self.world
-        bullet.resetSimulation(physicsClientId=client)
-        bullet.setTimeStep(1.0 / self._rate, physicsClientId=client)
-        bullet.setGravity(*(GRAVITY * world.gravity[i]), physicsClientId=client)
-        bullet.setPhysicsEngineParameter(deterministicOverlappingPairs=1, physicsClientId=client)
-        self._bodies[i] = body = _Body(bullet, client, self._descriptions[i])
-        ground = _ground(bullet, client, self._heights, float(self._turns[i]))
+        bullet, world = self._clients[i], self.world
+        bullet.resetSimulation()
+        bullet.setTimeStep(1.0 / self._rate)
+        bullet.setGravity(*(GRAVITY * world.gravity[i]))
+        bullet.setPhysicsEngineParameter(deterministicOverlappingPairs=1)
+        self._bodies[i] = body = _Body(bullet, self._descriptions[i])
+        body.ground = _ground(bullet, self._heights, float(self._turns[i]))
         # Bullet multiplies the coefficients of the two bodies: the ground has them, the robot 1
-        bullet.changeDynamics(ground, -1, lateralFriction=float(world["friction"][i]), physicsClientId=client)
-        body.ground = ground
+        bullet.changeDynamics(body.ground, -1, lateralFriction=float(world["friction"][i]))
         body.prepare(float(world["joint-friction"][i]), float(world["joint-damping"][i]))
 
 
 class _Body:
     """One robot in its client."""
 
-    def __init__(self, bullet: Any, client: int, description: str) -> None:
-        self._bullet, self._client = bullet, client
+    def __init__(self, bullet: Any, description: str) -> None:
+        self._bullet = bullet
         self.ground = -1
         with tempfile.TemporaryDirectory() as folder:  # PyBullet reads files only
             path = Path(folder) / "robot.urdf"
             path.write_text(description, encoding="utf-8")
             with quiet():
-                self.id = bullet.loadURDF(
-                    str(path), useFixedBase=False, flags=bullet.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client
-                )
-        joints, links, limits = {}, {}, {}
-        for index in range(bullet.getNumJoints(self.id, physicsClientId=client)):
-            about = bullet.getJointInfo(self.id, index, physicsClientId=client)
-            joints[about[1].decode()], links[about[12].decode()] = index, index
-            limits[about[1].decode()] = about[10]
-        self.joints = [joints[name] for name in _JOINTS]
-        self.toes = [links[name] for name in _TOES]
-        self.torque_limit = np.array([limits[name] for name in _JOINTS])
-        trunk = bullet.getDynamicsInfo(self.id, -1, physicsClientId=client)
+                self.id = bullet.loadURDF(str(path), useFixedBase=False, flags=bullet.URDF_USE_INERTIA_FROM_FILE)
+        about = [bullet.getJointInfo(self.id, index) for index in range(bullet.getNumJoints(self.id))]
+        joints = [joint[1].decode() for joint in about]
+        links = [joint[12].decode() for joint in about]
+        self.joints = [joints.index(name) for name in _JOINTS]
+        self.toes = [links.index(name) for name in _TOES]
+        self.torque_limit = np.array([about[joint][10] for joint in self.joints])
+        trunk = bullet.getDynamicsInfo(self.id, -1)
         # the base is reported as the trunk's inertial frame, given here in the trunk's own
         self.com_b = np.array(trunk[3])
         self.frame_b = _wxyz(trunk[4])
 
-    @property
-    def links(self) -> range:
-        """Indices of all links, including the base (−1)."""
-        return range(-1, self._bullet.getNumJoints(self.id, physicsClientId=self._client))
-
     def prepare(self, friction: float, damping: float) -> None:
         """Motors off but for the joints' own friction; no air drag, which Bullet has by default."""
-        bullet, on = self._bullet, {"physicsClientId": self._client}
-        for link in self.links:
+        bullet = self._bullet
+        for link in range(-1, bullet.getNumJoints(self.id)):  # with the base
             # each in a call of its own: together with the damping, a link's friction would be ignored
-            bullet.changeDynamics(self.id, link, lateralFriction=1.0, **on)
-            bullet.changeDynamics(self.id, link, linearDamping=0.0, angularDamping=0.0, **on)
+            bullet.changeDynamics(self.id, link, lateralFriction=1.0)
+            bullet.changeDynamics(self.id, link, linearDamping=0.0, angularDamping=0.0)
         for joint in self.joints:
-            bullet.setJointMotorControl2(
-                self.id, joint, bullet.VELOCITY_CONTROL, targetVelocity=0, force=friction, **on
-            )
+            bullet.setJointMotorControl2(self.id, joint, bullet.VELOCITY_CONTROL, targetVelocity=0, force=friction)
             if damping > 0:
-                bullet.changeDynamics(self.id, joint, jointDamping=damping, **on)
+                bullet.changeDynamics(self.id, joint, jointDamping=damping)
 
     def place(
         self, position: Array, quat: Array, joint_pos: Array, lin_vel: Array, ang_vel: Array, joint_vel: Array
     ) -> None:
         """Sets the state of the trunk's frame and the joints, world frame."""
-        bullet, on = self._bullet, {"physicsClientId": self._client}
+        bullet = self._bullet
         arm = quat_rotate(quat, self.com_b)
         frame = quat_multiply(quat, self.frame_b)
-        bullet.resetBasePositionAndOrientation(self.id, position + arm, frame[[1, 2, 3, 0]], **on)
-        bullet.resetBaseVelocity(self.id, lin_vel + np.cross(ang_vel, arm), ang_vel, **on)
+        bullet.resetBasePositionAndOrientation(self.id, position + arm, frame[[1, 2, 3, 0]])
+        bullet.resetBaseVelocity(self.id, lin_vel + np.cross(ang_vel, arm), ang_vel)
         for joint, angle, speed in zip(self.joints, joint_pos, joint_vel, strict=True):
-            bullet.resetJointState(self.id, joint, angle, speed, **on)
+            bullet.resetJointState(self.id, joint, angle, speed)
 
     def drive(self, command: Any, limit: Array, strength: float, top_speed: float) -> None:
         """The motor law for one physics step."""
         bullet = self._bullet
-        states = bullet.getJointStates(self.id, self.joints, physicsClientId=self._client)
+        states = bullet.getJointStates(self.id, self.joints)
         position = np.array([state[0] for state in states])
         velocity = np.array([state[1] for state in states])
         torque = (
@@ -231,9 +213,7 @@ class _Body:
             driving = driving_limit(limit, np.array([[top_speed]]), velocity[None])[0]
             most = np.where(torque * velocity > 0, driving, limit)
         torque = strength * np.clip(torque, -most, most)
-        bullet.setJointMotorControlArray(
-            self.id, self.joints, bullet.TORQUE_CONTROL, forces=torque.tolist(), physicsClientId=self._client
-        )
+        bullet.setJointMotorControlArray(self.id, self.joints, bullet.TORQUE_CONTROL, forces=torque.tolist())
 
     def push(self, force: Array, heading: float) -> None:
         """A force (2,) on the trunk's centre of mass, along a heading and to its left, for one physics step."""
@@ -242,26 +222,26 @@ class _Body:
 
     def pull(self, force_w: Array) -> None:
         """A force (3,) on the trunk's centre of mass, world frame, for one physics step."""
-        bullet, on = self._bullet, {"physicsClientId": self._client}
-        at, _ = bullet.getBasePositionAndOrientation(self.id, **on)
-        bullet.applyExternalForce(self.id, -1, force_w, at, bullet.WORLD_FRAME, **on)
+        bullet = self._bullet
+        at, _ = bullet.getBasePositionAndOrientation(self.id)
+        bullet.applyExternalForce(self.id, -1, force_w, at, bullet.WORLD_FRAME)
 
     def observe(self, out: Any, rate: float) -> None:
         """Writes the state, and the ground reaction forces of the last physics step, into a record of `OBSERVATION`."""
-        bullet, on = self._bullet, {"physicsClientId": self._client}
-        at, frame = bullet.getBasePositionAndOrientation(self.id, **on)
-        velocity, turning = (np.array(v) for v in bullet.getBaseVelocity(self.id, **on))
+        bullet = self._bullet
+        at, frame = bullet.getBasePositionAndOrientation(self.id)
+        velocity, turning = (np.array(v) for v in bullet.getBaseVelocity(self.id))
         quat = quat_multiply(_wxyz(frame), quat_conjugate(self.frame_b))
         arm = quat_rotate(quat, self.com_b)
         out["root_pos"] = np.array(at) - arm
         out["root_quat"] = quat
         out["lin_vel"] = velocity - np.cross(turning, arm)
         out["ang_vel"] = turning
-        states = bullet.getJointStates(self.id, self.joints, **on)
+        states = bullet.getJointStates(self.id, self.joints)
         out["joint_pos"] = [state[0] for state in states]
         out["joint_vel"] = [state[1] for state in states]
         forces, others = np.zeros((4, 3)), 0
-        for contact in bullet.getContactPoints(bodyA=self.id, bodyB=self.ground, **on) if self.ground >= 0 else ():
+        for contact in bullet.getContactPoints(bodyA=self.id, bodyB=self.ground) if self.ground >= 0 else ():
             force = contact[9] * np.array(contact[7]) + contact[10] * np.array(contact[11])
             force += contact[12] * np.array(contact[13])
             if contact[3] in self.toes:
@@ -274,7 +254,7 @@ class _Body:
     def feet(self, joint_pos: Array) -> Array:
         """Feet in the trunk's frame at given joint angles, (4, 3) m; leaves the robot there."""
         self.place(np.zeros(3), np.array([1.0, 0, 0, 0]), joint_pos, np.zeros(3), np.zeros(3), np.zeros(12))
-        links = self._bullet.getLinkStates(self.id, self.toes, computeForwardKinematics=1, physicsClientId=self._client)
+        links = self._bullet.getLinkStates(self.id, self.toes, computeForwardKinematics=1)
         return np.array([link[4] for link in links])
 
 
@@ -291,29 +271,87 @@ def _check_fit(body: _Body, robot: Robot) -> None:
             )
 
 
-def _ground(bullet: Any, client: int, heights: Array | None, turn: float) -> int:
+def _ground(bullet: Any, heights: Array | None, turn: float) -> int:
     """A plane, or a height field turned about its middle."""
-    on = {"physicsClientId": client}
     if heights is None:
-        return int(bullet.createMultiBody(0, bullet.createCollisionShape(bullet.GEOM_PLANE, **on), **on))
+        return int(bullet.createMultiBody(0, bullet.createCollisionShape(bullet.GEOM_PLANE)))
     shape = bullet.createCollisionShape(
         bullet.GEOM_HEIGHTFIELD,
         meshScale=[CELL_M, CELL_M, 1.0],
         heightfieldData=heights.ravel().tolist(),
         numHeightfieldRows=heights.shape[1],
         numHeightfieldColumns=heights.shape[0],
-        **on,
     )
     middle = [0.0, 0.0, float(heights.max() + heights.min()) / 2]  # Bullet centres the heights about their range
-    return int(bullet.createMultiBody(0, shape, -1, middle, bullet.getQuaternionFromEuler([0, 0, turn]), **on))
-
-
-def _disconnect(bullet: Any, clients: list[int]) -> None:
-    while clients:
-        with contextlib.suppress(bullet.error):
-            bullet.disconnect(physicsClientId=clients.pop())
+    return int(bullet.createMultiBody(0, shape, -1, middle, bullet.getQuaternionFromEuler([0, 0, turn])))
 
 
 def _wxyz(quat: Sequence[float]) -> Array:
     x, y, z, w = quat
     return np.array([w, x, y, z])
+
+
+def require_pybullet() -> tuple[Any, Any]:
+    """PyBullet's module and its client class; raises `ConfigError`, with what to do, if it is not installed."""
+    with contextlib.redirect_stderr(io.StringIO()), quiet():  # it tells when it was built
+        try:
+            import pybullet
+            import pybullet_data  # noqa: F401
+            from pybullet_utils.bullet_client import BulletClient
+        except ImportError:
+            raise ConfigError("the second simulator needs PyBullet: pip install 'fastmimic[pybullet]'") from None
+    return pybullet, BulletClient
+
+
+def read_description(robot: Robot) -> str:
+    """The robot's URDF without visual shapes; raises `ConfigError` if there is none."""
+    import pybullet_data
+
+    if robot.name not in DESCRIPTIONS:
+        raise ConfigError(
+            f"PyBullet has a description of {' and '.join(DESCRIPTIONS)}, none of '{robot.name}'; run it in mujoco"
+        )
+    path = Path(pybullet_data.getDataPath()) / DESCRIPTIONS[robot.name]
+    tree = ElementTree.fromstring(path.read_text(encoding="utf-8"))
+    for link in tree.iter("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+def changed_description(description: str, payload: float, com_x: float, com_y: float) -> str:
+    """The description with a payload on the trunk and the trunk's centre of mass shifted."""
+    if not (payload or com_x or com_y):
+        return description
+    tree = ElementTree.fromstring(description)
+    origin = tree.find(f"link[@name='{_TRUNK}']/inertial/origin")
+    assert origin is not None, "the trunk has a centre of mass"
+    x, y, z = (float(value) for value in origin.get("xyz", "0 0 0").split())
+    origin.set("xyz", f"{x + com_x!r} {y + com_y!r} {z!r}")
+    if payload:
+        moment = payload * PAYLOAD_SIDE_M**2 / 6.0
+        load = ElementTree.SubElement(tree, "link", name="payload")
+        inertial = ElementTree.SubElement(load, "inertial")
+        ElementTree.SubElement(inertial, "mass", value=repr(payload))
+        moments = {f"i{a}{b}": repr(moment) if a == b else "0" for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")}
+        ElementTree.SubElement(inertial, "inertia", moments)
+        joint = ElementTree.SubElement(tree, "joint", name="payload_joint", type="fixed")
+        ElementTree.SubElement(joint, "parent", link=_TRUNK)
+        ElementTree.SubElement(joint, "child", link="payload")
+        ElementTree.SubElement(joint, "origin", xyz=f"0 0 {PAYLOAD_HEIGHT_M!r}", rpy="0 0 0")
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Silences the terminal output of C code."""
+    with open(os.devnull, "wb") as nowhere:
+        kept = [(fd, os.dup(fd)) for fd in (1, 2)]
+        try:
+            for fd, _ in kept:
+                os.dup2(nowhere.fileno(), fd)
+            yield
+        finally:
+            for fd, copy in kept:
+                os.dup2(copy, fd)
+                os.close(copy)

@@ -7,11 +7,15 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.errors import ConfigError
 from fastmimic.base.registry import Registry
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:  # its disturbances are entries that refer to simulators
     from fastmimic.simulation.conditions import Conditions
+
+
+DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
 
 
 class Simulation(Protocol):
@@ -112,3 +116,13 @@ def make_simulation(
     upper bound; PyBullet has one. Raises `ConfigError` as `check_simulator`, for a disturbance that is not realised, or
     for rates that do not fit."""
     return SIMULATORS[conditions.simulator].make(robot, n, conditions, control_rate_hz, threads)
+
+
+def substeps_of(physics_rate_hz: float, control_rate_hz: float) -> int:
+    """Physics steps in a control step; raises `ConfigError` if they are not a whole number."""
+    substeps = physics_rate_hz / control_rate_hz
+    if substeps < 1 or abs(substeps - round(substeps)) > 1e-9:
+        raise ConfigError(
+            f"the physics rate ({physics_rate_hz:g} Hz) must be a multiple of the control rate ({control_rate_hz:g} Hz)"
+        )
+    return round(substeps)
