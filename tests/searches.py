@@ -2,7 +2,7 @@
 
 from typing import Any, Final
 
-from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.optimize.parameters import FinalChoice
 
 QUICK_CHOICE: Final = FinalChoice(candidates=2, episodes=2, robots=2, duration_s=0.4)
 QUICK_COMMAND: Final[dict[str, Any]] = {"choice": QUICK_CHOICE, "evaluation_s": 0.6}

@@ -13,7 +13,7 @@ from control.motions import gait
 from fastmimic.base.errors import CheckpointError, ConfigError
 from fastmimic.imitation.stitch import usual_population
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.stitched import segment_clearance
 from fastmimic.primitive import MotionDmp
 from fastmimic.robot import Robot

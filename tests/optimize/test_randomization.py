@@ -13,7 +13,7 @@ from fastmimic.base.errors import CheckpointError, ConfigError
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.cma_es import CmaSettings, Optimum, Progress, optimize
-from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.problem import ImitationProblem, Objective
 from fastmimic.optimize.randomization import (
     CRITERIA,

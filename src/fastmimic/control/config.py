@@ -56,19 +56,7 @@ class ControllerConfig:
     def __post_init__(self) -> None:
         where = f"controller configuration '{self.name}': "
         check(self, where)
-        checks = (
-            (
-                self.gait.release_threshold <= self.gait.contact_threshold,
-                "gait.release_threshold must be in [0, contact_threshold]",
-            ),
-            (self.stance.min_force < self.stance.max_force, "stance.min_force must be in [0, max_force)"),
-            *_horizon_checks(self),
-            (
-                self.recovery.end_error <= self.recovery.start_error,
-                "recovery.end_error must not be above recovery.start_error",
-            ),
-        )
-        for ok, message in checks:
+        for ok, message in _rules(self):
             if not ok:
                 raise ConfigError(where + message)
 
@@ -93,11 +81,16 @@ class ControllerConfig:
         return config
 
 
-def _horizon_checks(config: ControllerConfig) -> tuple[tuple[bool, str], ...]:
-    """(ok, message) of each rule of the horizon; the rates matter only where it is used."""
-    horizon, rate_hz, used = config.horizon, config.rate_hz, config.stance.forces == "horizon"
-    ratio = rate_hz / horizon.solve_rate_hz
+def _rules(config: ControllerConfig) -> tuple[tuple[bool, str], ...]:
+    """(ok, message) of each rule for several values together; the horizon's rates matter only where it is used."""
+    gait, stance, horizon, recovery = config.gait, config.stance, config.horizon, config.recovery
+    rate_hz, used, ratio = config.rate_hz, stance.forces == "horizon", config.rate_hz / horizon.solve_rate_hz
     return (
+        (
+            gait.release_threshold <= gait.contact_threshold,
+            "gait.release_threshold must be in [0, contact_threshold]",
+        ),
+        (stance.min_force < stance.max_force, "stance.min_force must be in [0, max_force)"),
         (
             not used or horizon.step_s * rate_hz >= 1 - 1e-9,
             f"horizon.step_s must be at least one control step, {1 / rate_hz:g} s, not {horizon.step_s:g}",
@@ -111,6 +104,7 @@ def _horizon_checks(config: ControllerConfig) -> tuple[tuple[bool, str], ...]:
             any(w > 0 for w in (*horizon.position_weight, *horizon.velocity_weight)),
             "horizon.position_weight and velocity_weight must not all be 0",
         ),
+        (recovery.end_error <= recovery.start_error, "recovery.end_error must not be above recovery.start_error"),
     )
 
 

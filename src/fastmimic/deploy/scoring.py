@@ -16,8 +16,8 @@ from fastmimic.deploy.realtime_loop import LoopOutcome
 from fastmimic.deploy.safety import StopReason
 from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.episode.metrics import Metrics
+from fastmimic.episode.reward import Scorer
 from fastmimic.episode.rollout import Rollout, summarised
-from fastmimic.episode.scorer import Scorer
 from fastmimic.imitation.evaluate import Evaluation
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import advance_clocks, make_clocks, reference_table

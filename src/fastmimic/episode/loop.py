@@ -14,8 +14,8 @@ from fastmimic.control.config import ControllerConfig, default_config, loaded_ro
 from fastmimic.control.controller import Controller
 from fastmimic.episode.observer import Observer
 from fastmimic.episode.plan import Start, episode_steps, nominal_start
+from fastmimic.episode.reward import Scorer, demonstration_in_world
 from fastmimic.episode.rollout import Log, Rollout, summarised
-from fastmimic.episode.scorer import Scorer, demonstration_in_world
 from fastmimic.estimation.estimator import START
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import (

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.episode.observer import EstimationErrors
-from fastmimic.episode.reward import REWARD_TERMS, reward_weights
+from fastmimic.episode.reward import REWARD_TERMS, Counted, reward_weights
 from fastmimic.episode.run_log import RunLog
-from fastmimic.episode.scorer import Counted
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,9 @@ from fastmimic.robot.state import COMMAND, OBSERVATION, READING
 
 FORMAT: Final = "fastmimic run log"
 VERSION: Final = 1
-ENDING: Final = ".npz"
 
 _RECORDS: Final = {"reading": READING, "command": COMMAND, "estimate": OBSERVATION}
+_ABOUT: Final = {"robot": str, "motion": str, "rate_hz": float, "latency_s": float}
 _NOT_KNOWN: Final = ("other_contact",)  # fields of an observation that no sensor gives
 
 
@@ -51,14 +51,7 @@ class RunLog:
     def save(self, path: str | Path) -> None:
         """Writes an `.npz` without pickles: `about` (JSON), `stance`, and `reading_…`, `command_…`, `estimate_…` by
         field, each with a row per control step. Raises `OutputError` if it cannot be written."""
-        about = {
-            "format": FORMAT,
-            "version": VERSION,
-            "robot": self.robot,
-            "motion": self.motion,
-            "rate_hz": self.rate_hz,
-            "latency_s": self.latency_s,
-        }
+        about = {"format": FORMAT, "version": VERSION, **{name: getattr(self, name) for name in _ABOUT}}
         arrays: dict[str, Any] = {"about": np.array(json.dumps(about)), "stance": self.stance}
         for name, dtype in _RECORDS.items():
             record = getattr(self, name)
@@ -92,7 +85,7 @@ class RunLog:
         if stood is None or stood.ndim != 2 or stood.shape[1] != 4:
             raise LogError(f"{path}: 'stance' is missing or does not have a column for each leg")
         steps = len(stood)
-        records = {}
+        records: dict[str, Any] = {}
         for name, dtype in _RECORDS.items():
             record = np.zeros(steps, dtype)
             for field in _fields(dtype):
@@ -107,16 +100,16 @@ class RunLog:
                 record[field] = value
             records[name] = record
         try:
-            robot, motion = str(about["robot"]), str(about["motion"])
-            rate_hz, latency_s = float(about["rate_hz"]), float(about["latency_s"])
+            known = {name: kind(about[name]) for name, kind in _ABOUT.items()}
         except (KeyError, ValueError, TypeError) as error:
             raise LogError(f"{path}: its description lacks a name or a number ({error})") from None
-        if not (rate_hz > 0 and latency_s >= 0):
+        log = cls(**known, **records, stance=stood.astype(bool))
+        if not (log.rate_hz > 0 and log.latency_s >= 0):
             raise LogError(
-                f"{path}: rate_hz must be positive and latency_s not negative, found {rate_hz:g} and {latency_s:g}"
+                f"{path}: rate_hz must be positive and latency_s not negative, found {log.rate_hz:g} and"
+                f" {log.latency_s:g}"
             )
-        stance = stood.astype(bool)
-        return cls(robot, motion, rate_hz, latency_s, **records, stance=stance)
+        return log
 
 
 def _fields(dtype: np.dtype[Any]) -> list[str]:

@@ -38,7 +38,7 @@ from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import Progress
-from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.problem import Objective
 from fastmimic.robot import Robot
 from fastmimic.runs.work_folder import CHECKPOINT, ENVIRONMENT, MOTION, MOTIONS, RESULTS_CSV, TABLE, WorkFolder, created

@@ -21,7 +21,7 @@ from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import Method, check_controller, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, Progress
-from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.robot import Robot
 from fastmimic.runs.work_folder import ENVIRONMENT, MOTIONS, WorkFolder
 from fastmimic.simulation.conditions import Conditions

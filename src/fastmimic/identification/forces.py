@@ -17,7 +17,7 @@ from fastmimic.base.errors import LogError
 from fastmimic.base.rotations import matrix_from_quat
 from fastmimic.episode.run_log import RunLog
 from fastmimic.robot import Robot
-from fastmimic.robot.dynamics import leg_torques
+from fastmimic.robot.dynamics import inverse_dynamics, leg_torques
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 
 SMOOTHING_S: Final = 0.03  # window of the smoothing quadratic: short against a stance, long against the noise
@@ -166,17 +166,11 @@ def _vertical_need(
     """(t,) vertical ground reaction force of the unloaded robot in the logged motion, by inverse dynamics, N."""
     import mujoco
 
-    model = robot.model()
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    data = mujoco.MjData(model)
-    joints = [model.joint(name).id for name in robot.joint_names]
-    q_index, v_index = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
-    out = np.zeros(len(q))
-    for i in range(len(q)):
-        mujoco.mju_mat2Quat(data.qpos[3:7], rotation[i].ravel())
-        data.qpos[q_index], data.qvel[3:6], data.qvel[v_index] = q[i], gyro[i], dq[i]
-        data.qacc[:3], data.qacc[3:6], data.qacc[v_index] = rotation[i] @ accel[i], turning[i], ddq[i]
-        data.qacc[2] -= GRAVITY
-        mujoco.mj_inverse(model, data)
-        out[i] = data.qfrc_inverse[2]
-    return out
+    position = np.zeros((len(q), 19))
+    position[:, :3], position[:, 7:] = robot.model().qpos0[:3], q
+    for row, frame in zip(position, rotation, strict=True):
+        mujoco.mju_mat2Quat(row[3:7], frame.ravel())
+    linear = np.array([frame @ sensed for frame, sensed in zip(rotation, accel, strict=True)])
+    linear[:, 2] -= GRAVITY
+    velocity = np.hstack([np.zeros_like(gyro), gyro, dq])
+    return inverse_dynamics(robot, position, velocity, np.hstack([linear, turning, ddq]))[0][:, 2]

@@ -21,8 +21,7 @@ from fastmimic.episode.rollout import Rollout
 from fastmimic.imitation.methods import Method, check_controller, made_with, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, History, Progress, optimize
-from fastmimic.optimize.final_choice import FinalChoice
-from fastmimic.optimize.parameters import Parameter, moved_by
+from fastmimic.optimize.parameters import FinalChoice, Parameter, moved_by
 from fastmimic.optimize.problem import Objective
 from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization, randomization
 from fastmimic.optimize.stitched import make_problem

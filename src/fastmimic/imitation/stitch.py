@@ -22,8 +22,7 @@ from fastmimic.imitation.methods import check_controller, made_with, method_name
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.optimize.cma_es import CmaSettings, Progress
-from fastmimic.optimize.final_choice import FinalChoice
-from fastmimic.optimize.parameters import FOOT_HEIGHT, needed_group
+from fastmimic.optimize.parameters import FOOT_HEIGHT, FinalChoice, needed_group
 from fastmimic.optimize.randomization import Randomization, randomization
 from fastmimic.optimize.stitched import StitchedProblem, parameters_of
 from fastmimic.robot import Robot, load_robot

@@ -14,7 +14,7 @@ from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.control.config import default_config
 from fastmimic.episode.loop import Placement
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
-from fastmimic.episode.scorer import Scorer
+from fastmimic.episode.reward import Scorer
 from fastmimic.learning.config import PolicyConfig, pack_settings
 from fastmimic.learning.observation import act, command, make_senses, observe
 from fastmimic.motion.motion import Motion

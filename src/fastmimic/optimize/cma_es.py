@@ -14,7 +14,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import CheckpointError, ConfigError
 from fastmimic.episode.plan import nominal_start
 from fastmimic.optimize.checkpoint import Checkpoint
-from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.problem import Problem
 from fastmimic.simulation.disturbances import Disturbance
 

@@ -19,8 +19,7 @@ from fastmimic.clips.synthesis import GAITS
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.control.controller import Controller
 from fastmimic.episode.loop import on_reference
-from fastmimic.episode.reward import REWARD_TERMS
-from fastmimic.episode.scorer import Scorer
+from fastmimic.episode.reward import REWARD_TERMS, Scorer
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.play.live_reference import LiveReference
