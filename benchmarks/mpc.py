@@ -90,9 +90,9 @@ def closed_loop(
         commands = step(observation, clocks)
         if controller.memory["solve_time"][0] > 0:
             times.append(float(controller.memory["solve_time"][0]))
-            k = int(controller._foresight["slot"][0, : config.horizon.steps].max()) + 1
+            k = int(controller._work.foresight["slot"][0, : config.horizon.steps].max()) + 1
             if k > 0:
-                problems.append(Problem.of(controller._plan_qp[0], k))
+                problems.append(Problem.of(controller._work.plan_qp[0], k))
         return commands
 
     controller.step = recording  # type: ignore[method-assign]

@@ -49,7 +49,7 @@ class Problem:
     """The QP of the one robot of a rig in its last step, written down as a whole from what was foreseen."""
 
     def __init__(self, rig: Rig) -> None:
-        config, self.ahead = rig.controller.config.horizon, rig.controller._foresight[0]
+        config, self.ahead = rig.controller.config.horizon, rig.controller._work.foresight[0]
         self.steps, h = config.steps, config.step_s
         self.slot = np.array(self.ahead["slot"][: self.steps])
         self.k = int(self.slot.max()) + 1
@@ -83,7 +83,7 @@ class Problem:
                 rows += [side - stance.friction * z for side in diagonals]
                 limits += [0] * 4
         self.rows, self.limits = np.array(rows), np.array(limits)
-        self.qp = rig.controller._plan_qp[0]
+        self.qp = rig.controller._work.plan_qp[0]
 
     def variable(self, slot: int, axis: int) -> int:
         return slot if axis == 2 else self.k + 2 * slot + axis
@@ -215,7 +215,7 @@ class TestForesight:
         observation["root_pos"][:, :2] += rotate_planar(yaw, beside)
         observation["lin_vel"] = 0.0
         rig.step(observation)
-        ahead = rig.controller._foresight[0]
+        ahead = rig.controller._work.foresight[0]
         time = STEP_S * np.arange(1, STEPS + 1)
         turn = 0.5 * time
         x, y = np.sin(turn) / 0.5, (1 - np.cos(turn)) / 0.5
@@ -233,7 +233,7 @@ class TestForesight:
         """On the reference, every foot that stands ahead is a foothold of the motion, seen from the moving body."""
         rig = Rig(robot, [trot], np.array([sample]), self.CONFIG)
         rig.step(on_reference(trot, rig.samples))
-        ahead = rig.controller._foresight[0]
+        ahead = rig.controller._work.foresight[0]
         middle = sample + np.round((np.arange(STEPS) + 0.5) * STEP_S * 500).astype(int)
         np.testing.assert_array_equal(ahead["standing"][1:STEPS], trot.contact[middle[1:] % 250])
         np.testing.assert_array_equal(ahead["standing"][0], rig.controller.memory["stance"][0])
@@ -266,7 +266,7 @@ class TestForesight:
         table = rig.controller.tables[0]
         table["lin_vel"][-1, 2], table["ang_vel"][-1, :2], table["leg_lin_acc"][-1] = 0.3, 0.2, 5.0
         rig.step(on_reference(once, rig.samples))
-        ahead = rig.controller._foresight[0]
+        ahead = rig.controller._work.foresight[0]
         time = STEP_S * np.arange(1, STEPS + 1)
         turn = yaw_rate * time
         along, across = time * np.sinc(turn / np.pi), 0.5 * turn * time * np.sinc(turn / (2 * np.pi)) ** 2
@@ -309,7 +309,7 @@ class TestForesight:
         observation = on_reference(motion, rig.samples)
         rig.step(observation)
         plan = rig.controller.plan[0]
-        flight = ~np.any(rig.controller._foresight[0]["standing"][:STEPS], axis=1)
+        flight = ~np.any(rig.controller._work.foresight[0]["standing"][:STEPS], axis=1)
         assert flight.any()
         assert not flight.all()
         np.testing.assert_allclose(plan["acceleration"][:STEPS][flight, 2], -GRAVITY)
@@ -367,7 +367,7 @@ class TestBetweenPlans:
         plan = controller.plan[0]
         acceleration = np.array(plan["acceleration"][0])
         assert np.linalg.norm(acceleration[3:]) > 10, "far enough from the reference that feedback would be heard"
-        np.testing.assert_allclose(controller._scratch[0]["desired"], acceleration, atol=1e-8)
+        np.testing.assert_allclose(controller._work.scratch[0]["desired"], acceleration, atol=1e-8)
         t, heading = 0.016, float(plan["heading"])
         start = np.array(plan["state"][0])
         pose = start[:6] + t * start[6:] + 0.5 * t**2 * acceleration
@@ -382,7 +382,7 @@ class TestBetweenPlans:
             rig.clocks["sample"] = 60 + i
             rig.step(later)
         back = heading - float(yaw_from_quat(later["root_quat"][0]))
-        wanted = controller._scratch[0]["desired"]
+        wanted = controller._work.scratch[0]["desired"]
         np.testing.assert_allclose(wanted[:3], turned_vector(back, acceleration[:3]), atol=0.02)
         # differences of rotation vectors for rotations: 2 % here
         np.testing.assert_allclose(wanted[3:], turned_vector(back, acceleration[3:]), atol=1.0)
@@ -399,7 +399,7 @@ class TestBetweenPlans:
         for rig in pair:
             rig.clocks["sample"] = 61
             rig.step(observation)
-        wanted = [rig.controller._scratch[0]["desired"] for rig in pair]
+        wanted = [rig.controller._work.scratch[0]["desired"] for rig in pair]
         assert np.abs(wanted[1]).max() > 10
         np.testing.assert_allclose(*wanted, atol=1e-9)
 

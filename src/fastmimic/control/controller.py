@@ -16,10 +16,16 @@ from fastmimic.control.horizon import HORIZON_CONSTRAINTS, HORIZON_VARIABLES, PL
 from fastmimic.control.horizon_preview import FORESIGHT
 from fastmimic.control.inertia import WORK as INERTIA_WORK
 from fastmimic.control.inertia import add_standing_leg
-from fastmimic.control.joint_commands import add_leg_dynamics, clip_command, compensate_friction, stance_leg
+from fastmimic.control.joint_commands import (
+    add_leg_dynamics,
+    clip_command,
+    compensate_friction,
+    lift_off,
+    stance_leg,
+    swing_leg,
+)
 from fastmimic.control.native import make_workspace, seconds_now
 from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, stance_forces
-from fastmimic.control.swing import lift_off, swing_leg
 from fastmimic.control.tracking import compare_to_reference, desired_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import stack_tables
@@ -237,13 +243,7 @@ def _add_leg_momentum(config: Any, ref: Any, scratch: Any) -> None:
 class Controller:
     """n robots under one configuration, each following a reference of the same length. For one thread at a time."""
 
-    def __init__(
-        self,
-        robot: Robot,
-        motions: Sequence[Motion],
-        n: int,
-        config: ControllerConfig | None = None,
-    ) -> None:
+    def __init__(self, robot: Robot, motions: Sequence[Motion], n: int, config: ControllerConfig | None = None) -> None:
         """`motions` has one reference for all robots, or one for each.
 
         Raises:
@@ -270,9 +270,12 @@ class Controller:
         self.plan = np.zeros(n, PLAN)
         self._config = pack_config(self.config, robot)
         self._model = pack_model(robot)
-        self._scratch, self._foresight = np.zeros(1, SCRATCH), np.zeros(1, FORESIGHT)
-        self._qp = make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS)
-        self._plan_qp = make_workspace(HORIZON_VARIABLES, HORIZON_CONSTRAINTS)
+        self._work = WorkMemory(
+            qp=make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS),
+            plan_qp=make_workspace(HORIZON_VARIABLES, HORIZON_CONSTRAINTS),
+            scratch=np.zeros(1, SCRATCH),
+            foresight=np.zeros(1, FORESIGHT),
+        )
 
     def reset(self, sample: NDArray[np.int64]) -> None:
         """Starts each robot in the leg states that its reference has at `sample` (n,)."""
@@ -285,18 +288,6 @@ class Controller:
     def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
         """Commands (n,) of `COMMAND` for the next control step; overwritten by the next call. `observation` is (n,) of
         `OBSERVATION`, `clocks` (n,) of `CLOCK`."""
-        control_step(
-            self._config,
-            self._model,
-            self.tables,
-            clocks,
-            observation,
-            self.memory,
-            self.command,
-            self.plan,
-            self._qp,
-            self._plan_qp,
-            self._scratch,
-            self._foresight,
-        )
+        robots = self.tables, clocks, observation, self.memory, self.command, self.plan
+        control_step(self._config, self._model, *robots, *self._work)
         return self.command

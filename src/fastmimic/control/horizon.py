@@ -144,16 +144,7 @@ def _hessian(config: Any, ahead: Any, k: int, qp: Any) -> None:
 
 @kernel
 def plan_forces(
-    config: Any,
-    model: Any,
-    table: Any,
-    clock: Any,
-    obs: Any,
-    memory: Any,
-    scratch: Any,
-    plan: Any,
-    ahead: Any,
-    qp: Any,
+    config: Any, model: Any, table: Any, clock: Any, obs: Any, memory: Any, scratch: Any, plan: Any, ahead: Any, qp: Any
 ) -> bool:
     """Plans the forces ahead of one robot (inputs as in `foresee`); False, and no plan, if the solver failed."""
     foresee(config, model, table, clock, obs, memory, scratch, ahead)

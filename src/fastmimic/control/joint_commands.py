@@ -1,10 +1,11 @@
-"""Joint commands: the standing legs' torques from the ground forces, with the paper's online adaptation (eq. 2), and
-what all legs have in common: their own dynamics, joint losses, and limits."""
+"""Joint commands: standing legs by the ground forces, with the paper's online adaptation (eq. 2); swinging legs along
+paths of the feet in the air (eq. 3); and for all legs their own dynamics, joint losses, and limits."""
 
 from typing import Any, Final
 
 import numpy as np
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined
 from fastmimic.base.vectors import transposed_times
 from fastmimic.robot.dynamics import cross, leg_inverse_dynamics
@@ -16,14 +17,7 @@ DRY_FRICTION_FROM: Final = 0.5  # rad/s; below it friction is compensated in par
 
 @inlined
 def stance_leg(
-    config: Any,
-    model: Any,
-    obs: Any,
-    memory: Any,
-    command: Any,
-    scratch: Any,
-    leg: int,
-    solved: bool,
+    config: Any, model: Any, obs: Any, memory: Any, command: Any, scratch: Any, leg: int, solved: bool
 ) -> None:
     """τ = −Jᵀ Rᵀ f, plus low-gain feedback towards the foot's next position (paper, eq. 2)."""
     j, foot = 3 * leg, scratch.feet[leg]
@@ -58,6 +52,120 @@ def stance_leg(
         command.stiffness[j + i] = stiffness
         command.damping[j + i] = damping
         command.torque[j + i] = -scratch.torque[i]
+
+
+@inlined
+def swing_target(
+    config: Any, ref: Any, rotation: Array, reference_rotation: Array, height_error: float, leg: int, out: Array
+) -> None:
+    """Reference foot in the robot's body frame, levelled to gravity and ground by the factor `config.level`."""
+    x, y, z = ref.foot_pos[leg, 0], ref.foot_pos[leg, 1], ref.foot_pos[leg, 2]
+    hx = reference_rotation[0, 0] * x + reference_rotation[0, 1] * y + reference_rotation[0, 2] * z
+    hy = reference_rotation[1, 0] * x + reference_rotation[1, 1] * y + reference_rotation[1, 2] * z
+    hz = reference_rotation[2, 0] * x + reference_rotation[2, 1] * y + reference_rotation[2, 2] * z
+    # a yaw error is not corrected by the swing foot
+    yaw = np.arctan2(reference_rotation[1, 0], reference_rotation[0, 0])
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    hx, hy = cy * hx + sy * hy, -sy * hx + cy * hy
+    hz += height_error
+    lx = rotation[0, 0] * hx + rotation[1, 0] * hy + rotation[2, 0] * hz
+    ly = rotation[0, 1] * hx + rotation[1, 1] * hy + rotation[2, 1] * hz
+    lz = rotation[0, 2] * hx + rotation[1, 2] * hy + rotation[2, 2] * hz
+    out[0] = x + config.level * (lx - x)
+    out[1] = y + config.level * (ly - y)
+    out[2] = z + config.level * (lz - z)
+
+
+@inlined
+def lift_off(config: Any, ref: Any, memory: Any, scratch: Any, leg: int, height_error: float) -> None:
+    """Stores where a foot leaves the ground, body frame: its offset from the reference, or the start of its path."""
+    foot, target = scratch.feet[leg], scratch.foot_target
+    if config.raibert == 1:
+        rotation = scratch.rotation
+        for k in range(3):
+            level = rotation[k, 0] * foot[0] + rotation[k, 1] * foot[1] + rotation[k, 2] * foot[2]
+            level -= height_error if k == 2 else 0.0
+            memory.liftoff_offset[leg, k] = foot[k] + config.level * (level - foot[k])
+        return
+    swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
+    for k in range(3):
+        memory.liftoff_offset[leg, k] = foot[k] - target[k]
+
+
+@inlined
+def raibert_path(
+    config: Any, model: Any, ref: Any, memory: Any, scratch: Any, leg: int, share: float, height_error: float
+) -> tuple[float, float, float]:
+    """Joint angles at a share of the straight path to the Raibert foothold (Kang et al. 2021; paper, §IV-B). The path
+    leads from lift-off to 0.5 T_s v − K (v̄ − v) from under the hip, on the ground: x and y linear in time, z over a
+    parabola. Velocities are the base's, body frame, as in eq. 3. `config.level` levels the path."""
+    g, rotation, start = model.geometry[leg], scratch.rotation, memory.liftoff_offset[leg]
+    forward = 0.5 * config.swing_time
+    x = g[0] + g[4] + forward * scratch.lin_vel_b[0] - config.velocity_feedback[0] * scratch.velocity_error[0]
+    y = g[1] + g[3] + forward * scratch.lin_vel_b[1] - config.velocity_feedback[1] * scratch.velocity_error[1]
+    z = model.foot_radius - ref.root_pos[2]
+    x = start[0] + share * (x - start[0])
+    y = start[1] + share * (y - start[1])
+    z = start[2] + share * (z - start[2]) + 4.0 * config.swing_height * share * (1.0 - share)
+    hz = z + height_error
+    lx = rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * hz
+    ly = rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * hz
+    lz = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * hz
+    a, h, k, _ = leg_inverse(g, x + config.level * (lx - x), y + config.level * (ly - y), z + config.level * (lz - z))
+    return a, h, k
+
+
+@inlined
+def raibert_leg(
+    config: Any, model: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int, height_error: float
+) -> None:
+    """Moves a leg to the Raibert foothold, holding it after T_s until contact; independent of the animal."""
+    share = min(memory.since_switch[leg] / config.swing_time, 1.0)
+    step = config.dt / config.swing_time
+    a, h, k = raibert_path(config, model, ref, memory, scratch, leg, share, height_error)
+    j = 3 * leg
+    command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
+    if share < 1.0:
+        a0, h0, k0 = raibert_path(config, model, ref, memory, scratch, leg, share - step, height_error)
+        a1, h1, k1 = raibert_path(config, model, ref, memory, scratch, leg, share + step, height_error)
+    else:
+        a0, h0, k0 = a, h, k
+        a1, h1, k1 = a, h, k
+    half, square = 0.5 / config.dt, 1.0 / (config.dt * config.dt)
+    command.joint_vel[j], command.joint_vel[j + 1] = half * (a1 - a0), half * (h1 - h0)
+    command.joint_vel[j + 2] = half * (k1 - k0)
+    scratch.joint_acc[j], scratch.joint_acc[j + 1] = square * (a1 - 2 * a + a0), square * (h1 - 2 * h + h0)
+    scratch.joint_acc[j + 2] = square * (k1 - 2 * k + k0)
+
+
+@inlined
+def swing_leg(
+    config: Any, model: Any, obs: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int, height_error: float
+) -> None:
+    """Paper, eq. 3: reference foot minus K (v̄ − v), and a share of the position error, by inverse kinematics."""
+    for j in range(3 * leg, 3 * leg + 3):
+        command.stiffness[j] = config.swing_kp
+        command.damping[j] = config.swing_kd
+        command.torque[j] = 0.0
+    if config.raibert == 1:
+        raibert_leg(config, model, ref, memory, command, scratch, leg, height_error)
+        return
+    target = scratch.foot_target
+    swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
+    for k in range(2):
+        gain = config.velocity_feedback[k] + scratch.recovering * config.recovery_feedback[k]
+        target[k] -= gain * scratch.velocity_error[k]
+        target[k] -= config.position_feedback * scratch.position_error[k]
+    if memory.since_switch[leg] < config.blend_time:
+        left = 1.0 - memory.since_switch[leg] / config.blend_time
+        fade = left * left * (3.0 - 2.0 * left)
+        for k in range(3):
+            target[k] += fade * memory.liftoff_offset[leg, k]
+    a, h, k, _ = leg_inverse(model.geometry[leg], target[0], target[1], target[2])
+    j = 3 * leg
+    command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
+    for j in range(3 * leg, 3 * leg + 3):
+        command.joint_vel[j] = ref.joint_vel[j]
 
 
 @inlined

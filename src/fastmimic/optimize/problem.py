@@ -102,6 +102,7 @@ class Problem(ABC):
         self.parameters = tuple(parameters)
         self.start = self.initial
         self.objective = objective
+        self.randomization = objective.randomization
         self.config = config if config is not None else default_config()
         self.workers = workers if workers is not None else available_cores()
         self.divisions: tuple[int, ...] = ()  # control steps that divide episodes into parts
@@ -122,11 +123,6 @@ class Problem(ABC):
     @abstractmethod
     def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
         """Starts of the validation episodes, the first unperturbed, and their control steps."""
-
-    @property
-    def randomization(self) -> Randomization | None:
-        """The robots that score candidates; None for the nominal robot."""
-        return self.objective.randomization
 
     @property
     def initial(self) -> Array:

@@ -37,7 +37,6 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         """`robot` is without the disturbances; `seed` is for uneven ground; the rest as for `MujocoSimulation`. Raises
         `ConfigError` as `make_world`, or if the physics rate is not a multiple of the control rate."""
         self.world = make_world(disturbances, n, "mujoco")
-        self._seed = seed
         rough = self.world.has("roughness")
         super().__init__(
             robot,
@@ -56,7 +55,9 @@ class DisturbedMujocoSimulation(MujocoSimulation):
             if change is not None and self.world.has(name):
                 change(self, self.world[name])
         if rough:
-            self._turn_floor(turns(n, seed))
+            floor, half = self.model.geom(FLOOR).id, turns(n, seed) / 2  # about the origin
+            self.batch.expand("geom_quat")[:, floor] = np.column_stack([np.cos(half), np.zeros((n, 2)), np.sin(half)])
+            self.batch.expand("geom_sameframe")[:, floor] = 0  # it is no longer parallel to the world
         if self.constants_changed:
             self.batch.set_const()
         self._limit = robot.torque_limit
@@ -72,13 +73,6 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         self._steps = 0
         self._directions: Array | None = None
         self._pushed = bool(self.world.at_each_step) or self.world.has("push", "side-push")
-
-    def _turn_floor(self, turn: Array) -> None:
-        """Turns each robot's height field about the origin by (n,) rad."""
-        floor, n = self.model.geom(FLOOR).id, len(turn)
-        quat = np.column_stack([np.cos(turn / 2), np.zeros((n, 2)), np.sin(turn / 2)])
-        self.batch.expand("geom_quat")[:, floor] = quat
-        self.batch.expand("geom_sameframe")[:, floor] = 0  # it is no longer parallel to the world
 
     def reset(
         self, root_pos: Array, root_quat: Array, joint_pos: Array, lin_vel: Array, ang_vel_b: Array, joint_vel: Array

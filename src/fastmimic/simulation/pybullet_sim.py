@@ -56,7 +56,6 @@ class PybulletSimulation:
         self.substeps = substeps_of(physics_rate_hz, control_rate_hz)
         self.observation = np.zeros(n, OBSERVATION)
         self._rate = physics_rate_hz
-        self._seed = seed
         self.world = world = make_world(disturbances, n, "pybullet")
         self._heights = rough_ground(float(world["roughness"][0]), seed) if world.has("roughness") else None
         self._turns = turns(n, seed)

@@ -37,11 +37,7 @@ class SensorConfig:
     """
 
     imu_rate_hz: float = parameter(
-        500.0,
-        unit="Hz",
-        above=0.0,
-        key="",
-        about="IMU readings, at most one a control step; each holds until the next",
+        500.0, unit="Hz", above=0.0, key="", about="IMU readings, at most one a control step; each holds until the next"
     )
     joint_rate_hz: float = parameter(500.0, unit="Hz", above=0.0, key="", about="joint readings")
     foot_rate_hz: float = parameter(250.0, unit="Hz", above=0.0, key="", about="foot readings")
@@ -277,12 +273,7 @@ class Sensors:
     """The sensors of n robots. A robot's noise depends on its own generator alone."""
 
     def __init__(
-        self,
-        robot: Robot,
-        n: int,
-        rate_hz: float,
-        config: SensorConfig | None = None,
-        gravity: Array | None = None,
+        self, robot: Robot, n: int, rate_hz: float, config: SensorConfig | None = None, gravity: Array | None = None
     ) -> None:
         """`gravity` (n, 3) are its directions in the simulation's frame, unit vectors; downwards if None."""
         self.config = config if config is not None else SensorConfig()
