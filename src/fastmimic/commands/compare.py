@@ -16,7 +16,7 @@ from fastmimic.commands import options as opt
 from fastmimic.commands.console import KEPT, note, put, share_progress
 from fastmimic.control.config import controller_config
 from fastmimic.imitation.methods import METHODS, PAPER_METHODS, RL, method_named
-from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.robot import ROBOT_NAMES
 from fastmimic.runs.work_folder import TABLE
 

@@ -13,7 +13,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import FIRST_USE, KEPT, note, optimisation_progress, put, share_progress, slow_start
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.robot import Robot
 from fastmimic.runs.work_folder import MOTIONS, TABLE, WorkFolder
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES

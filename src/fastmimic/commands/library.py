@@ -13,9 +13,9 @@ from fastmimic.commands import options as opt
 from fastmimic.commands.console import EXIT_SOME_FAILED, note, put, share_progress, slow_start
 from fastmimic.commands.library_content import LibraryExport, ListMotions, Show, Verify, put_summary
 from fastmimic.executors import make_executor
-from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.robot import ROBOT_CHOICES
-from fastmimic.simulation.pybullet_description import DESCRIPTIONS, require_pybullet
+from fastmimic.simulation.pybullet_sim import DESCRIPTIONS, require_pybullet
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.dataset.build import BuildRequest, BuildStep

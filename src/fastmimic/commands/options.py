@@ -16,7 +16,7 @@ from fastmimic.base.text import plain
 from fastmimic.control.config import CONFIGS
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.randomization import Randomization
 from fastmimic.render.encoding import quality_named
 from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot

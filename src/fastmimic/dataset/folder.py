@@ -34,7 +34,7 @@ from fastmimic.imitation.methods import RL, method_named
 from fastmimic.motion.export import DEFAULT_FPS, EXPORTS, export_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings
-from fastmimic.optimize.final_choice import FinalChoice
+from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.problem import Objective
 from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization
 from fastmimic.robot import load_robot

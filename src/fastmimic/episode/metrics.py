@@ -153,10 +153,10 @@ def style_distance(foot_pos_b: Array, reference_b: Array, cycle_b: Array | None 
 
     where A is the RMS of the reference path about its mean; the result, dimensionless, is the legs' mean. Height and
     ground plane each have their own amplitude, because a swing is an order of magnitude longer than high: a foot that
-    is no longer lifted would hardly count otherwise. So 0 is the same motion, feet of constant height have 1, feet that do not move √2, and
-    another amplitude a of the height alone |1 − a|. Nothing is aligned: another phase, another height, or exchanged
-    legs are another motion. A_xy is at least A_z, so that stepping on the spot is not measured by its noise. Legs that
-    do not move in the reference are left out.
+    is no longer lifted would hardly count otherwise. So 0 is the same motion, feet of constant height have 1, feet that
+    do not move √2, and another amplitude a of the height alone |1 − a|. Nothing is aligned: another phase, another
+    height, or exchanged legs are another motion. A_xy is at least A_z, so that stepping on the spot is not measured by
+    its noise. Legs that do not move in the reference are left out.
 
     `foot_pos_b` and `reference_b` (t, 4, 3) are feet in the body frame at the same times, m; samples with a NaN are
     left out. The amplitudes are those of `cycle_b` (k, 4, 3), the reference's cycle, or of `reference_b` if None. NaN

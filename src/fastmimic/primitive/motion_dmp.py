@@ -49,7 +49,7 @@ def foot_table(robot: Robot, foot_pos_b: Array, rate_hz: float, periodic: bool =
     joint_pos = np.empty((n, t, 12))
     shift, count = np.zeros((n, 4)), np.zeros((n, 4), dtype=np.int64)
     limits = np.stack([robot.joint_lower, robot.joint_upper])
-    _reach(robot.geometry.rows, limits, feet, joint_pos, shift, count)
+    _reach(robot.geometry, limits, feet, joint_pos, shift, count)
     if periodic:
         joint_vel = (np.roll(joint_pos, -1, axis=1) - np.roll(joint_pos, 1, axis=1)) * (0.5 * rate_hz)
     else:

@@ -16,7 +16,7 @@ from fastmimic.retargeting.reach import Reach, foot_offsets
 from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE
 from fastmimic.retargeting.track import ScaledClip, cycle_displacement, extract, pose_mismatch, track_cycle, track_open
 from fastmimic.robot import Robot
-from fastmimic.robot.scaling import length_ratio
+from fastmimic.robot.robot import length_ratio
 
 DOG_SCALE: Final = 0.825  # the A1's size over the dog's (Peng et al. 2020)
 _END_S: Final = 0.1  # final part that shows whether a recording comes to rest
