@@ -15,7 +15,6 @@ from fastmimic.commands.library_content import LibraryExport, ListMotions, Show,
 from fastmimic.executors import make_executor
 from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.robot import ROBOT_CHOICES
-from fastmimic.simulation.pybullet_sim import DESCRIPTIONS, require_pybullet
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.dataset.build import BuildRequest, BuildStep
@@ -138,6 +137,8 @@ class Libraries:
 
 def _second_simulator(robots: Sequence[str]) -> bool:
     """Whether PyBullet is installed; prints a note if it is missing and has one of the robots."""
+    from fastmimic.simulation.pybullet_sim import DESCRIPTIONS, require_pybullet  # it loads the compiler
+
     try:
         require_pybullet()
     except ConfigError:
