@@ -139,11 +139,8 @@ class Bowl:
     def tables(self, x: np.ndarray) -> np.ndarray:
         return x
 
-    def rollout(self, tables: np.ndarray, start: object, steps: int) -> list[np.ndarray]:
-        return [tables]
-
-    def score(self, rollout: np.ndarray) -> np.ndarray:
-        return self.evaluate(rollout)
+    def scores(self, tables: np.ndarray, start: object, steps: int, robots: object) -> np.ndarray:
+        return self.evaluate(tables)
 
     def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
         return nominal_start(episodes), 500
@@ -308,7 +305,7 @@ class TestInterrupted:
         def poor_baseline(x: np.ndarray) -> np.ndarray:
             return evaluate(x) - (1.0 if len(x) == 1 else 0.0)
 
-        def interrupted(tables: np.ndarray, start: Start, steps: int) -> list[Rollout]:
+        def interrupted(tables: np.ndarray, start: Start, steps: int, robots: object) -> list[Rollout]:
             nonlocal calls
             if start.joint_offset.any():  # only the episodes of the final choice are perturbed
                 calls += 1

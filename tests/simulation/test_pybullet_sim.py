@@ -113,16 +113,15 @@ class TestMechanics:
     def test_ground_forces_change_the_momentum(self, robot: Robot) -> None:
         """Sideways speed is lost to friction, and the sum of the forces says how fast."""
         simulation, _ = standing(robot)
-        masses = [
-            simulation._bullet.getDynamicsInfo(simulation._bodies[0].id, j)[0] for j in simulation._bodies[0].links
-        ]
+        bullet, body = simulation._clients[0], simulation._bodies[0].id
+        links = range(bullet.getNumJoints(body))
+        masses = [bullet.getDynamicsInfo(body, j)[0] for j in (-1, *links)]
 
         def momentum() -> np.ndarray:
-            body, on = simulation._bodies[0], {"physicsClientId": simulation._clients[0]}
-            velocities = [simulation._bullet.getBaseVelocity(body.id, **on)[0]]
+            body = simulation._bodies[0].id  # another one after a reset
+            velocities = [bullet.getBaseVelocity(body)[0]]
             velocities += [
-                simulation._bullet.getLinkState(body.id, j, computeLinkVelocity=1, computeForwardKinematics=1, **on)[6]
-                for j in list(body.links)[1:]
+                bullet.getLinkState(body, j, computeLinkVelocity=1, computeForwardKinematics=1)[6] for j in links
             ]
             return sum(m * np.array(v) for m, v in zip(masses, velocities, strict=True))
 
@@ -200,10 +199,9 @@ class TestDisturbances:
         force = o["foot_force"].sum(axis=0)
         assert np.linalg.norm(force[:2]) / force[2] == pytest.approx(friction, rel=0.02)
         simulation = standing(robot, 0.01)[0]
-        about = simulation._bullet.getDynamicsInfo
-        on, body = {"physicsClientId": simulation._clients[0]}, simulation._bodies[0]
+        about, body = simulation._clients[0].getDynamicsInfo, simulation._bodies[0]
         for toe in body.toes:
-            assert about(body.ground, -1, **on)[1] * about(body.id, toe, **on)[1] == GROUND_FRICTION
+            assert about(body.ground, -1)[1] * about(body.id, toe)[1] == GROUND_FRICTION
 
     def test_slippery_ground(self, robot: Robot) -> None:
         """On a slope of 10° a standing robot stays if the friction is above its tangent, 0.18."""
@@ -219,7 +217,7 @@ class TestDisturbances:
         for i, turn in enumerate(turns(2, 3)):
             for row, column in ((210, 230), (150, 260), (300, 90)):
                 x, y = rotate_planar(turn, 0.15 * np.array([column - 200.0, row - 200.0]))
-                hit = simulation._bullet.rayTest([x, y, 1], [x, y, -1], physicsClientId=simulation._clients[i])[0]
+                hit = simulation._clients[i].rayTest([x, y, 1], [x, y, -1])[0]
                 assert hit[3][2] == pytest.approx(heights[row, column], abs=2e-3)
 
     def test_a_push_is_an_impulse_along_the_heading(self, robot: Robot) -> None:
