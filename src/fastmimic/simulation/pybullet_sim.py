@@ -5,6 +5,7 @@ our MJCF's; it has no rotor inertia. Contacts are Bullet's: rigid, by sequential
 """
 
 import contextlib
+import ctypes
 import io
 import os
 import tempfile
@@ -61,7 +62,8 @@ class PybulletSimulation:
         self._turns = turns(n, seed)
         self._clients: list[Any] = []
         for _ in range(n):
-            bullet = BulletClient(pybullet.DIRECT)
+            with quiet():  # it tells its arguments
+                bullet = BulletClient(pybullet.DIRECT)
             if not bullet.isConnected():
                 raise ConfigError(f"PyBullet has room for {len(self._clients)} robots at a time; {n} were asked for")
             self._clients.append(bullet)
@@ -351,6 +353,7 @@ def quiet() -> Iterator[None]:
                 os.dup2(nowhere.fileno(), fd)
             yield
         finally:
+            ctypes.CDLL(None).fflush(None)  # what C has buffered goes nowhere too
             for fd, copy in kept:
                 os.dup2(copy, fd)
                 os.close(copy)
