@@ -10,6 +10,7 @@ disturbances by itself (`fastmimic.simulation.simulators`).
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -94,13 +95,8 @@ def _slope(simulation: Any, _: Array) -> None:
     simulation.constants_changed = True
 
 
-def _joint_friction(simulation: Any, values: Array) -> None:
-    simulation.batch.expand("dof_frictionloss")[:, simulation.joint_dofs] = values[:, None]
-    simulation.constants_changed = True
-
-
-def _joint_damping(simulation: Any, values: Array) -> None:
-    simulation.batch.expand("dof_damping")[:, simulation.joint_dofs] = values[:, None]
+def _joints(field: str, simulation: Any, values: Array) -> None:
+    simulation.batch.expand(field)[:, simulation.joint_dofs] = values[:, None]
     simulation.constants_changed = True
 
 
@@ -274,7 +270,7 @@ DISTURBANCES: Final = Registry(
             levels=(0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0),
             usual=(0.0, 0.4),
             randomized=True,
-            apply={"mujoco": _joint_friction},
+            apply={"mujoco": partial(_joints, "dof_frictionloss")},
         ),
         DisturbanceKind(
             "joint-damping",
@@ -285,7 +281,7 @@ DISTURBANCES: Final = Registry(
             levels=(0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8),
             usual=(0.0, 0.04),
             randomized=True,
-            apply={"mujoco": _joint_damping},
+            apply={"mujoco": partial(_joints, "dof_damping")},
         ),
         DisturbanceKind(
             "push",
