@@ -102,8 +102,9 @@ class Skips:
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         chosen = session.config.option.markexpr or session.config.option.keyword  # says little of what is missing
-        if session.config.cache is not None and not self.again and not chosen:
-            session.config.cache.set(SKIPPED, sorted(name for names in self.reasons.values() for name in names))
+        cache = getattr(session.config, "cache", None)  # with `-p no:cacheprovider` there is none
+        if cache is not None and not self.again and not chosen:
+            cache.set(SKIPPED, sorted(name for names in self.reasons.values() for name in names))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         if not self.reasons:

@@ -11,7 +11,7 @@ from fastmimic.base.errors import LogError
 from fastmimic.control.config import default_config, read_config
 from fastmimic.episode.run_log import RunLog
 from fastmimic.identification.forces import ground_forces
-from fastmimic.identification.identify import FRICTION_MARGIN, identify
+from fastmimic.identification.identify import FRICTION_MARGIN, Friction, identify
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.state import OBSERVATION
@@ -59,16 +59,19 @@ class TestFriction:
         assert found.stance_friction(config) == pytest.approx(FRICTION_MARGIN * found.friction.value)
         assert identify(make_log(1.5), robot).stance_friction(config) == config.stance.friction
 
-    @pytest.mark.parametrize(("floor", "slips"), [(0.5, True), (1.0, False)])
-    def test_of_a_simulated_floor(self, data_folder: Path, robot: Robot, floor: float, slips: bool) -> None:
-        conditions = Conditions(observe="sensors", disturbances=(Disturbance("friction", (floor,)),))
-        log = evaluate("anim:side-steps", duration_s=5.0, conditions=conditions, log=True).run_log()
-        found = identify(log, robot).friction
-        if slips:
-            assert found.value == pytest.approx(floor, abs=0.08)
-        else:
-            assert found.value is None
-            assert 0.4 < found.lower < floor
+    def test_of_a_simulated_floor(self, data_folder: Path, robot: Robot) -> None:
+        found = [self._on_a_floor(robot, 0.5, seed).value for seed in range(3)]  # one alone scatters by 0.05
+        assert np.median([value for value in found if value is not None]) == pytest.approx(0.5, abs=0.08)
+
+    def test_of_a_floor_that_does_not_slip(self, data_folder: Path, robot: Robot) -> None:
+        found = self._on_a_floor(robot, 1.0, 0)
+        assert found.value is None
+        assert 0.4 < found.lower < 1.0
+
+    def _on_a_floor(self, robot: Robot, floor: float, seed: int) -> Friction:
+        conditions = Conditions("mujoco", "sensors", seed, (Disturbance("friction", (floor,)),))
+        log = evaluate("anim:side-steps", duration_s=15.0, conditions=conditions, log=True).run_log()
+        return identify(log, robot).friction
 
 
 class TestPayload:
