@@ -55,6 +55,10 @@ def test_files_that_are_named_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     named = set(re.findall(r"(?<![\w/.])((?:src|docs|tests|benchmarks|examples|\.ci)/[\w./-]+\.\w+)", text))
     assert not sorted(name for name in named if not (ROOT / name).exists())
+    package = Path(fastmimic.__file__).parent
+    rooms = "|".join(folder.name for folder in package.iterdir())
+    inside = re.findall(rf"`((?:{rooms})/[\w/]*\.py)`", text)
+    assert not sorted(name for name in inside if not (package / name).exists())
     links = {link.split("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", text))}
     local = {link for link in links if link and not re.match(r"[a-z]+:", link)}
     assert not sorted(link for link in local if not (page.parent / link).exists())
