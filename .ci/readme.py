@@ -17,12 +17,14 @@ import traceback
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import fastmimic as fm
 from fastmimic import cli
 from fastmimic.base.registry import load_extensions
+from fastmimic.optimize.parameters import FinalChoice
 
 BLOCK = re.compile(r"^(?:<!-- not run: (.+) -->\n)?```(bash|python)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NOT_OURS = re.compile(r"^(?:pip|make|git|sudo|python|cd|\.ci/run|sbatch|tensorboard)\b.*$", re.MULTILINE)
@@ -30,6 +32,8 @@ COLUMN_OF_POINT = (0, 3, 11, 6, 20, 16, 15, 10, 23, 19)
 """Which of a dog file's 27 points each of `POINT_NAMES` is."""
 LONG = {"view", "play", "robot-sim", "data", "train", "compare", "stress", "transfer", "library"}
 """Verbs that take long, wait for a user, or fetch."""
+CHOICE = FinalChoice(candidates=2, episodes=2, robots=2, duration_s=0.4)
+"""How a search chooses its result here: quickly."""
 SHELL = re.compile(r"[|&;<>$`(){}\[\]*]|^(?!fastmimic )", re.MULTILINE)
 """In a bash block: more than commands of `fastmimic`, one a line."""
 
@@ -61,7 +65,16 @@ def main(folder: Path, pages: list[Path]) -> None:
 
 
 def run_python(code: str) -> int:
-    return in_child(lambda: exec(compile(code, "block", "exec"), {"__name__": "__main__"}))
+    def work() -> None:
+        fm.imitate, fm.stitch = partial(shortly, fm.imitate), partial(shortly, fm.stitch)
+        exec(compile(code, "block", "exec"), {"__name__": "__main__"})
+
+    return in_child(work)
+
+
+def shortly(search: Callable[..., Any], *sources: Any, **options: Any) -> Any:
+    """A search of two small iterations."""
+    return search(*sources, **(options | {"iterations": 2, "population": 4, "choice": CHOICE}))
 
 
 def run_bash(code: str) -> int:
@@ -119,13 +132,13 @@ def fastmimic(arguments: list[str]) -> int:
                 rest += [name, value]
         rest += [] if "--no-video" in rest else ["--no-video"]
     if verb == "imitate" and "--duration" not in rest:
-        rest += ["--duration", "4" if "push" in rest else "1.5"]  # pushes come later
+        rest += ["--duration", "4" if "push" in rest else "1.5"]  # pushes come until 3.1 s
     of_log = any(word.endswith("log.npz") for word in rest)  # is scored as long as it is
     if verb in ("evaluate", "render") and "--duration" not in rest and not of_log:
         rest += ["--duration", "1.5" if "--log" in rest else "0.5"]
     if verb == "deploy":
         rest += ["--lock-step", "--duration", "1.5"]
-    return cli.main([verb, *rest])
+    return cli.main([verb, *rest], without_option={"choice": CHOICE})
 
 
 def say(text: str) -> None:
