@@ -46,11 +46,15 @@ LEG_LINES: Final = (  # FR, FL, RR, RL: right orange, left blue; front solid, re
 )
 
 
-def new_figure(width: float, height: float, title: str) -> Figure:
-    """An empty figure of `width` × `height` inches, its title at the top left."""
-    figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
+def new_figure(width: float, height: float, title: str, below: float | None = None) -> Figure:
+    """An empty figure of `width` × `height` inches, its title at the top left. With `below`, inches for what stands
+    below the panels, these have fixed margins: the figure is then drawn once in place of three times to find them."""
+    figure = Figure(figsize=(width, height), layout="constrained" if below is None else None, facecolor="white")
     FigureCanvasAgg(figure)
-    figure.suptitle(title, x=0.012, ha="left", fontsize=13, fontweight="bold", color=INK)
+    y = 0.98 if below is None else 1.0 - 0.09 / height
+    figure.suptitle(title, x=0.012, y=y, ha="left", va="top", fontsize=13, fontweight="bold", color=INK)
+    if below is not None:
+        figure.subplots_adjust(0.75 / width, below / height, 1.0 - 0.12 / width, 1.0 - 0.62 / height, 0.25, 0.2)
     return figure
 
 

@@ -51,7 +51,7 @@ def convergence_figure(
     k, best, mean, std, sigma = (
         np.atleast_1d(np.asarray(a, dtype=np.float64)) for a in (iteration, best, mean, std, sigma)
     )
-    figure = style.new_figure(8.0, 5.6, title)
+    figure = style.new_figure(8.0, 5.6, title, below=0.5)
     reward, step = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     shown = best if randomized else np.fmax.accumulate(best)
     _draw_reward(reward, k, shown, mean, std, baseline, randomized)
@@ -127,7 +127,7 @@ def tracking_figure(
     wanted, *realised = (np.asarray(a, dtype=np.float64) for a in (demonstration, before, after))
     stance = np.asarray(contact, dtype=bool)
     start, end = window_s if window_s is not None else (time[0], time[-1])
-    figure = style.new_figure(14.0, 6.2, title)
+    figure = style.new_figure(14.0, 6.2, title, below=0.85)
     grid = figure.subplots(2, 4, sharex=True)
     for row, axis in enumerate((2, 0)):
         drawn = [wanted[:, :, axis], *(feet[:, :, axis] for feet in realised)]
