@@ -61,6 +61,36 @@ def test_a_cached_kernel_is_compiled_anew_when_a_function_that_it_calls_changes(
     assert run(tmp_path) == (11.0, 0)
 
 
+PAIR = """
+from typing import NamedTuple
+
+class Pair(NamedTuple):
+    a: float
+    b: float
+"""
+OF_A_PAIR = """
+from fastmimic.base.jit import kernel
+from {module} import Pair
+
+@kernel
+def top(pair):
+    return pair.a + pair.b
+
+print(top(Pair(1.0, 2.0)), sum(top.stats.cache_hits.values()))
+"""
+
+
+def test_a_cached_kernel_whose_argument_has_moved_is_compiled_anew(tmp_path: Path) -> None:
+    """Its index on disk names a module that an update removed."""
+    (tmp_path / "old.py").write_text(PAIR)
+    (tmp_path / "top.py").write_text(OF_A_PAIR.format(module="old"))
+    assert run(tmp_path) == (3.0, 0)
+    (tmp_path / "old.py").rename(tmp_path / "new.py")
+    (tmp_path / "top.py").write_text(OF_A_PAIR.format(module="new"))
+    assert run(tmp_path) == (3.0, 0)
+    assert run(tmp_path) == (3.0, 1)
+
+
 @pytest.mark.nojit
 def test_records_have_their_fields_as_attributes_with_and_without_the_compiler() -> None:
     @kernel

@@ -37,6 +37,19 @@ def depends_on(compiled: Callable[..., Any], *files: str) -> None:
     if cache_file is not None:
         stats = (Path(name).stat() for name in sorted(function.source_files))
         cache_file._source_stamp = tuple((s.st_mtime, s.st_size) for s in stats)
+        cache_file._load_index = _tolerant(type(cache_file)._load_index, cache_file)
+
+
+def _tolerant(load_index: Callable[[Any], dict[Any, str]], cache_file: Any) -> Callable[[], dict[Any, str]]:
+    """Reads a cache's index; empty where it names a module or type that an update removed. Numba would raise."""
+
+    def load() -> dict[Any, str]:
+        try:
+            return load_index(cache_file)
+        except (ImportError, AttributeError):
+            return {}
+
+    return load
 
 
 def _stale_with_callees(compiled: Callable[..., Any]) -> Callable[..., Any]:
