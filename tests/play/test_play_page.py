@@ -18,7 +18,7 @@ import pytest
 
 from browsing import PATIENCE_S, errors_of, picture, until
 from fastmimic.cli import main
-from fastmimic.play.page import LiveHistory
+from fastmimic.play.live_scene import LiveHistory
 from fastmimic.play.session import LiveSession
 from fastmimic.play.steering import IDLE, read_steering, steering_script
 from fastmimic.reference.motion_set import IN_PLACE
@@ -213,7 +213,7 @@ def test_a_failure_of_the_simulation_ends_the_page(a1: Robot, monkeypatch: pytes
 
 def test_the_view_follows_without_the_sway(a1: Robot) -> None:
     pytest.importorskip("viser", reason="the extra 'view' is not installed")
-    from fastmimic.play.page import LiveHistory
+    from fastmimic.play.live_scene import LiveHistory
 
     session = LiveSession(a1, {})
     history = LiveHistory(session)

@@ -4,6 +4,7 @@ An executor runs a function over jobs and yields the outcomes as they come. If a
 jobs are restarted elsewhere, a few times. To add an executor: its file, and its name in `EXECUTORS`.
 """
 
-from fastmimic.executors.base import EXECUTORS, Executor, JobOutcome, Report, make_executor
+from fastmimic.executors.base import Executor, JobOutcome, Report
+from fastmimic.executors.choice import EXECUTORS, make_executor
 
 __all__ = ["EXECUTORS", "Executor", "JobOutcome", "Report", "make_executor"]

@@ -1,13 +1,12 @@
-"""The interface of executors, and the executors by name."""
+"""The interface of executors, and what they share."""
 
 from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
-from fastmimic.base.errors import ConfigError, FastMimicError, did_you_mean
+from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.base.registry import load_extensions
 
-EXECUTORS: Final = {"local": "processes on this machine", "ray": "a Ray cluster"}
 ATTEMPTS: Final = 4  # starts of a job, in all, if its process or machine dies
 
 Report = Callable[[float], None]  # takes a job's finished share in [0, 1], called now and then
@@ -52,22 +51,6 @@ def attempt(work: Work, job: Any, report: Report) -> tuple[Any, FastMimicError |
         return work(job, report), None
     except FastMimicError as error:
         return None, error
-
-
-def make_executor(name: str, *, workers: int | None = None, address: str | None = None) -> Executor:
-    """The executor of that name, one of `EXECUTORS`, for `workers` jobs at a time (one per core if None); `address` is
-    of a running Ray cluster. Raises `ConfigError` for a wrong argument, or if Ray is needed and not installed."""
-    if name not in EXECUTORS:
-        raise ConfigError(f"unknown executor '{name}'; there are {', '.join(EXECUTORS)}{did_you_mean(name, EXECUTORS)}")
-    if name == "local":
-        from fastmimic.executors.local import LocalExecutor
-
-        if address is not None:
-            raise ConfigError("an address is of a Ray cluster; the executor 'local' has none")
-        return LocalExecutor(workers)
-    from fastmimic.executors.ray_cluster import RayExecutor
-
-    return RayExecutor(address, workers)
 
 
 def check_workers(workers: int | None) -> None:

@@ -18,7 +18,7 @@ from fastmimic.viewer.panel import Panel, add_layer_boxes, charts_window, reward
 if TYPE_CHECKING:
     import viser
 
-    from fastmimic.play.page import LiveHistory, LiveScene, Pacer
+    from fastmimic.play.live_scene import LiveHistory, LiveScene, Pacer
     from fastmimic.viewer.take import Take
     from fastmimic.viewer.web import Cameras
 
