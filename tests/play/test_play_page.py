@@ -125,12 +125,12 @@ def served(session: LiveSession, port: int) -> Iterator[Any]:
 
 def test_a_browser_plays(browser: Any, a1: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     # all of it, since the page may be slower than the two seconds that its history keeps
-    rows: list[tuple[float, float]] = []  # force that pushes, N, and velocity to the left, m/s
+    rows: list[float] = []  # force that pushes, N
     add = LiveHistory.add
 
     def noted(history: LiveHistory) -> None:
         add(history)
-        rows.append((float(np.linalg.norm(history.now.push)), float(history.now.velocity_b[1])))
+        rows.append(float(np.linalg.norm(history.now.push)))
 
     monkeypatch.setattr(LiveHistory, "add", noted)
     session = LiveSession(a1, {})
@@ -155,14 +155,11 @@ def test_a_browser_plays(browser: Any, a1: Robot, monkeypatch: pytest.MonkeyPatc
         page.get_by_role("button", name="Push", exact=True).click()
 
         def given() -> float:
-            return sum(force for force, _ in rows[before:]) / live.history.rate_hz  # N·s
+            return sum(rows[before:]) / live.history.rate_hz  # N·s
 
         until(lambda: given() > 3.5, page)
         page.wait_for_timeout(500)
-        assert given() == pytest.approx(4.0, rel=0.15)
-        first = next(i for i in range(before, len(rows)) if rows[i][0] > 0)
-        calm, pushed = ([velocity for _, velocity in part] for part in (rows[:before], rows[first : first + 30]))
-        assert max(pushed) > max(calm[-100:]) + 0.03  # beyond the gait's own sway
+        assert given() == pytest.approx(4.0, rel=0.15)  # `test_play_session` says what a push does
 
         page.mouse.click(300, 250)
         page.keyboard.down("ArrowLeft")
