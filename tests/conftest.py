@@ -1,6 +1,7 @@
 """Fixtures shared by all tests; what a run skipped, and how to include it."""
 
 import fcntl
+import gc
 import os
 import tempfile
 from collections import defaultdict
@@ -14,6 +15,9 @@ from fastmimic.robot import Robot, load_robot
 
 SKIPPED = "fastmimic/skipped"
 """Where the cache keeps the tests and files that the last run skipped."""
+
+
+gc.set_threshold(50_000, 20, 100)  # to look through all that is imported as often as usual takes a tenth of the time
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 """CMA-ES over a problem's parameters (Hansen 2006), with the author's library pycma."""
 
 import hashlib
+import sys
 import time
 import warnings
 from collections.abc import Callable
@@ -285,11 +286,22 @@ class _Search:
         return self._physical(np.array(rows).reshape(-1, len(self.lower))), np.array(scores)
 
 
-def _make_strategy(start: Array, settings: CmaSettings) -> Any:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pycma warns about optional packages at import
-        import cma
+def _pycma() -> Any:
+    """pycma without the statistics and plots that it takes along where it finds them: the search needs neither, and
+    they are half a second of every process's start."""
+    spared = [name for name in ("scipy.stats", "matplotlib") if name not in sys.modules]
+    sys.modules.update(dict.fromkeys(spared))  # type: ignore[arg-type]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # pycma warns about optional packages at import
+            import cma
+    finally:
+        for name in spared:
+            del sys.modules[name]
+    return cma
 
+
+def _make_strategy(start: Array, settings: CmaSettings) -> Any:
     rng = np.random.default_rng([settings.seed, 0])
     options = {
         "bounds": [0.0, 1.0],
@@ -303,4 +315,4 @@ def _make_strategy(start: Array, settings: CmaSettings) -> Any:
         "tolflatfitness": np.inf,
         "tolstagnation": np.inf,
     }
-    return cma.CMAEvolutionStrategy(start, settings.step_size, options)
+    return _pycma().CMAEvolutionStrategy(start, settings.step_size, options)
