@@ -1,5 +1,7 @@
 """How kernels are compiled: cached, without the GIL, IEEE arithmetic."""
 
+import functools
+import gc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,20 +10,51 @@ import numpy as np
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compiles `function` with Numba: no GIL, cached on disk, no fast-math (results must not depend on the machine).
-    With `NUMBA_DISABLE_JIT=1` the Python code runs uncompiled, for debugging."""
+    """Compiles `function` with Numba: no GIL, cached on disk, no fast-math (results must not depend on the machine). It
+    may not allocate: no references are counted. With `NUMBA_DISABLE_JIT=1` the Python code runs uncompiled, for
+    debugging."""
     return _compiled(function)
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     """Like `kernel`, for small functions that LLVM should inline into their callers."""
-    return _compiled(function, inline=True)
+    return _compiled(function, forceinline=True)
 
 
-def _compiled(function: Callable[..., Any], *, inline: bool = False) -> Callable[..., Any]:
+def object_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Like `kernel`, for functions that call Python (`numba.objmode`)."""
+    return _compiled(function, _nrt=True)
+
+
+def _compiled(function: Callable[..., Any], **changed: bool) -> Callable[..., Any]:
     from numba import njit  # slow to import; modules that only need `record_dtype` do without
 
-    return _stale_with_callees(njit(cache=True, nogil=True, error_model="numpy", forceinline=inline)(function))
+    _collect_no_garbage_meanwhile()
+    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+    lean = {"no_cfunc_wrapper": True, "_nrt": False}  # neither function pointers nor reference counts: less to compile
+    return _stale_with_callees(njit(**options | lean | changed)(function))
+
+
+@functools.cache
+def _collect_no_garbage_meanwhile() -> None:
+    """While a kernel is compiled: that makes many objects, and looking through all would take a sixth of the time."""
+    from numba.core import event
+
+    class Pause(event.Listener):
+        kernels, resumes = 0, False  # being compiled, one calling the other; whether garbage was collected before
+
+        def on_start(self, event: Any) -> None:
+            if self.kernels == 0:
+                self.resumes = gc.isenabled()
+                gc.disable()
+            self.kernels += 1
+
+        def on_end(self, event: Any) -> None:
+            self.kernels -= 1
+            if self.kernels == 0 and self.resumes:
+                gc.enable()
+
+    event.register("numba:compile", Pause())
 
 
 def record_dtype(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:

@@ -39,6 +39,14 @@ def rotation_error(a: Array, b: Array, out: Array) -> None:
 
 
 @inlined
+def copy(v: Array, out: Array) -> None:
+    """Writes v (n,) to `out` (n,). `out[:] = v` compiles for longer than most kernels: it compares the shapes and words
+    an error."""
+    for i in range(v.shape[0]):
+        out[i] = v[i]
+
+
+@inlined
 def times(m: Array, v: Array, out: Array) -> None:
     """m v for a 3 × 3 matrix."""
     for i in range(3):

@@ -15,7 +15,7 @@ EXIT_SOME_FAILED: Final = 3
 """Some sources or motions failed; everything else is done."""
 
 SLOW_START_S: Final = 3.0
-FIRST_USE: Final = "the first use compiles the controller: about a minute, once"
+FIRST_USE: Final = "the first use compiles the controller: about half a minute, once"
 SLOW_START: Final = f"preparing; {FIRST_USE}"
 CHOOSING: Final = "validating the best candidates in longer episodes"
 KEPT: Final = "finished parts are kept; the same command with --resume continues"

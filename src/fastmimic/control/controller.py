@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import inlined, kernel, record_dtype
-from fastmimic.base.vectors import heading_vector, times, transposed_times
+from fastmimic.base.vectors import copy, heading_vector, times, transposed_times
 from fastmimic.control.config import ControllerConfig, default_config, loaded_robot, pack_config
 from fastmimic.control.gait import plan_leg
 from fastmimic.control.horizon import HORIZON_CONSTRAINTS, HORIZON_VARIABLES, PLAN, plan_forces, track_plan
@@ -88,19 +88,9 @@ SCRATCH: Final = record_dtype(
 frame."""
 
 
-class RobotRecords(NamedTuple):
-    """Of n robots: (k, samples) reference tables, and (n,) records of each other kind."""
-
-    tables: Any
-    clocks: Any
-    observations: Any
-    memories: Any
-    commands: Any
-    plans: Any
-
-
 class WorkMemory(NamedTuple):
-    """Work memory of one thread, (1,) each: the two QPs, `SCRATCH` and `FORESIGHT`."""
+    """Work memory of one thread, (1,) each: the two QPs, `SCRATCH` and `FORESIGHT`. What only the horizon needs is
+    None with instant forces: the kernels are then compiled without it, in half the time."""
 
     qp: Any
     plan_qp: Any
@@ -110,52 +100,48 @@ class WorkMemory(NamedTuple):
 
 @kernel
 def control_step(
-    config: Any,
-    model: Any,
+    configs: Any,
+    models: Any,
     tables: Any,
     clocks: Any,
     observations: Any,
     memories: Any,
     commands: Any,
     plans: Any,
-    qp: Any,
-    plan_qp: Any,
-    scratch: Any,
-    foresight: Any,
+    qps: Any,
+    plan_qps: Any,
+    scratches: Any,
+    foresights: Any,
 ) -> None:
-    """Computes the commands of all robots; robot i follows table min(i, k − 1) at its clock. The arguments are flat
-    because a call with tuples of arrays takes 2 µs longer."""
-    robots = RobotRecords(tables, clocks, observations, memories, commands, plans)
-    work = WorkMemory(qp, plan_qp, scratch, foresight)
+    """Computes the commands of all robots; robot i follows table min(i, k − 1) of (k, samples) at its clock. The
+    records are (n,), those of the configuration, the model and the work memory (1,). The arguments are flat because a
+    call with tuples of arrays takes 2 µs longer."""
+    config, model, scratch = configs[0], models[0], scratches[0]
     for i in range(observations.shape[0]):
-        _control_robot(config[0], model[0], tables[min(i, tables.shape[0] - 1)], robots, i, work)
-
-
-@kernel
-def _control_robot(config: Any, model: Any, table: Any, robots: Any, i: int, work: Any) -> None:
-    clock, obs, memory, command = robots.clocks[i], robots.observations[i], robots.memories[i], robots.commands[i]
-    scratch = work.scratch[0]
-    ref = table[clock.sample]
-    scratch.recovering = float(clock.recovering)
-    compare_to_reference(model, ref, clock, obs, scratch)
-    desired_motion(config, ref, memory, scratch)
-    height_error = scratch.error[2]
-    for leg in range(4):
-        if plan_leg(config, memory, leg, ref.contact[leg] == 1, obs.foot_force[leg, 2]):
-            lift_off(config, ref, memory, scratch, leg, height_error)
-    planned = config.horizon == 1 and _plan_ahead(
-        config, model, table, clock, obs, memory, scratch, robots.plans[i], work.foresight[0], work.plan_qp[0]
-    )
-    solved = _forces(config, model, ref, obs, memory, planned, scratch, work.qp[0])
-    for leg in range(4):
-        if memory.stance[leg] == 1:
-            stance_leg(config, model, obs, memory, command, scratch, leg, solved)
-        else:
-            swing_leg(config, model, obs, ref, memory, command, scratch, leg, height_error)
-        add_leg_dynamics(config, model, obs, memory, command, scratch, leg)
-        for j in range(3 * leg, 3 * leg + 3):
-            compensate_friction(model, command, j)
-            clip_command(config, model, command, j)
+        table = tables[min(i, tables.shape[0] - 1)]
+        clock, obs, memory, command = clocks[i], observations[i], memories[i], commands[i]
+        ref = table[clock.sample]
+        scratch.recovering = float(clock.recovering)
+        compare_to_reference(model, ref, clock, obs, scratch)
+        desired_motion(config, ref, memory, scratch)
+        height_error = scratch.error[2]
+        for leg in range(4):
+            if plan_leg(config, memory, leg, ref.contact[leg] == 1, obs.foot_force[leg, 2]):
+                lift_off(config, ref, memory, scratch, leg, height_error)
+        planned = False
+        if foresights is not None:
+            foresight, plan_qp = foresights[0], plan_qps[0]
+            planned = _plan_ahead(config, model, table, clock, obs, memory, scratch, plans[i], foresight, plan_qp)
+        solved = _forces(config, model, ref, obs, memory, planned, scratch, qps[0])
+        for leg in range(4):
+            if memory.stance[leg] == 1:
+                stance_leg(config, model, obs, memory, command, scratch, leg, solved)
+            else:
+                swing_leg(config, model, obs, ref, memory, command, scratch, leg, height_error)
+            add_leg_dynamics(config, model, obs, memory, command, scratch, leg)
+            for j in range(3 * leg, 3 * leg + 3):
+                compensate_friction(model, command, j)
+                clip_command(config, model, command, j)
 
 
 @inlined
@@ -183,7 +169,7 @@ def _turn_over_standing_feet(config: Any, model: Any, obs: Any, memory: Any, scr
     """Scales the desired angular acceleration beyond the reference's to the inertia with the standing feet held.
     `leg_momentum` covers the reference's own."""
     held_inertia, desired, rotation = scratch.held_inertia, scratch.desired, scratch.rotation
-    held_inertia[:, :] = model.inertia
+    scratch.held_inertia = model.inertia
     for leg in range(4):
         if memory.stance[leg] == 1:
             q = obs.joint_pos[3 * leg : 3 * leg + 3]
@@ -223,7 +209,8 @@ def _plan_ahead(
         return False
     track_plan(config, obs, plan, foresight, scratch.desired)
     if config.horizon_interval == 1:
-        memory.force[:, :] = plan.force[0]
+        for leg in range(4):
+            copy(plan.force[0, leg], memory.force[leg])
         memory.failed_in_a_row = 0
     return True
 
@@ -270,11 +257,12 @@ class Controller:
         self.plan = np.zeros(n, PLAN)
         self._config = pack_config(self.config, robot)
         self._model = pack_model(robot)
+        ahead = self._config["horizon"][0] == 1
         self._work = WorkMemory(
             qp=make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS),
-            plan_qp=make_workspace(HORIZON_VARIABLES, HORIZON_CONSTRAINTS),
+            plan_qp=make_workspace(HORIZON_VARIABLES, HORIZON_CONSTRAINTS) if ahead else None,
             scratch=np.zeros(1, SCRATCH),
-            foresight=np.zeros(1, FORESIGHT),
+            foresight=np.zeros(1, FORESIGHT) if ahead else None,
         )
 
     def reset(self, sample: NDArray[np.int64]) -> None:

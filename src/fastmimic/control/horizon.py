@@ -22,7 +22,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel, record_dtype
-from fastmimic.base.vectors import heading_vector
+from fastmimic.base.vectors import copy, heading_vector
 from fastmimic.control.config_parts import MAX_HORIZON_STEPS
 from fastmimic.control.horizon_preview import foresee, heading_of
 from fastmimic.control.native import OPTIMAL, solve_qp
@@ -161,8 +161,8 @@ def plan_forces(
         memory.horizon_failures += 1
         return False
     plan.heading = heading_of(obs.root_quat)
-    plan.reference[:, :] = ahead.target
-    plan.state[0, :] = ahead.free[0]
+    plan.reference = ahead.target
+    copy(ahead.free[0], plan.state[0])
     for j in range(config.horizon_steps):
         acceleration = plan.acceleration[j]
         for r in range(6):

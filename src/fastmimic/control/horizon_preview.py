@@ -7,7 +7,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel, record_dtype
-from fastmimic.base.vectors import heading_vector, quat_to_matrix, rotation_error, times, turn_rows
+from fastmimic.base.vectors import copy, heading_vector, quat_to_matrix, rotation_error, times, turn_rows
 from fastmimic.control.config_parts import MAX_HORIZON_STEPS
 from fastmimic.control.stance import force_column
 
@@ -116,8 +116,9 @@ def foresee(config: Any, model: Any, table: Any, clock: Any, obs: Any, memory: A
     _landings(config, memory, scratch, ahead.offset)
     for leg in range(4):
         ahead.standing[0, leg] = memory.stance[leg]
-        ahead.arms[0, leg, :] = arms[leg]
-    ahead.inverse_inertia[0, :, :] = scratch.inverse_inertia
+        copy(arms[leg], ahead.arms[0, leg])
+    for r in range(3):
+        copy(scratch.inverse_inertia[r], ahead.inverse_inertia[0, r])
     yaw_error = np.arctan2(scratch.reference_rotation[1, 0], scratch.reference_rotation[0, 0])
     for j in range(1, config.horizon_steps):
         _footing(config, model, table, clock, scratch, heading, yaw_error, j, ahead)

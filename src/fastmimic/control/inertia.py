@@ -12,6 +12,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.vectors import copy
 from fastmimic.robot.dynamics import cross, rotated
 from fastmimic.robot.kinematics import leg_jacobian
 
@@ -75,7 +76,7 @@ def add_standing_leg(model: Any, leg: int, q: Array, foot: Array, com: Array, wo
                 total += model.armature[3 * leg + joint] * rates[axis, joint] * rates[other, joint]
             inertia[axis, other] += total
     origins = work.origins
-    origins[0, :] = g[0:3]
+    copy(g[0:3], origins[0])
     origins[1, 0], origins[1, 1], origins[1, 2] = rotated(sa, ca, 0.0, 1.0, g[4], g[3], g[5])
     s, c = np.sin(q[1]), np.cos(q[1])
     origins[2, 0], origins[2, 1], origins[2, 2] = rotated(sa, ca, s, c, g[6], 0.0, g[7])
@@ -99,9 +100,9 @@ def add_standing_leg(model: Any, leg: int, q: Array, foot: Array, com: Array, wo
                     total -= work.carried[axis, k] * work.carried[other, k]
                 inertia[axis, other] += model.link_mass[leg, link] * total
             _turned_back(sa, ca, s, c, work.spin[axis], work.vector)
-            work.spin[axis, :] = work.vector
+            copy(work.vector, work.spin[axis])
             _turned_back(sa, ca, s, c, work.turning[axis], work.vector)
-            work.rigid[axis, :] = work.vector
+            copy(work.vector, work.rigid[axis])
             for other in range(axis + 1):
                 total = 0.0
                 for a in range(3):
@@ -121,8 +122,8 @@ def _link_motion(work: Any, axis: int, link: int, sa: float, ca: float, com: Arr
     w, place, rates = work.turning[axis], work.place, work.rates[axis]
     v, spin = work.velocity[axis], work.spin[axis]
     v[0], v[1], v[2] = cross(w[0], w[1], w[2], place[0] - com[0], place[1] - com[1], place[2] - com[2])
-    work.carried[axis, :] = v
-    spin[:] = w
+    copy(v, work.carried[axis])
+    copy(w, spin)
     for joint in range(link + 1):
         s0, s1, s2 = (1.0, 0.0, 0.0) if joint == 0 else (0.0, ca, sa)
         o = work.origins[joint]

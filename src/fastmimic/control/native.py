@@ -19,7 +19,7 @@ from numba import objmode, types
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.jit import depends_on, kernel, record_dtype
+from fastmimic.base.jit import depends_on, kernel, object_kernel, record_dtype
 
 OPTIMAL: Final = 1
 INFINITY: Final = 1e30
@@ -105,7 +105,7 @@ def _solve_native(w: Any, n: int, m: int, ms: int) -> int:
     return w.result[8]
 
 
-@kernel
+@object_kernel
 def _solve_object(w: Any, n: int, m: int, ms: int) -> int:
     # arrays of a record arrive in Python as copies: results have to be handed back
     with objmode(flag="int64", x="float64[::1]", dual="float64[::1]"):
@@ -157,7 +157,7 @@ def _now_native(timespec: NDArray[np.int64]) -> float:
     return timespec[0] + 1e-9 * timespec[1]
 
 
-@kernel
+@object_kernel
 def _now_object(timespec: NDArray[np.int64]) -> float:
     with objmode(now="float64"):
         now = time.perf_counter()

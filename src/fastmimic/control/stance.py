@@ -86,10 +86,7 @@ def stance_forces(
     frame: `inverse_inertia` (3, 3) of the whole robot, `arms` (4, 3) from the centre of mass to the feet in m,
     `desired` (6,) ẍ_des; `columns` (12, 6) is scratch.
     """
-    k = 0
-    for leg in range(4):
-        if memory.stance[leg] == 1:
-            k += 1
+    k = memory.stance[0] + memory.stance[1] + memory.stance[2] + memory.stance[3]
     if k == 0:
         memory.force[:, :] = 0.0
         memory.failed_in_a_row = 0
@@ -98,9 +95,9 @@ def stance_forces(
     for leg in range(4):
         if memory.stance[leg] == 0:
             continue
-        force_column(inverse_inertia, arms[leg], 2, mass, columns[index])
-        force_column(inverse_inertia, arms[leg], 0, mass, columns[k + 2 * index])
-        force_column(inverse_inertia, arms[leg], 1, mass, columns[k + 2 * index + 1])
+        for axis in range(3):
+            at = index if axis == 2 else k + 2 * index + axis
+            force_column(inverse_inertia, arms[leg], axis, mass, columns[at])
         index += 1
     for i in range(n):
         gradient = 0.0

@@ -119,7 +119,7 @@ def desired_motion(config: Any, ref: Any, memory: Any, scratch: Any) -> None:
     transposed_times(reference_rotation, scratch.ref_ang_vel, scratch.ref_ang_vel_b)
     transposed_times(rotation, error, scratch.position_error)
     transposed_times(rotation, scratch.lin_vel_error, scratch.velocity_error)
-    scratch.joint_acc[:] = ref.joint_acc
+    scratch.joint_acc = ref.joint_acc
 
     scratch.shift[0], scratch.shift[1] = -error[0], -error[1]
     _relative_to_feet(config, ref, rotation, reference_rotation, scratch.feet, memory, error)

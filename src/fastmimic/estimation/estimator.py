@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel, record_dtype
-from fastmimic.base.vectors import quat_to_matrix, times
+from fastmimic.base.vectors import copy, quat_to_matrix, times
 from fastmimic.estimation.config import EstimatorConfig, pack_config
 from fastmimic.estimation.kalman import (
     STATES,
@@ -91,7 +91,7 @@ def _follow_orientation(config: Any, state: Any, reading: Any, measured: Array) 
     """Integrates the gyro and slowly follows the noisy IMU orientation; `measured` (4,) is scratch."""
     g, dt = reading.gyro, config.dt
     turn_by(state.quat, g[0] * dt, g[1] * dt, g[2] * dt, True)
-    measured[:] = reading.quat
+    copy(reading.quat, measured)
     turn_by(measured, 0.0, 0.0, state.heading, False)
     q, m = state.quat, measured
     # measured ⊗ q⁻¹, world
@@ -153,7 +153,7 @@ def _sense(config: Any, state: Any, reading: Any, scratch: Any) -> None:
     quat_to_matrix(state.quat, scratch.rotation)
     _sense_acceleration(config, reading, scratch)
     gx, gy, a = state.ground[0], state.ground[1], scratch.accel
-    scratch.quat[:] = state.quat
+    scratch.quat = state.quat
     turn_by(scratch.quat, gx, gy, 0.0, False)
     quat_to_matrix(scratch.quat, scratch.rotation)
     a[0], a[1], a[2] = a[0] + gy * a[2], a[1] - gx * a[2], a[2] + gx * a[1] - gy * a[0]
@@ -230,8 +230,8 @@ def _rate_of_change(config: Any, state: Any, i: int, value: float) -> float:
 def _tell(config: Any, state: Any, reading: Any, scratch: Any, out: Any) -> None:
     """The present state, `latency` after the readings were taken."""
     t, g = config.latency, reading.gyro
+    out.root_quat = scratch.quat
     q = out.root_quat
-    q[:] = scratch.quat
     turn_by(q, g[0] * t, g[1] * t, g[2] * t, True)
     for k in range(3):
         out.root_pos[k] = state.estimate[k, 0] + t * (state.estimate[k, 1] + 0.5 * t * scratch.accel[k])
@@ -284,14 +284,14 @@ def begin(config: Any, states: Any, readings: Any, starts: Any, planned: Any, ou
         m = reading.quat
         heading = np.arctan2(2 * (m[0] * m[3] + m[1] * m[2]), 1 - 2 * (m[2] * m[2] + m[3] * m[3]))
         state.heading = start.heading - heading
-        state.quat[:] = m
+        state.quat = m
         turn_by(state.quat, 0.0, 0.0, state.heading, False)
         state.ground[:] = 0.0
         state.ground_time = min(c.ground_start, c.ground_time)
         _sense(c, state, reading, scratch)
         state.estimate[:, :], state.cov[:, :, :] = 0.0, 0.0
-        state.slow[:3] = reading.gyro
-        state.slow[3:] = reading.joint_vel
+        copy(reading.gyro, state.slow[:3])
+        copy(reading.joint_vel, state.slow[3:])
         lowest = np.inf
         for leg in range(4):
             lowest = min(lowest, scratch.foot[leg, 2])
@@ -300,7 +300,7 @@ def begin(config: Any, states: Any, readings: Any, starts: Any, planned: Any, ou
             state.cov[k, 1, 1] = START_VELOCITY_NOISE * START_VELOCITY_NOISE
         state.estimate[2, 0] = c.foot_radius - lowest
         state.cov[1, 0, 0] = START_HEIGHT_NOISE * START_HEIGHT_NOISE
-        state.estimate[:, 1] = start.velocity
+        copy(start.velocity, state.estimate[:, 1])
         for leg in range(4):
             anchor(state.estimate, state.cov, leg, scratch.foot[leg], c.position_var)
             state.tare[leg], state.swing_time[leg], state.stance_time[leg] = 0.0, 0.0, 0.0

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.vectors import copy
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import leg_inverse
 
@@ -254,7 +255,7 @@ def _sample(
         for leg in range(4):
             _to_body(p.tilt, q.tilt, v, z, work.tilt, work.feet[k, leg])
     for leg in range(4):
-        out.foot_pos[leg, :] = work.feet[1, leg]
+        copy(work.feet[1, leg], out.foot_pos[leg])
 
 
 @inlined

@@ -237,11 +237,11 @@ def _measure(
         if e.tick % c.periods[0] == 0:
             _measure_imu(c, e, noise, truth, now, work[:3], work[3])
         else:
-            now.quat[:], now.gyro[:], now.accel[:] = last.quat, last.gyro, last.accel
+            now.quat, now.gyro, now.accel = last.quat, last.gyro, last.accel
         if e.tick % c.periods[1] == 0:
             _measure_joints(c, e, noise, truth, commands[i], now)
         else:
-            now.joint_pos[:], now.joint_vel[:], now.torque[:] = last.joint_pos, last.joint_vel, last.torque
+            now.joint_pos, now.joint_vel, now.torque = last.joint_pos, last.joint_vel, last.torque
         for leg in range(4):
             now.foot_force[leg] = last.foot_force[leg]
             if e.tick % c.periods[2] == 0:
@@ -251,9 +251,9 @@ def _measure(
         imu = ring[i, max(e.tick - c.delays[0], 0) % depth]
         joints = ring[i, max(e.tick - c.delays[1], 0) % depth]
         feet = ring[i, max(e.tick - c.delays[2], 0) % depth]
-        out.quat[:], out.gyro[:], out.accel[:] = imu.quat, imu.gyro, imu.accel
-        out.joint_pos[:], out.joint_vel[:], out.torque[:] = joints.joint_pos, joints.joint_vel, joints.torque
-        out.foot_force[:] = feet.foot_force
+        out.quat, out.gyro, out.accel = imu.quat, imu.gyro, imu.accel
+        out.joint_pos, out.joint_vel, out.torque = joints.joint_pos, joints.joint_vel, joints.torque
+        out.foot_force = feet.foot_force
         _drift(c, e, noise)
         e.tick += 1
 
@@ -261,10 +261,10 @@ def _measure(
 @kernel
 def _shift(errors: Any, commands: Any, outs: Any) -> None:
     for i in range(commands.shape[0]):
-        outs[i].joint_vel[:] = commands[i].joint_vel
-        outs[i].stiffness[:] = commands[i].stiffness
-        outs[i].damping[:] = commands[i].damping
-        outs[i].torque[:] = commands[i].torque
+        outs[i].joint_vel = commands[i].joint_vel
+        outs[i].stiffness = commands[i].stiffness
+        outs[i].damping = commands[i].damping
+        outs[i].torque = commands[i].torque
         for j in range(12):
             outs[i].joint_pos[j] = commands[i].joint_pos[j] - errors[i].joint_offset[j]
 
