@@ -10,7 +10,10 @@ import pytest
 
 from cli.running import QUICK_MAIN, Outcome, Run
 from fastmimic.cli import main
+from made_once import made_once
 from searches import QUICK_COMMAND
+
+__all__ = ["made_once"]  # for all tests of the folder
 
 
 @pytest.fixture

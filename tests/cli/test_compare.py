@@ -17,7 +17,8 @@ from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.runs.loading import load_motion
 
 Start = Callable[..., "subprocess.Popen[str]"]
-TINY = ("--iterations", "12", "--population", "4", "--duration", "0.6", "--seeds", "1")
+TINY = ("--iterations", "3", "--population", "4", "--duration", "0.6", "--seeds", "1")
+LONGER = ("--iterations", "12", *TINY[2:])
 
 
 def rows(folder: Path) -> list[dict[str, str]]:
@@ -49,7 +50,7 @@ def test_writes_tables_and_figures(run: Run, in_folder: Path) -> None:
     assert "2 runs in runs/comparison, 1 at a time" in done.err
     assert "2/2 trot mbc-dmp seed 0: reward 0." in done.err
     environment = json.loads((out / "environment.json").read_text())
-    assert environment["settings"]["iterations"] == 12
+    assert environment["settings"]["iterations"] == 3
     assert environment["motions"] == ["trot"]
     assert environment["controllers"]["raibert"]["swing"]["foothold"] == "raibert"
     assert environment["controllers"]["mbc-dmp"]["swing"]["foothold"] == "reference"
@@ -57,7 +58,7 @@ def test_writes_tables_and_figures(run: Run, in_folder: Path) -> None:
 
 
 def test_killed_and_resumed_it_ends_with_the_same_rows(run: Run, start: Start, in_folder: Path) -> None:
-    arguments = ("compare", "--motions", "trot", "--methods", "mbc", "mbc-dmp", *TINY, "--workers", "1", "--out")
+    arguments = ("compare", "--motions", "trot", "--methods", "mbc", "mbc-dmp", *LONGER, "--workers", "1", "--out")
     assert run(*arguments, "whole").status == 0
     process = start(*arguments, "run")
     wait_for(process, "1/2 trot mbc seed 0")

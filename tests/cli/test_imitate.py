@@ -155,11 +155,10 @@ def test_an_optimised_motion_is_optimised_anew_against_its_demonstration(run: Ru
     np.testing.assert_array_equal(one["demonstration_joint_pos"], other["demonstration_joint_pos"])
 
 
-def test_the_number_of_workers_does_not_change_a_bit(run: Run, in_folder: Path) -> None:
-    for workers in (1, 2, 3):
+def test_the_number_of_workers_does_not_change_a_bit(run: Run, first: tuple[Path, Outcome], in_folder: Path) -> None:
+    for workers in (1, 3):
         run("imitate", "trot", *TINY, "--workers", workers, "--out", f"with-{workers}")
-    assert_same_run(in_folder / "with-1", in_folder / "with-2")
-    assert_same_run(in_folder / "with-1", in_folder / "with-3")
+        assert_same_run(in_folder / f"with-{workers}", first[0])  # with one for each core
 
 
 def test_another_seed_is_another_search(run: Run, copy: Path) -> None:
@@ -255,26 +254,22 @@ def test_a_damaged_checkpoint_is_refused(run: Run, copy: Path) -> None:
 LONGER = ("--iterations", "30", "--population", "4", "--duration", "0.6", "--no-video")
 
 
-def test_resuming_after_kill_9_gives_the_same_bits(run: Run, start: Start, in_folder: Path) -> None:
-    process = start("imitate", "trot", *LONGER, "--out", "killed")
-    wait_for_iteration(process, 9)
-    process.kill()
-    assert process.wait() == -signal.SIGKILL
-    assert {path.name for path in (in_folder / "killed").iterdir()} == {"config.json", "checkpoint.npz"}
-    assert run("imitate", "trot", *LONGER, "--out", "killed", "--resume").status == 0
-    assert run("imitate", "trot", *LONGER, "--out", "whole").status == 0
-    assert_same_run(in_folder / "killed", in_folder / "whole")
-
-
-def test_resume_without_a_folder_takes_the_last_of_the_name(run: Run, start: Start, in_folder: Path) -> None:
-    run("imitate", "trot", *LONGER[2:], "--iterations", "3")
+def test_the_last_of_the_name_resumed_after_kill_9_gives_the_same_bits(
+    run: Run, start: Start, first: tuple[Path, Outcome], in_folder: Path
+) -> None:
+    shutil.copytree(first[0], in_folder / "runs" / first[0].name)
     process = start("imitate", "trot", *LONGER)
     wait_for_iteration(process, 9)
     process.kill()
-    process.wait()
+    assert process.wait() == -signal.SIGKILL
+    killed = in_folder / "runs" / "trot-a1-mbc-dmp-0-2"
+    assert {path.name for path in killed.iterdir()} == {"config.json", "checkpoint.npz"}
     done = run("imitate", "trot", *LONGER, "--resume")
+    assert done.status == 0
     assert done.out.splitlines()[-1] == "results in runs/trot-a1-mbc-dmp-0-2"
-    assert metrics(in_folder / "runs/trot-a1-mbc-dmp-0-2")["iterations"] == 30
+    assert metrics(killed)["iterations"] == 30
+    assert run("imitate", "trot", *LONGER, "--out", "whole").status == 0
+    assert_same_run(killed, in_folder / "whole")
 
 
 def test_ctrl_c_leaves_a_usable_result(run: Run, start: Start, in_folder: Path) -> None:
@@ -312,7 +307,7 @@ def test_ctrl_c_before_there_is_anything_leaves_nothing(
 
 def test_a_terminal_gets_a_bar_with_the_best_reward_and_the_time_left(start: Start, in_folder: Path) -> None:
     terminal, end = os.openpty()
-    process = start("imitate", "trot", *LONGER, stderr=end)
+    process = start("imitate", "trot", *TINY, stderr=end)
     os.close(end)
     shown = b""
     with contextlib.suppress(OSError):  # how a terminal ends
@@ -321,7 +316,7 @@ def test_a_terminal_gets_a_bar_with_the_best_reward_and_the_time_left(start: Sta
     os.close(terminal)
     assert process.wait() == 0, shown
     text = shown.decode(errors="replace")
-    assert re.search(r"30/30.*best 0\.\d{3}  \d+ evaluations/s  0:00 left", text), text
+    assert re.search(r"3/3.*best 0\.\d{3}  \d+ evaluations/s  0:00 left", text), text
     assert "validating" in text
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from cli.running import TINY, Run
 from fastmimic.clips.catalogue import open_clip
+from fastmimic.motion.motion import Motion
 from fastmimic.primitive import MotionDmp
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot
@@ -24,14 +25,20 @@ VERBS = {
 }
 
 
-@pytest.fixture
-def folder(robot: Robot, in_folder: Path) -> str:
-    """The folder of an optimised trot, called like a name that is something else."""
+@pytest.fixture(scope="module")
+def optimised(robot: Robot) -> Motion:
+    """A trot with a foot that lifts otherwise."""
     dmp = MotionDmp.fit(retarget(open_clip("trot"), robot)[0], robot)
     goal = dmp.goal
     goal[dmp.index("FR_foot_z")] += 0.004
+    return dmp.motion(goal)
+
+
+@pytest.fixture
+def folder(optimised: Motion, in_folder: Path) -> str:
+    """The folder of an optimised trot, called like a name that is something else."""
     for name in ("run", "trot"):
-        dmp.motion(goal).save(in_folder / name / "motion.npz")
+        optimised.save(in_folder / name / "motion.npz")
     return "run"
 
 

@@ -5,9 +5,10 @@ from pathlib import Path
 from cli.conftest import in_folder, run, start
 from fastmimic.dataset import BuildRequest, BuildSettings, DatasetSource, MotionDataset
 from fastmimic.dataset.records import reproducible
+from made_once import made_once
 from searches import QUICK_CHOICE
 
-__all__ = ["in_folder", "run", "start"]
+__all__ = ["in_folder", "made_once", "run", "start"]
 
 RECIPE = BuildSettings(
     iterations=3,

@@ -18,7 +18,7 @@ from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion
-from searches import QUICK_CHOICE
+from searches import PART_DURATION_S, QUICK_CHOICE
 
 DURATION = 0.6
 QUICK = {"duration_s": DURATION, "iterations": 2, "population": 4, "seed": 1, "choice": QUICK_CHOICE}
@@ -252,6 +252,7 @@ class TestRandomized:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("fastmimic.imitation.imitate.HELD_OUT_ROBOTS", 1)
             patch.setattr("fastmimic.imitation.stitch.PART_POPULATION", 4)
+            patch.setattr("fastmimic.imitation.stitch.PART_DURATION_S", PART_DURATION_S)
             few = {"iterations": 1, "population": 4, "choice": QUICK_CHOICE}
             result = fm.stitch([motion, motion], robot, cycles=2, randomize=2, **few)  # type: ignore[arg-type]
         assert result.held_out is not None

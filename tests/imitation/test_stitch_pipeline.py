@@ -2,6 +2,7 @@
 
 import dataclasses
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from fastmimic.optimize.stitched import segment_clearance
 from fastmimic.primitive import MotionDmp
 from fastmimic.robot import Robot
 from fastmimic.stitching.layout import Layout
+from searches import PART_DURATION_S
 
 FEW: dict[str, Any] = {
     "iterations": 1,
@@ -26,6 +28,13 @@ FEW: dict[str, Any] = {
     "workers": 1,
     "choice": FinalChoice(1, 1, duration_s=0.4),
 }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_parts() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fastmimic.imitation.stitch.PART_DURATION_S", PART_DURATION_S)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -31,6 +31,7 @@ from fastmimic.runs.work_folder import CHECKPOINT, CHECKPOINTS, PART_CHECKPOINT
 from fastmimic.stitching.join import stitch_motions
 
 PART_POPULATION: Final = 10
+PART_DURATION_S: Final = 5.0  # of the episodes in which a motion is optimised by itself
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -225,7 +226,8 @@ def _optimised_parts(
             todo.append((i, motion, path, again, count))
         for i, motion, path, again, count in todo:
             say(f"{motion.name} by itself, {i} of {len(distinct)}")
-            found = imitate(motion, robot, checkpoint=path, resume=again, **{**settings, "iterations": count})
+            own = {**settings, "iterations": count, "duration_s": PART_DURATION_S}
+            found = imitate(motion, robot, checkpoint=path, resume=again, **own)
             if found.interrupted:
                 raise KeyboardInterrupt
             out.values[id(motion)] = {p.name: float(v) for p, v in zip(found.parameters, found.values, strict=True)}
