@@ -17,7 +17,7 @@ from fastmimic.executors import make_executor
 
 pytestmark = pytest.mark.cluster
 
-MOTIONS = ("trot", "pace", "walk", "side-step", "turn", "bound", "spin", "backward-trot")
+MOTIONS = ("trot", "pace", "walk", "side-step", "turn", "bound")
 
 
 @pytest.fixture
@@ -64,14 +64,14 @@ def test_a_worker_and_a_node_that_are_killed_cost_nothing_but_time(cluster: Any,
     executor = make_executor("ray", address=cluster.address)
     built = build_dataset(of(*MOTIONS), tmp_path / "cluster", executor, progress=progress)
     assert killed == ["worker", "node"]
-    assert (built.jobs, built.done) == (8, 8)
-    assert len(recorded) == 8
+    assert (built.jobs, built.done) == (6, 6)
+    assert len(recorded) == 6
     assert set(recorded.values()) == {1}
     health, _ = mend(MotionDataset.open(tmp_path / "cluster"))
     assert health.sound
     assert all(Path(name).name.startswith(".") for name in health.foreign), "more than what was cut off while written"
 
-    build_dataset(of(*MOTIONS), tmp_path / "here", make_executor("local", workers=2))
+    build_dataset(of(*MOTIONS), tmp_path / "here", make_executor("local", workers=1))
     same(tmp_path / "cluster", tmp_path / "here")
     again = build_dataset(of(*MOTIONS), tmp_path / "cluster", make_executor("local", workers=1))
     assert again.done == 0

@@ -2,6 +2,7 @@
 
 import os
 import platform
+from functools import cache
 from importlib import metadata
 
 
@@ -13,4 +14,9 @@ def available_cores() -> int:
 def versions() -> dict[str, str]:
     """Versions of this package and of those that its results depend on."""
     names = ("fastmimic", "mujoco", "daqp", "cma", "numba", "numpy")
-    return {"python": platform.python_version(), **{name: metadata.version(name) for name in names}}
+    return {"python": platform.python_version(), **{name: _version(name) for name in names}}
+
+
+@cache
+def _version(name: str) -> str:
+    return metadata.version(name)

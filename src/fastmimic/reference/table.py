@@ -7,6 +7,7 @@ cycle (a cyclic motion's wrap, or a stitched one's sample with `sync`) its x and
 
 from collections.abc import Sequence
 from typing import Any, Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +95,7 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
         for name in ("leg_lin_acc", "leg_ang_acc"):
             table[name] = demonstration[name]
     else:
-        linear, angular = ground_acceleration(motion, robot)
+        linear, angular = _remembered(motion, robot)
         table["leg_lin_acc"] = turned_about_z(linear, -yaw0) - table["lin_acc"]
         table["leg_ang_acc"] = turned_about_z(angular, -yaw0) - table["ang_acc"]
     table["sync"][origin.cycle_starts] = 1
@@ -113,6 +114,17 @@ def put_root(
     for name, velocity in (("lin", lin_vel), ("ang", ang_vel)):
         table[f"{name}_vel"] = turned_about_z(velocity, -yaw0)
         table[f"{name}_acc"] = _difference(table[f"{name}_vel"], demonstration.dt, turn)
+
+
+_known: Final[WeakKeyDictionary[Motion, WeakKeyDictionary[Robot, tuple[Array, Array]]]] = WeakKeyDictionary()
+
+
+def _remembered(motion: Motion, robot: Robot) -> tuple[Array, Array]:
+    """`ground_acceleration`, once: neither changes, and each table of a modulation has its demonstration's."""
+    known = _known.setdefault(motion, WeakKeyDictionary())
+    if robot not in known:
+        known[robot] = ground_acceleration(motion, robot)
+    return known[robot]
 
 
 def ground_acceleration(motion: Motion, robot: Robot) -> tuple[Array, Array]:
