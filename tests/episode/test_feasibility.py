@@ -19,6 +19,7 @@ from fastmimic.robot.kinematics import foot_jacobians
 EASY = Demands(
     joint_speed=0.7,
     torque=0.5,
+    torque_at_speed=0.6,
     friction=0.3,
     flight=0.0,
     lacking=0.02,

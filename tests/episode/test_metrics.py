@@ -11,6 +11,7 @@ def rollout(**changes: object) -> Rollout:
     """Two episodes, of which the second fell."""
     values: dict[str, object] = {
         "reward": np.array([0.8, 0.2]),
+        "reward_animal": np.full(2, np.nan),
         "terms": np.array([[0.9, 0.8, 0.7, 0.6, 0.5], [0.1, 0.2, 0.3, 0.4, 0.5]]),
         "fell": np.array([False, True]),
         "steps": np.array([1000, 200]),
@@ -45,6 +46,9 @@ def test_the_dictionary_is_json_with_none_for_what_there_is_not() -> None:
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     assert found["swing_clearance_m"][2] is None
     assert not [name for name in found if name.startswith("estimate")]
+    assert "reward_animal" not in found
+    animal = Metrics.of(rollout(reward_animal=np.array([0.7, 0.1]))).as_dict()
+    assert animal["reward_animal"] == pytest.approx(0.4)
 
 
 def test_means_leave_out_what_is_not_known() -> None:

@@ -58,15 +58,14 @@ class Inspect:
 
     def _read(self) -> tuple[Robot, Motion, list[str]]:
         """The robot, its motion, and lines about the source file."""
-        from fastmimic.retargeting.retarget import retarget
-
         overrides = self.clip.overrides()
         source = find_motion(self.source)
         robot = opt.choose_robot(self.robot, source)
         if source.motion is not None:
             return robot, source.load(robot, **overrides), ["format     FastMimic robot motion"]
+        executable = bool(overrides.pop("executable", False))
         clip = source.open_clip(robot, **overrides)
-        motion, report = retarget(clip, robot)
+        motion, report = find_motion(clip).retarget(robot, executable=executable)
         return robot, motion, [*_describe_clip(clip), f"retargeted to {robot.name}:", *report.lines()]
 
 
@@ -230,12 +229,10 @@ class Retarget:
 
     def run(self) -> int:
         out = opt.check_writable(self.out, ".npz")
-        from fastmimic.retargeting.retarget import retarget
-
         overrides = self.reading.overrides()
         source = find_motion(self.clip)
         robot = opt.choose_robot(self.robot, source)
-        motion, report = retarget(source.open_clip(robot, **overrides), robot)
+        motion, report = source.retarget(robot, **overrides)
         motion.save(out)
         note_origin(robot, motion)
         put(*report.lines())

@@ -145,11 +145,17 @@ class ClipOptions(ClipFileOptions):
     """Built-in gaits: yaw rate, positive to the left."""
     duty: Annotated[float | None, option("SHARE")] = None
     """Built-in gaits: duty factor, the stance share of the period."""
+    executable: Flag = False
+    """Make a cycle executable by optimal control: the motion nearest to the animal's within the robot's limits."""
 
     def overrides(self) -> dict[str, Any]:
         """The options that were given, as the Python functions take them."""
         frames = None if self.frames is None else parse_frames(self.frames)
-        found = super().overrides() | {"frames": frames, "discrete": self.discrete or None}
+        found = super().overrides() | {
+            "frames": frames,
+            "discrete": self.discrete or None,
+            "executable": self.executable or None,
+        }
         return {name: value for name, value in found.items() if value is not None}
 
     def load(self, source: str, robot: str | None) -> tuple[Robot, Motion]:

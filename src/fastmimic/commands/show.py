@@ -32,8 +32,10 @@ def figure_rows(
 ) -> list[tuple[str, str]]:
     """Name and value of each figure of an episode, for a table."""
     components = [(f"  {name.replace('_', ' ')}", number(value)) for name, value in figures["components"].items()]
+    animal = figures.get("reward_animal")
+    against = [] if animal is None else [("reward against the animal", number(animal))]
     others = [(label, number(figures[name], digits, scale)) for label, name, digits, scale in _FIGURES]
-    return [("reward", reward), *components, ("fell", fell), clearance, *others]
+    return [("reward", reward), *against, *components, ("fell", fell), clearance, *others]
 
 
 def put_comparison(result: "Imitation") -> None:
@@ -55,7 +57,9 @@ def _column(metrics: Mapping[str, Any], column: str) -> dict[str, str]:
     swings = zip(clearance[column], clearance["demonstration"], strict=True)
     shares = [realised / wanted for realised, wanted in swings if realised is not None and wanted]
     cells = figure_rows(
-        {name: metrics[name][column] for _, name, *_ in _FIGURES} | {"components": reward[f"components_{column}"]},
+        {name: metrics[name][column] for _, name, *_ in _FIGURES}
+        | {"components": reward[f"components_{column}"]}
+        | {"reward_animal": metrics.get("reward_animal", {}).get(column)},
         reward=f"{reward[column]:.3f}",
         fell=yes_no(metrics["fell"][column]),
         clearance=("swing clearance, % of reference", number(min(shares, default=None), 0, 100)),

@@ -41,8 +41,10 @@ class Demands:
 
     Attributes:
         joint_speed: greatest joint speed, share of the limit.
-        torque: joint torque, share of the limit, of the most loaded joint at 95 % of the instants.
-        friction: horizontal over vertical ground reaction force at 95 % of the instants with a foot down.
+        torque: joint torque, share of the limit, of the most loaded joint, at the given percentile of the instants.
+        torque_at_speed: the same of the mean of torque and twice the speed in its direction, shares of their limits: 1
+            on the line from full torque at half of the speed limit to none at all of it.
+        friction: horizontal over vertical ground reaction force at that percentile of the instants with a foot down.
         flight: share of the time without any foot on the ground.
         lacking: RMS of the linear acceleration that the standing feet cannot give, g. In flight, the difference from
             free fall counts.
@@ -54,6 +56,7 @@ class Demands:
 
     joint_speed: float
     torque: float
+    torque_at_speed: float
     friction: float
     flight: float
     lacking: float
@@ -102,9 +105,9 @@ class Reason:
     text: str
 
 
-def demands(robot: Robot, motion: Motion) -> Demands:
-    """What a motion asks of a robot, whether or not the robot can."""
-    sample = np.arange(0, motion.n_samples, max(1, round(SAMPLE_S * motion.rate_hz)))
+def demands(robot: Robot, motion: Motion, *, sample_s: float = SAMPLE_S, percentile: float = HIGH) -> Demands:
+    """What a motion asks of a robot, whether or not the robot can, at instants `sample_s` apart."""
+    sample = np.arange(0, motion.n_samples, max(1, round(sample_s * motion.rate_hz)))
     demand = ground_demand(robot, motion, sample)
     force, lacking = _ground_forces(robot, demand.wrench, *push_directions(demand, GROUND_FRICTION))
     quat = motion.root_quat_wxyz[sample]
@@ -113,6 +116,8 @@ def demands(robot: Robot, motion: Motion) -> Demands:
     jacobian = foot_jacobians(robot, motion.joint_pos[sample])
     torque = demand.joint_torque - np.einsum("tlij,tli->tlj", jacobian, force_b).reshape(-1, 12)
     share = (np.abs(torque) / robot.torque_limit).max(axis=1)
+    driving = torque / robot.torque_limit * np.sign(motion.joint_vel[sample])
+    at_speed = 0.5 * (driving + 2 * np.abs(motion.joint_vel[sample]) / robot.joint_speed_limit).max(axis=1)
     standing = demand.stands.any(axis=1)
     total = demand.wrench[standing, :3]
     ratio = np.linalg.norm(total[:, :2], axis=1) / np.maximum(total[:, 2], 0.1 * robot.mass * GRAVITY)
@@ -120,8 +125,9 @@ def demands(robot: Robot, motion: Motion) -> Demands:
     limited = (q < robot.joint_lower + margin) | (q > robot.joint_upper - margin)
     return Demands(
         joint_speed=float((np.abs(motion.joint_vel) / robot.joint_speed_limit).max()),
-        torque=float(np.percentile(share, HIGH)),
-        friction=float(np.percentile(ratio, HIGH)) if standing.any() else 0.0,
+        torque=float(np.percentile(share, percentile)),
+        torque_at_speed=float(np.percentile(at_speed, percentile)),
+        friction=float(np.percentile(ratio, percentile)) if standing.any() else 0.0,
         flight=float(np.mean(~motion.contact.any(axis=1))),
         lacking=float(np.sqrt((lacking[:, :3] ** 2).sum(axis=1).mean()) / GRAVITY),
         lacking_angular=float(np.sqrt((lacking[:, 3:] ** 2).sum(axis=1).mean())),

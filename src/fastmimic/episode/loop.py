@@ -1,5 +1,6 @@
 """The closed loop: robots in simulation under the controller, scored against the demonstration."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
@@ -23,6 +24,7 @@ from fastmimic.reference.table import (
     advance_recovering,
     make_clocks,
     place_clocks,
+    reference_table,
     stack_tables,
     world_root,
 )
@@ -129,6 +131,11 @@ class ClosedLoop:
         self.table = self.controller.tables[0]
         self.clocks = make_clocks(demonstration, n)
         self.scorer = Scorer(robot, self.table, n, config, config.rate_hz)
+        self._animal_scorer = None
+        if demonstration.animal is not None:
+            # in the frame of the executable motion, which the clocks synchronise
+            animal = reference_table(dataclasses.replace(demonstration.animal, demonstration=demonstration), robot)
+            self._animal_scorer = Scorer(robot, animal, n, config, config.rate_hz)
         self._resync = pack_config(config, robot) if config.recovery.enabled else None
         self._seen: NDArray[Any] = self.simulation.observation
         self._truth: NDArray[Any] = self.simulation.observation
@@ -177,7 +184,10 @@ class ClosedLoop:
         )
         estimation = self.observer.errors() if self.observer is not None else None
         course = recorder.log() if recorder is not None else None
-        return summarised(scorer.counted(), steps, rate_hz, course, parts, estimation)
+        found = summarised(scorer.counted(), steps, rate_hz, course, parts, estimation)
+        if self._animal_scorer is None:
+            return found
+        return dataclasses.replace(found, reward_animal=self._animal_scorer.tallies["reward_sum"] / steps)
 
     def place(self, start: Start, references: Sequence[Motion] | NDArray[Any] | None = None) -> None:
         """Begins n episodes: puts the robots where the demonstration is; arguments and errors as for `run`."""
@@ -191,6 +201,8 @@ class ClosedLoop:
         self.simulation.reset(*place._replace(joint_pos=joints, lin_vel=place.lin_vel + start.velocity_offset))
         self.controller.reset(start.sample)
         self.scorer.reset()
+        if self._animal_scorer is not None:
+            self._animal_scorer.reset()
         self._seen = self._truth = self.simulation.observation
         self._followed = self.clocks
         if self.observer is not None:
@@ -217,6 +229,9 @@ class ClosedLoop:
         """Scores the robots' true states against the demonstration, synchronised to the truth."""
         advance_clocks(self.clocks, self.controller.tables, self._truth["root_pos"])
         self.scorer.score(self.clocks, self._truth, self.controller.memory)
+        if self._animal_scorer is not None:
+            self._animal_scorer.tallies["fallen"] |= self.scorer.tallies["fallen"]
+            self._animal_scorer.score(self.clocks, self._truth, self.controller.memory)
         if self.observer is not None:
             self.observer.compare(self._truth, self.scorer.tallies)
 

@@ -45,6 +45,7 @@ class Metrics:
         stance_slip_m: mean path that a loaded foot slides in a stance.
         foot_x_rmse_m, foot_z_rmse_m: against the demonstration, body frame.
         qp_failures: steps in which the stance QP failed, in all episodes.
+        reward_animal: mean reward against the animal's motion, for a motion that was made executable.
         estimate: None if the controller was told the true state.
     """
 
@@ -62,6 +63,7 @@ class Metrics:
     foot_x_rmse_m: float
     foot_z_rmse_m: float
     qp_failures: int
+    reward_animal: float | None = None
     estimate: EstimationMetrics | None = None
 
     @classmethod
@@ -83,6 +85,7 @@ class Metrics:
             foot_x_rmse_m=rms(r.foot_rmse[..., 0]),
             foot_z_rmse_m=rms(r.foot_rmse[..., 2]),
             qp_failures=int(r.qp_failures.sum()),
+            reward_animal=None if np.isnan(r.reward_animal).any() else float(r.reward_animal.mean()),
             estimate=_estimation(r),
         )
 
@@ -100,6 +103,8 @@ class Metrics:
         """Everything by name, for JSON: None for NaN, the estimation's figures with the prefix `estimate_`."""
         found = plain(self)
         estimate = found.pop("estimate")
+        if found["reward_animal"] is None:
+            del found["reward_animal"]
         return found | {f"estimate_{name}": value for name, value in (estimate or {}).items()}
 
 

@@ -57,6 +57,7 @@ class Rollout:
 
     Attributes:
         reward: (n,) mean over the whole episode, steps after a fall count 0.
+        reward_animal: (n,) the same against the animal's motion, for a motion that was made executable, else NaN.
         terms: (n, k) means of the reward's terms, in the order of `REWARD_TERMS`.
         fell: (n,) bool.
         steps: (n,) control steps until the fall or the end.
@@ -73,6 +74,7 @@ class Rollout:
     """
 
     reward: Array
+    reward_animal: Array
     terms: Array
     fell: NDArray[np.bool_]
     steps: NDArray[np.int64]
@@ -108,6 +110,7 @@ def summarised(
         slip = t["slip"] / np.maximum(t["stances"], 1)
     return Rollout(
         reward=t["reward_sum"] / steps,
+        reward_animal=np.full(len(t), np.nan),
         terms=np.hstack([t["terms"], counted.own]) / steps,
         fell=t["fallen"].astype(bool),
         steps=t["steps"].copy(),

@@ -106,6 +106,7 @@ class Imitation:
                 "components_before": before.components,
                 "components_after": after.components,
             },
+            **({"reward_animal": both("reward_animal")} if before.reward_animal is not None else {}),
             **({"randomization": self.held_out.as_dict()} if self.held_out is not None else {}),
             "fell": both("fell_once"),
             "drift_m_per_s": both("drift_m_per_s"),

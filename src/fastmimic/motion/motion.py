@@ -27,6 +27,7 @@ _ARRAYS: Final = {  # name -> trailing shape
 }
 _DEMONSTRATION: Final = "demonstration_"
 _PART: Final = "part{}_"
+_ANIMAL: Final = "animal_"
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,7 @@ class Motion:
         provenance: where it comes from and how it was made.
         demonstration: the motion that an optimised one is scored against, or None.
         parts: the cyclic motions of a stitched demonstration (see `fastmimic.stitching.join`).
+        animal: of a motion made executable (`fastmimic.trajectory`), the animal's kinematic motion at the same phases.
     """
 
     rate_hz: float
@@ -62,6 +64,7 @@ class Motion:
     provenance: Provenance = field(default_factory=Provenance)
     demonstration: "Motion | None" = None
     parts: "tuple[Motion, ...]" = ()
+    animal: "Motion | None" = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
@@ -166,6 +169,8 @@ def _to_arrays(motion: Motion) -> dict[str, Any]:
     parts: dict[str, Any] = {}
     for i, part in enumerate(motion.parts):
         parts |= {_PART.format(i) + k: v for k, v in _to_arrays(part).items()}
+    if motion.animal is not None:
+        parts |= {_ANIMAL + k: v for k, v in _to_arrays(motion.animal).items()}
     return parts | {
         "format_version": np.int64(FORMAT_VERSION),
         "rate_hz": np.float64(motion.rate_hz),
@@ -179,7 +184,7 @@ def _from_arrays(arrays: dict[str, Any]) -> Motion:
     def of(prefix: str) -> dict[str, Any]:
         return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
 
-    demonstration = of(_DEMONSTRATION)
+    demonstration, animal = of(_DEMONSTRATION), of(_ANIMAL)
     parts: list[Motion] = []
     while part := of(_PART.format(len(parts))):
         parts.append(_from_arrays(part))
@@ -190,4 +195,5 @@ def _from_arrays(arrays: dict[str, Any]) -> Motion:
         provenance=Provenance.from_dict(json.loads(str(arrays["meta_json"]))),
         demonstration=_from_arrays(demonstration) if demonstration else None,
         parts=tuple(parts),
+        animal=_from_arrays(animal) if animal else None,
     )

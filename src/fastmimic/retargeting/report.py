@@ -7,6 +7,7 @@ from typing import Any, Final
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.text import plain
 from fastmimic.retargeting.contact_schedule import ScheduleChanges
+from fastmimic.trajectory.executable import ExecutableFigures
 
 Floats = tuple[float, ...]
 Ints = tuple[int, ...]
@@ -80,6 +81,8 @@ class RetargetReport:
         smoothed_legs: number of times each leg's swings were made more even to keep joint speeds.
         heading_aligned_deg: angle by which the trunk was turned into the direction of travel.
         bounds: see `with_bounds`.
+        executable: of the optimal control problem, if the motion was made executable; the rest is about the kinematic
+            motion that it starts from.
     """
 
     before: MotionFigures
@@ -104,6 +107,7 @@ class RetargetReport:
     smoothed_legs: Ints
     heading_aligned_deg: float
     bounds: tuple[Bound, ...] = ()
+    executable: ExecutableFigures | None = None
 
     def as_dict(self) -> dict[str, Any]:
         found: dict[str, Any] = plain(asdict(self))
@@ -141,6 +145,7 @@ class RetargetReport:
             f"base height {self.base_height_m:.3f} m ({moved})",
             f"joint speeds {speeds} rad/s; clamps: {clamps}",
             *map(_bound_line, self.bounds),
+            *([] if self.executable is None else self.executable.lines()),
         ]
 
 

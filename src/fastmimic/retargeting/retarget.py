@@ -25,6 +25,7 @@ from fastmimic.retargeting.report import RetargetReport
 from fastmimic.retargeting.steps import DOG_SCALE, Retargeting, whether_cycle
 from fastmimic.retargeting.track import extract
 from fastmimic.robot import Robot
+from fastmimic.trajectory.executable import nearest_executable
 
 __all__ = ["RetargetConfig", "RetargetReport", "choose_scale", "retarget"]
 
@@ -40,6 +41,7 @@ def retarget(
     scale: float | None = None,
     cycle: bool | None = None,
     config: RetargetConfig | None = None,
+    executable: bool = False,
 ) -> tuple[Motion, RetargetReport]:
     """Turns an animal's clip into a reference motion of a robot; returns it with a report of the changes.
 
@@ -49,13 +51,18 @@ def retarget(
         scale: animal's to robot's size; if None the clip's own or the ratio of leg lengths (0.825 for a dog on the A1).
         cycle: whether the clip is one period; if None what the clip says, else whether it closes.
         config: settings at the A1's size, `RetargetConfig()` if None.
+        executable: whether the motion is the nearest one that the robot can execute, by optimal control, in place of
+            one with a balanced trunk; its `animal` is the kinematic motion.
 
     The motion's `provenance` holds the report as well. Raises `ConfigError` unless rate and scale are positive, and
-    `ClipError` if the clip is too short.
+    `ClipError` if the clip is too short; `MotionError` if no motion near it is executable.
     """
     _check(clip, rate_hz, scale)
     scale = choose_scale(clip, robot) if scale is None else float(scale)
-    work = Retargeting(clip, robot, rate_hz, scale, cycle, (config or RetargetConfig()).for_robot(robot))
+    config = config or RetargetConfig()
+    if executable:
+        config = replace(config, balance=replace(config.balance, rounds=0))
+    work = Retargeting(clip, robot, rate_hz, scale, cycle, config.for_robot(robot))
     work.align_heading()
     work.fit_posture()
     work.hold_end()
@@ -72,7 +79,12 @@ def retarget(
         retarget=report.as_dict(),
         held_s=work.held / clip.rate_hz if work.held else None,
     )
-    return replace(fitted.motion, provenance=provenance), report
+    motion = replace(fitted.motion, provenance=provenance)
+    if not executable:
+        return motion, report
+    found = nearest_executable(robot, motion)
+    report = replace(report, executable=found.figures)
+    return replace(found.motion, provenance=replace(provenance, retarget=report.as_dict())), report
 
 
 def choose_scale(clip: Clip, robot: Robot) -> float:

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.clips.catalogue import motion_names, open_clip
@@ -12,6 +12,9 @@ from fastmimic.clips.formats.format import is_robot_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.runs.work_folder import CONFIG, MOTION
+
+if TYPE_CHECKING:  # loads the compiler
+    from fastmimic.retargeting.report import RetargetReport
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +60,17 @@ class MotionSource:
             raise ConfigError(f"{self.name}: already a robot motion; a clip is needed")
         return self.clip if isinstance(self.clip, Clip) else open_clip(self.clip, robot=robot, **overrides)
 
+    def retarget(self, robot: Robot, *, executable: bool = False, **overrides: Any) -> "tuple[Motion, RetargetReport]":
+        """The clip's motion for a robot, and what changed; raises as `open_clip` and `retarget` do."""
+        from fastmimic.retargeting.retarget import retarget  # loads the compiler
+
+        return retarget(self.open_clip(robot, **overrides), robot, executable=executable)
+
     def load(self, robot: Robot, **overrides: Any) -> Motion:
         """The motion for a robot; see `load_motion`."""
         given = {k: v for k, v in overrides.items() if v is not None and v is not False}
         if self.motion is None:
-            from fastmimic.retargeting.retarget import retarget  # loads the compiler
-
-            return retarget(self.open_clip(robot, **given), robot)[0]
+            return self.retarget(robot, **given)[0]
         if given:
             raise ConfigError(
                 f"{', '.join(sorted(given))} cannot be applied to '{self.motion.name}': it is already a robot motion"
@@ -107,7 +114,7 @@ def load_motion(
             run, a `Clip` or a `Motion`. A clip is retargeted to the robot. A name precedes a file or a folder.
         robot: the robot, its name, or the path of its MJCF.
         overrides: for clips, as in `open_clip` (`fps`, `up`, `point_map`, `scale`, `frames`, `discrete`, `speed`,
-            `yaw_rate`, `duty`).
+            `yaw_rate`, `duty`), and `executable` as in `retarget`.
 
     Raises `FastMimicError` if there is no such source, a file cannot be read, or an override does not apply.
     """

@@ -1,0 +1,309 @@
+"""The motion nearest to an animal's that a robot can execute, from the optimal control problem's solution."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.errors import MotionError
+from fastmimic.base.rotations import (
+    quat_from_rotvec,
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+    rotate_planar,
+)
+from fastmimic.motion.ground import differentiate, pad
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
+from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
+from fastmimic.trajectory.config import TrajectoryConfig
+from fastmimic.trajectory.contact_modes import ContactModes
+from fastmimic.trajectory.node import METRES, ROWS
+from fastmimic.trajectory.program import Program, Solution, roll_pitch_yaw
+
+_RETRIES: Final[tuple[dict[str, float], ...]] = (
+    {"landing_m_per_s": 0.4},
+    {"landing_m_per_s": 0.4, "friction": 0.5, "torque_share": 0.95},
+)
+"""Margins that a problem without a solution gives up, in this order."""
+_AT_LIMIT: Final = 1e-3
+
+
+@dataclass(frozen=True)
+class ExecutableFigures:
+    """What changed from the animal's motion to the executable one, and which limits held it back.
+
+    Attributes:
+        speed_share: mean speed, share of the animal's.
+        period_s: the animal's period, and the executable one's.
+        duration_s: greatest change of a contact mode's duration.
+        trunk_m, trunk_deg: RMS change of x, y (along the animal's own way) and z, and of roll, pitch and yaw.
+        peak: greatest use of each limit, share of the robot's own: 1 is its limit. `friction` is the coefficient.
+        active: share of the time at which a limit, with its margin, is reached.
+        given_up: margins that were given up, since no motion keeps them.
+        iterations, cost: of the solver.
+    """
+
+    speed_share: float
+    period_s: tuple[float, float]
+    duration_s: float
+    trunk_m: tuple[float, ...]
+    trunk_deg: tuple[float, ...]
+    peak: dict[str, float]
+    active: dict[str, float]
+    given_up: dict[str, float]
+    iterations: int
+    cost: float
+
+    def lines(self) -> list[str]:
+        """For a human."""
+        moved = [f"{a} {1e3 * v:.0f} mm" for a, v in zip("xyz", self.trunk_m, strict=True)]
+        moved += [f"{a} {v:.1f}°" for a, v in zip(("roll", "pitch", "yaw"), self.trunk_deg, strict=True)]
+        before, after = self.period_s
+        used = ", ".join(f"{name} {self.peak[name]:.2f} ({100 * self.active[name]:.0f} %)" for name in self.peak)
+        given_up = ", ".join(f"{name} {value:g}" for name, value in self.given_up.items())
+        return [
+            f"executable: speed × {self.speed_share:.3f}; period {before:.4f} → {after:.4f} s; contact modes longer or"
+            f" shorter by up to {1e3 * self.duration_s:.0f} ms",
+            f"trunk changed by {', '.join(moved)} RMS",
+            f"greatest share of each limit, and the share of the time at it: {used}",
+            *([f"margins given up: {given_up}"] if given_up else []),
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Executable:
+    """An executable motion.
+
+    Attributes:
+        motion: it; its `animal` is the given motion, aligned by phase.
+        figures: what changed.
+        solution: of the optimal control problem.
+    """
+
+    motion: Motion
+    figures: ExecutableFigures
+    solution: Solution
+
+
+def nearest_executable(robot: Robot, animal: Motion, config: TrajectoryConfig | None = None) -> Executable:
+    """The motion nearest to `animal` that the robot can execute.
+
+    `animal` is a kinematic motion of the robot: feet and trunk as the animal's, contacts clean, cyclic. Raises
+    `MotionError` if the motion does not repeat, or if no motion keeps the limits; the message says which limit.
+    """
+    if animal.cycle is None:
+        raise MotionError(f"'{animal.name}' does not repeat; only cycles can be made executable")
+    first = config or TrajectoryConfig()
+    without: dict[str, float] = {}
+    for given_up in (without, *_RETRIES):
+        program = Program(robot, animal, replace(first, **given_up))  # type: ignore[arg-type]
+        solution = program.solve()
+        if solution.converged:
+            return Executable(sampled(program, solution), _figures(program, solution, given_up), solution)
+    raise MotionError(
+        f"no motion of {robot.name} near '{animal.name}' keeps the limits: {_worst(program, solution)}"
+        f" ({solution.status} after {solution.iterations} iterations)"
+    )
+
+
+def _figures(program: Program, solution: Solution, given_up: dict[str, float]) -> ExecutableFigures:
+    config, modes, animal = program.config, program.modes, program.animal
+    low, high = program.bounds_of_rows()
+    rows = solution.rows
+    at_limit = (np.minimum(rows - low, high - rows) < _AT_LIMIT) & (low < high)
+    shares = {
+        "torque": (config.torque_share * np.abs(rows[:, ROWS["torque"]]), ("torque",)),
+        "torque at speed": (
+            0.5 * np.maximum(rows[:, ROWS["driving"]], rows[:, ROWS["braking"]]),
+            ("driving", "braking"),
+        ),
+        "joint speed": (np.abs(rows[:, ROWS["speed"]]), ("speed",)),
+    }
+    peak = {name: float(values[modes.moves].max()) for name, (values, _) in shares.items()}
+    active = {
+        name: float(np.mean(np.any([at_limit[:, ROWS[row]].any(axis=1) for row in names], axis=0)))
+        for name, (_, names) in shares.items()
+    }
+    force = solution.force[modes.loaded & modes.moves[:, None]]
+    peak["friction"] = float((np.abs(force[:, :2]).max(axis=1) / force[:, 2]).max()) if len(force) else 0.0
+    active["friction"] = float(np.mean(at_limit[:, ROWS["friction"]].any(axis=1)))
+    wanted = np.column_stack([solution.stride * animal["position"][:, :2], animal["position"][:, 2:], animal["angles"]])
+    change = np.sqrt(np.mean((solution.coordinates[:, :6] - wanted) ** 2, axis=0))
+    period = program.motion.period_s, float(solution.time[-1])
+    return ExecutableFigures(
+        speed_share=solution.stride * period[0] / period[1],
+        period_s=period,
+        duration_s=float(np.abs(solution.durations - program.animal_durations).max()),
+        trunk_m=tuple(change[:3].tolist()),
+        trunk_deg=tuple(np.degrees(change[3:]).tolist()),
+        peak=peak,
+        active=active,
+        given_up=given_up,
+        iterations=solution.iterations,
+        cost=solution.cost,
+    )
+
+
+_LIMITS = {
+    "dynamics": "the wrench that the feet can give",
+    "feet": "footholds and swing heights",
+    "torque": "joint torque",
+    "driving": "joint torque at speed",
+    "braking": "joint torque at speed",
+    "speed": "joint speed",
+    "friction": "friction",
+    "knees": "height of the knees",
+    "apart": "distance of left and right feet",
+    "turning": "angular acceleration",
+}
+
+
+def _worst(program: Program, solution: Solution) -> str:
+    """The limit that is exceeded most, by how much and when."""
+    low, high = program.bounds_of_rows()
+    excess = np.maximum(low - solution.rows, solution.rows - high)
+    node, row = np.unravel_index(int(np.argmax(excess)), excess.shape)
+    name = next(name for name, part in ROWS.items() if part.start <= row < part.stop)
+    amount = float(excess[node, row])
+    size = f"{1e3 * amount / METRES:.0f} mm" if name in ("feet", "knees", "apart") else f"{100 * amount:.0f} %"
+    return f"{_LIMITS[name]} by {size} at {solution.time[node]:.2f} s"
+
+
+def sampled(program: Program, solution: Solution) -> Motion:
+    """The solution at the rate of the animal's motion; the period becomes a whole number of samples."""
+    robot, animal, modes = program.robot, program.motion, program.modes
+    n = max(2, round(solution.time[-1] * animal.rate_hz))
+    time = np.arange(n) * solution.time[-1] / n  # of the solution
+    stretch = n / animal.rate_hz / solution.time[-1]
+    wide = _Repeated(program, solution)
+    root, rates = wide.root(time)
+    quat = _quaternion(root[:, 3:])
+    feet = wide.feet(time)
+    foot_b = quat_rotate_inverse(quat[:, None], feet - root[:, None, :3])
+    joints = np.unwrap(inverse_kinematics(robot, foot_b)[0], axis=0)
+    contact = modes.contact[np.searchsorted(np.cumsum(solution.durations)[:-1], time + 1e-9, side="right")]
+    motion = Motion(
+        rate_hz=animal.rate_hz,
+        root_pos_w=root[:, :3],
+        root_quat_wxyz=quat,
+        joint_pos=joints,
+        joint_vel=differentiate(pad(joints, True), animal.dt),
+        foot_pos_b=foot_positions(robot, joints),
+        contact=contact,
+        root_lin_vel_w=rates[:, :3] / stretch,
+        root_ang_vel_w=_angular_velocity(root, rates) / stretch,
+        cycle=_cycle(program, solution, root[0]),
+        provenance=animal.provenance,
+    )
+    return replace(motion, animal=aligned(animal, modes, solution, time))
+
+
+def _cycle(program: Program, solution: Solution, root: Array) -> Array:
+    """(dx, dy, dyaw) of a period in the heading frame of the first sample, from its x, y, …, yaw (6,)."""
+    step, turn = program.displacement
+    moved = rotate_planar(turn, root[:2]) + solution.stride * step - root[:2]
+    return np.array([*rotate_planar(-root[5], moved), turn])
+
+
+def aligned(animal: Motion, modes: ContactModes, solution: Solution, time: Array) -> Motion:
+    """The animal's motion at the phases of the executable one at `time` (t,), s: its pose and velocities of the same
+    share of the same contact mode."""
+    sample = np.interp(time, solution.time, np.append(modes.sample, modes.end[-1]))
+    step, turn = np.asarray(animal.cycle)[:2], float(np.asarray(animal.cycle)[2])
+    yaw = roll_pitch_yaw(animal.root_quat_wxyz)[0, 2]
+    moved = rotate_planar(yaw, step)
+
+    def at(values: Array, following: Array) -> Array:
+        extended = np.concatenate([values, following[None]])
+        whole = np.minimum(np.floor(sample).astype(int), len(values) - 1)
+        share = (sample - whole).reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray(extended[whole] * (1 - share) + extended[whole + 1] * share)
+
+    position = animal.root_pos_w - np.array([*animal.root_pos_w[0, :2], 0.0])
+    end = np.array([*moved, position[0, 2]])
+    following = quat_multiply(quat_from_yaw(turn), animal.root_quat_wxyz[0])
+    if following @ animal.root_quat_wxyz[-1] < 0:
+        following = -following
+    quat = at(animal.root_quat_wxyz, following)
+
+    def turned(vector: Array) -> Array:
+        return np.array([*rotate_planar(turn, vector[:2]), vector[2]])
+
+    return Motion(
+        rate_hz=animal.rate_hz,
+        root_pos_w=at(position, end),
+        root_quat_wxyz=quat / np.linalg.norm(quat, axis=1, keepdims=True),
+        joint_pos=at(animal.joint_pos, animal.joint_pos[0]),
+        joint_vel=at(animal.joint_vel, animal.joint_vel[0]),
+        foot_pos_b=at(animal.foot_pos_b, animal.foot_pos_b[0]),
+        contact=animal.contact[np.minimum(np.floor(sample + 1e-9).astype(int), animal.n_samples - 1)],
+        root_lin_vel_w=at(animal.root_lin_vel_w, turned(animal.root_lin_vel_w[0])),
+        root_ang_vel_w=at(animal.root_ang_vel_w, turned(animal.root_ang_vel_w[0])),
+        cycle=animal.cycle,
+        provenance=animal.provenance,
+    )
+
+
+class _Repeated:
+    """The solution with the periods before and after it, as functions of time."""
+
+    def __init__(self, program: Program, solution: Solution) -> None:
+        self._modes, self._robot = program.modes, program.robot
+        period = solution.time[-1]
+        step, turn = program.displacement
+        step = solution.stride * step
+        q = solution.coordinates
+        before, after = q.copy(), q.copy()
+        before[:, :2], before[:, 5] = rotate_planar(-turn, q[:, :2] - step), q[:, 5] - turn
+        after[:, :2], after[:, 5] = rotate_planar(turn, q[:, :2]) + step, q[:, 5] + turn
+        time = solution.time[:-1]
+        self._time = np.concatenate([time - period, time, time + period])
+        self._q = np.concatenate([before, q, after])
+        turned = _quaternion(self._q[:, 3:6])
+        self._feet = self._q[:, None, :3] + quat_rotate(turned[:, None], foot_positions(program.robot, self._q[:, 6:]))
+
+    def root(self, time: Array) -> tuple[Array, Array]:
+        """Position, roll, pitch, yaw (t, 6) and their rates."""
+        from scipy.interpolate import CubicSpline
+
+        spline = CubicSpline(self._time, self._q[:, :6])
+        return spline(time), spline(time, 1)
+
+    def feet(self, time: Array) -> Array:
+        """Centres of the feet (t, 4, 3), world, m: fixed in stance, at rest at either end of a swing."""
+        from scipy.interpolate import CubicSpline
+
+        feet = np.zeros((len(time), 4, 3))
+        for leg in range(4):
+            down = np.tile(self._modes.contact[self._modes.mode, leg], 3)
+            edges = [0, *(np.flatnonzero(down[1:] != down[:-1]) + 1), len(down) - 1]
+            for first, last in pairwise(edges):
+                inside = (time >= self._time[first] - 1e-12) & (time < self._time[last] - 1e-12)
+                if not inside.any():
+                    continue
+                path = self._feet[first : last + 1, leg]
+                if down[first]:
+                    feet[inside, leg] = path.mean(axis=0)
+                else:
+                    spline = CubicSpline(self._time[first : last + 1], path, bc_type="clamped")
+                    feet[inside, leg] = spline(time[inside])
+        return feet
+
+
+def _quaternion(angles: Array) -> Array:
+    """(t, 4) from roll, pitch, yaw (t, 3)."""
+    about = [quat_from_rotvec(angles[:, j : j + 1] * np.eye(3)[j]) for j in range(3)]
+    return quat_multiply(about[2], quat_multiply(about[1], about[0]))
+
+
+def _angular_velocity(root: Array, rates: Array) -> Array:
+    """(t, 3) rad/s, world, from roll, pitch, yaw and their rates in columns 3 to 5."""
+    pitch, yaw = root[:, 4], root[:, 5]
+    roll_rate, pitch_rate, yaw_rate = rates[:, 3:].T
+    planar = rotate_planar(yaw, np.stack([np.cos(pitch) * roll_rate, pitch_rate], axis=1))
+    return np.column_stack([planar, yaw_rate - np.sin(pitch) * roll_rate])

@@ -1,0 +1,347 @@
+"""The optimal control problem of a motion: its variables, their bounds, and the animal's motion at the nodes.
+
+Positions at the nodes are the variables. Velocities and accelerations are their differences, so that a node's
+constraints and cost depend on three neighbouring nodes alone.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.rotations import (
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate,
+    rotate_planar,
+    yaw_from_quat,
+)
+from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
+from fastmimic.trajectory.config import TrajectoryConfig
+from fastmimic.trajectory.contact_modes import ContactModes
+from fastmimic.trajectory.ipopt import make_solver
+from fastmimic.trajectory.node import (
+    GIVEN,
+    METRES,
+    N_GIVEN,
+    N_ROWS,
+    N_VARIABLES,
+    ROWS,
+    VARIABLES,
+    NodeFunctions,
+    node_functions,
+)
+
+_SHORTEST_STEP_S = 0.0025
+_LONGEST_STEP_S = 0.012
+_MOST_DIFFERENCE = 0.6  # of the distance that a cycle covers
+
+
+def roll_pitch_yaw(quat: Array) -> Array:
+    """(t, 3) rad of orientations (t, 4), R = Rz(yaw) Ry(pitch) Rx(roll); yaw without jumps."""
+    w, x, y, z = quat.T
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    return np.stack([roll, pitch, yaw], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What the solver found; positions in the motion's world frame, moved so that its first sample is at x = y = 0.
+
+    Attributes:
+        coordinates: (N, 18) at the nodes.
+        force: (N, 4, 3) on the feet, world, multiples of the weight.
+        time: (N + 1,) of the nodes and of the end, s; without a period (N,).
+        durations: (M,) of the contact modes, s.
+        stride: distance that a cycle covers, share of the animal's.
+        holds: (H, 2) footholds.
+        converged, status: whether the solver's tolerances were met, and IPOPT's words.
+        iterations: of the solver.
+        violation: largest violation of a scaled constraint.
+        rows: (N, 88) constraint rows.
+        cost: of the whole.
+        variables: of the program, to start another one from.
+    """
+
+    coordinates: Array
+    force: Array
+    time: Array
+    durations: Array
+    stride: float
+    holds: Array
+    converged: bool
+    status: str
+    iterations: int
+    violation: float
+    rows: Array
+    cost: float
+    variables: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """The problem of one motion: the nearest one that the robot can execute."""
+
+    robot: Robot
+    motion: Motion
+    config: TrajectoryConfig
+
+    @cached_property
+    def modes(self) -> ContactModes:
+        return ContactModes.of(self.motion, self.config.node_s)
+
+    @cached_property
+    def functions(self) -> NodeFunctions:
+        return node_functions(self.robot, self.config)
+
+    @property
+    def n(self) -> int:
+        """Number of variables."""
+        return self._at["stride"] + 1
+
+    @cached_property
+    def _at(self) -> dict[str, int]:
+        """First index of the variables: coordinates and forces node by node, durations, footholds, stride."""
+        modes = self.modes
+        sizes = {
+            "coordinates": 18 * modes.n_nodes,
+            "force": 12 * modes.n_nodes,
+            "durations": len(modes.steps),
+            "holds": 2 * len(modes.footholds),
+            "stride": 1,
+        }
+        ends = np.cumsum([0, *sizes.values()]).tolist()
+        return dict(zip(sizes, ends, strict=False))
+
+    @cached_property
+    def index(self) -> NDArray[np.int_]:
+        """(N, 77) variables of the program that are those of each node."""
+        modes, at = self.modes, self._at
+        index = np.zeros((modes.n_nodes, N_VARIABLES), dtype=int)
+        for name, node in (("before", modes.before), ("here", np.arange(modes.n_nodes)), ("after", modes.after)):
+            index[:, VARIABLES[name]] = 18 * node[:, None] + np.arange(18)
+        index[:, VARIABLES["force"]] = at["force"] + np.arange(12 * modes.n_nodes).reshape(-1, 12)
+        index[:, VARIABLES["duration_before"]] = at["durations"] + modes.mode[modes.before][:, None]
+        index[:, VARIABLES["duration"]] = at["durations"] + modes.mode[:, None]
+        hold = at["holds"] + 2 * np.maximum(modes.foothold, 0)[..., None] + np.arange(2)
+        index[:, VARIABLES["holds"]] = hold.reshape(-1, 8)
+        index[:, VARIABLES["stride"]] = at["stride"]
+        return index
+
+    @cached_property
+    def displacement(self) -> tuple[Array, float]:
+        """Of one period: (2,) m in the world, and its turn, rad; 0 without a period."""
+        motion = self.motion
+        if motion.cycle is None:
+            return np.zeros(2), 0.0
+        yaw = float(yaw_from_quat(motion.root_quat_wxyz[0]))
+        return rotate_planar(yaw, motion.cycle[:2]), float(motion.cycle[2])
+
+    def _lap(self, laps: int) -> Array:
+        """(5,) cosine, sine, displacement and yaw that move by whole periods."""
+        step, turn = self.displacement
+        moved = np.zeros(2)
+        for _ in range(abs(laps)):
+            moved = rotate_planar(turn, moved) + step if laps > 0 else rotate_planar(-turn, moved - step)
+        return np.array([np.cos(laps * turn), np.sin(laps * turn), *moved, laps * turn])
+
+    @cached_property
+    def animal(self) -> dict[str, Array]:
+        """The motion at the nodes, by the names of `node.GIVEN`."""
+        motion, modes = self.motion, self.modes
+        step, turn = self.displacement
+        origin = np.array([*motion.root_pos_w[0, :2], 0.0])
+        position = motion.root_pos_w - origin
+        angles = roll_pitch_yaw(motion.root_quat_wxyz)
+        angles[:, 2] += yaw_from_quat(motion.root_quat_wxyz[0]) - angles[0, 2]
+        moved = np.array([0.0, 0.0, turn])
+        if modes.periodic:
+            wide = np.concatenate([angles[-1:] - moved, angles, angles[:1] + moved])
+            rates = np.gradient(wide, motion.dt, axis=0)[1:-1]
+        else:
+            rates = np.gradient(angles, motion.dt, axis=0)
+        level = quat_multiply(quat_from_yaw(-yaw_from_quat(motion.root_quat_wxyz)), motion.root_quat_wxyz)
+        feet = quat_rotate(level[:, None], motion.foot_pos_b)
+        feet[..., 2] = motion.foot_pos_w[..., 2]
+        end = np.array([*rotate_planar(turn, position[0, :2]) + step, position[0, 2]])
+        given = {
+            "position": (position, end),
+            "angles": (angles, angles[0] + moved),
+            "joints": (motion.joint_pos, motion.joint_pos[0]),
+            "velocity": (motion.root_lin_vel_w, _turned(motion.root_lin_vel_w[0], turn)),
+            "angle_rates": (rates, rates[0]),
+            "joint_rates": (motion.joint_vel, motion.joint_vel[0]),
+            "feet": (feet.reshape(-1, 12), feet[0].ravel()),
+            "feet_w": ((motion.foot_pos_w - origin).reshape(-1, 12), np.zeros(12)),
+        }
+        found = {}
+        for name, (values, following) in given.items():
+            found[name] = modes.at_nodes(values, following if modes.periodic else values[-1])
+        return found
+
+    @cached_property
+    def given(self) -> Array:
+        """(N, 58) parameters of the nodes."""
+        modes, animal = self.modes, self.animal
+        nodes = np.arange(modes.n_nodes)
+        p = np.zeros((modes.n_nodes, N_GIVEN))
+        p[:, GIVEN["share_before"]] = 1 / modes.steps[modes.mode[modes.before]][:, None]
+        p[:, GIVEN["share"]] = 1 / modes.steps[modes.mode][:, None]
+        p[:, GIVEN["lap_before"]] = self._lap(0)
+        p[:, GIVEN["lap_after"]] = self._lap(0)
+        if modes.periodic:
+            p[0, GIVEN["lap_before"]], p[-1, GIVEN["lap_after"]] = self._lap(-1), self._lap(1)
+        laps = {k: self._lap(-k)[:4] for k in np.unique(modes.laps).tolist()}
+        p[:, GIVEN["lap_holds"]] = [np.concatenate([laps[k] for k in row]) for row in modes.laps.tolist()]
+        p[:, GIVEN["loaded"]] = modes.loaded
+        for name in ("position", "angles", "joints", "velocity", "angle_rates", "joint_rates", "feet"):
+            p[:, GIVEN[name]] = animal[name]
+        step = ((modes.end - modes.first) / modes.steps)[modes.mode]
+        share = 0.5 * (step + step[modes.before]) / (modes.end[-1] - modes.first[0])
+        p[:, GIVEN["weight"]] = np.where(modes.moves[nodes], share, 0.0)[:, None]
+        return p
+
+    def bounds_of_rows(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (N, 88) of the rows; infinite where a row does not apply."""
+        robot, config, modes = self.robot, self.config, self.modes
+        shape = (modes.n_nodes, N_ROWS)
+        low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
+        size = robot.leg_length / 0.4
+        low[:, ROWS["knees"]] = METRES * config.knee_m * size
+        moves = modes.moves
+        low[moves, ROWS["dynamics"]] = high[moves, ROWS["dynamics"]] = 0.0
+        low[moves, ROWS["torque"]], high[moves, ROWS["torque"]] = -1.0, 1.0
+        high[moves, ROWS["driving"]] = high[moves, ROWS["braking"]] = 2.0
+        low[moves, ROWS["turning"]], high[moves, ROWS["turning"]] = -1.0, 1.0
+        low[moves, ROWS["speed"]], high[moves, ROWS["speed"]] = -config.speed_share, config.speed_share
+        height = self.animal["feet"].reshape(-1, 4, 3)[..., 2] - robot.foot_radius
+        near = METRES * config.landing_m_per_s * config.node_s
+        for leg in range(4):
+            foot = slice(ROWS["feet"].start + 3 * leg, ROWS["feet"].start + 3 * leg + 3)
+            up = foot.stop - 1
+            stands, landing = modes.stands[:, leg], modes.landing[:, leg]
+            low[:, up] = METRES * np.clip(0.5 * height[:, leg], 0.0, config.swing_m * size)
+            for nodes in modes.swings(leg):
+                top = nodes[np.argmax(height[nodes, leg])]
+                low[top, up] = max(low[top, up], METRES * config.clearance_share * height[top, leg])
+            low[landing, foot], high[landing, foot] = -near, near
+            low[landing, up] = 0.0
+            low[stands, foot] = high[stands, foot] = 0.0
+            pyramid = slice(ROWS["friction"].start + 4 * leg, ROWS["friction"].start + 4 * leg + 4)
+            low[modes.loaded[:, leg] & moves, pyramid] = 0.0
+        return low, high
+
+    def bounds_of_variables(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (n,) of the variables."""
+        robot, config, modes, at = self.robot, self.config, self.modes, self._at
+        low, high = np.full(self.n, -np.inf), np.full(self.n, np.inf)
+        place = at["coordinates"] + 18 * np.arange(modes.n_nodes)[:, None]
+        for j in (3, 4):
+            low[place + j], high[place + j] = -config.tilt_rad, config.tilt_rad
+        joints = place + 6 + np.arange(12)
+        low[joints] = robot.joint_lower + config.joint_margin_rad
+        high[joints] = robot.joint_upper - config.joint_margin_rad
+        force_low, force_high = np.zeros((2, modes.n_nodes, 4, 3))
+        pushes = modes.loaded & modes.moves[:, None]
+        force_low[pushes] = -config.most_force, -config.most_force, config.least_force
+        force_high[pushes] = config.most_force
+        part = slice(at["force"], at["durations"])
+        low[part], high[part] = force_low.ravel(), force_high.ravel()
+        part = slice(at["durations"], at["holds"])
+        animal = self.animal_durations
+        if config.keep_time:
+            low[part] = high[part] = animal
+        else:
+            low[part] = np.maximum(config.shortest_share * animal, _SHORTEST_STEP_S * modes.steps)
+            high[part] = np.maximum(config.longest_share * animal, _LONGEST_STEP_S * modes.steps)
+        free = 0.0 if config.keep_speed else _MOST_DIFFERENCE
+        low[at["stride"]], high[at["stride"]] = 1 - free, 1 + free
+        return low, high
+
+    @property
+    def animal_durations(self) -> Array:
+        """(M,) of the contact modes, s."""
+        return np.asarray((self.modes.end - self.modes.first) * self.motion.dt)
+
+    def start(self) -> Array:
+        """The animal's motion as the first guess (n,), the weight shared by the standing feet."""
+        modes, at, animal = self.modes, self._at, self.animal
+        low, high = self.bounds_of_variables()
+        w = np.zeros(self.n)
+        coordinates = np.hstack([animal["position"], animal["angles"], animal["joints"]])
+        w[: at["force"]] = coordinates.ravel()
+        force = np.zeros((modes.n_nodes, 4, 3))
+        force[..., 2] = modes.loaded / np.maximum(1, modes.loaded.sum(axis=1, keepdims=True))
+        w[at["force"] : at["durations"]] = force.ravel()
+        w[at["durations"] : at["holds"]] = self.animal_durations
+        feet = animal["feet_w"].reshape(-1, 4, 3)
+        holds = np.array([feet[hold.node, hold.leg, :2] for hold in modes.footholds])
+        w[at["holds"] : at["stride"]] = holds.ravel()
+        w[at["stride"]] = 1.0
+        return np.clip(w, low, high)
+
+    def solve(self, start: Array | None = None) -> Solution:
+        """Solves the problem from a first guess (n,), by default `start()`."""
+        solver, (low, high) = make_solver(
+            self.functions, self.index, self.given, self.bounds_of_rows(), self._quadratic(), self.config
+        )
+        lower, upper = self.bounds_of_variables()
+        found = solver(x0=self.start() if start is None else start, lbx=lower, ubx=upper, lbg=low, ubg=high)
+        stats = solver.stats()
+        w, g = np.array(found["x"]).ravel(), np.array(found["g"]).ravel()
+        violation = max(0.0, float((low - g).max(initial=0.0)), float((g - high).max(initial=0.0)))
+        modes, at = self.modes, self._at
+        durations = w[at["durations"] : at["holds"]]
+        steps = np.repeat(durations / modes.steps, modes.steps)
+        n = modes.n_nodes
+        all_rows = np.array(self.functions.rows.map(n)(w[self.index].T, self.given.T)).T
+        return Solution(
+            coordinates=w[: at["force"]].reshape(n, 18),
+            force=w[at["force"] : at["durations"]].reshape(n, 4, 3),
+            time=np.concatenate([[0.0], np.cumsum(steps)]),
+            durations=durations,
+            stride=float(w[at["stride"]]),
+            holds=w[at["holds"] : at["stride"]].reshape(-1, 2),
+            converged=bool(stats["success"]),
+            status=str(stats["return_status"]),
+            iterations=int(stats["iter_count"]),
+            violation=violation,
+            rows=all_rows,
+            cost=float(found["f"]),
+            variables=w,
+        )
+
+    def _quadratic(self) -> tuple[Any, Array]:
+        """Sparse E and e of the cost |E w − e|² of changed durations, and of forces that differ between nodes."""
+        import scipy.sparse as sp
+
+        modes, config, at = self.modes, self.config, self._at
+        count = len(modes.steps)
+        root = np.sqrt(config.duration_weight)
+        durations = sp.csr_matrix(
+            (np.full(count, root), (np.arange(count), at["durations"] + np.arange(count))), (count, self.n)
+        )
+        follows = modes.stands & modes.stands[modes.after] & (modes.after != np.arange(modes.n_nodes))[:, None]
+        node, leg = np.nonzero(follows)
+        here = at["force"] + (12 * node + 3 * leg)[:, None] + np.arange(3)
+        there = at["force"] + (12 * modes.after[node] + 3 * leg)[:, None] + np.arange(3)
+        k = here.size
+        step = np.repeat((self.animal_durations / modes.steps)[modes.mode[node]], 3)
+        rate = np.sqrt(config.force_rate_weight / step / self.animal_durations.sum())
+        values = np.concatenate([rate, -rate])
+        rates = sp.csr_matrix(
+            (values, (np.tile(np.arange(k), 2), np.concatenate([here.ravel(), there.ravel()]))), (k, self.n)
+        )
+        stride = sp.csr_matrix(([np.sqrt(config.stride_weight)], ([0], [at["stride"]])), (1, self.n))
+        wanted = np.concatenate([root * self.animal_durations, np.zeros(k), [np.sqrt(config.stride_weight)]])
+        return sp.vstack([durations, rates, stride]).tocsr(), wanted
+
+
+def _turned(velocity: Array, yaw: float) -> Array:
+    return np.array([*rotate_planar(yaw, velocity[:2]), velocity[2]])

@@ -1,0 +1,140 @@
+"""The nearest executable motion: it keeps every limit, stays near the animal's, and says what gave."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fastmimic.base.errors import MotionError
+from fastmimic.base.rotations import rotate_planar, yaw_from_quat
+from fastmimic.clips.synthesis import generate
+from fastmimic.episode.feasibility import demands
+from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.metrics import Metrics
+from fastmimic.motion.motion import Motion
+from fastmimic.retargeting.balance import BalanceConfig
+from fastmimic.retargeting.retarget import RetargetConfig, retarget
+from fastmimic.robot import Robot
+from fastmimic.trajectory.config import TrajectoryConfig
+from fastmimic.trajectory.executable import Executable, nearest_executable
+from fastmimic.trajectory.program import Program
+
+KINEMATIC = RetargetConfig(balance=BalanceConfig(rounds=0))
+
+
+@pytest.fixture(scope="module")
+def animal(a1: Robot) -> Motion:
+    return retarget(generate("turn"), a1, config=KINEMATIC)[0]
+
+
+@pytest.fixture(scope="module")
+def turn(a1: Robot, animal: Motion) -> Executable:
+    return nearest_executable(a1, animal)
+
+
+def test_it_keeps_every_limit_by_mujocos_inverse_dynamics(a1: Robot, animal: Motion, turn: Executable) -> None:
+    asked, found = demands(a1, animal), demands(a1, turn.motion)
+    assert asked.lacking > 0.05  # the animal's motion asks for what the feet cannot give
+    assert found.lacking < 0.05
+    assert found.torque <= 1.0
+    assert found.torque_at_speed <= 1.0
+    assert found.joint_speed <= 1.0
+    assert found.friction <= 0.6
+    assert found.slide_m < 1e-6
+    assert found.body_clearance_m > 0.0
+
+
+def test_solution_is_consistent_and_within_its_bounds(a1: Robot, animal: Motion, turn: Executable) -> None:
+    solution = turn.solution
+    program = Program(a1, animal, TrajectoryConfig())
+    low, high = program.bounds_of_rows()
+    assert solution.converged
+    assert np.nanmax(np.maximum(low - solution.rows, solution.rows - high)) < 1e-4
+    modes = program.modes
+    assert (solution.force[~modes.loaded] == 0.0).all()
+    assert (solution.force[modes.loaded][:, 2] > 0.0).all()
+    total = solution.force.sum(axis=1)[:, 2]
+    steps = np.diff(solution.time)
+    mean = (total * 0.5 * (steps + np.roll(steps, 1))).sum() / solution.time[-1]
+    assert mean == pytest.approx(1.0, abs=0.02)  # over a cycle the ground carries the weight
+
+
+def test_it_repeats_and_stays_near_the_animal(animal: Motion, turn: Executable) -> None:
+    motion = turn.motion
+    assert motion.cycle is not None
+    assert motion.cycle[2] == animal.cycle[2]
+    step = motion.root_pos_w[1] - motion.root_pos_w[0]
+    assert np.linalg.norm(step - motion.root_lin_vel_w[0] * motion.dt) < 1e-4
+    np.testing.assert_allclose(motion.joint_pos, turn.motion.animal.joint_pos, atol=0.35)
+    assert max(turn.figures.trunk_m) < 0.04
+    assert turn.figures.speed_share == pytest.approx(1.0, abs=0.02)
+    # velocities are those of the positions
+    differences = np.diff(motion.root_pos_w, axis=0) / motion.dt
+    middle = 0.5 * (motion.root_lin_vel_w[1:] + motion.root_lin_vel_w[:-1])
+    np.testing.assert_allclose(differences, middle, atol=5e-3)
+    last = motion.root_pos_w[-1] + motion.root_lin_vel_w[-1] * motion.dt
+    heading = float(yaw_from_quat(motion.root_quat_wxyz[0]))
+    following = motion.root_pos_w[0, :2] + rotate_planar(heading, motion.cycle[:2])
+    assert np.linalg.norm(last[:2] - following) < 2e-3
+
+
+def test_the_same_problem_has_the_same_solution_bit_for_bit(a1: Robot, animal: Motion, turn: Executable) -> None:
+    again = Program(a1, animal, TrajectoryConfig()).solve()
+    np.testing.assert_array_equal(again.variables, turn.solution.variables)
+
+
+def test_animal_at_the_same_phases(a1: Robot, animal: Motion) -> None:
+    kept = nearest_executable(a1, animal, TrajectoryConfig(keep_time=True, keep_speed=True))
+    assert kept.motion.n_samples == animal.n_samples
+    aligned = kept.motion.animal
+    assert aligned is not None
+    np.testing.assert_allclose(aligned.joint_pos, animal.joint_pos, atol=1e-9)
+    np.testing.assert_allclose(aligned.root_lin_vel_w, animal.root_lin_vel_w, atol=1e-9)
+    np.testing.assert_array_equal(aligned.contact, animal.contact)
+    np.testing.assert_allclose(kept.motion.cycle, animal.cycle, atol=0.01)
+
+
+def test_scored_against_the_animal_as_well(a1: Robot, turn: Executable) -> None:
+    found = Metrics.of(run_episodes(a1, turn.motion, duration_s=1.5))
+    assert found.fell == 0.0
+    assert found.reward_mean > 0.98
+    assert found.reward_animal is not None
+    assert 0.95 < found.reward_animal < found.reward_mean
+    # an animal that is the motion itself has the same reward
+    itself = replace(turn.motion, animal=replace(turn.motion, animal=None))
+    same = Metrics.of(run_episodes(a1, itself, duration_s=1.5))
+    assert same.reward_animal == pytest.approx(same.reward_mean, abs=1e-12)
+    assert Metrics.of(run_episodes(a1, replace(turn.motion, animal=None), duration_s=0.2)).reward_animal is None
+
+
+def test_the_animal_is_saved_with_the_motion(tmp_path: Path, turn: Executable) -> None:
+    optimised = replace(turn.motion, animal=None, demonstration=turn.motion)
+    optimised.save(tmp_path / "motion.npz")
+    target = Motion.load(tmp_path / "motion.npz").target
+    assert target.animal is not None
+    assert turn.motion.animal is not None
+    np.testing.assert_array_equal(target.animal.joint_pos, turn.motion.animal.joint_pos)
+
+
+def test_what_no_motion_keeps_is_refused_with_its_limit(a1: Robot, animal: Motion) -> None:
+    weak = replace(a1, torque_limit=0.1 * a1.torque_limit)
+    with pytest.raises(MotionError, match=r"no motion of a1 near 'turn' keeps the limits: .* by .* at \d"):
+        nearest_executable(weak, animal, TrajectoryConfig(iterations=10))
+
+
+def test_a_motion_that_does_not_repeat_is_refused(a1: Robot, animal: Motion) -> None:
+    with pytest.raises(MotionError, match="does not repeat"):
+        nearest_executable(a1, replace(animal, cycle=None))
+
+
+def test_retargeting_reports_what_gave(a1: Robot) -> None:
+    motion, report = retarget(generate("pace"), a1, executable=True)
+    assert motion.animal is not None
+    assert report.executable is not None
+    text = "\n".join(report.lines())
+    assert "executable: speed × " in text
+    assert motion.provenance.retarget is not None
+    assert motion.provenance.retarget["executable"]["speed_share"] == report.executable.speed_share
+    assert set(report.executable.peak) == {"torque", "torque at speed", "joint speed", "friction"}
+    assert all(0.0 < value <= 1.0 for value in report.executable.peak.values())
