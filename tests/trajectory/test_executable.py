@@ -123,9 +123,26 @@ def test_what_no_motion_keeps_is_refused_with_its_limit(a1: Robot, animal: Motio
         nearest_executable(weak, animal, TrajectoryConfig(iterations=10))
 
 
-def test_a_motion_that_does_not_repeat_is_refused(a1: Robot, animal: Motion) -> None:
-    with pytest.raises(MotionError, match="does not repeat"):
-        nearest_executable(a1, replace(animal, cycle=None))
+def test_a_passage_that_does_not_repeat(a1: Robot) -> None:
+    kinematic = retarget(generate("trot"), a1, cycle=False, config=KINEMATIC)[0]
+    motion, report = retarget(generate("trot"), a1, cycle=False, executable=True)
+    assert motion.cycle is None
+    assert motion.animal is not None
+    assert motion.animal.cycle is None
+    assert motion.n_samples == motion.animal.n_samples
+    assert report.executable is not None
+    duration = report.executable.period_s[1]
+    assert motion.n_samples == round(duration * motion.rate_hz) + 1
+    assert duration == pytest.approx(kinematic.period_s - kinematic.dt, abs=0.01)
+    # the ends have one neighbour alone, and no dynamics
+    needs, asked = demands(a1, motion), demands(a1, kinematic)
+    assert needs.torque <= 1.0
+    assert needs.slide_m < 1e-6
+    assert needs.lacking < 0.5 * asked.lacking
+    found = Metrics.of(run_episodes(a1, motion, duration_s=(motion.n_samples - 1) * motion.dt))
+    assert found.fell == 0.0
+    assert found.reward_animal is not None
+    assert found.reward_animal > 0.9
 
 
 def test_retargeting_reports_what_gave(a1: Robot) -> None:

@@ -146,7 +146,7 @@ class ClipOptions(ClipFileOptions):
     duty: Annotated[float | None, option("SHARE")] = None
     """Built-in gaits: duty factor, the stance share of the period."""
     executable: Flag = False
-    """Make a cycle executable by optimal control: the motion nearest to the animal's within the robot's limits."""
+    """Make the motion executable by optimal control: the nearest to the animal's within the robot's limits."""
 
     def overrides(self) -> dict[str, Any]:
         """The options that were given, as the Python functions take them."""

@@ -23,7 +23,7 @@ from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.contact_modes import ContactModes
 from fastmimic.trajectory.node import METRES, ROWS
-from fastmimic.trajectory.program import Program, Solution, roll_pitch_yaw
+from fastmimic.trajectory.program import Program, Solution, displacement
 
 _RETRIES: Final[tuple[dict[str, float], ...]] = (
     {"landing_m_per_s": 0.4},
@@ -93,11 +93,9 @@ class Executable:
 def nearest_executable(robot: Robot, animal: Motion, config: TrajectoryConfig | None = None) -> Executable:
     """The motion nearest to `animal` that the robot can execute.
 
-    `animal` is a kinematic motion of the robot: feet and trunk as the animal's, contacts clean, cyclic. Raises
-    `MotionError` if the motion does not repeat, or if no motion keeps the limits; the message says which limit.
+    `animal` is a kinematic motion of the robot: feet and trunk as the animal's, contacts clean. Raises `MotionError` if
+    no motion keeps the limits; the message says which limit.
     """
-    if animal.cycle is None:
-        raise MotionError(f"'{animal.name}' does not repeat; only cycles can be made executable")
     first = config or TrajectoryConfig()
     without: dict[str, float] = {}
     for given_up in (without, *_RETRIES):
@@ -177,10 +175,11 @@ def _worst(program: Program, solution: Solution) -> str:
 def sampled(program: Program, solution: Solution) -> Motion:
     """The solution at the rate of the animal's motion; the period becomes a whole number of samples."""
     robot, animal, modes = program.robot, program.motion, program.modes
-    n = max(2, round(solution.time[-1] * animal.rate_hz))
-    time = np.arange(n) * solution.time[-1] / n  # of the solution
-    stretch = n / animal.rate_hz / solution.time[-1]
-    wide = _Repeated(program, solution)
+    last = max(2, round(solution.time[-1] * animal.rate_hz))
+    n = last if modes.periodic else last + 1
+    time = np.arange(n) * solution.time[-1] / last  # of the solution
+    stretch = last / animal.rate_hz / solution.time[-1]
+    wide = _Path(program, solution)
     root, rates = wide.root(time)
     quat = _quaternion(root[:, 3:])
     feet = wide.feet(time)
@@ -192,12 +191,12 @@ def sampled(program: Program, solution: Solution) -> Motion:
         root_pos_w=root[:, :3],
         root_quat_wxyz=quat,
         joint_pos=joints,
-        joint_vel=differentiate(pad(joints, True), animal.dt),
+        joint_vel=differentiate(pad(joints, modes.periodic), animal.dt),
         foot_pos_b=foot_positions(robot, joints),
         contact=contact,
         root_lin_vel_w=rates[:, :3] / stretch,
         root_ang_vel_w=_angular_velocity(root, rates) / stretch,
-        cycle=_cycle(program, solution, root[0]),
+        cycle=_cycle(program, solution, root[0]) if modes.periodic else None,
         provenance=animal.provenance,
     )
     return replace(motion, animal=aligned(animal, modes, solution, time))
@@ -213,13 +212,12 @@ def _cycle(program: Program, solution: Solution, root: Array) -> Array:
 def aligned(animal: Motion, modes: ContactModes, solution: Solution, time: Array) -> Motion:
     """The animal's motion at the phases of the executable one at `time` (t,), s: its pose and velocities of the same
     share of the same contact mode."""
-    sample = np.interp(time, solution.time, np.append(modes.sample, modes.end[-1]))
-    step, turn = np.asarray(animal.cycle)[:2], float(np.asarray(animal.cycle)[2])
-    yaw = roll_pitch_yaw(animal.root_quat_wxyz)[0, 2]
-    moved = rotate_planar(yaw, step)
+    nodes = np.append(modes.sample, modes.end[-1]) if modes.periodic else modes.sample
+    sample = np.interp(time, solution.time, nodes)
+    moved, turn = displacement(animal)
 
     def at(values: Array, following: Array) -> Array:
-        extended = np.concatenate([values, following[None]])
+        extended = np.concatenate([values, (following if modes.periodic else values[-1])[None]])
         whole = np.minimum(np.floor(sample).astype(int), len(values) - 1)
         share = (sample - whole).reshape(-1, *[1] * (values.ndim - 1))
         return np.asarray(extended[whole] * (1 - share) + extended[whole + 1] * share)
@@ -249,21 +247,21 @@ def aligned(animal: Motion, modes: ContactModes, solution: Solution, time: Array
     )
 
 
-class _Repeated:
-    """The solution with the periods before and after it, as functions of time."""
+class _Path:
+    """The solution as functions of time; a cycle's with the periods before and after it."""
 
     def __init__(self, program: Program, solution: Solution) -> None:
-        self._modes, self._robot = program.modes, program.robot
-        period = solution.time[-1]
-        step, turn = program.displacement
-        step = solution.stride * step
-        q = solution.coordinates
-        before, after = q.copy(), q.copy()
-        before[:, :2], before[:, 5] = rotate_planar(-turn, q[:, :2] - step), q[:, 5] - turn
-        after[:, :2], after[:, 5] = rotate_planar(turn, q[:, :2]) + step, q[:, 5] + turn
-        time = solution.time[:-1]
-        self._time = np.concatenate([time - period, time, time + period])
-        self._q = np.concatenate([before, q, after])
+        modes, q = program.modes, solution.coordinates
+        self._time, self._q, self._periodic = solution.time, q, modes.periodic
+        self._down = modes.contact[modes.mode]  # (N, 4) feet in stance after each node
+        if modes.periodic:
+            step, turn = solution.stride * program.displacement[0], program.displacement[1]
+            before, after = q.copy(), q.copy()
+            before[:, :2], before[:, 5] = rotate_planar(-turn, q[:, :2] - step), q[:, 5] - turn
+            after[:, :2], after[:, 5] = rotate_planar(turn, q[:, :2]) + step, q[:, 5] + turn
+            time, period = solution.time[:-1], solution.time[-1]
+            self._time = np.concatenate([time - period, time, time + period])
+            self._q, self._down = np.concatenate([before, q, after]), np.tile(self._down, (3, 1))
         turned = _quaternion(self._q[:, 3:6])
         self._feet = self._q[:, None, :3] + quat_rotate(turned[:, None], foot_positions(program.robot, self._q[:, 6:]))
 
@@ -278,20 +276,21 @@ class _Repeated:
         """Centres of the feet (t, 4, 3), world, m: fixed in stance, at rest at either end of a swing."""
         from scipy.interpolate import CubicSpline
 
-        feet = np.zeros((len(time), 4, 3))
+        feet, end = np.zeros((len(time), 4, 3)), len(self._time) - 1
+        at_rest, free = (1, np.zeros(3)), (2, np.zeros(3))
         for leg in range(4):
-            down = np.tile(self._modes.contact[self._modes.mode, leg], 3)
-            edges = [0, *(np.flatnonzero(down[1:] != down[:-1]) + 1), len(down) - 1]
+            down = self._down[:end, leg]
+            edges = [0, *(np.flatnonzero(down[1:] != down[:-1]) + 1), end]
             for first, last in pairwise(edges):
-                inside = (time >= self._time[first] - 1e-12) & (time < self._time[last] - 1e-12)
+                inside = (time >= self._time[first] - 1e-12) & ((time < self._time[last] - 1e-12) | (last == end))
                 if not inside.any():
                     continue
                 path = self._feet[first : last + 1, leg]
                 if down[first]:
                     feet[inside, leg] = path.mean(axis=0)
                 else:
-                    spline = CubicSpline(self._time[first : last + 1], path, bc_type="clamped")
-                    feet[inside, leg] = spline(time[inside])
+                    ends = at_rest if first > 0 else free, at_rest if last < end else free
+                    feet[inside, leg] = CubicSpline(self._time[first : last + 1], path, bc_type=ends)(time[inside])
         return feet
 
 

@@ -50,6 +50,14 @@ def roll_pitch_yaw(quat: Array) -> Array:
     return np.stack([roll, pitch, yaw], axis=1)
 
 
+def displacement(motion: Motion) -> tuple[Array, float]:
+    """Of one period: (2,) m in the world, and its turn, rad; 0 without a period."""
+    if motion.cycle is None:
+        return np.zeros(2), 0.0
+    yaw = float(yaw_from_quat(motion.root_quat_wxyz[0]))
+    return rotate_planar(yaw, motion.cycle[:2]), float(motion.cycle[2])
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """What the solver found; positions in the motion's world frame, moved so that its first sample is at x = y = 0.
@@ -136,12 +144,8 @@ class Program:
 
     @cached_property
     def displacement(self) -> tuple[Array, float]:
-        """Of one period: (2,) m in the world, and its turn, rad; 0 without a period."""
-        motion = self.motion
-        if motion.cycle is None:
-            return np.zeros(2), 0.0
-        yaw = float(yaw_from_quat(motion.root_quat_wxyz[0]))
-        return rotate_planar(yaw, motion.cycle[:2]), float(motion.cycle[2])
+        """That of the animal's motion."""
+        return displacement(self.motion)
 
     def _lap(self, laps: int) -> Array:
         """(5,) cosine, sine, displacement and yaw that move by whole periods."""
@@ -327,7 +331,8 @@ class Program:
         durations = sp.csr_matrix(
             (np.full(count, root), (np.arange(count), at["durations"] + np.arange(count))), (count, self.n)
         )
-        follows = modes.stands & modes.stands[modes.after] & (modes.after != np.arange(modes.n_nodes))[:, None]
+        moves = modes.moves & modes.moves[modes.after]
+        follows = modes.stands & modes.stands[modes.after] & moves[:, None]
         node, leg = np.nonzero(follows)
         here = at["force"] + (12 * node + 3 * leg)[:, None] + np.arange(3)
         there = at["force"] + (12 * modes.after[node] + 3 * leg)[:, None] + np.arange(3)
