@@ -18,9 +18,9 @@ import pytest
 
 from browsing import PATIENCE_S, errors_of, picture, until
 from fastmimic.cli import main
-from fastmimic.play.live_scene import LiveHistory
+from fastmimic.play.live_panel import IDLE, read_steering, steering_script
+from fastmimic.play.page import LiveHistory
 from fastmimic.play.session import LiveSession
-from fastmimic.play.steering import IDLE, read_steering, steering_script
 from fastmimic.reference.motion_set import IN_PLACE
 from fastmimic.reference.standing import STAND
 from fastmimic.robot import Robot
@@ -210,7 +210,7 @@ def test_a_failure_of_the_simulation_ends_the_page(a1: Robot, monkeypatch: pytes
 
 def test_the_view_follows_without_the_sway(a1: Robot) -> None:
     pytest.importorskip("viser", reason="the extra 'view' is not installed")
-    from fastmimic.play.live_scene import LiveHistory
+    from fastmimic.play.page import LiveHistory
 
     session = LiveSession(a1, {})
     history = LiveHistory(session)

@@ -15,7 +15,7 @@ from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, 
 from fastmimic.episode.loop import run_episodes
 from fastmimic.motion.motion import Motion
 from fastmimic.play.live_reference import RATES
-from fastmimic.play.live_scene import MOST_BEHIND_S, Pacer
+from fastmimic.play.page import MOST_BEHIND_S, Pacer
 from fastmimic.play.session import DEFAULTS, LiveSession, load_motions, playable_methods
 from fastmimic.primitive import FOOT_Z, MotionDmp
 from fastmimic.reference.course import course_of, since_middle

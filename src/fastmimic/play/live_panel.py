@@ -1,8 +1,10 @@
-"""The controls and displays of a live session."""
+"""The controls and displays of a live session; held keys and a gamepad are in `steering.js`."""
 
 import html
+import re
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -10,7 +12,6 @@ import numpy as np
 from fastmimic.base.errors import FastMimicError
 from fastmimic.play.live_reference import NEUTRAL
 from fastmimic.play.session import playable_methods
-from fastmimic.play.steering import IDLE, read_steering, steering_script
 from fastmimic.play.world import FRICTION
 from fastmimic.viewer.charts import gait_strip, leg_table, plot_key, plot_series
 from fastmimic.viewer.panel import Panel, add_layer_boxes, charts_window, reward_plot
@@ -18,7 +19,7 @@ from fastmimic.viewer.panel import Panel, add_layer_boxes, charts_window, reward
 if TYPE_CHECKING:
     import viser
 
-    from fastmimic.play.live_scene import LiveHistory, LiveScene, Pacer
+    from fastmimic.play.page import LiveHistory, LiveScene, Pacer
     from fastmimic.viewer.take import Take
     from fastmimic.viewer.web import Cameras
 
@@ -35,6 +36,8 @@ _MAX_PAYLOAD_KG: Final = 6.0
 _THERE_RGB: Final = "#1a7f37"
 _ON_THE_WAY_RGB: Final = "#9a6700"
 _TROUBLE_RGB: Final = "#b03060"
+_STICK: Final = "steer"  # first word of the stick's field, which identifies it
+IDLE: Final = f"{_STICK} +0.00 +0.00"
 _HIDDEN: Final = ("ghost", "names")  # at first; the ghost of a good follower is inside the robot
 
 _HELP: Final = """\
@@ -106,7 +109,7 @@ class PlayPanel(Panel):
     def _status(self) -> str:
         session, pacer = self._session, self._pacer
         on, left, turning, reward = self._history.mean()
-        colour = _THERE_RGB if session.goal == session.motion else _ON_THE_WAY_RGB
+        colour = _THERE_RGB if session.reference.goal == session.motion else _ON_THE_WAY_RGB
         if session.fallen or session.reference.trouble or self._mistake:
             colour = _TROUBLE_RGB
         factor = "paused" if pacer.paused else f"{100 * pacer.realtime_factor:.0f} % of real time"
@@ -233,7 +236,7 @@ class PlayPanel(Panel):
 
         def at(offset: int) -> None:
             names = session.library.names
-            session.switch(names[(names.index(session.goal) + offset) % len(names)])
+            session.switch(names[(names.index(session.reference.goal) + offset) % len(names)])
 
         def command(label: str, key: Any, what: Callable[[], None]) -> None:
             gui.add_command(label, hotkey=key).on_trigger(lambda _event: what())
@@ -261,3 +264,20 @@ class PlayPanel(Panel):
             self._figures = gui.add_html("")
             with gui.add_folder("Legs in numbers", expand_by_default=False):
                 self._table = gui.add_html("")
+
+
+def steering_script() -> str:
+    """HTML that starts `steering.js` once; needed because an inserted script element would not run."""
+    pixel = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw=="
+    script = Path(__file__).with_name("steering.js").read_text(encoding="utf-8")
+    code = html.escape(script.replace("FIELD", _STICK), quote=True)
+    return f'<img src="{pixel}" alt="" width="1" height="1" style="position:absolute" onload="{code}">'
+
+
+def read_steering(text: str) -> tuple[float, float] | None:
+    """(to the left, forwards), each in [−1, 1], from the field's text; None for another text."""
+    found = re.fullmatch(rf"{_STICK} ([+-]\d\.\d\d) ([+-]\d\.\d\d)", text.strip())
+    if found is None:
+        return None
+    left, on = (min(max(float(v), -1.0), 1.0) for v in found.groups())
+    return left, on

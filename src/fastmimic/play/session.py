@@ -216,11 +216,6 @@ class LiveSession:
         return self.reference.motion
 
     @property
-    def goal(self) -> str:
-        """The motion requested."""
-        return self.reference.goal
-
-    @property
     def modulation(self) -> dict[str, float]:
         """The present modulation: speed, turn (rad/s), lift."""
         return self.reference.modulation

@@ -1,19 +1,7 @@
-"""Held keys and a gamepad, from the browser to the server.
-
-viser's hotkeys do not tell that a key is still held, and it has no gamepad. A script in the page writes the state of
-arrow keys, W A S D and the first gamepad's left stick into a text field of the panel, which viser sends to the server,
-and turns the gamepad's buttons into hotkeys. It keeps these keys from viser's camera.
-"""
-
-import html
-import re
-from typing import Final
-
-FIELD: Final = "steer"  # first word of the text, which identifies the field
-IDLE: Final = f"{FIELD} +0.00 +0.00"
-_READING: Final = re.compile(rf"{FIELD} ([+-]\d\.\d\d) ([+-]\d\.\d\d)")
-
-_SCRIPT: Final = """
+/* Held keys and a gamepad, from the browser to the server. viser's hotkeys do not tell that a key is still held, and it
+   has no gamepad. This script writes the state of arrow keys, W A S D and the first gamepad's left stick into a text field
+   of the panel, which viser sends to the server, and turns the gamepad's buttons into hotkeys. It keeps these keys from
+   viser's camera. FIELD is the first word of the field's text. */
 (() => {
   if (window.fastmimicSteering) return;
   window.fastmimicSteering = true;
@@ -65,19 +53,3 @@ _SCRIPT: Final = """
   window.addEventListener('blur', () => { held.clear(); update(); });
   setInterval(update, 50);
 })();
-"""
-
-
-def steering_script() -> str:
-    """HTML that starts the script once; needed because an inserted script element would not run."""
-    pixel = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw=="
-    code = html.escape(_SCRIPT.replace("FIELD", FIELD), quote=True)
-    return f'<img src="{pixel}" alt="" width="1" height="1" style="position:absolute" onload="{code}">'
-
-
-def read_steering(text: str) -> tuple[float, float] | None:
-    """(to the left, forwards), each in [−1, 1], from the field's text; None for another text."""
-    found = _READING.fullmatch(text.strip())
-    if found is None:
-        return None
-    return tuple(min(max(float(v), -1.0), 1.0) for v in found.groups())  # type: ignore[return-value]
