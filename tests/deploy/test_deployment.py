@@ -15,8 +15,7 @@ from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.safety import StopReason
 from fastmimic.deploy.scoring import figures, score_log
 from fastmimic.deploy.sequence import Follower, MotionSequence, make_sequence
-from fastmimic.deploy.sim import SimDriver
-from fastmimic.deploy.simulated_robot import LinkFaults
+from fastmimic.deploy.sim import LinkFaults, SimDriver
 from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion

@@ -24,8 +24,8 @@ from fastmimic.deploy.dds.cyclone import Participant
 from fastmimic.deploy.go2 import services
 from fastmimic.deploy.go2.driver import Go2Driver
 from fastmimic.deploy.log import GroundTruthLog, load_ground_truth
+from fastmimic.deploy.sim import LinkFaults, SimulatedBody, SimulatedLink
 from fastmimic.deploy.sim_server import PHYSICS_RATE_HZ, SimServer, SimSettings, go2_body
-from fastmimic.deploy.simulated_robot import LinkFaults, SimulatedBody, SimulatedLink
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.state import COMMAND, OBSERVATION
 from fastmimic.simulation.sensors import ideal_sensors

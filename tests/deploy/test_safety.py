@@ -19,8 +19,7 @@ from fastmimic.deploy.computer import StopSwitch
 from fastmimic.deploy.deployment import Deployment
 from fastmimic.deploy.driver import StateMessage
 from fastmimic.deploy.safety import Guard, SafetyLimits, StopReason, read_limits
-from fastmimic.deploy.sim import SimDriver
-from fastmimic.deploy.simulated_robot import LinkFaults
+from fastmimic.deploy.sim import LinkFaults, SimDriver
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.state import COMMAND, READING

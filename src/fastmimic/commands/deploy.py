@@ -14,7 +14,7 @@ from fastmimic.base.machine import versions
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import EXIT_INTERRUPTED, note, put, put_json, put_table, slow_start
 from fastmimic.deploy.computer import LoopClock, StopSwitch, VirtualClock
-from fastmimic.deploy.driver import DRIVERS, SIM, check_driver, make_driver, robot_driven
+from fastmimic.deploy.driver import DRIVERS, SIM, WIRED, check_driver, make_driver
 from fastmimic.deploy.log import LOG, RESULT, open_deployment
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
@@ -136,7 +136,8 @@ class Deploy:
         from fastmimic.reference.standing import standing
 
         source = None if self.motion == STAND else find_motion(self.motion)
-        driven, own = robot_driven(self.driver), None if source is None else source.robot
+        driven = self.driver if self.driver in WIRED else None
+        own = None if source is None else source.robot
         if driven is not None and own is not None and own != driven:
             raise ConfigError(
                 f"motion '{self.motion}' is for robot '{own}', and driver '{self.driver}' drives a {driven}"
@@ -186,8 +187,7 @@ class Deploy:
             )
 
     def _simulated(self, robot: Robot, clock: Any) -> "RobotDriver":
-        from fastmimic.deploy.sim import SimDriver
-        from fastmimic.deploy.simulated_robot import LinkFaults
+        from fastmimic.deploy.sim import LinkFaults, SimDriver
         from fastmimic.simulation.conditions import Conditions
 
         given = self.simulated

@@ -103,8 +103,8 @@ class RobotSim:
 
     def _settings(self) -> Any:
         """The checked settings of the server."""
+        from fastmimic.deploy.sim import LinkFaults
         from fastmimic.deploy.sim_server import SimSettings
-        from fastmimic.deploy.simulated_robot import LinkFaults
         from fastmimic.simulation.sensors import ideal_sensors
 
         check_interface(self.interface)

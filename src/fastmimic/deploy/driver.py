@@ -149,11 +149,6 @@ def check_driver(name: str) -> None:
         raise ConfigError(f"unknown driver '{name}'; there are {', '.join(DRIVERS)}{did_you_mean(name, DRIVERS)}")
 
 
-def robot_driven(driver: str) -> str | None:
-    """The built-in robot of a driver; None for any robot."""
-    return driver if driver in WIRED else None
-
-
 def make_driver(driver: str, robot: Robot, **options: Any) -> RobotDriver:
     """A driver (one of `WIRED`) of a real robot, not yet open; `options` are those of `RobotDriver` and its own. Raises
     `ConfigError` for an unknown option, `DriverError` for a missing dependency."""

@@ -16,7 +16,7 @@ from fastmimic.deploy.dds.cyclone import LOOPBACK, Participant, Reader, Writer
 from fastmimic.deploy.go2 import messages, services
 from fastmimic.deploy.go2.messages import RATE_HZ, TICKS_PER_STATE, CommandWire, LowCommand, StateWire, roll_pitch_yaw
 from fastmimic.deploy.log import GroundTruthLog
-from fastmimic.deploy.simulated_robot import STARTS, WATCHDOG_S, LinkFaults, SimulatedBody, SimulatedLink
+from fastmimic.deploy.sim import STARTS, WATCHDOG_S, LinkFaults, SimulatedBody, SimulatedLink
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
