@@ -32,7 +32,7 @@ class Verb(NamedTuple):
 VERBS: Final = {
     "imitate": Verb("imitate", "Imitate", "turn a motion into one that the robot can execute"),
     "evaluate": Verb("evaluate", "Evaluate", "run a motion under the controller and score it"),
-    "compare": Verb("compare", "Compare", "compare the paper's methods: tables and figures"),
+    "compare": Verb("experiments", "Compare", "compare the paper's methods: tables and figures"),
     "train": Verb("train", "Train", "train the RL baseline (PPO) on a motion"),
     "stress": Verb("experiments", "Stress", "measure how much disturbance a motion tolerates"),
     "transfer": Verb("experiments", "Transfer", "run motions on a robot that they were not optimised on"),

@@ -94,8 +94,7 @@ PolicyFile = Annotated[
 ]
 Simulator = Annotated[str, option("NAME", lambda: f"Simulator: {simulators()}.")]
 Observation = Annotated[
-    str,
-    option("truth|sensors", "Controller input: the true state, or an estimate from noisy, delayed sensors."),
+    str, option("truth|sensors", "Controller input: the true state, or an estimate from noisy, delayed sensors.")
 ]
 Disturbances = Annotated[
     Several,

@@ -165,5 +165,5 @@ def _report(evaluations: "list[Evaluated]") -> list[str]:
     fell = ", fell" if best.fell else ""
     return [
         f"best evaluation, at {best.steps:,} steps: reward {best.reward:.3f}{fell}; perturbed starts"
-        f" {best.reward_perturbed:.3f}, {best.fell_perturbed:.0%} fell",
+        f" {best.reward_perturbed:.3f}, {best.fell_perturbed:.0%} fell"
     ]

@@ -129,12 +129,7 @@ class Identification:
         """Writes a controller's configuration (`fastmimic.control.config`) with its origin to a `.json` file. `base` is
         the configuration that it changes. Raises `ConfigError` if there is none of that name, and `OutputError` if the
         file cannot be written."""
-        content = {
-            **FILE_FORMAT,
-            "base": base,
-            **self.changes(controller_config(base)),
-            "identified": asdict(self),
-        }
+        content = {**FILE_FORMAT, "base": base, **self.changes(controller_config(base)), "identified": asdict(self)}
         write_json(path, content)
 
 

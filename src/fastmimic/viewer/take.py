@@ -90,12 +90,7 @@ class Take:
 
 
 def rollout_take(
-    rollout: "Rollout",
-    motion: Motion,
-    robot: Robot,
-    config: "ControllerConfig",
-    title: str = "",
-    episode: int = 0,
+    rollout: "Rollout", motion: Motion, robot: Robot, config: "ControllerConfig", title: str = "", episode: int = 0
 ) -> Take:
     """An episode with its log, falls included."""
     log = rollout.log
