@@ -29,33 +29,19 @@ START_S: Final = 0.3  # left out at the beginning, while the robot finds its gai
 
 @dataclass(frozen=True, eq=False)
 class GroundForces:
-    """Forces and speeds of the feet over t control steps, in the frame of the ground (z normal to it).
+    """Forces and speeds of the feet over t control steps, in the frame of the ground (z normal to it)."""
 
-    Attributes:
-        dt: control step, s.
-        arm: (t, 4, 3, 3) J⁻ᵀ in the frame of the ground: force by joint torque, 1/m.
-        torque: (t, 4, 3) by the motors, N·m.
-        free: (t, 4, 3) torque of the legs alone, N·m.
-        velocity: (t, 4, 2) of the points under the feet along the ground, m/s.
-        sensed: (t, 4) the foot sensors without their offsets, N.
-        loaded: (t, 4) bool, touches the ground by its sensor.
-        settled_s: (t, 4) time to the nearer end of that contact, or of its absence, s.
-        usable: (t,) bool, upright and past the start.
-        need: (t,) vertical force that the robot without payload needs, N.
-        lift: (t,) vertical acceleration minus gravity's, which a payload on the trunk would share, m/s².
-    """
-
-    dt: float
-    arm: Array
-    torque: Array
-    free: Array
-    velocity: Array
-    sensed: Array
-    loaded: NDArray[np.bool_]
-    settled_s: Array
-    usable: NDArray[np.bool_]
-    need: Array
-    lift: Array
+    dt: float  # control step, s
+    arm: Array  # (t, 4, 3, 3) J⁻ᵀ: force by joint torque, 1/m
+    torque: Array  # (t, 4, 3) by the motors, N·m
+    free: Array  # (t, 4, 3) torque of the legs alone, N·m
+    velocity: Array  # (t, 4, 2) of the points under the feet along the ground, m/s
+    sensed: Array  # (t, 4) the foot sensors without their offsets, N
+    loaded: NDArray[np.bool_]  # (t, 4) touches the ground by its sensor
+    settled_s: Array  # (t, 4) time to the nearer end of that contact, or of its absence, s
+    usable: NDArray[np.bool_]  # (t,) upright and past the start
+    need: Array  # (t,) vertical force that the robot without payload needs, N
+    lift: Array  # (t,) vertical acceleration minus gravity's, which a payload on the trunk would share, m/s²
 
     def force(self, gain: Array | None = None) -> Array:
         """(t, 4, 3) ground reaction force on each foot, N; `gain` (4, 3) is true over measured motor torque, 1 if

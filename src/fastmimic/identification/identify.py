@@ -49,37 +49,23 @@ _INDEPENDENT_S: Final = 0.1  # time after which a weight is a new one
 
 @dataclass(frozen=True)
 class Friction:
-    """The ground's coefficient of friction by a log.
-
-    Attributes:
-        value: the estimate; None if no foot slid.
-        lower: end of the 95 % interval; without a slide a lower bound.
-        upper: the other end; None if no foot slid.
-        slides: how many slides of a foot it is taken from.
-        slid_s: their time in all, s.
-    """
+    """The ground's coefficient of friction by a log; without a slide there is no value, only a lower bound."""
 
     value: float | None
-    lower: float
+    lower: float  # end of the 95 % interval
     upper: float | None
-    slides: int
-    slid_s: float
+    slides: int  # of a foot
+    slid_s: float  # in all
 
 
 @dataclass(frozen=True)
 class Payload:
-    """The mass on the trunk by a log.
+    """The mass on the trunk by a log, kg beyond the robot's model, with its 95 % interval."""
 
-    Attributes:
-        mass: kg beyond the robot's model; below 0 for a lighter robot.
-        lower, upper: 95 % interval, kg.
-        tared: whether a run without payload took the sensors' gains out.
-    """
-
-    mass: float
+    mass: float  # below 0 for a lighter robot
     lower: float
     upper: float
-    tared: bool
+    tared: bool  # whether a run without payload took the sensors' gains out
 
     @property
     def certain(self) -> float:
@@ -89,20 +75,13 @@ class Payload:
 
 @dataclass(frozen=True)
 class Identification:
-    """Friction and payload identified from a run.
-
-    Attributes:
-        robot, motion: names.
-        duration_s: of the log.
-        friction: of the ground.
-        payload: on the trunk; None if the feet never stood long enough to weigh the robot, as in a fall.
-    """
+    """Friction and payload identified from a run."""
 
     robot: str
     motion: str
-    duration_s: float
+    duration_s: float  # of the log
     friction: Friction
-    payload: Payload | None
+    payload: Payload | None  # None if the feet never stood long enough to weigh the robot, as in a fall
 
     def stance_friction(self, config: ControllerConfig) -> float:
         """The coefficient that the controller should assume: a share of the identified one, at most the present one.
@@ -160,7 +139,8 @@ def identify_friction(forces: GroundForces, robot: Robot) -> Friction:
     ratios, weights = _of_events(forces.force(), events)
     drawn = rng.integers(len(events), size=(_RESAMPLED, len(events)))
     scatter = float(np.std([_weighted_median(ratios[d], weights[d]) for d in drawn]))
-    spread = 1.96 * float(np.hypot(scatter, _gain_error(forces, lambda f: _coefficient(f, events))))
+    by_motors = _gain_error(lambda gain: _coefficient(forces.force(gain), events), TORQUE_GAIN_ERROR, 4, 3)
+    spread = 1.96 * float(np.hypot(scatter, by_motors))
     if value + spread < bound:  # feet held at more: what seemed to slide did not
         return nothing
     seconds = forces.dt * sum(len(rows) for rows, _ in events)
@@ -204,14 +184,13 @@ def _weighted_median(values: Array, weights: Array) -> float:
     return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
 
 
-def _gain_error(forces: GroundForces, estimate: Callable[[Array], float]) -> float:
-    """Standard deviation of an estimate from forces (t, 4, 3), N, by independent errors of the torque constants."""
-    nominal, total = estimate(forces.force()), 0.0
-    for leg in range(4):
-        for joint in range(3):
-            gain = np.ones((4, 3))
-            gain[leg, joint] += TORQUE_GAIN_ERROR
-            total += (estimate(forces.force(gain)) - nominal) ** 2
+def _gain_error(estimate: Callable[[Array], float], error: float, *shape: int) -> float:
+    """Standard deviation of an estimate by independent relative errors of the gains, an array of this shape."""
+    nominal, total = estimate(np.ones(shape)), 0.0
+    for one in np.ndindex(shape):
+        gain = np.ones(shape)
+        gain[one] += error
+        total += (estimate(gain) - nominal) ** 2
     return float(np.sqrt(total))
 
 
@@ -226,18 +205,22 @@ def _bound(forces: GroundForces, robot: Robot) -> float:
         ratio = np.linalg.norm(force[..., :2], axis=-1)[held] / np.maximum(force[..., 2][held], 1.0)
         return float(np.quantile(ratio, HELD))
 
-    return max(0.0, bound(force) - 1.96 * _gain_error(forces, bound))
+    return max(0.0, bound(force) - 1.96 * _gain_error(lambda gain: bound(forces.force(gain)), TORQUE_GAIN_ERROR, 4, 3))
 
 
 def identify_payload(forces: GroundForces, robot: Robot, unloaded: GroundForces | None = None) -> Payload:
     """The mass that the feet bear beyond the robot's without payload; raises `LogError` if they stood too short.
     `unloaded` is from a run of the same robot without payload."""
-    by_motors = _gain_error(forces, lambda force: float(np.median(_excess(forces, force[..., 2]))))
+
+    def by_motors(gain: Array) -> float:
+        return float(np.median(_excess(forces, forces.force(gain)[..., 2])))
+
+    def by_sensors(gain: Array) -> float:
+        return float(np.median(_excess(forces, forces.sensed * gain)))
+
+    by_torque = float(np.hypot(_gain_error(by_motors, TORQUE_GAIN_ERROR, 4, 3), LEG_ERROR_KG))
     found, spreads = [], []
-    for by_feet, error in (
-        (False, float(np.hypot(by_motors, LEG_ERROR_KG))),
-        (True, _foot_gain_error(forces, forces.sensed)),
-    ):
+    for by_feet, error in ((False, by_torque), (True, _gain_error(by_sensors, FOOT_GAIN_ERROR, 4))):
         mass, scatter = _weighed(forces, by_feet)
         if unloaded is not None:
             before, noise = _weighed(unloaded, by_feet)
@@ -276,12 +259,3 @@ def _weighed(forces: GroundForces, by_feet: bool) -> tuple[float, float]:
     independent = max(1.0, len(mass) * forces.dt / _INDEPENDENT_S)
     scatter = 1.4826 * float(np.median(np.abs(mass - np.median(mass))))
     return float(np.median(mass)), 1.2533 * scatter / float(np.sqrt(independent))
-
-
-def _foot_gain_error(forces: GroundForces, borne: Array) -> float:
-    """Standard deviation of the mass by independent errors of the foot sensors' gains, kg."""
-    nominal, total = np.median(_excess(forces, borne)), 0.0
-    for foot in range(4):
-        gain = 1 + FOOT_GAIN_ERROR * (np.arange(4) == foot)
-        total += float(np.median(_excess(forces, borne * gain)) - nominal) ** 2
-    return float(np.sqrt(total))
