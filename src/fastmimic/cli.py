@@ -43,15 +43,15 @@ VERBS: Final = {
     "export": Verb("motion_files", "Export", "write a robot motion for other trainers"),
     "segment": Verb("motion_files", "SegmentTake", "find the locomotion cycles in a long take"),
     "inspect": Verb("motion_files", "Inspect", "show information about a clip or motion"),
-    "render": Verb("render", "Render", "write a video of a motion"),
-    "report": Verb("render", "WriteReport", "write a run or a comparison as one HTML file"),
-    "view": Verb("browser", "View", "show a motion or a run in the browser"),
-    "play": Verb("browser", "Play", "steer a live simulated robot in the browser"),
+    "render": Verb("pictures", "Render", "write a video of a motion"),
+    "report": Verb("pictures", "WriteReport", "write a run or a comparison as one HTML file"),
+    "view": Verb("pictures", "View", "show a motion or a run in the browser"),
+    "play": Verb("pictures", "Play", "steer a live simulated robot in the browser"),
     "deploy": Verb("deploy", "Deploy", "run a motion on a robot (stand up, run, sit down)"),
     "robot-sim": Verb("robot_sim", "RobotSim", "simulate a Go2 that speaks the real DDS protocol"),
-    "motions": Verb("lists", "Motions", "list the named motions"),
-    "robots": Verb("lists", "Robots", "list the built-in robots"),
-    "data": Verb("lists", "Data", "list or download the public recordings of a dog"),
+    "motions": Verb("motion_files", "Motions", "list the named motions"),
+    "robots": Verb("motion_files", "Robots", "list the built-in robots"),
+    "data": Verb("motion_files", "Data", "list or download the public recordings of a dog"),
 }
 
 HELP: Final = f"""\

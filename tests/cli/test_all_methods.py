@@ -69,7 +69,7 @@ def test_its_run_and_its_motion_can_be_viewed(file: str, run: Path, monkeypatch:
         yield
 
     monkeypatch.setattr("fastmimic.viewer.viewer.Viewer", viewer)
-    monkeypatch.setattr("fastmimic.commands.browser.serve", lambda *_: 0)
+    monkeypatch.setattr("fastmimic.commands.pictures.serve", lambda *_: 0)
     assert cli.main(["view", str(run / file), "--duration", "0.1"]) == 0
     assert len(shown) == 1
 

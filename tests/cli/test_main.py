@@ -11,7 +11,7 @@ import pytest
 import fastmimic
 from cli.running import Run
 from fastmimic import cli
-from fastmimic.commands.lists import Robots
+from fastmimic.commands.motion_files import Robots
 
 HEAVY = ("scipy", "numba", "mujoco", "matplotlib", "pooch")
 

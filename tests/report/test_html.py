@@ -20,7 +20,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import write_json
 from fastmimic.base.text import csv_text
 from fastmimic.cli import main
-from fastmimic.commands.render import recorded
+from fastmimic.commands.pictures import recorded
 from fastmimic.experiments.tables import COLUMNS
 
 pytest.importorskip("plotly", reason="Plotly is not installed: pip install 'fastmimic[report]'")

@@ -20,8 +20,8 @@ import pytest
 from browsing import PATIENCE_S, picture, until
 from fastmimic.base.errors import ConfigError
 from fastmimic.cli import main
-from fastmimic.commands.browser import View
 from fastmimic.commands.options import ClipOptions
+from fastmimic.commands.pictures import View
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import find_motion

@@ -113,26 +113,16 @@ class RobotSim:
         if self.sensors not in ("real", "ideal"):
             raise ConfigError(f"--sensors takes real or ideal, found '{self.sensors}'")
         fault = self.fault
+        states = {name: getattr(fault, name) for name in ("loss", "corrupt", "duplicate", "reorder")}
+        commands = {name: getattr(fault, f"command_{name}") for name in ("loss", "corrupt")}
         return SimSettings(
             domain=self.domain,
             interface=self.interface,
             start=self.start,
             sensors=ideal_sensors() if self.sensors == "ideal" else None,
             seed=self.seed,
-            states=LinkFaults(
-                loss=fault.loss,
-                corrupt=fault.corrupt,
-                duplicate=fault.duplicate,
-                reorder=fault.reorder,
-                latency_s=fault.latency_ms / 1e3,
-                seed=self.seed,
-            ),
-            commands=LinkFaults(
-                loss=fault.command_loss,
-                corrupt=fault.command_corrupt,
-                latency_s=fault.command_latency_ms / 1e3,
-                seed=self.seed,
-            ),
+            states=LinkFaults(latency_s=fault.latency_ms / 1e3, seed=self.seed, **states),
+            commands=LinkFaults(latency_s=fault.command_latency_ms / 1e3, seed=self.seed, **commands),
             watchdog_s=self.watchdog_ms / 1e3,
             dead_after_s=math.inf if fault.dead_after is None else fault.dead_after,
         )

@@ -1,0 +1,380 @@
+"""Motions to look at: `fastmimic render` (videos), `report` (HTML files), `view` and `play` (in the browser)."""
+
+import dataclasses
+import math
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+from tyro.conf import Positional
+
+from fastmimic.base.errors import ConfigError, MotionError, OutputError
+from fastmimic.commands import options as opt
+from fastmimic.commands.console import count_progress, note, put, slow_start
+from fastmimic.control.config import controller_config
+from fastmimic.episode.plan import default_duration
+from fastmimic.imitation.methods import METHODS, controller_for, method_named
+from fastmimic.motion.motion import Motion
+from fastmimic.render.encoding import ENDINGS, quality_named
+from fastmimic.robot import Robot, load_robot
+from fastmimic.runs.loading import MotionSource, find_motion
+from fastmimic.viewer.web import free_port, require_viser
+
+if TYPE_CHECKING:  # loads the compiler
+    from fastmimic.play.page import PlayPage
+    from fastmimic.render.tracks import Animal, Track
+    from fastmimic.report.html_run import RerunEpisodes
+    from fastmimic.viewer.take import Take
+    from fastmimic.viewer.viewer import Viewer
+
+SECONDS: Final = 5.0
+MOST: Final = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Render:
+    """Writes a video of a motion under the controller in simulation, with its demonstration as a ghost. Two motions are
+    shown side by side, three or four in a 2 x 2 grid.
+    """
+
+    motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION [MOTION ...]")]
+    """One to four robot motions (.npz), folders of runs, clips, or names from 'fastmimic motions'."""
+    out: Annotated[Path, opt.option("FILE.mp4|.gif|.webm")]
+    """File of the video."""
+    quality: opt.Quality = "preview"
+    kinematic: opt.Flag = False
+    """Show the motions as written, without physics."""
+    duration: opt.Seconds = None
+    """Length. Default: 5 s, or the whole of a non-periodic motion."""
+    robot: opt.RobotChoice = None
+    method: Annotated[
+        tuple[str, ...],
+        opt.option(
+            "NAME [NAME ...]",
+            lambda: (
+                f"Controller: {opt.controllers()}; one for all motions, or one for each. Default: the one the "
+                "motion was optimised with, else mbc."
+            ),
+        ),
+    ] = ()
+    config: opt.FoundConfig = None
+    size: Annotated[str | None, opt.option("WxH")] = None
+    """Width and height in pixels. Default: 800x450; 1280x720 for high quality; 640x360 for a GIF."""
+    frame_rate: Annotated[float | None, opt.option("HZ")] = None
+    """Frames per second of the video. Default: 30; 20 for a GIF."""
+    slow_motion: Annotated[float, opt.option("FACTOR")] = 1.0
+    """Slow the video down by this factor."""
+    no_marks: opt.Flag = False
+    """Omit the trails of the feet and the discs under loaded feet."""
+    clip: opt.ClipReading
+
+    def run(self) -> int:
+        self._check()
+        size = None if self.size is None else opt.parse_size(self.size)
+        from fastmimic.render.video import render_video
+
+        out = opt.check_writable(self.out, *ENDINGS)
+        robot, shown = self._tracks()
+        rates = sorted({rate for _, rate in shown})
+        if len(rates) > 1:
+            raise ConfigError(f"motions of {' and '.join(f'{r:g}' for r in rates)} Hz cannot be shown together")
+        with count_progress("frame") as progress:
+            info = render_video(
+                robot,
+                [track for track, _ in shown],
+                out,
+                rate_hz=rates[0],
+                fps=self.frame_rate,
+                size=size,
+                quality=self.quality,
+                progress=progress,
+                slow_motion=self.slow_motion,
+                marks=not self.no_marks,
+            )
+        if info is None:
+            raise OutputError(
+                f"{out} was not written: there is no OpenGL to draw with; 'fastmimic view' shows the same in a browser"
+                " without OpenGL"
+            )
+        put(f"{info.frames} frames, {info.seconds:.1f} s, {out.stat().st_size / 1e6:.1f} MB, in {out}")
+        return 0
+
+    def _check(self) -> None:
+        """Raises `ConfigError` for options that cannot be used, before any long work."""
+        if not 1 <= len(self.motions) <= MOST:
+            raise ConfigError(f"render takes one to {MOST} motions, found {len(self.motions)}")
+        opt.check_duration(self.duration)
+        quality_named(self.quality)
+        for name, value in (("--frame-rate", self.frame_rate), ("--slow-motion", self.slow_motion)):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ConfigError(f"{name} must be positive, found {value:g}")
+        if len(self.method) not in (0, 1, len(self.motions)):
+            raise ConfigError(
+                f"--method takes one name, or one for each of the {len(self.motions)} motions; found {len(self.method)}"
+            )
+        for name in self.method:
+            method_named(name)
+        opt.check_kinematic(self, "method", "config")
+
+    def _tracks(self) -> "tuple[Robot, list[tuple[Track, float]]]":
+        """The robot, and a panel with its rate for each motion."""
+        sources = [find_motion(source) for source in self.motions]
+        robot = opt.choose_robot(self.robot, sources[0])
+        overrides = self.clip.overrides()
+        motions = [source.load(robot, **overrides) for source in sources]
+        methods: Sequence[str | None] = self.method or [None]
+        if len(methods) == 1:
+            methods = [methods[0]] * len(motions)
+        shown = []
+        for motion, method in zip(motions, methods, strict=True):
+            seconds = self.duration if self.duration is not None else default_duration(motion, SECONDS)
+            if self.kinematic:
+                shown.append(_kinematic(motion, robot, seconds))
+            else:
+                shown.append(self._simulated(motion, robot, seconds, method))
+        return robot, shown
+
+    def _simulated(self, motion: Motion, robot: Robot, seconds: float, method: str | None) -> "tuple[Track, float]":
+        from fastmimic.imitation.evaluate import evaluate
+        from fastmimic.render.tracks import rollout_track
+
+        with slow_start():
+            found = evaluate(motion, robot, duration_s=seconds, method=method, config=self.config, log=True)
+        assert found.rollout.log is not None
+        caption = METHODS[found.method].label + (f" ({found.config.name})" if found.config.name != "default" else "")
+        track = rollout_track(
+            found.rollout, found.config.release_force(robot), f"{motion.name} on {robot.name}", note=caption
+        )
+        return track, found.rollout.log.rate_hz
+
+
+def _kinematic(motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, float]":
+    from fastmimic.render.tracks import motion_track
+
+    ghost = None if motion.demonstration is None else motion_track(motion.demonstration, seconds, "demonstration")
+    caption = "as optimised, no physics" if ghost is not None else "as retargeted, no physics"
+    return motion_track(motion, seconds, f"{motion.name} on {robot.name}", ghost, caption), motion.rate_hz
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteReport:
+    """Writes report.html into the folder of a run of 'imitate', 'stitch' or 'deploy', or of 'compare', 'stress' or
+    'transfer': one self-contained file with the video, the figures before and after, and interactive plots.
+
+    The two nominal episodes of a run are simulated again for the plots and checked against its metrics.json. Needs
+    Jinja2 and Plotly: pip install 'fastmimic[report]'. With viser (pip install 'fastmimic[view]') the file has a 3D
+    replay.
+    """
+
+    runs: Annotated[Positional[tuple[Path, ...]], opt.option("RUN ...")]
+    """Folders of runs."""
+    out: Annotated[Path | None, opt.option("FILE.html")] = None
+    """File of the report, for a single run. Default: report.html in its folder."""
+
+    def run(self) -> int:
+        if not self.runs:
+            raise ConfigError("report takes the folder of at least one run")
+        if self.out is not None and len(self.runs) > 1:
+            raise ConfigError(f"--out names one file, but {len(self.runs)} runs were given; drop it")
+        from fastmimic.report.html import REPORT, kind_of, make_report
+
+        for path in self.runs:
+            kind_of(path)  # refuses before anything is written
+        outs = [opt.check_writable(self.out or path / REPORT, ".html", ".htm") for path in self.runs]
+        for path, out in zip(self.runs, outs, strict=True):
+            with slow_start():
+                report = make_report(path, recorded)
+            for line in report.missing:
+                note(f"fastmimic: warning: {line}")
+            report.save(out)
+            put(f"report in {out}")
+        return 0
+
+
+def recorded(e: "RerunEpisodes") -> str:
+    """The episodes as a page with a 3D replay, before and after side by side. Raises `ConfigError` if viser is not
+    installed or too old."""
+    from fastmimic.viewer.take import rollout_take
+    from fastmimic.viewer.viewer import recorded_page
+
+    require_viser()
+    shown = [("robot", "", e.motion.target, e.before)]
+    if e.after is not None:
+        shown = [
+            ("before", "before: as retargeted", e.motion.target, e.before),
+            ("after", "after: optimised", e.motion, e.after),
+        ]
+    takes = [rollout_take(rollout, motion, e.robot, e.config, title) for _, title, motion, rollout in shown]
+    return recorded_page(e.robot, takes, [name for name, *_ in shown])
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """Shows a motion under the controller in the browser: the robot, its demonstration as a ghost, contacts, forces
+    and reward, to play and scrub. For the folder of a run: before and after the optimisation, side by side.
+
+    The server listens on this machine only (127.0.0.1); Ctrl-C ends it.
+    """
+
+    motion: Annotated[Positional[str], opt.option("MOTION|RUN")]
+    """A robot motion (.npz), a clip, a name from 'fastmimic motions', or the folder of a run."""
+    port: opt.Port = 8080
+    kinematic: opt.Flag = False
+    """Show the motion as written, without physics."""
+    clip: Annotated[str | None, opt.option("CLIP")] = None
+    """Animal to show beside a robot motion: a clip or a name. A clip is always shown with its own animal."""
+    episodes: Annotated[int | None, opt.option("N")] = None
+    """Episodes to choose from. The first starts at the motion's start, the others are perturbed as in 'evaluate'.
+    Default: 1."""
+    duration: opt.Seconds = None
+    """Length of an episode. Default: the run's, else 10 s or the whole of a non-periodic motion."""
+    seed: int = 0
+    """Seed of the perturbations."""
+    robot: opt.RobotChoice = None
+    method: opt.FoundMethod = None
+    config: opt.FoundConfig = None
+    reading: opt.ClipReading
+
+    def run(self) -> int:
+        opt.check_duration(self.duration)
+        opt.check_kinematic(self, "episodes", "method", "config")
+        from fastmimic.viewer.viewer import Viewer
+
+        require_viser()
+        free_port(self.port)  # before anything is simulated
+        source = find_motion(self.motion)
+        command = self if source.folder is None else self._of_run(source)
+        robot, shown, heading, animal = command._prepare(source)
+        with Viewer(robot, shown, heading, self.port, animal) as viewer:
+            return serve(viewer, heading, self.port)
+
+    def _of_run(self, source: MotionSource) -> "View":
+        """The same command with the arguments of the run where nothing was given."""
+        arguments = source.run_arguments()
+        seconds = arguments.get("duration")
+        if seconds is not None and not isinstance(seconds, int | float):
+            raise MotionError(f"{source.name}: the duration in config.json is not a number ({seconds!r})")
+        return dataclasses.replace(
+            self,
+            robot=self.robot or arguments.get("robot"),
+            method=self.method or (None if self.kinematic else arguments.get("method")),
+            config=self.config or (None if self.kinematic else arguments.get("config")),
+            duration=self.duration if self.duration is not None else seconds,
+        )
+
+    def _prepare(self, source: MotionSource) -> "tuple[Robot, list[list[Take]], str, Animal | None]":
+        """The robot, its takes, the heading, and the animal."""
+        from fastmimic.imitation.evaluate import EVALUATION_S
+        from fastmimic.render.tracks import Animal
+
+        overrides = self.reading.overrides()
+        executable = {name: overrides.pop(name) for name in ("executable",) if name in overrides}
+        robot = opt.choose_robot(self.robot, source)
+        clip = None
+        if self.clip is not None:
+            given = find_motion(self.clip)
+            if given.motion is not None:
+                raise ConfigError(f"--clip takes an animal's clip; {self.clip} is already a robot motion")
+            clip = given.open_clip(robot, **(overrides if source.motion is not None else {}))
+        if source.motion is not None:
+            motion = source.load(robot, **({} if clip is not None else overrides), **executable)
+        else:
+            original = source.open_clip(robot, **overrides)
+            motion = find_motion(original).load(robot, **executable)
+            clip = clip if clip is not None else original
+        seconds = self.duration if self.duration is not None else default_duration(motion, EVALUATION_S)
+        motions = [(motion, motion.name)]
+        if source.folder is not None and motion.demonstration is not None:
+            motions = [(motion.target, "before: as retargeted"), (motion, "after: optimised")]
+        shown = [self._takes(each, motion, robot, seconds, title) for each, title in motions]
+        animal = Animal(clip, robot, motion) if clip is not None else None
+        return robot, shown, f"{motion.name} on {robot.name}", animal
+
+    def _takes(self, motion: Motion, of: Motion, robot: Robot, seconds: float, title: str) -> "list[Take]":
+        """The episodes of one motion under the controller of the motion `of`."""
+        from fastmimic.imitation.evaluate import evaluate
+        from fastmimic.viewer.take import motion_take, rollout_take
+
+        if self.kinematic:
+            return [motion_take(motion, robot, seconds, title)]
+        method, config = controller_for(of, self.method, self.config)
+        episodes = 1 if self.episodes is None else self.episodes
+        with slow_start():
+            rollout = evaluate(
+                motion,
+                robot,
+                episodes=episodes,
+                duration_s=seconds,
+                seed=self.seed,
+                method=method.name,
+                config=config,
+                log=True,
+            ).rollout
+        return [rollout_take(rollout, motion, robot, config, title, episode) for episode in range(episodes)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Play:
+    """Simulates a robot under the controller live in the browser. Switch motions, steer, change speed, yaw rate, swing
+    height, friction and payload, and push the robot, by mouse, keyboard or gamepad. A robot that falls gets up again.
+
+    The server listens on this machine only (127.0.0.1); Ctrl-C ends it.
+    """
+
+    motions: Annotated[Positional[tuple[str, ...]], opt.option("[MOTION|RUN ...]")] = ()
+    """Periodic motions: names from 'fastmimic motions', clips, robot motions (.npz) or folders of runs. Default: the
+    built-in gaits. "stand" and "in-place" are always available."""
+    robot: opt.RobotChoice = None
+    port: opt.Port = 8080
+    method: Annotated[str, opt.option("NAME", lambda: f"Controller at the start: {opt.controllers()}.")] = "mbc"
+    config: opt.ConfigName = "default"
+
+    def run(self) -> int:
+        require_viser()
+        free_port(self.port)  # before the motions are loaded
+        from fastmimic.play.page import PlayPage
+        from fastmimic.play.session import DEFAULTS, LiveSession, check_method, load_motions
+        from fastmimic.reference.motion_set import MotionSet, warm_up
+
+        check_method(self.method)
+        config = controller_config(self.config)
+        sources = [find_motion(source) for source in self.motions or DEFAULTS]
+        name = opt.robot_name(self.robot, *sources)
+        robot = load_robot(name)
+        # transitions take about a second each: another process makes them, so that the simulation keeps real time
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_behind_the_scenes) as executor:
+            executor.submit(warm_up, name)  # while this process loads
+            with slow_start():
+                motions = load_motions(sources, robot)
+                library = MotionSet(robot, motions, executor=executor, source=name)
+                session = LiveSession(robot, library, method=self.method, config=config)
+            try:
+                with PlayPage(session, f"{robot.name}, live", self.port) as page:
+                    return serve(page, ", ".join(library.names), self.port)
+            finally:
+                executor.shutdown(wait=False, cancel_futures=True)
+
+
+def _behind_the_scenes() -> None:
+    """Ignores Ctrl-C: the serving process handles it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def serve(page: "Viewer | PlayPage", what: str, port: int) -> int:
+    """Serves a page until Ctrl-C; prints its address, and its port if `port` was taken. Returns the exit status."""
+    taken = page.server.get_port()
+    if taken != port:
+        note(f"port {port} is taken; listening on {taken} instead")
+    try:
+        put(f"{what}: open {page.url} in a browser; Ctrl-C ends it")
+        sys.stdout.flush()
+        page.run(threading.Event())
+    except KeyboardInterrupt:
+        note("closed")
+    return 0
