@@ -30,31 +30,21 @@ _MARGIN_S: Final = 30.0  # more than standing up, sitting down and damping take
 
 @dataclass(frozen=True, kw_only=True)
 class DeployOptions:
-    """How a motion is deployed.
-
-    Attributes:
-        method, config, policy: as in `fastmimic.imitation.evaluate.evaluate`.
-        solve_rate_hz: rate of the horizon planner, Hz; the control rate if None.
-        estimator: its parameters; the defaults if None.
-        cycles, duration_s, endless: when the motion ends; at most one of them. 10 s by default.
-        limits: safety limits; `SafetyLimits.of` the robot if None.
-        dry_run: whether commands are computed but not sent.
-        real_time: whether to request real-time scheduling and locked memory.
-        logged_s: longest time in the log, s; of a longer run the last part.
-    """
+    """How a motion is deployed. At most one of `cycles`, `duration_s` and `endless` says when it ends; 10 s by default.
+    `method`, `config` and `policy` are as in `fastmimic.imitation.evaluate.evaluate`."""
 
     method: str | None = None
     config: ControllerConfig | str | None = None
     policy: MakeController | None = None
-    solve_rate_hz: float | None = None
+    solve_rate_hz: float | None = None  # of the horizon planner, Hz; the control rate if None
     estimator: EstimatorConfig | None = None
     cycles: int | None = None
     duration_s: float | None = None
     endless: bool = False
-    limits: SafetyLimits | None = None
-    dry_run: bool = False
-    real_time: bool = False
-    logged_s: float = 330.0
+    limits: SafetyLimits | None = None  # `SafetyLimits.of` the robot if None
+    dry_run: bool = False  # whether commands are computed but not sent
+    real_time: bool = False  # whether to request real-time scheduling and locked memory
+    logged_s: float = 330.0  # longest time in the log; of a longer run the last part
 
     def controller(self, motion: Motion) -> tuple[str, ControllerConfig]:
         """The method's name and the controller's parameters; raises `ConfigError` for a bad name, policy or rate."""

@@ -92,18 +92,12 @@ class Recorder:
 
 @dataclass(frozen=True, eq=False)
 class DeploymentLog:
-    """A finished deployment.
+    """A finished deployment. `meta` holds `rate_hz`, `robot`, `motion`, `driver`, `method`, `result` and more."""
 
-    Attributes:
-        rows: (t,) of `ROW`.
-        meta: `rate_hz`, `robot`, `motion`, `driver`, `method`, `result` and more, JSON-serialisable.
-        truth: (t,) of `OBSERVATION`, a simulated robot's true states at the states used; None of a real robot.
-    """
-
-    rows: NDArray[Any]
+    rows: NDArray[Any]  # (t,) of `ROW`
     motion: Motion
-    meta: dict[str, Any]
-    truth: NDArray[Any] | None = None
+    meta: dict[str, Any]  # JSON-serialisable
+    truth: NDArray[Any] | None = None  # (t,) of `OBSERVATION`, at the states used; of a simulated robot
 
     @property
     def rate_hz(self) -> float:

@@ -30,27 +30,18 @@ class LoopOutcome:
 
 @dataclass(eq=False)
 class Loop:
-    """One run. Nothing is sent before `run`; afterwards the robot is damped or limp.
+    """One run. Nothing is sent before `run`; afterwards the robot is damped or limp."""
 
-    Attributes:
-        driver: open.
-        machine: computes the commands; its guard checks them.
-        recorder: takes a row for each period.
-        clock: of the deadlines and of the driver's states.
-        steps, reason: after how many control steps in the motion it ends, and why.
-        dry: whether nothing is sent.
-        watch: called at the end of each period with the machine and the command (1,) of `COMMAND`.
-    """
-
-    driver: RobotDriver
-    machine: StateMachine
-    recorder: Recorder
-    clock: LoopClock
-    steps: float
-    reason: StopReason
+    driver: RobotDriver  # open
+    machine: StateMachine  # its guard checks its commands
+    recorder: Recorder  # takes a row for each period
+    clock: LoopClock  # of the deadlines and of the driver's states
+    steps: float  # control steps in the motion after which it ends
+    reason: StopReason  # why it ends then
     switch: StopSwitch
-    dry: bool = False
+    dry: bool = False  # whether nothing is sent
     watch: Callable[[StateMachine, NDArray[Any]], None] | None = None
+    """Called at the end of each period with the machine and the command (1,) of `COMMAND`."""
 
     def __post_init__(self) -> None:
         self._guard, self._dt = self.machine.guard, self.machine.dt

@@ -41,20 +41,13 @@ _VECTORS: Final = ("lin_vel", "ang_vel", "lin_acc", "ang_acc", "leg_lin_acc", "l
 
 @dataclass(frozen=True, eq=False)
 class SequencePart:
-    """A part of the sequence.
+    """A part of the sequence; if its clock repeats, it ends after `Follower.leaving` is set."""
 
-    Attributes:
-        text: what the robot does in it.
-        table: (1, t) of `SAMPLE`.
-        first, last: its first and last sample; in a cyclic motion `last` may be below `first`.
-        clock: (1,) of `CLOCK`, at the table's start; if it repeats, the part ends after `Follower.leaving` is set.
-    """
-
-    text: str
-    table: NDArray[Any]
-    first: int
-    last: int
-    clock: NDArray[Any]
+    text: str  # what the robot does in it
+    table: NDArray[Any]  # (1, t) of `SAMPLE`
+    first: int  # sample
+    last: int  # sample; in a cyclic motion it may be below `first`
+    clock: NDArray[Any]  # (1,) of `CLOCK`, at the table's start
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,31 +39,21 @@ _PREPARING: Final = 50  # control steps between two attempts to prepare somethin
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """The present moment. Arrays are copies.
+    """The present moment. Arrays are copies."""
 
-    Attributes:
-        time_s: simulated since the start.
-        pose, reference: (19,) of the robot and of what it is scored against: position (world, m), quaternion, joints.
-        force, asked: (4, 3) the ground's and the commanded force on each foot, world, N.
-        wanted, measured, stance: (4,) schedule, loaded feet, gait planner.
-        terms, reward: (k,) the reward's terms of this step, 0 while the robot gets up; the reward of this step.
-        velocity_b, turn_rate: (3,) of the base, heading frame, m/s; about the vertical, rad/s.
-        push: (3,) force that pushes, world, N.
-    """
-
-    time_s: float
-    pose: Array
-    reference: Array
-    force: Array
-    asked: Array
-    wanted: NDArray[np.bool_]
-    measured: NDArray[np.bool_]
-    stance: NDArray[np.bool_]
-    terms: Array
-    reward: float
-    velocity_b: Array
-    turn_rate: float
-    push: Array
+    time_s: float  # simulated since the start
+    pose: Array  # (19,) position (world, m), quaternion, joints
+    reference: Array  # (19,) of what it is scored against
+    force: Array  # (4, 3) the ground's on each foot, world, N
+    asked: Array  # (4, 3) as commanded
+    wanted: NDArray[np.bool_]  # (4,) by the schedule
+    measured: NDArray[np.bool_]  # (4,) loaded feet
+    stance: NDArray[np.bool_]  # (4,) of the gait planner
+    terms: Array  # (k,) the reward's in this step, 0 while the robot gets up
+    reward: float  # of this step
+    velocity_b: Array  # (3,) of the base, heading frame, m/s
+    turn_rate: float  # about the vertical, rad/s
+    push: Array  # (3,) force, world, N
 
 
 def playable_methods() -> list[str]:

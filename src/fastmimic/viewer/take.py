@@ -23,42 +23,26 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Take:
-    """An episode or motion, row by row. Row i of an episode is the state after control step i + 1, as in the log.
-
-    Attributes:
-        title: such as "before: as retargeted".
-        rate_hz: rows a second.
-        pose: (t, 19) the robot's root position (world, m), quaternion and joints (rad); finite.
-        wanted: (t, 4) whether the contact schedule wants the foot on the ground.
-        samples: (t,) the demonstration's sample.
-        cycle_starts: (k,) first rows of the cycles, ascending from 0.
-        reference: (t, 19) pose of the demonstration; None without one.
-        caption: such as "reward 0.84".
-        measured: (t, 4) whether the foot is loaded, above the gait planner's threshold; None without physics.
-        stance: (t, 4) the gait planner's leg states; None without physics.
-        force, asked: (t, 4, 3) each foot's ground reaction force and its command, world, N; None without physics.
-        terms, reward: (t, 5) the reward's terms as in `REWARD_TERMS`, and (t,) the reward; None without physics.
-        friction: μ that the controller assumes.
-        fell_at: row of the fall; None if the robot stays up.
-    """
+    """An episode or motion, row by row. Row i of an episode is the state after control step i + 1, as in the log. What
+    only an episode has is None without physics."""
 
     robot: Robot
-    title: str
-    rate_hz: float
-    pose: Array
-    wanted: Flags
-    samples: NDArray[np.int64]
-    cycle_starts: NDArray[np.int64]
-    reference: Array | None
-    caption: str = ""
-    measured: Flags | None = None
-    stance: Flags | None = None
-    force: Array | None = None
-    asked: Array | None = None
-    terms: Array | None = None
-    reward: Array | None = None
-    friction: float = 0.0
-    fell_at: int | None = None
+    title: str  # such as "before: as retargeted"
+    rate_hz: float  # rows a second
+    pose: Array  # (t, 19) the robot's root position (world, m), quaternion and joints (rad); finite
+    wanted: Flags  # (t, 4) whether the contact schedule wants the foot on the ground
+    samples: NDArray[np.int64]  # (t,) of the demonstration
+    cycle_starts: NDArray[np.int64]  # (k,) first rows of the cycles, ascending from 0
+    reference: Array | None  # (t, 19) pose of the demonstration
+    caption: str = ""  # such as "reward 0.84"
+    measured: Flags | None = None  # (t, 4) whether the foot is loaded, above the gait planner's threshold
+    stance: Flags | None = None  # (t, 4) the gait planner's leg states
+    force: Array | None = None  # (t, 4, 3) the ground's on each foot, world, N
+    asked: Array | None = None  # (t, 4, 3) as commanded
+    terms: Array | None = None  # (t, 5) the reward's, as in `REWARD_TERMS`
+    reward: Array | None = None  # (t,)
+    friction: float = 0.0  # μ that the controller assumes
+    fell_at: int | None = None  # row; None if the robot stays up
 
     @property
     def rows(self) -> int:

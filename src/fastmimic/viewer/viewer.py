@@ -28,20 +28,14 @@ _IDLE_S: Final = 0.05
 
 @dataclass
 class Player:
-    """A position in the rows of a take that advances in real time.
-
-    Attributes:
-        rate_hz: rows a second of real time.
-        cycle_starts: first rows of the cycles, ascending from 0.
-        speed: times real time, positive.
-        repeat: at the end start again ("all"), stop ("off"), or repeat the present cycle ("cycle").
-    """
+    """A position in the rows of a take that advances in real time. At the end it starts again (`repeat` "all"), stops
+    ("off"), or repeats the present cycle ("cycle")."""
 
     rows: int
-    rate_hz: float
-    cycle_starts: NDArray[np.int64]
+    rate_hz: float  # rows a second of real time
+    cycle_starts: NDArray[np.int64]  # first rows of the cycles, ascending from 0
     playing: bool = True
-    speed: float = 1.0
+    speed: float = 1.0  # times real time, positive
     repeat: Repeat = "all"
     _position: float = 0.0
 
