@@ -60,12 +60,8 @@ class SearchRun:
 
     @contextmanager
     def opened(self, robot: Robot, name: str, method: str, **about: Any) -> Iterator[tuple[RunFolder, dict[str, Any]]]:
-        """The folder of the run and the content of its `config.json`; a note tells how to continue after Ctrl-C.
-
-        Args:
-            name: of the motion, in the folder's default name.
-            about: further content of `config.json`.
-        """
+        """The folder of the run, by default named after the motion's `name`, and the content of its `config.json`, with
+        `about`; a note tells how to continue after Ctrl-C."""
         resume = self.folder.resume
         default = opt.folder_name(name, robot.name, method, self.seed)
         out = self.out or default_folder(opt.RUNS, default, resume=resume)

@@ -85,12 +85,8 @@ def write_run(result: "Imitation", folder: RunFolder, config: Mapping[str, Any])
 
 
 def put_result(result: "Imitation", folder: RunFolder, iterations: int, *, video: str | None) -> int:
-    """Prints the figures and adds the video to the folder; returns the exit status.
-
-    Args:
-        iterations: the number that was asked for.
-        video: its quality; None for no video.
-    """
+    """Prints the figures and adds the video, of this quality or None for none, to the folder; returns the exit status.
+    `iterations` is the number that was asked for."""
     from fastmimic.report.figures import write_video
 
     put_comparison(result)

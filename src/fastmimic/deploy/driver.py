@@ -60,12 +60,8 @@ class RobotDriver:
         say: Callable[[str], None] = lambda text: None,
         timeout_s: float = FIRST_STATE_S,
     ) -> None:
-        """
-        Args:
-            release: whether opening may release the motors from the robot's own software; otherwise it only listens.
-            say: takes lines on progress while it opens.
-            timeout_s: timeout of the first state, s.
-        """
+        """`release`: whether opening may release the motors from the robot's own software; otherwise it only listens.
+        `say` takes lines on progress while it opens; `timeout_s` is that of the first state."""
         self._robot, self._release, self._say, self._timeout_s = robot, release, say, timeout_s
         self.packets = Packets()
 

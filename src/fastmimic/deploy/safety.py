@@ -229,12 +229,8 @@ def _cut_command(records: Any, commands: Any) -> int:
 
 
 class Guard:
-    """Checks states and commands of one robot against the limits.
-
-    Attributes:
-        cut: how many numbers were cut in the last command.
-        noted: in a dry run, the first violation of each kind; only missing states and commands not finite stop it.
-    """
+    """Checks states and commands of one robot against the limits. `cut` counts the numbers cut in the last command. In
+    a dry run, `noted` holds the first violation of each kind; only missing states and commands not finite stop it."""
 
     def __init__(self, robot: Robot, limits: SafetyLimits, rate_hz: float, *, dry: bool = False) -> None:
         self.limits, self._dry = limits, dry

@@ -70,15 +70,9 @@ class _CourseSlice(NamedTuple):
 
 
 class Follower:
-    """The position in a sequence, advanced by control steps.
-
-    Attributes:
-        table: (t,) of `SAMPLE`, its samples.
-        clock: (1,) of `CLOCK`, its position.
-        steps: control steps in the motion itself so far.
-        leaving: whether the motion ends at its next last sample.
-        done: whether blending out has ended.
-    """
+    """The position in a sequence, `clock` (1,) of `CLOCK` in `table` (t,) of `SAMPLE`, advanced by control steps.
+    `steps` counts those in the motion itself; `leaving` says whether it ends at its next last sample, `done` whether
+    blending out has ended."""
 
     def __init__(self, sequence: MotionSequence, recovery: NDArray[Any] | None = None) -> None:
         """`recovery` is the packed configuration of a controller with push recovery."""

@@ -64,15 +64,10 @@ class MotionService:
 
 
 class SimulatedBody:
-    """One simulated robot, step by step.
-
-    Attributes:
-        service: its own motion service; active if it starts standing.
-        command: (1,) of `COMMAND`, what the motors followed in the last step.
-        damped, damped_s: whether the motors damp for lack of commands, and for how long in all, s.
-        fell: whether it tipped over or landed on anything but its feet at more than 0.7 m/s.
-        steps: since the start.
-    """
+    """One simulated robot, step by step: `steps` since the start. Its own motion `service` is active if it starts
+    standing. `command` (1,) of `COMMAND` is what the motors followed in the last step; `damped` and `damped_s` tell
+    whether they damp for lack of commands, and for how long in all, s; `fell` whether it tipped over or landed on
+    anything but its feet at more than 0.7 m/s."""
 
     def __init__(
         self,

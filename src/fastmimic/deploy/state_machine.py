@@ -48,15 +48,9 @@ class DeploymentPhase(IntEnum):
 
 
 class StateMachine:
-    """Commands for one robot, step by step.
-
-    Attributes:
-        follower: the position in the motion sequence, in phase `FOLLOW`.
-        guard: checks states and commands.
-        dt: the control period, s.
-        observation: (1,) of `OBSERVATION`, the controller's input; all 0 before the robot stands.
-        violation: found in the last step, or None.
-    """
+    """Commands for one robot, step by step, each `dt` s. `guard` checks states and commands; `violation` is what it
+    found in the last step. `follower` is the position in the motion sequence, in phase `FOLLOW`; `observation` (1,) of
+    `OBSERVATION` the controller's input, all 0 before the robot stands."""
 
     def __init__(
         self,
@@ -68,11 +62,7 @@ class StateMachine:
         estimator: EstimatorConfig | None = None,
         policy: MakeController | None = None,
     ) -> None:
-        """
-        Args:
-            config: of the controller.
-            policy: makes the controller of the motion itself; the model-based one blends in and out.
-        """
+        """`policy` makes the controller of the motion itself; the model-based one, of `config`, blends in and out."""
         motion = sequence.motion
         self.robot, self.sequence, self.guard = robot, sequence, guard
         self.dt = 1.0 / config.rate_hz

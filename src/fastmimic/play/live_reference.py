@@ -23,18 +23,9 @@ _PACING: Final = 10  # control steps between changes of the course while the spe
 
 
 class LiveReference:
-    """The reference motion of a live session.
-
-    Args:
-        rate_hz: control steps a second.
-        start: name of the first motion.
-
-    Attributes:
-        goal: the motion requested.
-        trouble: why the robot does not reach the goal; None if it does.
-        wanted: the modulation requested.
-        place: of the reference: one record of `make_place`.
-    """
+    """The reference motion of a live session at `rate_hz` control steps a second. `goal` is the motion requested,
+    `start` at first; `trouble` why the robot does not reach it, None if it does; `wanted` the modulation requested;
+    `place` that of the reference, one record of `make_place`."""
 
     def __init__(self, robot: Robot, library: MotionSet, rate_hz: float, start: str) -> None:
         self._library, self._dt = library, 1.0 / rate_hz

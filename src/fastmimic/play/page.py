@@ -42,14 +42,9 @@ _IDLE_S: Final = 0.05
 
 
 class Pacer:
-    """Runs a session in real time in the calling thread.
-
-    Attributes:
-        lock: held while the session steps; take it to use the session elsewhere.
-        paused: whether the session pauses.
-        pace: simulated time per second, in (0, 1]: slow motion below 1.
-        realtime_factor: simulated time per second over the last `WINDOW_S`, as a share of `pace`.
-    """
+    """Runs a session in real time in the calling thread, unless `paused`. `lock` is held while the session steps: take
+    it to use the session elsewhere. `pace` is simulated time per second, in (0, 1]; `realtime_factor` the share of it
+    that was reached over the last `WINDOW_S`."""
 
     def __init__(self, session: "LiveSession", clock: Callable[[], float] = time.monotonic) -> None:
         self.session = session

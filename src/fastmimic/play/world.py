@@ -31,12 +31,8 @@ _TRIES: Final = 3
 
 
 class LiveWorld:
-    """The ground and the trunk's load of one simulated robot.
-
-    Attributes:
-        friction: coefficient between every foot and the ground.
-        payload_kg: mass at the trunk's centre of mass, unknown to the controller.
-    """
+    """The ground and the trunk's load of one simulated robot: coefficient of `friction` between every foot and the
+    ground, and `payload_kg` at the trunk's centre of mass, unknown to the controller."""
 
     def __init__(self, simulation: MujocoSimulation) -> None:
         import mujoco
@@ -55,13 +51,8 @@ class LiveWorld:
         self.friction, self.payload_kg = GROUND_FRICTION, 0.0
 
     def push(self, impulse: float, direction: float, yaw: float = 0.0) -> None:
-        """Pushes the trunk's centre of mass horizontally, for `PUSH_S` from now.
-
-        Args:
-            impulse: N·s, in 0 … `MAX_IMPULSE`; raises `ConfigError` for others.
-            direction: rad, from the heading, positive to the left; raises `ConfigError` unless finite.
-            yaw: the heading, rad.
-        """
+        """Pushes the trunk's centre of mass horizontally, for `PUSH_S` from now, by an impulse of 0 … `MAX_IMPULSE`
+        N·s, in a direction from the heading `yaw`, rad, positive to the left; raises `ConfigError` for others."""
         if not (math.isfinite(impulse) and 0.0 <= impulse <= MAX_IMPULSE and math.isfinite(direction)):
             raise ConfigError(f"a push has 0 to {MAX_IMPULSE:g} N·s, found {impulse:g} N·s")
         self._push_steps = max(1, round(PUSH_S / self._step_s))

@@ -64,14 +64,8 @@ class Panel:
 
 
 class ViewerPanel(Panel):
-    """viser's GUI elements and their effects on the player.
-
-    Args:
-        lock: held while the player changes.
-        robots: moved by the player.
-        episodes: number of episodes.
-        choose: called with the episode that the user chooses.
-    """
+    """viser's GUI elements and their effects on the player, which moves `robots`; `lock` is held while it changes.
+    `choose` is called with the one of `episodes` that the user chooses."""
 
     def __init__(
         self,

@@ -69,13 +69,8 @@ def line_up(
     animal: "Animal | None" = None,
     names: Sequence[str] | None = None,
 ) -> "list[RobotScene]":
-    """Robots side by side, seen from the front the first on the left.
-
-    Args:
-        takes: each one's first take, of the same robot.
-        animal: beside the first; None for none.
-        names: of their frames in the scene tree.
-    """
+    """Robots side by side, seen from the front the first on the left, the animal beside it. `takes` are each one's
+    first, of the same robot; `names` those of their frames in the scene tree."""
     n, between, puppet = len(takes), gap(takes[0].robot), Puppet(takes[0].robot)
     ground = WIDE_GROUND if n == 1 else (3.0, round(between / _CELL_M) * _CELL_M)
     names = names if names is not None else [f"robot{i}" for i in range(n)]
@@ -86,16 +81,9 @@ def line_up(
 
 
 class RobotScene:
-    """One robot with its marks; `root` is its frame, which holds everything else.
-
-    Args:
-        name: of its frame in the scene tree.
-        puppet: its geometry; may be shared.
-        take: its first take.
-        aside: its place, m to the left of the middle.
-        ground: length and width of its ground, m.
-        animal: shown to the right of it; None for none.
-    """
+    """One robot with its marks, `aside` m to the left of the middle; `root` is its frame, called `name` in the scene
+    tree, which holds everything else. `puppet` is its geometry, which may be shared; `take` its first; `ground` length
+    and width of its ground, m; `animal` is shown to the right of it."""
 
     def __init__(
         self,

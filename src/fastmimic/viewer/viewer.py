@@ -89,17 +89,9 @@ class Player:
 
 
 class Viewer(WebPage):
-    """Plays takes in the browsers of this machine.
-
-    Args:
-        shown: each robot's takes, left to right in the picture; one take is shown at a time.
-        heading: of the panel, such as "trot on a1".
-        port: the first one to try.
-        animal: beside the first robot; None for none.
-
-    Raises:
-        ConfigError: viser is not installed, or no port is free.
-    """
+    """Plays takes in the browsers of this machine: each robot's in `shown`, left to right in the picture, one at a
+    time, with the animal beside the first robot. `heading` is the panel's, such as "trot on a1"; `port` the first one
+    to try. Raises `ConfigError` if viser is not installed, or no port is free."""
 
     def __init__(
         self,
@@ -186,15 +178,9 @@ def _longest(takes: Sequence["Take"]) -> tuple[int, float, NDArray[np.int64]]:
 
 def recorded_page(robot: Robot, takes: Sequence["Take"], names: Sequence[str]) -> str:
     """One self-contained page, viser's client and a recording of its scene, with robots side by side that repeat their
-    takes, up to `LONGEST_S`. While recording, a server runs on loopback.
-
-    Args:
-        takes: at one rate; the shorter ones stay at their ends.
-        names: of each in the scene tree, without slashes.
-
-    Raises:
-        ConfigError: viser is not installed or too old, or no port is free.
-    """
+    takes (of one rate), up to `LONGEST_S`; the shorter ones stay at their ends. `names` are those in the scene tree,
+    without slashes. While recording, a server runs on loopback. Raises `ConfigError` if viser is not installed or too
+    old, or no port is free."""
     with WebPage() as page:
         server = page.server
         robots = line_up(server, takes, names=names)

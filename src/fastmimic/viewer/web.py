@@ -63,14 +63,9 @@ class Camera:
 
 
 def default_camera(robot: Robot, beside: Sequence[float], yaw: float, aspect: float = 1.6) -> Camera:
-    """From the robot's front right, high enough to see the ground under its feet, with everything in the picture.
-
-    Args:
-        robot: its size sets the distance.
-        beside: places of robots and animal, m to the left of the middle.
-        yaw: heading at the start, rad.
-        aspect: width over height of the picture.
-    """
+    """From the robot's front right, high enough to see the ground under its feet, with everything in the picture. The
+    robot's size sets the distance; `beside` are the places of robots and animal, m to the left of the middle; `yaw` is
+    the heading at the start, rad; `aspect` width over height of the picture."""
     span = float(np.ptp(robot.hip_pos_b[:, 0])) + robot.leg_length
     alone = len(beside) == 1
     across = 0.0 if alone else max(beside) - min(beside)
