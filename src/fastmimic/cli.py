@@ -48,7 +48,7 @@ VERBS: Final = {
     "view": Verb("pictures", "View", "show a motion or a run in the browser"),
     "play": Verb("pictures", "Play", "steer a live simulated robot in the browser"),
     "deploy": Verb("deploy", "Deploy", "run a motion on a robot (stand up, run, sit down)"),
-    "robot-sim": Verb("robot_sim", "RobotSim", "simulate a Go2 that speaks the real DDS protocol"),
+    "robot-sim": Verb("deploy", "RobotSim", "simulate a Go2 that speaks the real DDS protocol"),
     "motions": Verb("motion_files", "Motions", "list the named motions"),
     "robots": Verb("motion_files", "Robots", "list the built-in robots"),
     "data": Verb("motion_files", "Data", "list or download the public recordings of a dog"),

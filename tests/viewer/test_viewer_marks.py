@@ -6,7 +6,6 @@ import numpy as np
 
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.robot import Robot
-from fastmimic.viewer.charts import gait_strip, leg_table, plot_base, plot_data, plot_series, runs, status_line
 from fastmimic.viewer.marks import (
     TRAIL_POINTS,
     contact_flags,
@@ -16,6 +15,7 @@ from fastmimic.viewer.marks import (
     friction_use,
     trails,
 )
+from fastmimic.viewer.panel import gait_strip, leg_table, plot_base, plot_data, plot_series, runs, status_line
 from fastmimic.viewer.take import Take
 
 

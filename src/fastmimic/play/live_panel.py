@@ -13,8 +13,16 @@ from fastmimic.base.errors import FastMimicError
 from fastmimic.play.live_reference import NEUTRAL
 from fastmimic.play.session import playable_methods
 from fastmimic.play.world import FRICTION
-from fastmimic.viewer.charts import gait_strip, leg_table, plot_key, plot_series
-from fastmimic.viewer.panel import Panel, add_layer_boxes, charts_window, reward_plot
+from fastmimic.viewer.panel import (
+    Panel,
+    add_layer_boxes,
+    charts_window,
+    gait_strip,
+    leg_table,
+    plot_key,
+    plot_series,
+    reward_plot,
+)
 
 if TYPE_CHECKING:
     import viser
