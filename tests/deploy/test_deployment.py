@@ -10,10 +10,9 @@ from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.control.config import default_config
 from fastmimic.control.config_parts import RecoveryConfig
 from fastmimic.deploy.computer import VirtualClock
-from fastmimic.deploy.deployment import Deployment
+from fastmimic.deploy.deployment import Deployment, figures, score_log
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.safety import StopReason
-from fastmimic.deploy.scoring import figures, score_log
 from fastmimic.deploy.sequence import Follower, MotionSequence, make_sequence
 from fastmimic.deploy.sim import LinkFaults, SimDriver
 from fastmimic.deploy.state_machine import DeploymentPhase

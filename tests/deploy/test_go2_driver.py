@@ -18,7 +18,7 @@ from fastmimic.base.errors import DriverError
 from fastmimic.deploy.dds.cyclone import MAX_PARTICIPANTS, Participant, Reader, Writer
 from fastmimic.deploy.dds.types import Message, program
 from fastmimic.deploy.driver import damping_command
-from fastmimic.deploy.go2 import services
+from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.driver import Go2Driver
 from fastmimic.deploy.go2.messages import (
     LOW_COMMAND_TOPIC,
@@ -205,8 +205,8 @@ def test_opening_and_closing_send_nothing(go2: Robot, publisher: Publisher) -> N
 def test_a_robot_elsewhere_whose_software_cannot_be_asked_gets_no_command(
     go2: Robot, publisher: Publisher, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(services, "LOOPBACK", "another")
-    monkeypatch.setattr(services, "FIND_FAR_S", 0.1)
+    monkeypatch.setattr(messages, "LOOPBACK", "another")
+    monkeypatch.setattr(messages, "FIND_FAR_S", 0.1)
     with publisher.talking(), pytest.raises(DriverError, match="no service 'motion_switcher' on 'lo'"):
         Go2Driver(go2, domain=publisher.domain).open()
 

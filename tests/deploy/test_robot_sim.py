@@ -21,7 +21,7 @@ from deploy.dds_domains import free_domain
 from fastmimic.base.errors import ConfigError, DriverError, OutputError
 from fastmimic.cli import main
 from fastmimic.deploy.dds.cyclone import Participant
-from fastmimic.deploy.go2 import services
+from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.driver import Go2Driver
 from fastmimic.deploy.log import GroundTruthLog, load_ground_truth
 from fastmimic.deploy.sim import LinkFaults, SimulatedBody, SimulatedLink
@@ -231,8 +231,8 @@ def test_a_robot_that_does_not_lie_down_is_not_let_go_of(
     go2: Robot, simulated: Callable[..., SimServer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sim = simulated(start="standing")
-    monkeypatch.setattr(services, "LIE_DOWN_S", 0.2)
-    monkeypatch.setattr(services, "STAND_DOWN", 4711)
+    monkeypatch.setattr(messages, "LIE_DOWN_S", 0.2)
+    monkeypatch.setattr(messages, "STAND_DOWN", 4711)
     with pytest.raises(DriverError, match=r"answered with code 3203 and it still stands"):
         Go2Driver(go2, domain=sim.settings.domain).open()
     assert sim.body.service.active
@@ -249,9 +249,9 @@ def test_commands_are_ignored_while_its_service_is_active(go2: Robot, simulated:
 def test_a_service_answers_what_it_does_not_know_with_a_code(simulated: Callable[..., SimServer]) -> None:
     sim = simulated(start="standing")
     with Participant(sim.settings.domain) as participant:
-        client = services.ServiceClient(participant, services.SPORT)
+        client = messages.ServiceClient(participant, messages.SPORT)
         assert client.find(10.0)
-        assert client.ask(4711).code == services.NOT_IMPLEMENTED
+        assert client.ask(4711).code == messages.NOT_IMPLEMENTED
 
 
 def test_corrupted_states_are_rejected_and_lost_ones_counted(go2: Robot, simulated: Callable[..., SimServer]) -> None:

@@ -67,7 +67,7 @@ def slow_start(text: str = SLOW_START, after_s: float = SLOW_START_S) -> Iterato
 def optimisation_progress() -> "Iterator[Callable[[Progress], None]]":
     """Progress of an optimisation: a bar on a terminal, otherwise a line for each tenth."""
     with slow_start() as started, _bar("optimising") as bar:
-        shown = _Tenths()
+        due = _tenths()
 
         def progress(step: "Progress") -> None:
             started()
@@ -79,7 +79,7 @@ def optimisation_progress() -> "Iterator[Callable[[Progress], None]]":
                 if last:
                     bar(description="validating")
                 return
-            if shown.due(step.iteration, step.iterations):
+            if due(step.iteration, step.iterations):
                 note(f"iteration {step.iteration}/{step.iterations}  {figures}")
             if last:
                 note(CHOOSING)
@@ -91,12 +91,12 @@ def optimisation_progress() -> "Iterator[Callable[[Progress], None]]":
 def count_progress(what: str) -> Iterator[Callable[[int, int], None]]:
     """Progress of a count: yields a function of (done, all). A bar on a terminal, otherwise a line for each tenth."""
     with _bar(what) as bar:
-        shown = _Tenths()
+        due = _tenths()
 
         def progress(done: int, total: int) -> None:
             if bar is not None:
                 bar(completed=done, total=total)
-            elif shown.due(done, total):
+            elif due(done, total):
                 note(f"{what} {done}/{total}")
 
         yield progress
@@ -109,18 +109,16 @@ def share_progress(what: str) -> Iterator[Callable[[float, str], None] | None]:
         yield None if bar is None else lambda share, text: bar(completed=share, info=text)
 
 
-class _Tenths:
-    """Tells when another tenth of the work is done."""
+def _tenths() -> Callable[[int, int], bool]:
+    """A function of (done, all) that tells when another tenth of the work is done."""
+    shown = 0
 
-    def __init__(self) -> None:
-        self._shown = 0
+    def due(done: int, total: int) -> bool:
+        nonlocal shown
+        before, shown = shown, max(shown, done * PLAIN_STEPS // max(total, 1))
+        return shown > before
 
-    def due(self, done: int, total: int) -> bool:
-        tenth = done * PLAIN_STEPS // max(total, 1)
-        if tenth <= self._shown:
-            return False
-        self._shown = tenth
-        return True
+    return due
 
 
 @contextmanager

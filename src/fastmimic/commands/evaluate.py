@@ -107,7 +107,7 @@ class Evaluate:
 
     def _deployed(self) -> int:
         """Scores a deployment from its log."""
-        from fastmimic.deploy.scoring import evaluation_of, true_states
+        from fastmimic.deploy.deployment import evaluation_of, true_states
 
         taken = {"motion", "robot", "truth", "json", "clip"}
         names = [field.name for field in dataclasses.fields(self) if field.name not in taken]

@@ -46,12 +46,10 @@ def _shown_default(default: str) -> str:
 
 
 def configs() -> str:
-    """The named sets of controller parameters, for a help text."""
     return f"{', '.join(CONFIGS)}, or a JSON file"
 
 
 def methods() -> str:
-    """The methods, for a help text."""
     return "; ".join(f"{name}: {method.summary}" for name, method in METHODS.items() if not method.learned)
 
 
@@ -61,7 +59,6 @@ def controllers() -> str:
 
 
 def simulators() -> str:
-    """The simulators, for a help text."""
     return ", or ".join(f"{name} ({entry.about})" for name, entry in SIMULATORS.items())
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from fastmimic.base.configuration import check, documented, parameter
 from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.deploy.dds.cyclone import LOOPBACK, Participant, Reader, Writer
-from fastmimic.deploy.go2 import messages, services
+from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.messages import RATE_HZ, TICKS_PER_STATE, CommandWire, LowCommand, StateWire, roll_pitch_yaw
 from fastmimic.deploy.log import GroundTruthLog
 from fastmimic.deploy.sim import STARTS, WATCHDOG_S, LinkFaults, SimulatedBody, SimulatedLink
@@ -113,17 +113,17 @@ class SimServer:
         self.body.sensors.to_motors(self._command)  # compiles it before it is needed in real time
         service = self.body.service
         handlers: dict[str, dict[int, Callable[[], Any]]] = {
-            services.MOTION_SWITCHER: {
-                services.CHECK_MODE: lambda: {"form": "0", "name": MODE if service.active else ""},
-                services.SELECT_MODE: lambda: service.take_over(self.body.observation["joint_pos"][0]),
-                services.RELEASE_MODE: lambda: setattr(service, "active", False),
+            messages.MOTION_SWITCHER: {
+                messages.CHECK_MODE: lambda: {"form": "0", "name": MODE if service.active else ""},
+                messages.SELECT_MODE: lambda: service.take_over(self.body.observation["joint_pos"][0]),
+                messages.RELEASE_MODE: lambda: setattr(service, "active", False),
             },
-            services.SPORT: {
-                services.STAND_UP: lambda: service.stand_up() if service.active else None,
-                services.STAND_DOWN: lambda: service.lie_down() if service.active else None,
+            messages.SPORT: {
+                messages.STAND_UP: lambda: service.stand_up() if service.active else None,
+                messages.STAND_DOWN: lambda: service.lie_down() if service.active else None,
             },
         }
-        self._servers = [services.ServiceServer(participant, name, found) for name, found in handlers.items()]
+        self._servers = [messages.ServiceServer(participant, name, found) for name, found in handlers.items()]
 
     def run(
         self,

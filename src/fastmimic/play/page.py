@@ -46,22 +46,21 @@ class Pacer:
     it to use the session elsewhere. `pace` is simulated time per second, in (0, 1]; `realtime_factor` the share of it
     that was reached over the last `WINDOW_S`."""
 
-    def __init__(self, session: "LiveSession", clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, session: "LiveSession") -> None:
         self.session = session
         self.lock = threading.RLock()
         self.paused = False
         self.pace = 1.0
         self.realtime_factor = 1.0
-        self._clock = clock
         self._debt_s = 0.0
         self._window: deque[tuple[float, float, float]] = deque()
 
     def run(self, stop: threading.Event, record: Callable[[], None], every: int, awake: Callable[[], bool]) -> None:
         """Runs until `stop` is set, while `awake` returns True. Calls `record`, with the lock held, after each `every`
         control steps."""
-        before = self._clock()
+        before = time.monotonic()
         while not stop.wait(CHUNK_S):
-            now = self._clock()
+            now = time.monotonic()
             passed, before = now - before, now
             if not awake() or self.paused:
                 self._window.clear()

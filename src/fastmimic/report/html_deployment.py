@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, DeploymentError
 from fastmimic.base.files import read_json
+from fastmimic.deploy.deployment import summary_rows
 from fastmimic.deploy.log import LOG, RESULT, DeploymentLog
-from fastmimic.deploy.scoring import summary_rows
 from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.report.html_episodes import against_limit
 from fastmimic.report.html_page import HtmlReport, render

@@ -10,8 +10,6 @@ from fastmimic.base.errors import DriverError
 from fastmimic.deploy.dds.cyclone import LOOPBACK, Participant, Reader, Writer
 from fastmimic.deploy.driver import RobotDriver, StateMessage, implausible_joint
 from fastmimic.deploy.go2 import messages
-from fastmimic.deploy.go2.messages import TICKS_PER_STATE, CommandWire, LowCommand, Received, StateWire
-from fastmimic.deploy.go2.services import release_motion_service
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import READING
@@ -46,16 +44,16 @@ class Go2Driver(RobotDriver):
         """Raises `DriverError` also for two robots in the domain or another commanding program."""
         participant = self._participant = Participant(self._domain, self._interface)
         self._reader = Reader(participant, messages.LOW_STATE_TOPIC, messages.LowState, _DEPTH)
-        self._writer = Writer(participant, messages.LOW_COMMAND_TOPIC, LowCommand)
+        self._writer = Writer(participant, messages.LOW_COMMAND_TOPIC, messages.LowCommand)
         assert self._writer.record is not None
-        self._command = CommandWire(self._writer.record)
+        self._command = messages.CommandWire(self._writer.record)
         self._command.clear()
-        self._state = StateWire(self._reader.samples)
+        self._state = messages.StateWire(self._reader.samples)
         self._checked = self._counted = True
         self._sequence, self._publisher = -1, 0
         self._await_states(participant)
         if self._release:
-            self.released = release_motion_service(participant, self._lies, self._say)
+            self.released = messages.release_motion_service(participant, self._lies, self._say)
             self._check_alone(participant)
         self._reader.take()  # states of before are old
         self._sequence = -1
@@ -74,7 +72,7 @@ class Go2Driver(RobotDriver):
                     newest = reading
         return None if newest is None else StateMessage(newest, self._sequence, self._now())
 
-    def _accept(self, i: int, state: Received) -> bool:
+    def _accept(self, i: int, state: messages.Received) -> bool:
         """Whether state i is good and new; counts it."""
         packets, publisher = self.packets, int(self._reader.publication[i])
         tick = state.tick if self._counted else self._sequence + 1
@@ -84,7 +82,7 @@ class Go2Driver(RobotDriver):
             packets.rejected += 1
             return False
         if self._counted and not first:
-            packets.lost += max(0, (tick - self._sequence) // TICKS_PER_STATE - 1)
+            packets.lost += max(0, (tick - self._sequence) // messages.TICKS_PER_STATE - 1)
         self._sequence, self._publisher = tick, publisher
         packets.received += 1
         return True
@@ -99,7 +97,7 @@ class Go2Driver(RobotDriver):
     def _await_states(self, participant: Participant) -> None:
         """Waits for the first states and checks their publisher."""
         end = time.monotonic() + self._timeout_s
-        seen: list[Received] = []
+        seen: list[messages.Received] = []
         reading, problem, publishers = np.zeros(1, READING), "", set()
         while len(seen) < _EXAMINED and time.monotonic() < end:
             self._reader.wait(min(0.1, max(0.0, end - time.monotonic())))
@@ -127,7 +125,7 @@ class Go2Driver(RobotDriver):
 
     def _check_alone(self, participant: Participant) -> None:
         """Raises `DriverError` if another program commands the motors."""
-        reader = Reader(participant, messages.LOW_COMMAND_TOPIC, LowCommand)
+        reader = Reader(participant, messages.LOW_COMMAND_TOPIC, messages.LowCommand)
         end, heard = time.monotonic() + _LISTEN_S, False
         while not heard and (left := end - time.monotonic()) > 0:
             reader.wait(left)
