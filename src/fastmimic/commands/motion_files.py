@@ -1,5 +1,4 @@
-"""`fastmimic motions`, `robots` and `data`: what there is; `inspect`, `segment`, `retarget` and `export`: the files of
-clips and motions, without simulation."""
+"""Verbs without simulation: `motions`, `robots`, `data` (what there is), `inspect`, `segment`, `retarget`, `export`."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -198,8 +198,7 @@ class WriteReport:
 
 
 def recorded(e: "RerunEpisodes") -> str:
-    """The episodes as a page with a 3D replay, before and after side by side. Raises `ConfigError` if viser is not
-    installed or too old."""
+    """A page with a 3D replay, before and after side by side; raises `ConfigError` if viser is missing or too old."""
     from fastmimic.viewer.take import rollout_take
     from fastmimic.viewer.viewer import recorded_page
 

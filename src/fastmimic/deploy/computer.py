@@ -59,8 +59,7 @@ class VirtualClock(LoopClock):
 
 @contextmanager
 def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
-    """Disables Python's garbage collector; `real_time` requests real-time scheduling and locked memory. Yields a
-    sentence for each request refused."""
+    """Without garbage collection; `real_time` requests that scheduling and locked memory. Yields what was refused."""
     refused: list[str] = []
     gc.collect()
     was_enabled = gc.isenabled()

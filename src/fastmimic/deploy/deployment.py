@@ -239,8 +239,7 @@ def figures(rollout: Rollout | None) -> dict[str, Any]:
 
 def true_states(log: DeploymentLog, truth: NDArray[Any], sequence: NDArray[np.int64]) -> NDArray[Any]:
     """A simulated robot's true states in the log's rows, (t,) of `OBSERVATION`. `truth` (k,) of `OBSERVATION` belongs
-    to the ascending message numbers `sequence` (k,). Raises `DeploymentError` if a message of the log is not among
-    them."""
+    to the messages numbered `sequence` (k,), ascending. Raises `DeploymentError` if the log has another message."""
     wanted = log.rows["sequence"]
     at = np.searchsorted(sequence, wanted)
     found = at < len(sequence)

@@ -30,12 +30,11 @@ DRIVERS: Final = (*WIRED, SIM)
 
 @dataclass(frozen=True, eq=False)
 class StateMessage:
-    """A copy of the reading, (1,) of `READING`; the robot's own count of its messages; the arrival, s on the driver's
-    clock."""
+    """A copy of a state as it was received."""
 
-    reading: NDArray[Any]
-    sequence: int
-    received: float
+    reading: NDArray[Any]  # (1,) of `READING`
+    sequence: int  # the robot's own count of its messages
+    received: float  # s on the driver's clock
 
 
 @dataclass

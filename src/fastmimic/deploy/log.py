@@ -104,8 +104,7 @@ class DeploymentLog:
         return float(self.meta["rate_hz"])
 
     def run_log(self) -> RunLog:
-        """The part in the motion itself, for `fastmimic.identification.identify.identify`. Raises `DeploymentError` if
-        the robot did not reach the motion."""
+        """The part in the motion itself, to identify from; raises `DeploymentError` if the robot did not reach it."""
         at = np.flatnonzero(self.rows["in_motion"])
         if len(at) < 2:
             raise DeploymentError("the robot did not reach the motion, so there is nothing to identify")

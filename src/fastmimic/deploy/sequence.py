@@ -170,8 +170,7 @@ def _standing(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionS
 
 
 def _ends(robot: Robot, motion: Motion, rate_hz: float) -> list[tuple[Motion, int]]:
-    """The cyclic motions at a motion's start and end, each with a shift: sample t of the motion is its sample
-    (t − shift) mod n."""
+    """The cyclic motions at start and end, each with a shift: sample t of the whole is its sample (t − shift) mod n."""
     motion.check_robot(robot.name)
     if abs(motion.rate_hz - rate_hz) > 1e-9:
         raise MotionError(

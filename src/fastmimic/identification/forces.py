@@ -44,8 +44,7 @@ class GroundForces:
     lift: Array  # (t,) vertical acceleration minus gravity's, which a payload on the trunk would share, m/s²
 
     def force(self, gain: Array | None = None) -> Array:
-        """(t, 4, 3) ground reaction force on each foot, N; `gain` (4, 3) is true over measured motor torque, 1 if
-        None."""
+        """(t, 4, 3) ground reaction force on each foot, N; `gain` (4, 3) is true over measured motor torque."""
         torque = self.torque if gain is None else self.torque * gain
         return np.asarray(np.einsum("tlij,tlj->tli", self.arm, self.free - torque))
 

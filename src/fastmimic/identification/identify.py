@@ -253,8 +253,7 @@ def _excess(forces: GroundForces, vertical: Array) -> Array:
 
 
 def _weighed(forces: GroundForces, by_feet: bool) -> tuple[float, float]:
-    """Median mass beyond the robot's, by the foot sensors or the motors' torques, and its standard deviation by the
-    samples' scatter, kg."""
+    """Median mass beyond the robot's, by foot sensors or motor torques, and its deviation by the scatter, kg."""
     mass = _excess(forces, forces.sensed if by_feet else forces.force()[..., 2])
     independent = max(1.0, len(mass) * forces.dt / _INDEPENDENT_S)
     scatter = 1.4826 * float(np.median(np.abs(mass - np.median(mass))))

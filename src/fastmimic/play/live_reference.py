@@ -109,8 +109,7 @@ class LiveReference:
         self._route()
 
     def fill(self, rows: NDArray[Any], *, scored: bool = False) -> None:
-        """Fills rows of `SAMPLE` with the controller's reference, from now on; if `scored`, with the demonstration,
-        modulated in the same way."""
+        """Fills rows of `SAMPLE` with the reference from now on; if `scored`, the demonstration, modulated alike."""
         self._stream.fill(*self._courses(scored), self.place, self._modulation, rows)
 
     def advance(self, base_xy: Array) -> None:

@@ -56,8 +56,7 @@ class Pacer:
         self._window: deque[tuple[float, float, float]] = deque()
 
     def run(self, stop: threading.Event, record: Callable[[], None], every: int, awake: Callable[[], bool]) -> None:
-        """Runs until `stop` is set, while `awake` returns True. Calls `record`, with the lock held, after each `every`
-        control steps."""
+        """Runs until `stop` is set, while `awake()`; `record` is called under the lock, each `every` control steps."""
         before = time.monotonic()
         while not stop.wait(CHUNK_S):
             now = time.monotonic()

@@ -107,8 +107,7 @@ def rollout_take(
 
 
 def motion_take(motion: Motion, robot: Robot, duration_s: float, title: str = "") -> Take:
-    """The first `duration_s` of a motion, or all of one that is not cyclic, without physics. Its demonstration, if any,
-    is the reference."""
+    """`duration_s` of a motion, or all of one that is not cyclic; the reference is its demonstration, if any."""
     pose = motion_track(motion, duration_s).pose
     samples = np.arange(len(pose), dtype=np.int64) % motion.n_samples
     starts = cycle_rows(motion.target, samples)
