@@ -120,7 +120,7 @@ def test_the_animal_is_saved_with_the_motion(tmp_path: Path, turn: Executable) -
 def test_what_no_motion_keeps_is_refused_with_its_limit(a1: Robot, animal: Motion) -> None:
     weak = replace(a1, torque_limit=0.1 * a1.torque_limit)
     with pytest.raises(MotionError, match=r"no motion of a1 near 'turn' keeps the limits: .* by .* at \d"):
-        nearest_executable(weak, animal, TrajectoryConfig(iterations=10))
+        nearest_executable(weak, animal, TrajectoryConfig(iterations=2))
 
 
 def test_a_passage_that_does_not_repeat(a1: Robot) -> None:
