@@ -20,8 +20,7 @@ import numpy as np
 import fastmimic as fm
 from fastmimic.base.machine import available_cores
 from fastmimic.learning.config import FRAME_SIZE, HISTORY, IMU_SIZE
-from fastmimic.learning.episodes import Episodes
-from fastmimic.learning.shard import Shard
+from fastmimic.learning.episodes import Episodes, Shard
 
 WARM_UP = 3
 

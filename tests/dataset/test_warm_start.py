@@ -7,7 +7,7 @@ import numpy as np
 
 from fastmimic.dataset import DatasetSource
 from fastmimic.dataset.excerpts import survey
-from fastmimic.dataset.warm_start import FARTHEST, Neighbours, distance
+from fastmimic.dataset.jobs import FARTHEST, Neighbours, distance
 
 
 def test_the_nearest_is_the_least_distant_of_all() -> None:

@@ -31,7 +31,7 @@ from fastmimic.report.html import make_report
 from fastmimic.report.html_comparison import read_rows
 from fastmimic.report.html_episodes import motor_torque
 from fastmimic.report.html_page import markdown
-from fastmimic.report.html_search import convergence, parameters
+from fastmimic.report.html_run_page import convergence, parameters
 from searches import QUICK_COMMAND
 
 SECTIONS = {"figures", "optimisation", "tracking", "terms", "limits", "run"}

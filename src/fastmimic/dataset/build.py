@@ -12,11 +12,10 @@ from fastmimic.base.errors import ConfigError, LibraryError, OutputError, Worker
 from fastmimic.dataset.excerpts import Survey, look_of, save_survey, survey, survey_file
 from fastmimic.dataset.folder import BuildSettings, DamagedError, MotionDataset, Row
 from fastmimic.dataset.index import Gathered, require_pyarrow
-from fastmimic.dataset.jobs import Job, give_up, now, perform, robot_digest
+from fastmimic.dataset.jobs import Job, Neighbours, give_up, now, perform, robot_digest
 from fastmimic.dataset.lock import building as locked
 from fastmimic.dataset.records import FAILED, FinishedJobs, Record, load_record, remove, save_record
 from fastmimic.dataset.sources import DatasetSource
-from fastmimic.dataset.warm_start import Neighbours
 from fastmimic.executors import Executor, Report
 from fastmimic.robot import Robot, load_robot
 
