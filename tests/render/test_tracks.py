@@ -5,9 +5,10 @@ import pytest
 
 from fastmimic.base.rotations import quat_rotate, yaw_from_quat
 from fastmimic.clips.catalogue import open_clip
+from fastmimic.experiments.measurement import foot_courses
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion
-from fastmimic.render.tracks import motion_track, realised_feet, rollout_track
+from fastmimic.render.tracks import motion_track, rollout_track
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot
 
@@ -60,8 +61,8 @@ def test_a_rollout_keeps_the_demonstration_as_its_ghost(robot: Robot, turn: Moti
 
 def test_feet_are_known_until_the_fall(robot: Robot, turn: Motion) -> None:
     rollout = evaluate(turn, robot, duration_s=0.5, log=True).rollout
-    assert np.isfinite(realised_feet(rollout, robot)).all()
+    assert np.isfinite(foot_courses(rollout, robot)[1]).all()
     rollout.steps[0] = 100
-    feet = realised_feet(rollout, robot)
+    feet = foot_courses(rollout, robot)[1]
     assert np.isfinite(feet[:100]).all()
     assert np.isnan(feet[100:]).all()

@@ -11,11 +11,13 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 from PIL import Image
 
 from fastmimic.base.errors import OutputError
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import Provenance
+from fastmimic.optimize.cma_es import History
 from fastmimic.render.figure_style import save
 from fastmimic.report.figures import convergence_figure, tracking_figure
 from fastmimic.report.inspection import motion_figure
@@ -42,6 +44,11 @@ def written(figure: Figure, folder: Path) -> np.ndarray:
     return np.asarray(Image.open(folder / "figure.png").convert("RGB"))
 
 
+def history(best: ArrayLike, mean: ArrayLike, std: ArrayLike, sigma: ArrayLike, baseline: float) -> History:
+    """Without a start that is better than the candidates."""
+    return History(*(np.array(a, float) for a in (best, mean, std, sigma)), baseline, -np.inf)
+
+
 def line(figure: Figure, axes: int, label: str) -> np.ndarray:
     lines = figure.axes[axes].get_lines()
     return np.asarray(next(drawn for drawn in lines if drawn.get_label() == label).get_ydata())
@@ -49,7 +56,7 @@ def line(figure: Figure, axes: int, label: str) -> np.ndarray:
 
 def test_convergence_shows_the_best_so_far_the_spread_and_the_baseline(tmp_path: Path) -> None:
     best, mean = np.array([0.5, 0.7, 0.6, 0.8]), np.array([0.4, 0.5, 0.55, 0.7])
-    figure = convergence_figure(np.arange(1, 5), best, mean, np.full(4, 0.05), 0.3 / np.arange(1, 5), 0.45)
+    figure = convergence_figure(history(best, mean, np.full(4, 0.05), 0.3 / np.arange(1, 5), 0.45))
     np.testing.assert_allclose(line(figure, 0, "best so far"), [0.5, 0.7, 0.7, 0.8])
     np.testing.assert_allclose(line(figure, 0, "candidates, mean"), mean)
     assert "0.450 → 0.800 after 4 iterations" in figure.axes[0].get_title(loc="left")
@@ -62,7 +69,7 @@ def test_convergence_shows_the_best_so_far_the_spread_and_the_baseline(tmp_path:
 
 def test_convergence_over_other_robots_in_each_iteration_shows_each_ones_best() -> None:
     best, ones = np.array([0.5, 0.7, 0.6, 0.8]), np.ones(4)
-    figure = convergence_figure(np.arange(4), best, 0.4 * ones, 0.1 * ones, ones, 0.45, randomized=True)
+    figure = convergence_figure(replace(history(best, 0.4 * ones, 0.1 * ones, ones, 0.45), randomized=True))
     np.testing.assert_array_equal(line(figure, 0, "best of the iteration"), best)
     assert figure.axes[0].get_title(loc="left").endswith("other robots in each of 4 iterations")
 
@@ -72,7 +79,7 @@ def test_convergence_over_other_robots_in_each_iteration_shows_each_ones_best() 
 )
 def test_the_step_sizes_have_few_round_labels_that_do_not_touch(first: float, last: float) -> None:
     k = np.arange(1, 21)
-    figure = convergence_figure(k, k / 20, k / 25, np.full(20, 0.05), np.geomspace(first, last, 20), 0.1)
+    figure = convergence_figure(history(k / 20, k / 25, np.full(20, 0.05), np.geomspace(first, last, 20), 0.1))
     figure.canvas.draw()
     axis = figure.axes[1].yaxis
     shown = [label for label in axis.get_ticklabels(which="both") if label.get_text()]
@@ -86,14 +93,14 @@ def test_the_step_sizes_have_few_round_labels_that_do_not_touch(first: float, la
 @pytest.mark.parametrize("n", [1, 2])
 def test_convergence_of_a_run_that_was_stopped_at_once(n: int, tmp_path: Path) -> None:
     ones = np.ones(n)
-    figure = convergence_figure(np.arange(n), 0.5 * ones, 0.5 * ones, 0 * ones, 0.3 * ones, 0.5)
+    figure = convergence_figure(history(0.5 * ones, 0.5 * ones, 0 * ones, 0.3 * ones, 0.5))
     assert figure.axes[0].get_lines()[1].get_marker() == "o"  # a line would have no length
     written(figure, tmp_path)
 
 
 def test_convergence_bridges_an_iteration_in_which_all_candidates_failed(tmp_path: Path) -> None:
     best = np.array([0.5, np.nan, 0.6])
-    figure = convergence_figure(np.arange(3), best, best, 0.1 * best, np.full(3, 0.3), 0.4)
+    figure = convergence_figure(history(best, best, 0.1 * best, np.full(3, 0.3), 0.4))
     np.testing.assert_allclose(line(figure, 0, "best so far"), [0.5, 0.5, 0.6])
     assert np.all(np.isfinite(figure.axes[0].get_ylim()))
     written(figure, tmp_path)
@@ -202,7 +209,7 @@ def test_a_foot_that_never_leaves_the_ground_is_one_bar(motion: Motion, a1: Robo
 
 
 def test_a_figure_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
-    figure = convergence_figure([0, 1], [0.5, 0.6], [0.4, 0.5], [0.1, 0.1], [0.3, 0.2], 0.4)
+    figure = convergence_figure(history([0.5, 0.6], [0.4, 0.5], [0.1, 0.1], [0.3, 0.2], 0.4))
     (tmp_path / "file").write_text("not a folder")
     with pytest.raises(OutputError, match="cannot be written"):
         save(figure, tmp_path / "file" / "c.png")
@@ -216,7 +223,7 @@ def test_a_figure_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
 
 def test_drawing_changes_nothing_global(tmp_path: Path) -> None:
     settings = dict(matplotlib.rcParams)
-    written(convergence_figure([0], [0.5], [0.4], [0.1], [0.3], 0.4), tmp_path)
+    written(convergence_figure(history([0.5], [0.4], [0.1], [0.3], 0.4)), tmp_path)
     assert dict(matplotlib.rcParams) == settings
     script = "import sys, fastmimic.report.inspection as _; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

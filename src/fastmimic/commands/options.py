@@ -18,7 +18,7 @@ from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.randomization import Randomization
-from fastmimic.render.encoding import quality_named
+from fastmimic.render.encoding import QUALITIES
 from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
 from fastmimic.runs.loading import MotionSource, find_motion
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
@@ -193,7 +193,7 @@ class VideoOptions:
     @property
     def wanted(self) -> str | None:
         """The quality; None for no video. Raises `ConfigError` for an unknown quality."""
-        quality_named(self.quality)
+        _ = QUALITIES[self.quality]
         return None if self.no_video else self.quality
 
 

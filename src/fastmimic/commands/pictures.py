@@ -21,7 +21,7 @@ from fastmimic.control.config import controller_config
 from fastmimic.episode.plan import default_duration
 from fastmimic.imitation.methods import METHODS, controller_for, method_named
 from fastmimic.motion.motion import Motion
-from fastmimic.render.encoding import ENDINGS, quality_named
+from fastmimic.render.encoding import ENDINGS, QUALITIES
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import MotionSource, find_motion
 from fastmimic.viewer.web import free_port, require_viser
@@ -110,7 +110,7 @@ class Render:
         if not 1 <= len(self.motions) <= MOST:
             raise ConfigError(f"render takes one to {MOST} motions, found {len(self.motions)}")
         opt.check_duration(self.duration)
-        quality_named(self.quality)
+        _ = QUALITIES[self.quality]
         for name, value in (("--frame-rate", self.frame_rate), ("--slow-motion", self.slow_motion)):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise ConfigError(f"{name} must be positive, found {value:g}")

@@ -24,74 +24,44 @@ FINISHED: Final = "work/seen.json"
 DONE: Final = "done"
 FAILED: Final = "failed"
 
-IDENTITY: Final = {
-    "id": str,
-    "name": str,
-    "source": str,
-    "first_frame": int,
-    "end_frame": int,
-    "piece": str,
-    "gait": str,
-    "footfall": str,
+_IDENTITY: Final = {
+    **dict.fromkeys(("id", "name", "source"), str),
+    **dict.fromkeys(("first_frame", "end_frame"), int),
+    **dict.fromkeys(("piece", "gait", "footfall"), str),
     "confidence": float,
-    "robot": str,
-    "robot_file": str,
-    "robot_digest": str,
-    "method": str,
+    **dict.fromkeys(("robot", "robot_file", "robot_digest", "method"), str),
     "seed": int,
-    "recipe": str,
-    "licence": str,
-    "credit": str,
-    "status": str,
-    "reason": str,
+    **dict.fromkeys(("recipe", "licence", "credit", "status", "reason"), str),
 }
 """Columns of every record; `source` is its place, `piece` the digest of the excerpt's content, `robot_file` a user's
 MJCF, `robot_digest` that of the robot's description, `reason` that of a failure."""
 
+_REWARDS: Final = (
+    *("reward", "reward_before", "reward_perturbed", "reward_std"),
+    *("reward_robots", "reward_robots_worst", "reward_second_simulator"),
+)
+_MEASURES: Final = (
+    *("fell_perturbed", "fell_robots", "fell_second_simulator", "style_distance", "style_distance_realised"),
+    *("swing_clearance_m", "swing_clearance_least_share", "early_contacts_per_s", "stance_slip_m", "drift_m_per_s"),
+    *("joint_speed_share", "torque_share", "friction_needed", "flight_share"),
+)
+_PACKAGES: Final = ("fastmimic", "python", "mujoco", "daqp", "cma", "numba", "numpy")
 FIGURES: Final = {
-    "period_s": float,
-    "speed_m_s": float,
-    "yaw_rate_rad_s": float,
-    "duty_factor": float,
+    **dict.fromkeys(("period_s", "speed_m_s", "yaw_rate_rad_s", "duty_factor"), float),
     "repeats": bool,
-    "reward": float,
-    "reward_before": float,
-    "reward_perturbed": float,
-    "reward_std": float,
-    "reward_robots": float,
-    "reward_robots_worst": float,
-    "reward_second_simulator": float,
-    "fell": bool,
-    "fell_before": bool,
-    "fell_perturbed": float,
-    "fell_robots": float,
-    "fell_second_simulator": float,
-    "style_distance": float,
-    "style_distance_realised": float,
-    "swing_clearance_m": float,
-    "swing_clearance_least_share": float,
-    "early_contacts_per_s": float,
-    "stance_slip_m": float,
-    "drift_m_per_s": float,
-    "joint_speed_share": float,
-    "torque_share": float,
-    "friction_needed": float,
-    "flight_share": float,
-    "limits_exceeded": str,
-    "warm_start": str,
-    "parameters": str,
-    "iterations": int,
-    "evaluations": int,
+    **dict.fromkeys(_REWARDS, float),
+    **dict.fromkeys(("fell", "fell_before"), bool),
+    **dict.fromkeys(_MEASURES, float),
+    **dict.fromkeys(("limits_exceeded", "warm_start", "parameters"), str),
+    **dict.fromkeys(("iterations", "evaluations"), int),
     "simulated_s": float,
-    "motion_file": str,
-    "motion_sha256": str,
-    **{f"{name}_version": str for name in ("fastmimic", "python", "mujoco", "daqp", "cma", "numba", "numpy")},
+    **dict.fromkeys(("motion_file", "motion_sha256", *(f"{name}_version" for name in _PACKAGES)), str),
 }
 """Further columns of a finished motion. `limits_exceeded` is from `fastmimic.episode.feasibility.reasons`; `warm_start`
 is the record that the search began from."""
 COSTS: Final = {"wall_s": float, "cpu_s": float, "finished": str}  # differ between repetitions
 
-COLUMNS: Final = {**IDENTITY, **FIGURES, **COSTS}
+COLUMNS: Final = {**_IDENTITY, **FIGURES, **COSTS}
 """Name → type. A record has a value or None in each."""
 _KINDS: Final[dict[type, Any]] = {str: str, int: int, float: (int, float), bool: (bool, int, float)}  # as JSON has them
 _NEEDED: Final = ("name", "piece", "robot", "robot_digest", "seed", "recipe", "status")

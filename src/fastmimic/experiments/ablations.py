@@ -3,9 +3,10 @@
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
-from fastmimic.base.errors import ConfigError, did_you_mean
+from fastmimic.base.registry import Registry
 from fastmimic.control.config import ControllerConfig, paper_config
 from fastmimic.primitive.rhythmic import N_BASIS
 
@@ -33,17 +34,12 @@ class Ablation:
         return self.change(config) != config or not self.consistent or self.n_basis != N_BASIS
 
 
-def _stance(**values: object) -> Callable[[ControllerConfig], ControllerConfig]:
-    return lambda config: dataclasses.replace(config, stance=dataclasses.replace(config.stance, **values))  # type: ignore[arg-type]
+def _with(part: str, **values: object) -> Callable[[ControllerConfig], ControllerConfig]:
+    """Replaces parameters of a part of the controller, such as `stance`."""
+    return lambda config: dataclasses.replace(config, **{part: dataclasses.replace(getattr(config, part), **values)})
 
 
-def _swing(**values: object) -> Callable[[ControllerConfig], ControllerConfig]:
-    return lambda config: dataclasses.replace(config, swing=dataclasses.replace(config.swing, **values))  # type: ignore[arg-type]
-
-
-def _gait(**values: object) -> Callable[[ControllerConfig], ControllerConfig]:
-    return lambda config: dataclasses.replace(config, gait=dataclasses.replace(config.gait, **values))  # type: ignore[arg-type]
-
+_stance, _swing = partial(_with, "stance"), partial(_with, "swing")
 
 _ABLATIONS = (
     Ablation("no-adaptation", "no joint feedback in stance (without eq. 2)", _stance(adaptation="off")),
@@ -54,7 +50,7 @@ _ABLATIONS = (
         "feet follow the reference, whatever the velocity (K = 0 in eq. 3)",
         _swing(velocity_feedback=(0.0, 0.0), position_feedback=0.0),
     ),
-    Ablation("no-state-machine", "legs switch by the schedule alone", _gait(planner="schedule")),
+    Ablation("no-state-machine", "legs switch by the schedule alone", _with("gait", planner="schedule")),
     Ablation(
         "raw-retargeting",
         "the scaled animal as it is, feet that slide and hover included; scored against itself",
@@ -73,19 +69,17 @@ _ABLATIONS = (
     Ablation("25-basis-functions", "DMPs of 25 basis functions", n_basis=25),
 )
 
-ABLATIONS: Final = {ablation.name: ablation for ablation in _ABLATIONS}
+ABLATIONS: Final = Registry("ablation", _ABLATIONS)
 """All variants by name; the 100 basis functions of `MotionDmp` are the method itself."""
 
 
 def ablations_of(config: ControllerConfig) -> tuple[Ablation, ...]:
     """The variants that differ from the method under a configuration, which may already include one of them."""
-    return tuple(ablation for ablation in _ABLATIONS if ablation.changes(config))
+    return tuple(ablation for ablation in ABLATIONS.values() if ablation.changes(config))
 
 
 def ablation_named(name: str) -> Ablation:
     """The variant of that name; the method itself for an empty name. Raises `ConfigError` if there is none."""
     if not name:
         return Ablation("", "")
-    if name not in ABLATIONS:
-        raise ConfigError(f"unknown ablation '{name}'; there are {', '.join(ABLATIONS)}{did_you_mean(name, ABLATIONS)}")
     return ABLATIONS[name]

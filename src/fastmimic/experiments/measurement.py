@@ -109,7 +109,8 @@ def named_values(result: Imitation) -> str:
 
 
 def foot_courses(rollout: Rollout, robot: Robot) -> tuple[Array, Array]:
-    """Feet of the nominal episode in the body frame, (t, 4, 3) m: reference, and realised with NaN after a fall."""
+    """Foot centres of the first episode in the body frame, (t, 4, 3) m: the reference's, and the realised ones, NaN
+    from the fall on."""
     assert rollout.log is not None, "the courses are in the log"
     feet = foot_positions(robot, rollout.log.observation["joint_pos"][0])
     feet[rollout.steps[0] :] = np.nan

@@ -12,7 +12,8 @@ from typing import IO, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.errors import ConfigError, OutputError, did_you_mean
+from fastmimic.base.errors import ConfigError, OutputError
+from fastmimic.base.registry import Registry
 
 FPS: Final = 30.0
 GIF_FPS: Final = 20.0
@@ -57,14 +58,7 @@ class Quality:
 
 PREVIEW: Final = Quality("preview", (800, 450), 0, 0, 0.0, False, 8, "ultrafast", 25)
 HIGH: Final = Quality("high", (1280, 720), 2048, 4, 0.06, True, 36, "medium", 19)
-QUALITIES: Final = {quality.name: quality for quality in (PREVIEW, HIGH)}
-
-
-def quality_named(name: str) -> Quality:
-    """The quality of that name; raises `ConfigError`."""
-    if name not in QUALITIES:
-        raise ConfigError(f"unknown quality '{name}'; there are {', '.join(QUALITIES)}{did_you_mean(name, QUALITIES)}")
-    return QUALITIES[name]
+QUALITIES: Final = Registry("quality", (PREVIEW, HIGH))
 
 
 class VideoFile:

@@ -179,14 +179,6 @@ def world_feet(robot: Robot, pose: Array) -> Array:
     return np.asarray(pose[:, None, :3] + quat_rotate(pose[:, None, 3:7], feet))
 
 
-def realised_feet(rollout: "Rollout", robot: Robot, episode: int = 0) -> Array:
-    """Foot centres of an episode in the body frame (t, 4, 3), m; NaN from the fall on."""
-    assert rollout.log is not None, "the feet need a rollout with its log"
-    feet = foot_positions(robot, rollout.log.observation["joint_pos"][episode])
-    feet[rollout.steps[episode] :] = np.nan
-    return feet
-
-
 class Animal:
     """A clip's points on the ground in its own heading frame, scaled as in retargeting. `motion`, made of the clip, may
     have another length; it is then run through from start to end.

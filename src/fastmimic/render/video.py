@@ -17,7 +17,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import available_cores
 from fastmimic.base.rotations import yaw_from_quat
-from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, PREVIEW, Quality, VideoFile, quality_named
+from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, PREVIEW, QUALITIES, Quality, VideoFile
 from fastmimic.render.offscreen import NoRendererError, Offscreen, in_any_thread
 from fastmimic.render.overlay import Overlay
 from fastmimic.render.tracks import AnimalTrack, Track, resample, resample_contact, resample_points, world_feet
@@ -153,7 +153,7 @@ def render_video(
     """
     if not 1 <= len(tracks) <= MAX_PANELS:
         raise ConfigError(f"a video shows 1 to {MAX_PANELS} tracks, found {len(tracks)}")
-    quality = quality_named(quality) if isinstance(quality, str) else quality
+    quality = QUALITIES[quality] if isinstance(quality, str) else quality
     gif = Path(path).suffix.lower() == ".gif"
     fps = fps if fps is not None else (GIF_FPS if gif else FPS)
     size = size if size is not None else (GIF_SIZE if gif else quality.size)

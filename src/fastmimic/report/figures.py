@@ -14,68 +14,49 @@ from numpy.typing import ArrayLike, NDArray
 from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.conventions import LEGS
 from fastmimic.episode.rollout import Rollout
+from fastmimic.experiments.measurement import foot_courses
 from fastmimic.imitation.imitate import Imitation
 from fastmimic.imitation.methods import method_named
+from fastmimic.optimize.cma_es import History
 from fastmimic.render import figure_style as style
 from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, STANCE
-from fastmimic.render.tracks import Track, realised_feet, rollout_track
+from fastmimic.render.tracks import Track, rollout_track
 from fastmimic.runs.work_folder import CONVERGENCE, TRACKING, VIDEO, RunFolder
 
 TRACKING_CYCLES: Final = 2  # in the tracking figure
 TRANSITION_S: Final = 2.0  # length of a stitched motion's tracking figure
 
 
-def convergence_figure(
-    iteration: ArrayLike,
-    best: ArrayLike,
-    mean: ArrayLike,
-    std: ArrayLike,
-    sigma: ArrayLike,
-    baseline: float,
-    title: str = "Optimisation",
-    *,
-    randomized: bool = False,
-) -> Figure:
-    """Reward and step size of the optimiser by iteration, (k,) each.
-
-    Args:
-        iteration: their numbers.
-        best: objective of each iteration's best candidate, or of the search's start where better; the best so far is
-            drawn.
-        mean, std: mean reward of the candidates, and its standard deviation, drawn as a band.
-        sigma: CMA-ES's step size, relative to the parameters' scaled ranges.
-        baseline: mean per-step reward of the unoptimised motion, in [0, 1].
-        randomized: whether each iteration scores on other robots: then the best so far would be that of the easiest
-            robots, and each iteration's best is drawn.
-    """
-    k, best, mean, std, sigma = (
-        np.atleast_1d(np.asarray(a, dtype=np.float64)) for a in (iteration, best, mean, std, sigma)
-    )
+def convergence_figure(history: History, title: str = "Optimisation") -> Figure:
+    """Reward and step size of the optimiser by iteration: the best so far, the candidates' mean, and their standard
+    deviation as a band. With other robots in each iteration, the best so far would be that of the easiest ones; each
+    iteration's best is drawn."""
+    h = history
+    k = np.arange(1.0, len(h.best) + 1)
     figure = style.new_figure(8.0, 5.6, title, below=0.5)
     reward, step = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    shown = best if randomized else np.fmax.accumulate(best)
-    _draw_reward(reward, k, shown, mean, std, baseline, randomized)
-    step.semilogy(k, sigma, color=INK, linewidth=1.4, marker=_marker(k), markersize=4)
+    _draw_reward(reward, k, h)
+    step.semilogy(k, h.sigma, color=INK, linewidth=1.4, marker=_marker(k), markersize=4)
     style.tidy(step, "Step size of the search: it shrinks as the optimiser settles", "iteration", "σ (–)")
-    _label_step_sizes(step, sigma)
+    _label_step_sizes(step, h.sigma)
     step.xaxis.set_major_locator(MaxNLocator(integer=True))
     return figure
 
 
-def _draw_reward(axes: Axes, k: Array, best: Array, mean: Array, std: Array, baseline: float, randomized: bool) -> None:
-    marker = _marker(k)
-    axes.fill_between(
-        k, mean - std, mean + std, color=BEFORE.color, alpha=0.18, linewidth=0, label="candidates, ± 1 std"
-    )
+def _draw_reward(axes: Axes, k: Array, h: History) -> None:
+    marker, mean, std, baseline = _marker(k), h.mean, h.std, h.baseline
+    best = h.best if h.randomized else np.fmax.accumulate(np.maximum(h.best, h.start))
+    label = "candidates, ± 1 std"
+    axes.fill_between(k, mean - std, mean + std, color=BEFORE.color, alpha=0.18, linewidth=0, label=label)
     axes.plot(k, mean, **BEFORE.kwargs(), marker=marker, markersize=4, label="candidates, mean")
-    label = "best of the iteration" if randomized else "best so far"
+    label = "best of the iteration" if h.randomized else "best so far"
     axes.plot(k, best, **AFTER.kwargs(), marker=marker, markersize=4, label=label)
     axes.axhline(baseline, color=DEMONSTRATION.color, linestyle=DEMONSTRATION.linestyle, linewidth=1.4)
-    said = f"not optimised{', first robots' if randomized else ''} {baseline:.3f}"
+    said = f"not optimised{', first robots' if h.randomized else ''} {baseline:.3f}"
     where = {"xycoords": ("axes fraction", "data"), "ha": "right", "color": DEMONSTRATION.color}
     style.write_at(axes, said, (1, baseline), (-2, 3), 8.5, **where)
     title = f"Objective of the search, other robots in each of {len(best)} iterations"
-    if not randomized:
+    if not h.randomized:
         title = f"Objective of the search: {baseline:.3f} → {best[-1]:.3f} after {len(best)} iterations"
     style.tidy(axes, title, ylabel="reward − penalty for lost clearance")
     axes.legend(loc="lower right", bbox_to_anchor=(1, 0.04), fontsize=8.5, frameon=True, framealpha=0.9)
@@ -178,12 +159,7 @@ def draw_run(result: Imitation, folder: RunFolder) -> None:
     title = f"{result.motion.name} on {result.robot.name}"
     h = result.history
     if h is not None and len(h.best):
-        iteration = range(1, len(h.best) + 1)
-        best = h.best if h.randomized else np.maximum(h.best, h.start)
-        figure = convergence_figure(
-            list(iteration), best, h.mean, h.std, h.sigma, h.baseline, title, randomized=h.randomized
-        )
-        style.save(figure, folder.path / CONVERGENCE)
+        style.save(convergence_figure(h, title), folder.path / CONVERGENCE)
     style.save(_tracked(result, title), folder.path / TRACKING)
 
 
@@ -234,6 +210,8 @@ def _tracked(result: Imitation, title: str) -> Figure:
     assert log is not None
     time_s = np.arange(1, log.wanted.shape[1] + 1) / log.rate_hz
     alive_s = max(int(result.before.steps[0]), int(result.after.steps[0])) / log.rate_hz
+    wanted, after = foot_courses(result.after, result.robot)
+    _, before = foot_courses(result.before, result.robot)
     starts = result.demonstration.segment_starts
     if len(starts) > 1:  # the first transition
         shown_s = TRANSITION_S
@@ -243,9 +221,9 @@ def _tracked(result: Imitation, title: str) -> Figure:
         start = max(0.0, min(alive_s, float(time_s[-1])) - shown_s)
     return tracking_figure(
         time_s,
-        log.demonstration["foot_pos"][0],
-        realised_feet(result.before, result.robot),
-        realised_feet(result.after, result.robot),
+        wanted,
+        before,
+        after,
         log.wanted[0],
         title,
         window_s=(start, start + min(shown_s, float(time_s[-1]))),

@@ -12,7 +12,7 @@ from fastmimic.base.conventions import GRAVITY, JOINTS_PER_LEG, LEGS
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.reward import REWARD_TERMS, reward_weights
 from fastmimic.episode.rollout import Log
-from fastmimic.render.tracks import realised_feet
+from fastmimic.experiments.measurement import foot_courses
 from fastmimic.report import html_plots as draw
 from fastmimic.report.html_plots import BEFORE, DEMONSTRATION, LIMIT, ONLY, STANCE, Figure, Key, Plot, arrow, numbers
 from fastmimic.report.html_run import RerunEpisodes
@@ -62,7 +62,7 @@ def feet(e: RerunEpisodes) -> list[Figure]:
 
 def _paths(e: RerunEpisodes) -> list[tuple[Array, Key]]:
     """Realised paths of the feet and the demonstration's, (t, 4, 3) m, the first on top."""
-    realised = [(realised_feet(rollout, e.robot), key) for rollout, _, key in e.series]
+    realised = [(foot_courses(rollout, e.robot)[1], key) for rollout, _, key in e.series]
     return [*realised, (e.log.demonstration["foot_pos"][0], DEMONSTRATION)]
 
 
