@@ -41,7 +41,7 @@ def test_the_animal_keeps_its_shape_and_the_robots_place(take: Take, trot: Motio
 
 def test_animal_and_robot_lift_the_same_feet(trot: Motion, a1: Robot) -> None:
     animal = Animal(open_clip("trot", robot=a1), a1, trot)
-    heights = np.array([animal.local(sample)[6:10, 2] for sample in range(trot.n_samples)])
+    heights = np.array([animal.at(animal.points, sample)[6:10, 2] for sample in range(trot.n_samples)])
     for leg in range(4):
         stands = trot.contact[:, leg]
         assert heights[~stands, leg].max() > 3 * heights[stands, leg].mean()

@@ -104,8 +104,7 @@ class Built:
     @cached_property
     def rows(self) -> list[Row]:
         """Rows of the index, including results of other builds."""
-        rows: list[Row] = self.table.to_pylist()
-        return rows
+        return list(self.table.to_pylist())
 
     @cached_property
     def failures(self) -> list[str]:

@@ -160,8 +160,7 @@ class MotionDataset:
 
     def settings(self) -> dict[str, Any]:
         """The recipe as saved, empty if there is none; raises `LibraryError` if it cannot be read."""
-        found: dict[str, Any] = self._saved().get("recipe", {})
-        return found
+        return dict(self._saved().get("recipe", {}))
 
     def recipe_digest(self) -> str | None:
         """The saved digest of the recipe, even if a configuration file changed since; raises `LibraryError` if it
@@ -248,8 +247,7 @@ class MotionDataset:
     def index(self, columns: Sequence[str] = ()) -> list[Row]:
         """Rows of the index, with all columns if `columns` is empty; raises `LibraryError` if it is missing or
         damaged."""
-        rows: list[Row] = self.index_table(columns).to_pylist()
-        return rows
+        return list(self.index_table(columns).to_pylist())
 
     def index_table(self, columns: Sequence[str] = ()) -> "pyarrow.Table":
         """The index as an Arrow table; raises as `index`."""
@@ -281,8 +279,7 @@ class MotionDataset:
                 f"{self.path}: no motion '{name}'{did_you_mean(name, {row['name'] for row in rows})}"
                 f" ('fastmimic library list {self.path}')"
             )
-        chosen: list[Row] = table.take(found).to_pylist()
-        return chosen
+        return list(table.take(found).to_pylist())
 
     def motion(self, row: Row) -> Motion:
         """The motion of a row; raises `LibraryError` if the job failed, `MotionError` if the file is damaged."""

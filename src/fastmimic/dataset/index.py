@@ -110,8 +110,7 @@ class Gathered:
 
     def column(self, name: str) -> list[Any]:
         """Values of a column of the table."""
-        values: list[Any] = self.table.column(name).to_pylist()
-        return values
+        return list(self.table.column(name).to_pylist())
 
 
 @dataclass(frozen=True, slots=True)

@@ -229,7 +229,7 @@ def _made(job: Job, report: Report) -> Record:
 
 def _tried(job: Job, result: Imitation) -> Record:
     recipe, robot, demonstration = job.recipe, result.robot, result.demonstration
-    measured = measure(result, evaluation_s=recipe.evaluation_s, perturbed_episodes=recipe.perturbed)
+    measured = measure(result, recipe.evaluation_s, recipe.perturbed)
     figures = {name: value for name, value in measured.figures.items() if name in empty()}
     needs = demands(robot, demonstration)
     exceeded = reasons(needs, describe_fall(robot, measured.after))

@@ -16,13 +16,14 @@ from fastmimic.experiments.comparison_run import (
     ComparisonSettings,
     Row,
     Run,
+    RunTask,
     check_unique,
     digest,
     finished_row,
     run_of,
     slug,
 )
-from fastmimic.experiments.parallel import ReportProgress, RunTask, run_all
+from fastmimic.experiments.parallel import ReportProgress, run_all
 from fastmimic.imitation.methods import PAPER_METHODS, RL, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings

@@ -9,7 +9,7 @@ import hashlib
 import json
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,6 +25,7 @@ from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.plan import episode_duration
 from fastmimic.episode.rollout import Rollout
+from fastmimic.executors import Report
 from fastmimic.experiments.ablations import ABLATIONS, ablation_named
 from fastmimic.experiments.measurement import (
     EVALUATION_S,
@@ -40,7 +41,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import Progress
 from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.problem import Objective
-from fastmimic.robot import Robot
+from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.work_folder import CHECKPOINT, ENVIRONMENT, MOTION, MOTIONS, RESULTS_CSV, TABLE, WorkFolder, created
 
 if TYPE_CHECKING:
@@ -111,6 +112,30 @@ class Run:
         return f"{self.motion} {self.method}{variant} seed {self.seed}"
 
 
+@dataclass(frozen=True)
+class RunTask:
+    """A run with its files: the motion retargeted for its variant, its folder, and a learned method's policy."""
+
+    run: Run
+    settings: ComparisonSettings
+    demonstration: Path
+    folder: Path
+    policy: Path | None = None
+
+    @property
+    def simulated_s(self) -> float:
+        """Estimated simulated time, s, as the measure of its length."""
+        s = self.settings
+        evaluation = s.evaluation_s * (2 + s.perturbed_episodes)
+        if not method_named(self.run.method).optimises:
+            return evaluation
+        return evaluation + s.choice.simulated_s + self.searched_s(s.iterations)
+
+    def searched_s(self, iterations: int) -> float:
+        """The part of it up to an iteration of the search, s."""
+        return self.settings.duration_s * self.settings.population * iterations
+
+
 def slug(text: str) -> str:
     """The text as a file name."""
     return re.sub(r"[^\w.-]+", "_", text)
@@ -150,27 +175,26 @@ def digest(
     return found.hexdigest()[:16]
 
 
-def perform(
-    run: Run,
-    settings: ComparisonSettings,
-    robot: Robot,
-    demonstration: Motion,
-    folder: Path,
-    progress: Callable[[Progress], None] | None = None,
-    policy: "Policy | None" = None,
-) -> Row:
+def perform(task: RunTask, report: Report) -> Row:
     """Optimises if the method does, evaluates, and writes the run's folder; resumes from a checkpoint in it. Returns
-    the row (`COLUMNS` in `fastmimic.experiments.tables`). `demonstration` is the retargeted motion for the run's
-    variant; the folder keeps a copy of a learned method's `policy`. Raises `FastMimicError` as `imitate`; the
-    checkpoint survives Ctrl-C."""
+    the row (`COLUMNS` in `fastmimic.experiments.tables`). The folder keeps a copy of a learned method's policy. Raises
+    `FastMimicError` as `imitate`; the checkpoint survives Ctrl-C."""
+    report(0.0)
+
+    def progress(step: Progress) -> None:
+        report(step.iteration / step.iterations)
+
+    run, settings, folder = task.run, task.settings, task.folder
+    robot, policy, controller = load_robot(settings.robot), None, None
+    if task.policy is not None:
+        from fastmimic.learning.policy import Policy, controlled_by  # imports Gymnasium, which other runs do not need
+
+        policy = Policy.load(task.policy)
+        controller = controlled_by(policy)
+    demonstration = Motion.load(task.demonstration)
     checkpoint = folder / CHECKPOINT
     resumed = checkpoint.is_file()
     config = controller_of(run, settings)
-    controller = None
-    if policy is not None:
-        from fastmimic.learning.policy import controlled_by  # imports Gymnasium, which other runs do not need
-
-        controller = controlled_by(policy)
     # compile or load before the clock starts
     run_episodes(
         robot,
@@ -248,18 +272,10 @@ def _row(
     run: Run, settings: ComparisonSettings, result: Imitation, folder: Path, controller: MakeController | None = None
 ) -> Row:
     robot, demonstration = result.robot, result.demonstration
-    measured = measure(
-        result,
-        evaluation_s=settings.evaluation_s,
-        perturbed_episodes=settings.perturbed_episodes,
-        controller=controller,
-    )
+    measured = measure(result, settings.evaluation_s, settings.perturbed_episodes, controller)
     _save_tracking(folder / TRACKING, demonstration, measured.before, measured.after, robot)
     found = {
-        "motion": run.motion,
-        "method": run.method,
-        "variant": run.variant,
-        "seed": run.seed,
+        **asdict(run),
         **measured.figures,
         "evaluations": result.evaluations,
         "iterations": result.iterations,

@@ -44,7 +44,6 @@ class Measured:
 
 def measure(
     result: Imitation,
-    *,
     evaluation_s: float = EVALUATION_S,
     perturbed_episodes: int = PERTURBED_EPISODES,
     controller: MakeController | None = None,
@@ -76,6 +75,7 @@ def measure(
     )
     nominal, unoptimised, perturbed = Metrics.of(after), Metrics.of(before), Metrics.of(rough)
     share = after.clearance[0] / swing_clearance(demonstration, robot.foot_radius)
+    style = None if method.own_feet else style_distance(result.motion.foot_pos_b, demonstration.foot_pos_b)
     figures = {
         "reward": nominal.reward_mean,
         "reward_before": unoptimised.reward_mean,
@@ -89,9 +89,7 @@ def measure(
         "swing_clearance_least_share": np.nanmin(share) if np.isfinite(share).any() else None,
         "early_contacts_per_s": nominal.early_contacts_per_s,
         "stance_slip_m": nominal.stance_slip_m,
-        "style_distance": None
-        if method.own_feet
-        else style_distance(result.motion.foot_pos_b, demonstration.foot_pos_b),
+        "style_distance": style,
         "style_distance_realised": _realised_style(after, demonstration, robot),
         "foot_z_rmse_before_m": unoptimised.foot_z_rmse_m,
         "foot_z_rmse_after_m": nominal.foot_z_rmse_m,

@@ -9,38 +9,10 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from fastmimic.executors.local import LocalExecutor
-from fastmimic.experiments.comparison_run import ComparisonSettings, Row, Run, perform
+from fastmimic.experiments.comparison_run import Row, RunTask, perform
 from fastmimic.imitation.methods import method_named
-from fastmimic.motion.motion import Motion
-from fastmimic.optimize.cma_es import Progress
-from fastmimic.robot import load_robot
-
-
-@dataclass(frozen=True)
-class RunTask:
-    """A run with its files; `policy` is that of a learned method."""
-
-    run: Run
-    settings: ComparisonSettings
-    demonstration: Path
-    folder: Path
-    policy: Path | None = None
-
-    @property
-    def simulated_s(self) -> float:
-        """Estimated simulated time, s, as the measure of its length."""
-        s = self.settings
-        evaluation = s.evaluation_s * (2 + s.perturbed_episodes)
-        if not method_named(self.run.method).optimises:
-            return evaluation
-        return evaluation + s.choice.simulated_s + self.searched_s(s.iterations)
-
-    def searched_s(self, iterations: int) -> float:
-        """The part of it up to an iteration of the search, s."""
-        return self.settings.duration_s * self.settings.population * iterations
 
 
 @dataclass
@@ -118,7 +90,7 @@ def run_all(tasks: Sequence[RunTask], workers: int, report: ReportProgress) -> l
         else:
             effort.begin(index)
 
-    outcomes = executor.run(_work, tasks, progress)
+    outcomes = executor.run(perform, tasks, progress)
     with closing(outcomes):
         for outcome in outcomes:
             if outcome.error is not None:
@@ -127,18 +99,3 @@ def run_all(tasks: Sequence[RunTask], workers: int, report: ReportProgress) -> l
             effort.finish(outcome.index)
             report(effort, outcome.result)
     return [row for row in rows if row is not None]
-
-
-def _work(task: RunTask, report: Callable[[float], None]) -> Row:
-    report(0.0)
-
-    def progress(step: Progress) -> None:
-        report(step.iteration / step.iterations)
-
-    robot = load_robot(task.settings.robot)
-    policy = None
-    if task.policy is not None:
-        from fastmimic.learning.policy import Policy  # imports Gymnasium, which other runs do not need
-
-        policy = Policy.load(task.policy)
-    return perform(task.run, task.settings, robot, Motion.load(task.demonstration), task.folder, progress, policy)

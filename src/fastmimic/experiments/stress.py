@@ -115,7 +115,9 @@ def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSett
     random = np.random.default_rng(settings.seed)
     start.sample[1:] = random.integers(start_room(motion, seconds), size=settings.episodes - 1)
     rows = []
-    for levels in _batches(kind.levels, settings.episodes if kind.per_robot else AT_ONCE):
+    at_once = max(1, AT_ONCE // settings.episodes) if kind.per_robot else 1
+    for first in range(0, len(kind.levels), at_once):
+        levels = kind.levels[first : first + at_once]
         values = tuple(float(v) for v in np.repeat(levels, settings.episodes)) if kind.per_robot else levels
         conditions = settings.conditions(Disturbance(disturbance, values))
         repeated = start.part(np.tile(np.arange(settings.episodes), len(levels)))
@@ -140,11 +142,6 @@ def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSett
                 }
             )
     return rows
-
-
-def _batches(levels: tuple[float, ...], episodes: int) -> list[tuple[float, ...]]:
-    count = max(1, AT_ONCE // episodes)
-    return [levels[i : i + count] for i in range(0, len(levels), count)]
 
 
 def all_sweeps(out: Path) -> list[Row]:

@@ -103,12 +103,8 @@ def ablation_table(rows: Sequence[Row], expected: int) -> str:
             [
                 *(f"`{s.motion}`", s.variant or f"{ABLATED}, as it is", spread(s, "reward"), change),
                 *(_spread_of_episodes(s), _count(s, "fell"), _percent(s.mean("fell_perturbed"))),
-                *(
-                    number(s.mean("reward_before")),
-                    _percent(s.mean(_CLEARANCE)),
-                    number(s.mean("style_distance"), 2),
-                ),
-                number(s.mean("style_distance_realised"), 2),
+                *(number(s.mean("reward_before")), _percent(s.mean(_CLEARANCE))),
+                *(number(s.mean(name), 2) for name in ("style_distance", "style_distance_realised")),
             ]
         )
     kinds = [ablation_named(v) for v in dict.fromkeys(s.variant for s in found) if v]
@@ -119,12 +115,8 @@ def ablation_table(rows: Sequence[Row], expected: int) -> str:
 def _line(s: Summary) -> list[str]:
     return [
         *(f"`{s.motion}`", s.label, f"**{spread(s, 'reward')}**", _spread_of_episodes(s), _count(s, "fell")),
-        *(
-            _percent(s.mean("fell_perturbed")),
-            _percent(s.mean(_CLEARANCE)),
-            number(s.mean("style_distance"), 2),
-        ),
-        *(number(s.mean("style_distance_realised"), 2), number(s.mean("drift_m_per_s"), 2)),
+        *(_percent(s.mean("fell_perturbed")), _percent(s.mean(_CLEARANCE))),
+        *(number(s.mean(name), 2) for name in ("style_distance", "style_distance_realised", "drift_m_per_s")),
         *(number(s.mean("early_contacts_per_s"), 1), number(s.mean("stance_slip_m"), 1, 1e3)),
         *(number(s.mean("wall_s"), 1), number(s.mean("cpu_s"), 1), number(s.mean("evaluations"), 0)),
     ]

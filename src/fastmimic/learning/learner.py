@@ -221,7 +221,10 @@ class Learner:
             "torch_random": torch.get_rng_state(),
             "cuda_random": torch.cuda.get_rng_state(self.device) if self.device.startswith("cuda") else None,
             "numpy_random": _plain(random),
-            "episodes": {name: torch.from_numpy(_bytes(array)) for name, array in episodes.items()},
+            "episodes": {
+                name: torch.frombuffer(bytearray(array.tobytes()), dtype=torch.uint8)
+                for name, array in episodes.items()
+            },
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -282,10 +285,6 @@ class Learner:
         from tensordict import TensorDict
 
         return TensorDict({"policy": self._tensor(seen, np.float32)}, batch_size=[len(seen)], device=self.device)
-
-
-def _bytes(array: NDArray[Any]) -> NDArray[np.uint8]:
-    return np.frombuffer(np.ascontiguousarray(array).tobytes(), np.uint8).copy()
 
 
 def _plain(value: Any) -> Any:

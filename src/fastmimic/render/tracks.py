@@ -206,10 +206,6 @@ class Animal:
         self._periodic = motion.target.cycle is not None
         self._samples = motion.target.n_samples
 
-    def local(self, sample: int) -> Array:
-        """Keypoints (10, 3) at a sample of the demonstration, in the frame of `points`, m."""
-        return self.at(self.points, sample)
-
     def at(self, points: Array, sample: int) -> Array:
         """`points` or `body` (t, k, 3) at a sample of the demonstration: (k, 3)."""
         n = len(points)

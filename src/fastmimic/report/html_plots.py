@@ -69,9 +69,7 @@ def curve(time: Array, values: Array, key: Key, *, peak: bool = False) -> dict[s
     if stride > 1 and peak:
         whole = np.full(stride * -(-len(values) // stride), np.nan)
         whole[: len(values)] = values
-        blocks = whole.reshape(-1, stride)
-        there = np.isfinite(blocks).any(axis=1)
-        kept = np.where(there, np.where(np.isfinite(blocks), blocks, -np.inf).max(axis=1), np.nan)
+        kept = np.fmax.reduce(whole.reshape(-1, stride), axis=1)
     else:
         kept = values[::stride]
     return line(numbers(time[::stride]), kept, key, width=1.7)
@@ -145,29 +143,21 @@ def time_plot(
 
 def shades(time: Array, stance: NDArray[np.bool_]) -> list[dict[str, Any]]:
     ends = np.append(time, time[-1])
-    return [
-        {
-            "type": "rect",
-            "xref": "x",
-            "yref": "paper",
-            "x0": float(ends[a]),
-            "x1": float(ends[b]),
-            "y0": 0,
-            "y1": 1,
-            "fillcolor": STANCE.color,
-            "line": {"width": 0},
-            "layer": "below",
-        }
-        for a, b in stretches(stance)
-    ]
+    style = {"fillcolor": STANCE.color, "line": {"width": 0}, "layer": "below"}
+    return [_upright("rect", float(ends[a]), float(ends[b]), style) for a, b in stretches(stance)]
 
 
 def rule(key: Key, *, x: float | None = None, y: float | None = None, width: float = 1.6) -> dict[str, Any]:
     """A vertical line at `x`, or a horizontal one at `y`."""
     line = {"color": key.color, "dash": key.dash, "width": width}
     if x is not None:
-        return {"type": "line", "xref": "x", "yref": "paper", "x0": x, "x1": x, "y0": 0, "y1": 1, "line": line}
+        return _upright("line", x, x, {"line": line})
     return {"type": "line", "xref": "paper", "yref": "y", "x0": 0, "x1": 1, "y0": y, "y1": y, "line": line}
+
+
+def _upright(kind: str, start: float, end: float, style: dict[str, Any]) -> dict[str, Any]:
+    """A shape as high as the plot."""
+    return {"type": kind, "xref": "x", "yref": "paper", "x0": start, "x1": end, "y0": 0, "y1": 1, **style}
 
 
 def rows_axis(names: Sequence[str]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, FastMimicError
-from fastmimic.base.files import read_json
+from fastmimic.base.files import read_arrays, read_json
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Log, Rollout
@@ -175,13 +175,10 @@ def _run_again(path: Path, metrics: dict[str, Any], config: dict[str, Any]) -> R
 
 
 def _search(path: Path, parameters: int) -> SearchHistory:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            search = SearchHistory(np.asarray(file["scores"], float), np.asarray(file["candidates"], float))
-    except FileNotFoundError:
-        raise ConfigError(f"{path} is missing") from None
-    except Exception as error:  # noqa: BLE001 (a damaged archive can raise almost anything)
-        raise ConfigError(f"{path} cannot be read ({error})") from None
+    arrays = read_arrays(path, ConfigError, "checkpoint")
+    if not {"scores", "candidates"} <= arrays.keys():
+        raise ConfigError(f"{path}: not a checkpoint")
+    search = SearchHistory(np.asarray(arrays["scores"], float), np.asarray(arrays["candidates"], float))
     if search.scores.ndim != 2 or search.candidates.shape != (*search.scores.shape, parameters):
         raise ConfigError(f"{path} is of another run")
     return search

@@ -40,7 +40,9 @@ def motion_figure(motion: Motion, robot: Robot, title: str | None = None) -> Fig
     grid = figure.subplots(3, 3, sharex=True)
     time = np.arange(motion.n_samples, dtype=np.float64) / motion.rate_hz
     _draw_gait(grid[0, 0], time, motion.dt, motion.contact)
-    _draw_height(grid[1, 0], time, motion.root_pos_w)
+    grid[1, 0].plot(time, motion.root_pos_w[:, 2], **AFTER.kwargs())
+    style.tidy(grid[1, 0], "base height above the ground", ylabel="m")
+    _widen(grid[1, 0], 0.04)
     _draw_tilt(grid[2, 0], time, motion.root_quat_wxyz)
     lower, upper, speed = (
         np.asarray(a).reshape(4, 3) for a in (robot.joint_lower, robot.joint_upper, robot.joint_speed_limit)
@@ -78,12 +80,6 @@ def _draw_gait(axes: Axes, time: Array, dt: float, contact: NDArray[np.bool_]) -
     style.tidy(axes, "gait: a bar is stance; the number is the duty factor")
     axes.set_yticks(list(rows), [f"{leg}  {d:.2f}" for leg, d in zip(LEGS, duty, strict=True)])
     axes.grid(False, axis="y")
-
-
-def _draw_height(axes: Axes, time: Array, root_pos_w: Array) -> None:
-    axes.plot(time, root_pos_w[:, 2], **AFTER.kwargs())
-    style.tidy(axes, "base height above the ground", ylabel="m")
-    _widen(axes, 0.04)
 
 
 def _draw_tilt(axes: Axes, time: Array, root_quat_wxyz: Array) -> None:
@@ -129,7 +125,9 @@ def segments_figure(clip: Clip, segments: list[Segment], title: str) -> Figure:
         feet.plot(time, fore_aft[:, leg], **LEG_LINES[leg].kwargs(), label=name)
     feet.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=4, fontsize=8, frameon=False)
     trunk = (clip.point("neck") + clip.point("pelvis"))[:, :2] / 2
-    speed.plot(time, _smooth_speed(trunk, clip.rate_hz), color=INK, linewidth=1.2)
+    smooth = uniform_filter1d(trunk, max(1, round(0.2 * clip.rate_hz)), axis=0, mode="nearest")  # a fifth of a second
+    pace = np.linalg.norm(np.gradient(smooth, axis=0), axis=1) * clip.rate_hz
+    speed.plot(time, pace, color=INK, linewidth=1.2)
     heading.plot(time, np.degrees(yaw - yaw[0]), color=INK, linewidth=1.2)
     style.tidy(feet, "Toes ahead of their hips: what is compared with itself", ylabel="m")
     style.tidy(speed, "Speed of the trunk, in the animal's size", ylabel="m/s")
@@ -170,12 +168,6 @@ def _draw_bars(axes: Axes, segments: list[Segment], rate_hz: float) -> None:
     style.tidy(axes, "Segments: gait, and the period of a cycle in frames; hatched: does not repeat")
     axes.set_yticks([])
     axes.set_ylim(-0.5, 0.5)
-
-
-def _smooth_speed(trunk: np.ndarray, rate_hz: float) -> np.ndarray:
-    """Speed of a path (t, 2), m/s, over a fifth of a second."""
-    path = uniform_filter1d(trunk, max(1, round(0.2 * rate_hz)), axis=0, mode="nearest")
-    return np.asarray(np.linalg.norm(np.gradient(path, axis=0), axis=1) * rate_hz)
 
 
 def _summary(segments: list[Segment]) -> str:

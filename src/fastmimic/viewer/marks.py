@@ -107,7 +107,7 @@ def animal_beside(animal: "Animal", take: "Take", row: int, aside: float) -> Arr
     """Keypoints (10, 3) of the animal beside the reference at the same moment, in its heading, world, m. `aside` is the
     offset, m, to the left of the reference's initial heading, so that turns keep the animal's side in the picture."""
     poses = take.reference if take.reference is not None else take.pose
-    points = animal.local(int(take.samples[row]))
+    points = animal.at(animal.points, int(take.samples[row]))
     beside = rotate_planar(float(yaw_from_quat(poses[0, 3:7])), np.array([0.0, aside]))
     points[:, :2] = rotate_planar(float(yaw_from_quat(poses[row, 3:7])), points[:, :2]) + poses[row, :2] + beside
     return points
