@@ -98,7 +98,6 @@ class Built:
 
     @property
     def jobs(self) -> int:
-        """Number of jobs from the sources."""
         return len(self.ids)
 
     @cached_property
@@ -143,7 +142,6 @@ def build_dataset(
 
 
 def describe_failure(record: Mapping[str, Any]) -> str:
-    """The motion and the reason of the failure."""
     return f"{record['name']} on {record['robot']} seed {record['seed']}: {record['reason']}"
 
 

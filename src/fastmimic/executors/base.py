@@ -29,8 +29,6 @@ class JobOutcome:
 
 
 class Executor(Protocol):
-    """Runs jobs."""
-
     @property
     def workers(self) -> int:
         """How many run at a time, as far as known beforehand."""

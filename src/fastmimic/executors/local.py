@@ -39,7 +39,6 @@ class LocalExecutor:
     def run(
         self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
     ) -> Generator[JobOutcome, None, None]:
-        """As `Executor.run`."""
         tell = progress if progress is not None else lambda index, share: None
         if self.workers > 1 or not self._in_process:
             yield from _spread(work, jobs, self.workers, tell)

@@ -84,7 +84,6 @@ class ComparisonPlan:
 
     @property
     def variants(self) -> tuple[str, ...]:
-        """The names of the ablations."""
         if not self.ablations:
             return ()
         return tuple(ablation.name for ablation in ablations_of(controller_config(self.settings.config)))

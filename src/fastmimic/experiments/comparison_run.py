@@ -103,7 +103,6 @@ class Run:
 
     @property
     def folder(self) -> str:
-        """The name of its folder."""
         parts = (self.motion, self.method, *([self.variant] if self.variant else []), f"seed{self.seed}")
         return slug("-".join(parts))
 
@@ -137,7 +136,6 @@ class RunTask:
 
 
 def slug(text: str) -> str:
-    """The text as a file name."""
     return re.sub(r"[^\w.-]+", "_", text)
 
 
@@ -253,7 +251,6 @@ def finished_row(folder: Path) -> Row | None:
 
 
 def run_of(row: Row) -> Run:
-    """The run of a row."""
     return Run(row["motion"], row["method"], row["variant"], row["seed"])
 
 
@@ -314,8 +311,6 @@ def _save_tracking(path: Path, demonstration: Motion, before: Rollout, after: Ro
 
 @dataclass(frozen=True)
 class ComparisonFolder(WorkFolder):
-    """The files of a comparison."""
-
     @classmethod
     def at(cls, path: Path) -> "ComparisonFolder":
         files = (*WRITTEN, *(f"{RUNS}/*/{name}" for name in RUN_FILES), f"{MOTIONS}/*.npz")
@@ -358,14 +353,9 @@ class ComparisonFolder(WorkFolder):
 def open_comparison(
     path: Path, settings: Mapping[str, Any], *, resume: bool, overwrite: bool
 ) -> Iterator[ComparisonFolder]:
-    """Prepares a folder for a comparison before long work begins; restores it if no run finishes.
-
-    Args:
-        settings: must equal those of `environment.json` to resume.
-
-    Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be
-    written.
-    """
+    """Prepares a folder for a comparison before long work begins; restores it if no run finishes. `settings` must equal
+    those of `environment.json` to resume. Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the
+    folder holds other files or cannot be written."""
     folder = ComparisonFolder.at(path)
     new = not folder.found()
     folder.check(settings, resume=resume, overwrite=overwrite)

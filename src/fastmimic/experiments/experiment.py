@@ -31,8 +31,6 @@ DURATION_S: Final = 5.0  # s, length of the optimisation's episodes, as in `imit
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Settings of the searches."""
-
     config: str = "default"
     iterations: int = 200
     population: int = 10
@@ -173,17 +171,10 @@ def open_results(
     resume: bool,
     overwrite: bool,
 ) -> WorkFolder:
-    """Checks a folder before long work begins, and writes its `environment.json`.
-
-    Args:
-        experiment: its name, such as "stress".
-        parts: name of the subfolder with the finished parts.
-        written: names of the files made from the parts.
-        settings: must equal the earlier ones to resume.
-
-    Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be
-    written.
-    """
+    """Checks a folder before long work begins, and writes its `environment.json`. `parts` names the subfolder of
+    finished parts, `written` the files made from them; `settings` must equal the earlier ones to resume. Raises
+    `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be
+    written."""
     files = (*written, f"{parts}/*.json", f"{MOTIONS}/*.npz")
     folder = WorkFolder(path, "an experiment", ENVIRONMENT, "settings", files, experiment)
     folder.check(settings, resume=resume, overwrite=overwrite)
@@ -196,7 +187,6 @@ def open_results(
 
 
 def part_file(folder: Path, *names: str) -> Path:
-    """The file of a finished part."""
     return folder / f"{slug('-'.join(names))}.json"
 
 

@@ -28,7 +28,6 @@ class RunProgress:
     _pace: dict[int, tuple[float, float]] = field(default_factory=dict)  # seconds, and simulated seconds
 
     def begin(self, index: int) -> None:
-        """Records the start of a run."""
         self._began[index] = time.perf_counter()
 
     def advance(self, index: int, iteration: int) -> None:
@@ -40,7 +39,6 @@ class RunProgress:
             self._pace[index] = (now - at, task.searched_s(iteration - first))
 
     def finish(self, index: int) -> None:
-        """Records the end of a run."""
         now, task = time.perf_counter(), self.tasks[index]
         self._done_s[index] = task.simulated_s
         if index not in self._pace:

@@ -61,7 +61,6 @@ class StressSettings:
         self.conditions()
 
     def conditions(self, *disturbances: Disturbance) -> Conditions:
-        """Conditions of episodes with these disturbances."""
         return Conditions(self.simulator, self.observe, self.seed, disturbances)
 
 

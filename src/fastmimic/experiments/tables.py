@@ -60,7 +60,6 @@ class Summary:
 
     @property
     def label(self) -> str:
-        """Its name in tables and figures."""
         return self.variant or method_named(self.method).label
 
 

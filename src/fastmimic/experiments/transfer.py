@@ -43,7 +43,6 @@ class TransferStage:
     disturbances: tuple[Disturbance, ...] = ()
 
     def conditions(self, seed: int) -> Conditions:
-        """Its conditions with a random seed."""
         return Conditions(self.simulator, self.observe, seed, self.disturbances)
 
     def __str__(self) -> str:
@@ -167,8 +166,6 @@ def all_trials(out: Path) -> list[Row]:
 
 @dataclass(frozen=True)
 class Transferred:
-    """The trials of one method on one motion."""
-
     motion: str
     method: str
     rewards: np.ndarray  # (stages, trials), in the order of `stages_of`

@@ -39,8 +39,6 @@ _EVALUATION_SEED: Final = 20230617  # of the perturbed starts, as in a compariso
 
 @dataclass(frozen=True)
 class TrainingFolder(WorkFolder):
-    """The files of a training."""
-
     @classmethod
     def at(cls, path: Path) -> "TrainingFolder":
         return cls(path, "a training", CONFIG, "training", _FILES)
@@ -50,7 +48,6 @@ class TrainingFolder(WorkFolder):
         self.write(CONFIG, json.dumps(record, indent=1, sort_keys=True) + "\n")
 
     def save(self, state: Mapping[str, Any]) -> None:
-        """Writes the checkpoint and replaces an earlier one."""
         import torch
 
         out = io.BytesIO()
@@ -75,14 +72,9 @@ class TrainingFolder(WorkFolder):
 
 
 def open_training(path: Path, same: Mapping[str, Any], *, resume: bool, overwrite: bool) -> TrainingFolder:
-    """Checks a folder before a training begins; writes nothing into it.
-
-    Args:
-        same: settings that must equal `training` in the folder's `config.json` to resume.
-
-    Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be
-    written.
-    """
+    """Checks a folder before a training begins; writes nothing into it. `same` must equal `training` in the folder's
+    `config.json` to resume. Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds
+    other files or cannot be written."""
     folder = TrainingFolder.at(path)
     folder.check(same, resume=resume, overwrite=overwrite, begun=(path / CHECKPOINT).is_file())
     check_folder(path)
@@ -276,7 +268,6 @@ def evaluate_policy(policy: Policy, robot: Robot, motion: Motion, steps: int, wa
 
 
 def evaluations_csv(evaluations: list[Evaluated]) -> str:
-    """One line per evaluation."""
     return csv_text(list(Evaluated.__dataclass_fields__), (asdict(e) for e in evaluations))
 
 

@@ -163,7 +163,6 @@ class VideoFile:
             raise OutputError(f"{self._path}: cannot be written ({error.strerror or error})") from None
 
     def _complaint(self) -> str:
-        """The encoder's last message."""
         self._messages.seek(0)
         lines = self._messages.read().decode(errors="replace").strip().splitlines()
         return lines[-1] if lines else f"exit status {self._encoder.returncode}"

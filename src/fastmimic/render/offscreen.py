@@ -76,7 +76,6 @@ class Offscreen:
         return picture[::-1]
 
     def close(self) -> None:
-        """Frees the context."""
         self._context.free()
         self._gl.free()
 

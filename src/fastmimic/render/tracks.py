@@ -125,14 +125,9 @@ def resample_contact(track: Track, rate_hz: float, times: Array) -> NDArray[np.b
 
 
 def rollout_track(rollout: "Rollout", loaded_n: float, title: str = "", episode: int = 0, note: str = "") -> Track:
-    """An episode, falls included, with the demonstration at each step as its ghost.
-
-    Args:
-        rollout: with its log.
-        title: first line of the panel; the second tells the reward and the time of a fall.
-        episode: its index.
-        note: beginning of the second line, such as the method.
-    """
+    """An episode of a logged rollout, falls included, with the demonstration at each step as its ghost. The panel's
+    second line tells the reward and the time of a fall after `note`, such as the method; `loaded_n` is a loaded foot's
+    least force, N."""
     log = rollout.log
     assert log is not None, "a track needs a rollout with its log"
     robot, ghost = log.observation[episode], log.demonstration[episode]

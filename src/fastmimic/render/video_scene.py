@@ -40,7 +40,6 @@ def ghost_rgba(alpha: float = 0.36) -> tuple[float, float, float, float]:
 
 
 def leg_rgba(leg: int, alpha: float) -> tuple[float, float, float, float]:
-    """A leg's colour in the figures."""
     return to_rgba(LEG_LINES[leg].color, alpha)
 
 
@@ -75,14 +74,8 @@ def build_video_scene(
     quality: Quality = PREVIEW,
     tile: float = TILE_M,
 ) -> VideoScene:
-    """Puts a robot, and a ghost of it if wanted, on a checkered ground.
-
-    Args:
-        ghost: whether a second, translucent robot is shown.
-        width, height: of the whole picture, pixels.
-        floor: (2, 2) lowest and highest x and y that the robots reach, m.
-        tile: edge of a tile of the ground, m.
-    """
+    """Puts a robot, and a translucent ghost of it if wanted, on a checkered ground with tiles of `tile` m, in a picture
+    of `width` x `height` pixels. `floor` are the lowest and highest x and y that the robots reach, (2, 2) m."""
     import mujoco
 
     spec = mujoco.MjSpec()
@@ -162,7 +155,6 @@ def _add_ground(spec: "mujoco.MjSpec", floor: Array, quality: Quality, tile: flo
 
 
 def _add_checker(spec: "mujoco.MjSpec", tile: float, reflectance: float) -> None:
-    """The ground's pattern as a material."""
     import mujoco
 
     spec.add_texture(

@@ -52,12 +52,7 @@ def write_stress(folder: WorkFolder, settings: stress.StressSettings, planned: S
 
 
 def stress_figure(rows: Sequence[dict[str, Any]], curve: str, title: str) -> Figure:
-    """One panel per disturbance, one line per method.
-
-    Args:
-        rows: of the sweeps, see `fastmimic.experiments.stress.COLUMNS`.
-        curve: "success" or "reward_mean".
-    """
+    """One panel per disturbance, one line per method: "success" or "reward_mean" of the sweeps' rows."""
     names = list(dict.fromkeys(row["disturbance"] for row in rows))
     methods = [name for name in METHODS if any(row["method"] == name for row in rows)]
     columns = min(_COLUMNS, len(names))

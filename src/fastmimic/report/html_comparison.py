@@ -280,7 +280,6 @@ def ablations(found: Sequence[Summary]) -> Figure:
 
 
 def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Plot:
-    """Bars grouped by motion."""
     motions, methods = list(dict.fromkeys(s.motion for s in found)), _methods(found)
     width = _BAR / len(methods)
     data: list[dict[str, Any]] = []

@@ -53,15 +53,10 @@ def _sections(log: DeploymentLog, result: dict[str, Any]) -> dict[str, list[Figu
     time = rows["time_s"]
     span = float(time[0]), float(time[-1])
     timed = bool(result["control_us"]["max"])  # on a virtual clock nothing takes any time
+    reading, limits = rows["reading"], log.meta
     loads = (
-        ("torque", "Motor torque, as the robot says", "N·m", rows["reading"]["torque"], log.meta["torque_limit"]),
-        (
-            "speed",
-            "Joint speed, as the robot says",
-            "rad/s",
-            rows["reading"]["joint_vel"],
-            log.meta["joint_speed_limit"],
-        ),
+        ("torque", "Motor torque, as the robot says", "N·m", reading["torque"], limits["torque_limit"]),
+        ("speed", "Joint speed, as the robot says", "rad/s", reading["joint_vel"], limits["joint_speed_limit"]),
     )
     return {
         "base": [_base(time, span, log)],
@@ -131,13 +126,8 @@ def _histograms(rows: NDArray[Any]) -> Figure:
         end = float(np.percentile(us, _SHOWN))
         counts, edges = np.histogram(np.minimum(us, end), BINS, (0.0, max(end, 1e-3)))
         middle = 0.5 * (edges[1:] + edges[:-1])
-        bars = {
-            "type": "bar",
-            "x": numbers(middle),
-            "y": counts.tolist(),
-            "marker": {"color": ROBOT.color},
-            "hovertemplate": "%{x:.0f} µs: %{y}",
-        }
+        look = {"marker": {"color": ROBOT.color}, "hovertemplate": "%{x:.0f} µs: %{y}"}
+        bars = {"type": "bar", "x": numbers(middle), "y": counts.tolist(), **look}
         note = f"median {np.median(us):.0f} µs, 99 % below {np.percentile(us, 99):.0f} µs"
         plots.append(Plot(title, [bars], layout_of("µs", "periods", 220), note))
         said.append(f"{name} {np.median(us):.0f} µs")

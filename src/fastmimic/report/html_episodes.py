@@ -225,18 +225,8 @@ def against_limit(
     hint: str = "",
     shapes: Sequence[dict[str, Any]] = (),
 ) -> Figure:
-    """The greatest value of the four legs, joint by joint, against the motors' limits.
-
-    Args:
-        name: id of the figure.
-        unit: of the values.
-        time: (t,), s.
-        found: of each series the values (t, 12), and its style.
-        limit: (12,).
-        span: times shown, s.
-        hint: additional text.
-        shapes: drawn in each plot.
-    """
+    """The greatest value of the four legs, joint by joint, against the motors' `limit` (12,). `found` are the values
+    (t, 12) of each series at `time` (t,), s, and its style; `span` are the times shown, s."""
     plots, used = [], [0.0] * len(found)
     for j, joint in enumerate(JOINTS_PER_LEG):
         most = float(np.min(np.reshape(limit, (4, 3))[:, j]))

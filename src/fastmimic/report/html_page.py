@@ -37,18 +37,9 @@ class HtmlReport:
 def render(
     template: str, figures: Iterable[Figure], *, title: str, missing: Sequence[str], replay: str = "", **data: Any
 ) -> HtmlReport:
-    """Fills a page; `data` is for the template.
-
-    Args:
-        template: name of a file in `templates/`.
-        figures: all figures of the page.
-        missing: a sentence for each thing missing.
-        replay: an HTML page to be opened inside this one; empty for none.
-
-    Raises:
-        ConfigError: there are figures, and Plotly is not installed.
-        OutputError: a file that the page shows cannot be read.
-    """
+    """Fills a page: a file of `templates/` with all its `figures`, a sentence for each thing that is `missing`, an HTML
+    page to be opened inside (`replay`, empty for none), and `data` for the template. Raises `ConfigError` if there are
+    figures and Plotly is not installed, `OutputError` if a file that the page shows cannot be read."""
     plots = {
         f"{figure.name}-{i}": {"data": plot.data, "layout": plot.layout}
         for figure in figures

@@ -34,8 +34,6 @@ class Plot:
 
 @dataclass(frozen=True)
 class Figure:
-    """Plots under one heading."""
-
     name: str  # its id in the page
     title: str
     hint: str  # how to read it
@@ -89,7 +87,6 @@ def line(x: Any, y: Any, key: Key, *, width: float = 2.0, **more: Any) -> dict[s
 
 
 def points(x: Sequence[Any], y: Sequence[Any], key: Key, hover: str, *, size: float = 10) -> dict[str, Any]:
-    """A marker at each point."""
     return {
         "type": "scatter",
         "mode": "markers",
@@ -102,7 +99,6 @@ def points(x: Sequence[Any], y: Sequence[Any], key: Key, hover: str, *, size: fl
 
 
 def bar_marker(key: Key, **pattern: Any) -> dict[str, Any]:
-    """Colour and pattern of bars."""
     shape = {"shape": key.pattern, "fillmode": "overlay", "fgcolor": "var(--paper)", **pattern}
     return {"color": key.color, "line": {"width": 0}, "pattern": shape}
 

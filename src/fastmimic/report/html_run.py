@@ -28,8 +28,6 @@ TRANSITION_S: Final = 2.0  # of a stitched motion, shown at first
 
 @dataclass(frozen=True, eq=False)
 class SearchHistory:
-    """The optimiser's candidates."""
-
     scores: Array  # (i, p) of each generation's candidates
     candidates: Array  # (i, p, k) their parameters, scaled to [0, 1] within the bounds
 
@@ -59,7 +57,6 @@ class RerunEpisodes:
 
     @cached_property
     def series(self) -> tuple[tuple[Rollout, Log, Key], ...]:
-        """Each episode with its log and its style."""
         if self.after is None:
             return ((self.before, _log_of(self.before), ONLY),)
         return ((self.before, _log_of(self.before), BEFORE), (self.after, _log_of(self.after), AFTER))
@@ -109,8 +106,6 @@ def _log_of(rollout: Rollout) -> Log:
 
 @dataclass(frozen=True, eq=False)
 class RunData:
-    """The contents of a run's folder."""
-
     metrics: dict[str, Any]
     config: dict[str, Any]
     search: SearchHistory | None  # None if nothing was optimised or it is missing

@@ -75,7 +75,6 @@ class _Metrics:
         return found
 
     def __call__(self, key: str, digits: int, scale: float = 1.0) -> Markup:
-        """HTML of one figure."""
         value = self.value(key)
         if value is None:
             return Markup(NONE)
@@ -116,7 +115,6 @@ def _sections(run: RunData) -> dict[str, list[Figure]]:
 
 
 def _arguments(given: Mapping[str, Any]) -> dict[str, Any]:
-    """The arguments as on the command line."""
     arguments = {k.replace("_", "-"): v for k, v in given.items() if v is not False and v not in (None, "", [])}
     for name in ("motions", "cycles"):
         if name in arguments:
@@ -135,13 +133,8 @@ def _about(run: RunData) -> dict[str, Any]:
 def convergence(
     search: SearchHistory, before: float, after: float, *, unchanged: bool = False, randomized: bool = False
 ) -> Figure:
-    """Scores of the candidates by generation, and their spread.
-
-    Args:
-        before, after: rewards of the run.
-        unchanged: whether the motion as fitted is the result.
-        randomized: whether each iteration scored on other robots.
-    """
+    """Scores of the candidates by generation, and their spread; `before` and `after` are rewards of the run.
+    `unchanged` if the motion as fitted is the result, `randomized` if each iteration scored on other robots."""
     scores = search.scores
     k = np.arange(1, len(scores) + 1)
     mean, std = scores.mean(axis=1), scores.std(axis=1)

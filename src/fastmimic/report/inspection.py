@@ -142,29 +142,12 @@ def segments_figure(clip: Clip, segments: list[Segment], title: str) -> Figure:
 def _draw_bars(axes: Axes, segments: list[Segment], rate_hz: float) -> None:
     for segment in segments:
         start, length = segment.start / rate_hz, (segment.end - segment.start) / rate_hz
-        hatch = "////" if segment.gait == DISCRETE else None
-        axes.barh(
-            0,
-            length,
-            left=start,
-            color=(_GAIT_COLORS[segment.gait], 0.6),
-            edgecolor=INK,
-            linewidth=0.6,
-            height=1,
-            hatch=hatch,
-        )
+        hatch, color = "////" if segment.gait == DISCRETE else None, (_GAIT_COLORS[segment.gait], 0.6)
+        axes.barh(0, length, 1, start, color=color, edgecolor=INK, linewidth=0.6, hatch=hatch)
         words = segment.gait if segment.period_frames is None else f"{segment.gait}\n{segment.period_frames:g}"
-        upright = length < 1.6
-        axes.text(
-            start + length / 2,
-            0,
-            words,
-            ha="center",
-            va="center",
-            fontsize=7,
-            rotation=90 if upright else 0,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1} if hatch else None,
-        )
+        plate = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1} if hatch else None
+        angle = 90 if length < 1.6 else 0
+        axes.text(start + length / 2, 0, words, ha="center", va="center", fontsize=7, rotation=angle, bbox=plate)
     style.tidy(axes, "Segments: gait, and the period of a cycle in frames; hatched: does not repeat")
     axes.set_yticks([])
     axes.set_ylim(-0.5, 0.5)

@@ -111,13 +111,10 @@ class WorkFolder:
 
 @dataclass(frozen=True)
 class RunFolder:
-    """The files of one run of `imitate` or `stitch`."""
-
     path: Path
 
     @property
     def checkpoint(self) -> Path:
-        """The file with the state of the optimisation."""
         return self.path / CHECKPOINT
 
     @property
@@ -127,7 +124,6 @@ class RunFolder:
 
     @property
     def finished(self) -> bool:
-        """Whether the folder holds results."""
         return (self.path / METRICS).is_file()
 
     def clear_results(self) -> None:
