@@ -15,9 +15,8 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import perturbed_start
 from fastmimic.episode.reward import TERMS, WEIGHTS
 from fastmimic.experiments.ablations import ABLATIONS, ablation_named, ablations_of
-from fastmimic.experiments.compare import ComparisonPlan, prepare
+from fastmimic.experiments.compare import ComparisonPlan, RunProgress, prepare
 from fastmimic.experiments.comparison_run import ComparisonFolder, ComparisonSettings, Row, finished_row
-from fastmimic.experiments.parallel import RunProgress
 from fastmimic.experiments.tables import COLUMNS, ablation_table, comparison_table, summaries
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.imitation.methods import METHODS, PAPER_METHODS

@@ -1,4 +1,7 @@
-"""The array type of the package, and stretches of True."""
+"""The array type of the package, stretches of True, and fingerprints of content."""
+
+import hashlib
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,3 +13,11 @@ def stretches(on: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """First index and end of each stretch of True in (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(np.int8), [0]])))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def fingerprint(*content: bytes | NDArray[Any]) -> str:
+    """16 hexadecimal digits of texts and of the values of arrays."""
+    found = hashlib.sha256()
+    for part in content:
+        found.update(part if isinstance(part, bytes) else part.tobytes())
+    return found.hexdigest()[:16]

@@ -26,10 +26,9 @@ from fastmimic.simulation.simulators import SECOND_SIMULATOR, check_simulator
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.loop import MakeController
-    from fastmimic.experiments.compare import ComparisonPlan, Prepared
+    from fastmimic.experiments.compare import ComparisonPlan, Prepared, ReportProgress, RunProgress
     from fastmimic.experiments.comparison_run import ComparisonFolder, Row
     from fastmimic.experiments.experiment import Subject
-    from fastmimic.experiments.parallel import ReportProgress, RunProgress
     from fastmimic.experiments.stress import StressSettings
 
 

@@ -1,6 +1,5 @@
 """Excerpts of a source to imitate: whole motions, and the cycles of long takes."""
 
-import hashlib
 import json
 import traceback
 from dataclasses import asdict, dataclass, replace
@@ -8,8 +7,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fastmimic import __version__
+from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ClipError, FastMimicError
 from fastmimic.base.files import write_text
 from fastmimic.clips.catalogue import open_clip
@@ -220,18 +221,15 @@ def _piece(source: DatasetSource, cut: Clip, frames: tuple[int, int], segment: S
 
 def digest_of(piece: Clip | Motion) -> str:
     """16 hexadecimal digits of an excerpt's content, without its name and place."""
-    found = hashlib.sha256()
-    if isinstance(piece, Motion):
-        for motion in (piece, piece.target):
-            for array in (motion.root_pos_w, motion.root_quat_wxyz, motion.joint_pos, motion.contact):
-                found.update(np.ascontiguousarray(array).tobytes())
-            found.update(repr((motion.rate_hz, None if motion.cycle is None else motion.cycle.tolist())).encode())
-        return found.hexdigest()[:16]
-    found.update(np.ascontiguousarray(piece.points_w).tobytes())
-    if piece.root_quat_wxyz is not None:
-        found.update(np.ascontiguousarray(piece.root_quat_wxyz).tobytes())
-    found.update(repr((piece.rate_hz, piece.is_cycle, piece.leg_length_m, piece.scale)).encode())
-    return found.hexdigest()[:16]
+    if not isinstance(piece, Motion):
+        turned = [] if piece.root_quat_wxyz is None else [piece.root_quat_wxyz]
+        said = repr((piece.rate_hz, piece.is_cycle, piece.leg_length_m, piece.scale))
+        return fingerprint(piece.points_w, *turned, said.encode())
+    found: list[bytes | NDArray[Any]] = []
+    for motion in (piece, piece.target):
+        found += [motion.root_pos_w, motion.root_quat_wxyz, motion.joint_pos, motion.contact]
+        found.append(repr((motion.rate_hz, None if motion.cycle is None else motion.cycle.tolist())).encode())
+    return fingerprint(*found)
 
 
 def save_survey(folder: Path, found: Survey) -> None:

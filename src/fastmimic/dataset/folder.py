@@ -12,7 +12,6 @@ Files are named by content and written atomically, so that any number of builder
 repeats the work of a killed one. Every builder ends by making the index from the records, which hold all its data.
 """
 
-import hashlib
 import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -23,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import msgspec
 
+from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError, LibraryError, did_you_mean
 from fastmimic.base.files import replace_file, write_text
 from fastmimic.base.text import csv_text
@@ -132,7 +132,7 @@ class BuildSettings:
 
 
 def _digest(said: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:16]
+    return fingerprint(json.dumps(said, sort_keys=True).encode())
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ class MotionDataset:
 
     def save_robot(self, robot: str, digest: str) -> None:
         """Saves the digest of a robot's description; raises `OutputError` if it cannot."""
-        key = hashlib.sha256(robot.encode()).hexdigest()[:12]
+        key = fingerprint(robot.encode())[:12]
         write_text(self.path / ROBOTS / f"{key}.json", json.dumps({"robot": robot, "digest": digest}, indent=1))
 
     def surveys(self) -> list[Survey]:

@@ -4,7 +4,6 @@ A job reads its source, resumes from its checkpoint if there is one, and writes 
 share nothing else, so they can run anywhere, at any time and repeatedly.
 """
 
-import hashlib
 import math
 import re
 import socket
@@ -19,6 +18,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import KDTree
 
+from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import CheckpointError, FastMimicError, LibraryError, OutputError
 from fastmimic.base.machine import versions
 from fastmimic.base.text import plain
@@ -87,12 +87,12 @@ class Job:
     @cached_property
     def id(self) -> str:
         """Id of its record: 16 hexadecimal digits of everything that determines the motion and its figures."""
-        return _digest(self._content(self.recipe.digest))
+        return fingerprint(self._content(self.recipe.digest))
 
     @property
     def checkpoint(self) -> Path:
         """Checkpoint of its search; kept after the job for longer searches or other evaluations."""
-        return self.folder / WORK / _digest(self._content(self.recipe.search_digest)) / CHECKPOINT
+        return self.folder / WORK / fingerprint(self._content(self.recipe.search_digest)) / CHECKPOINT
 
     @property
     def motion_file(self) -> str:
@@ -129,11 +129,7 @@ def now() -> str:
 
 def robot_digest(robot: Robot) -> str:
     """16 hexadecimal digits of a robot's description."""
-    return _digest(robot.content)
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:16]
+    return fingerprint(robot.content)
 
 
 def perform(job: Job, report: Report) -> Record:

@@ -2,7 +2,6 @@
 
 import csv
 import fnmatch
-import hashlib
 import io
 import json
 import re
@@ -11,6 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import LibraryError
 from fastmimic.clips.catalogue import check_name
 from fastmimic.clips.formats import suffixes
@@ -56,7 +56,7 @@ class DatasetSource:
     @property
     def key(self) -> str:
         """12 hexadecimal digits that identify the source, independent of its content."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()[:12]
+        return fingerprint(json.dumps(asdict(self), sort_keys=True).encode())[:12]
 
     def __str__(self) -> str:
         return self.place if self.frames is None else f"{self.place} {self.frames[0]}:{self.frames[1]}"

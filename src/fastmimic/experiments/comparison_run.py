@@ -5,7 +5,6 @@ as seed 0. All runs have the same evaluation: one nominal episode from the motio
 the same perturbed starts (`reward_perturbed`, `reward_std`), which no optimisation has seen.
 """
 
-import hashlib
 import json
 import re
 import time
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.base.files import read_json, replace_file, write_json, write_text
 from fastmimic.base.machine import versions
@@ -155,9 +155,7 @@ def digest(
     run: Run, settings: ComparisonSettings, robot: Robot, demonstration: Motion, policy: "Policy | None" = None
 ) -> str:
     """16 hexadecimal digits of everything that determines a run but the seed; `policy` is that of a learned method."""
-    found = hashlib.sha256(robot.content)
-    for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "contact"):
-        found.update(getattr(demonstration, name).tobytes())
+    arrays = (getattr(demonstration, name) for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "contact"))
     method = method_named(run.method)
     said = {
         "method": method.name,
@@ -169,8 +167,7 @@ def digest(
     }
     if policy is not None:
         said["policy"] = policy.digest
-    found.update(json.dumps(said, sort_keys=True).encode())
-    return found.hexdigest()[:16]
+    return fingerprint(robot.content, *arrays, json.dumps(said, sort_keys=True).encode())
 
 
 def perform(task: RunTask, report: Report) -> Row:

@@ -1,14 +1,12 @@
 """What `stress` and `transfer` share: subjects (methods with their motions), and the folder of finished parts."""
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
+from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.base.files import check_folder, write_json, write_text
 from fastmimic.base.machine import versions
@@ -83,11 +81,10 @@ class Subject:
     @property
     def digest(self) -> str:
         """16 hexadecimal digits of everything that determines its episodes but the robot and the conditions."""
-        found = hashlib.sha256(json.dumps(self.config.as_dict(), sort_keys=True).encode() + self.policy.encode())
-        for motion in (self.motion, self.motion.target):
-            for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "foot_pos_b", "contact"):
-                found.update(np.ascontiguousarray(getattr(motion, name)).tobytes())
-        return found.hexdigest()[:16]
+        config = json.dumps(self.config.as_dict(), sort_keys=True)
+        names = ("root_pos_w", "root_quat_wxyz", "joint_pos", "foot_pos_b", "contact")
+        arrays = (getattr(motion, name) for motion in (self.motion, self.motion.target) for name in names)
+        return fingerprint(config.encode(), self.policy.encode(), *arrays)
 
 
 def check_methods(names: Sequence[str], policy: bool) -> None:

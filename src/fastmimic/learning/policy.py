@@ -7,7 +7,6 @@ each layer `weight0` (inputs, outputs) and `bias0`, `weight1`, …, all float32.
 `library`, `versions`, `training`, and the motion's `source` and `licence`.
 """
 
-import hashlib
 import json
 from dataclasses import asdict, dataclass, field
 from functools import cached_property, partial
@@ -18,7 +17,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, fingerprint
 from fastmimic.base.errors import ConfigError, PolicyError
 from fastmimic.base.files import read_arrays, replace_file
 from fastmimic.base.jit import inlined, kernel
@@ -118,10 +117,9 @@ class Policy:
     @cached_property
     def digest(self) -> str:
         """16 hexadecimal digits of everything that determines its actions."""
-        found = hashlib.sha256(json.dumps(self._meta(), sort_keys=True).encode())
-        for array in (*self.weights, *self.biases, self.mean, self.deviation):
-            found.update(np.ascontiguousarray(array, np.float32).tobytes())
-        return found.hexdigest()[:16]
+        arrays = (*self.weights, *self.biases, self.mean, self.deviation)
+        meta = json.dumps(self._meta(), sort_keys=True).encode()
+        return fingerprint(meta, *(array.astype(np.float32) for array in arrays))
 
     def network(self) -> Network:
         """The policy for the kernels, with its own work memory."""
