@@ -27,7 +27,7 @@ _DESCRIBED: Final = ("name", "gait", "footfall", "confidence", "licence", "credi
 WHOLE: Final = "whole"  # gait of an excerpt without a search for cycles: a robot motion, or given frames
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Excerpt:
     """One motion of a source.
 
@@ -44,16 +44,16 @@ class Excerpt:
 
     name: str
     source: DatasetSource
-    frames: tuple[int, int] | None
+    frames: tuple[int, int] | None = None
     digest: str
     gait: str
-    footfall: str | None
-    confidence: float
+    footfall: str | None = None
+    confidence: float = 1.0
     repeats: bool
     period_s: float
     speed_m_s: float
     yaw_rate_rad_s: float
-    robot: str | None
+    robot: str | None = None
     licence: str | None
     credit: str | None
 
@@ -159,11 +159,8 @@ def _of_motion(source: DatasetSource, motion: Motion) -> Excerpt:
     return Excerpt(
         name=source.name,
         source=source,
-        frames=None,
         digest=digest_of(motion),
         gait=WHOLE,
-        footfall=None,
-        confidence=1.0,
         repeats=motion.cycle is not None,
         period_s=motion.period_s,
         speed_m_s=float(np.linalg.norm(motion.root_lin_vel_w[:, :2], axis=1).mean()),
@@ -213,7 +210,6 @@ def _piece(source: DatasetSource, cut: Clip, frames: tuple[int, int], segment: S
         period_s=cut.n_frames / cut.rate_hz,
         speed_m_s=segment.speed_m_s,
         yaw_rate_rad_s=segment.yaw_rate_rad_s,
-        robot=None,
         licence=cut.meta.get("licence") or source.licence,
         credit=cut.meta.get("credit") or source.credit,
     )

@@ -328,13 +328,9 @@ def export_library(
 ) -> Path:
     """Writes motions as `fastmimic.motion.export` does, and a table of them; returns the table's file.
 
-    Args:
-        rows: of the library's index, with the columns `NEEDED`, each with a motion.
-        form: one of `fastmimic.motion.export.EXPORTS`.
-        progress: called with (files done, files in all).
-
-    Raises `FastMimicError` for a folder within the library, an unknown format, a damaged motion, or a file that cannot
-    be written.
+    The rows of the index have the columns `NEEDED`, and each a motion; `form` is one of `EXPORTS`. Calls `progress`
+    with (files done, files in all). Raises `FastMimicError` for a folder within the library, an unknown format, a
+    damaged motion, or a file that cannot be written.
     """
     if Path(folder).resolve().is_relative_to(library.path.resolve()):
         raise LibraryError(

@@ -234,14 +234,11 @@ def run_all(tasks: Sequence[RunTask], workers: int, report: ReportProgress) -> l
 
 
 def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[str], None]) -> Prepared:
-    """Loads robot and motions, and checks them and the finished runs in the folder; writes nothing.
+    """Loads robot and motions, and checks them and the finished runs in the folder `out`; writes nothing.
 
-    Args:
-        out: folder of motions and runs.
-        keep: whether finished runs in the folder count; otherwise they are about to be replaced.
-        prepared: called with the name of each retargeted motion.
-
-    Raises `FastMimicError` for a missing robot or motion, or if the folder holds a finished run of other content.
+    With `keep`, finished runs in the folder count; otherwise they are about to be replaced. Calls `prepared` with the
+    name of each retargeted motion. Raises `FastMimicError` for a missing robot or motion, or if the folder holds a
+    finished run of other content.
     """
     robot = load_robot(plan.settings.robot)
     files = {_file(out, *key): motion for key, motion in _demonstrations(plan, robot, prepared)}
@@ -251,7 +248,7 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
     found = _finished(out) if keep else {}
     known = dict(files)
     for run, row in found.items():
-        path = _file(out, run.motion, ablation_named(run.variant).consistent)
+        path = _motion_file(out, run)
         if path not in known:
             known[path] = Motion.load(path)
         if run.method == RL and run not in policies:
@@ -262,13 +259,7 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
                 " motion or robot than this installation's; choose another --out, or --overwrite it"
             )
     tasks = (
-        RunTask(
-            run,
-            plan.settings,
-            _file(out, run.motion, ablation_named(run.variant).consistent),
-            out / RUNS / run.folder,
-            plan.policies.get(run),
-        )
+        RunTask(run, plan.settings, _motion_file(out, run), out / RUNS / run.folder, plan.policies.get(run))
         for run in plan.runs
         if run not in found
     )
@@ -345,6 +336,10 @@ def _stem(name: str) -> str:
 
 def _file(out: Path, name: str, consistent: bool) -> Path:
     return out / MOTIONS / f"{_stem(name)}{'' if consistent else '-raw'}.npz"
+
+
+def _motion_file(out: Path, run: Run) -> Path:
+    return _file(out, run.motion, ablation_named(run.variant).consistent)
 
 
 def _finished(out: Path) -> dict[Run, Row]:

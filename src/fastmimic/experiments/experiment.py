@@ -111,14 +111,9 @@ def make_subject(
 ) -> Subject:
     """A method with its motion; keeps an optimised motion in `folder`, and reads it from there the next time.
 
-    Args:
-        given: the motion. The method that made an optimised motion runs it unchanged; otherwise its demonstration is
-            optimised.
-        folder: for motions and checkpoints.
-        policy: the controller of a trained policy, and its identifier.
-
-    Raises `FastMimicError` if the motion cannot be optimised, or the folder holds one of other content. After Ctrl-C
-    the next call continues from the checkpoint.
+    The method that made an optimised motion runs it unchanged; otherwise its demonstration is optimised. `policy` is
+    the controller of a trained policy, and its identifier. Raises `FastMimicError` if the motion cannot be optimised,
+    or the folder holds one of other content. After Ctrl-C the next call continues from the checkpoint.
     """
     chosen, demonstration = method_named(method), given.target
     config = chosen.configure(controller_config(search.config))

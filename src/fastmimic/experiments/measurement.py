@@ -48,15 +48,9 @@ def measure(
     perturbed_episodes: int = PERTURBED_EPISODES,
     controller: MakeController | None = None,
 ) -> Measured:
-    """Evaluates the result of a method in one nominal episode and in episodes from perturbed starts.
-
-    The perturbed starts are the same for every motion; no optimisation has seen them.
-
-    Args:
-        evaluation_s: length of the episodes, s; at most the length of a motion that does not repeat.
-        perturbed_episodes: number of episodes with perturbed starts.
-        controller: of a learned method.
-    """
+    """Evaluates the result of a method in one nominal episode and in episodes from perturbed starts, of `evaluation_s`,
+    s, each, or the length of a motion that does not repeat. The perturbed starts are the same for every motion; no
+    optimisation has seen them. `controller` is that of a learned method."""
     robot, demonstration = result.robot, result.demonstration
     method = method_named(result.method)
     controller = controller or method.controller

@@ -168,16 +168,8 @@ def _tolerance(method: str, disturbance: str, rows: list[Row]) -> Tolerance:
         first -= 1
     while last + 1 < len(values) and holds[last + 1]:
         last += 1
-    within = holds[nominal]
-    return Tolerance(
-        method,
-        disturbance,
-        values[first] if within else None,
-        values[last] if within else None,
-        values[0],
-        values[-1],
-        float(rows[nominal]["success"]),
-    )
+    lower, upper = (values[first], values[last]) if holds[nominal] else (None, None)
+    return Tolerance(method, disturbance, lower, upper, values[0], values[-1], float(rows[nominal]["success"]))
 
 
 def stress_table(rows: Sequence[Row], settings: StressSettings, missing: int) -> str:

@@ -194,14 +194,9 @@ def transferred(rows: Sequence[Row]) -> list[Transferred]:
     for motion, method in sorted(groups, key=lambda key: motions.index(key[0])):
         own = groups[motion, method]
         by = [[row for row in own if row["stage"] == stage.name] for stage in stages]
-        found.append(
-            Transferred(
-                motion,
-                method,
-                np.array([[row["reward"] for row in stage] for stage in by]),
-                np.array([sum(row["fell"] for row in stage) for stage in by]),
-            )
-        )
+        rewards = np.array([[row["reward"] for row in stage] for stage in by])
+        falls = np.array([sum(row["fell"] for row in stage) for stage in by])
+        found.append(Transferred(motion, method, rewards, falls))
     return found
 
 

@@ -222,14 +222,9 @@ class Shard:
         self._rotation = np.zeros((3, 3))
 
     def begin(self, rows: NDArray[np.int64], draws: Array, noise: float, room: int, steps: int, seen: Seen) -> None:
-        """Begins episodes of the robots in `rows`, and writes their observations.
-
-        Args:
-            draws: (k, `DRAWS`) uniform in [0, 1): phase, joints, velocity.
-            noise: 1 for starts off the reference motion, 0 for starts on it.
-            room: number of samples where an episode may begin.
-            steps: greatest number of policy steps.
-        """
+        """Begins episodes of the robots in `rows` at one of the first `room` samples, of at most `steps` policy steps,
+        and writes their observations. `draws` (k, `DRAWS`) are uniform in [0, 1): phase, joints, velocity; `noise` is 1
+        for starts off the reference motion, 0 for starts on it."""
         self.scorer.reset(rows)
         sample = np.minimum((draws[:, 0] * room).astype(np.int64), room - 1)
         clocks, senses, out = self._clocks[rows], make_senses(len(rows)), seen[rows]
@@ -286,16 +281,10 @@ class Shard:
 def place_robots(
     settings: Any, context: Any, draws: Array, noise: float, clocks: Any, place: Any, rotation: Array
 ) -> None:
-    """Places k robots on their clocks' samples of the reference motion, at the world's origin with heading 0,
-    perturbed by `draws` like the perturbed starts of `ClosedLoop`, with all feet above the ground.
-
-    Args:
-        settings: (1,) of `SETTINGS`.
-        context: the `ScoringContext`.
-        clocks: (k,) of `CLOCK`; their origins are written.
-        place: the `Placement` to write.
-        rotation: (3, 3) scratch.
-    """
+    """Places k robots on their clocks' samples of the reference motion, at the world's origin with heading 0, perturbed
+    by `draws` like the perturbed starts of `ClosedLoop`, with all feet above the ground. `settings` are (1,) of
+    `SETTINGS`, `clocks` (k,) of `CLOCK`, whose origins are written; `context` is the `ScoringContext`, `place` the
+    `Placement` to write, `rotation` (3, 3) scratch."""
     for k in range(clocks.shape[0]):
         ref = context.table[clocks[k].sample]
         quat_to_matrix(ref.root_quat, rotation)

@@ -46,13 +46,9 @@ def observe(
 ) -> None:
     """Reads the robots' states and writes the policies' observations. Call it once per policy step, before `act`.
 
-    Args:
-        settings: (1,) of `SETTINGS`.
-        tables: (k, t) of `SAMPLE`; robot i follows table min(i, k − 1).
-        clocks, observations: (n,) of `CLOCK` and `OBSERVATION`.
-        senses: (n,) of `SENSES`, changed in place.
-        rotation: (3, 3) scratch.
-        out: (n, `OBSERVATION_SIZE`).
+    `settings` are (1,) of `SETTINGS`, `clocks` and `observations` (n,) of `CLOCK` and `OBSERVATION`; robot i follows
+    table min(i, k − 1) of `tables` (k, t) of `SAMPLE`. Changes `senses` (n,) of `SENSES` in place and writes `out` (n,
+    `OBSERVATION_SIZE`); `rotation` (3, 3) is scratch.
     """
     for i in range(out.shape[0]):
         table, clock, obs, memory = tables[min(i, tables.shape[0] - 1)], clocks[i], observations[i], senses[i]

@@ -64,16 +64,9 @@ QUALITIES: Final = Registry("quality", (PREVIEW, HIGH))
 class VideoFile:
     """Encodes frames into a temporary file, which replaces `path` on success. A context manager. GIFs repeat.
 
-    Args:
-        path: the `.mp4`, `.webm` or `.gif` to write.
-        source_size: width and height of the frames that will be written, pixels.
-        size: width and height of the video, pixels; even but for a GIF. Frames of another size are scaled.
-        fps: frames a second.
-        frames: their number, if known.
-
-    Raises:
-        OutputError: `path` cannot be written, or has another ending.
-        ConfigError: width or height is odd or not positive, or a GIF would be far too large.
+    Frames of `source_size`, width and height in pixels, are scaled to the video's `size`, which is even but for a GIF;
+    `frames` is their number, if known. Raises `OutputError` if `path` cannot be written or has another ending,
+    `ConfigError` if width or height is odd or not positive, or a GIF would be far too large.
     """
 
     def __init__(

@@ -21,13 +21,8 @@ _SOFT: Final = (208, 216, 224, 255)
 class Overlay:
     """Text that stays the same for the whole video, blended onto each frame, and a clock.
 
-    Args:
-        width, height: of the frames, pixels.
-        panels: a title and a caption for each panel, row by row.
-        legend: colour (r, g, b, 0 to 1) and name of the translucent robot; None without one.
-        speed_note: such as "slow motion × 0.25", shown with the clock.
-        columns: of panels.
-        clock: whether the time is shown.
+    Each of the `panels`, in so many `columns`, has a title and a caption. `legend` is the colour (r, g, b, 0 to 1) and
+    name of the translucent robot, `speed_note` such as "slow motion × 0.25" stands with the clock.
     """
 
     def __init__(

@@ -94,15 +94,11 @@ def tracking_figure(
     *,
     window_s: tuple[float, float] | None = None,
 ) -> Figure:
-    """Height and fore-aft position of the four feet: wanted and realised.
+    """Height and fore-aft position of the four feet, wanted and realised, (t, 4, 3) foot centres in the body frame, m.
 
-    Args:
-        time_s: (t,) s.
-        demonstration: (t, 4, 3) foot centres in the body frame that the robot is scored against, m.
-        before: (t, 4, 3) realised feet with the motion as retargeted, body frame, m; NaN after a fall.
-        after: (t, 4, 3) realised feet with the optimised motion, in the same way.
-        contact: (t, 4) bool, the demonstration's stance, drawn as shading.
-        window_s: the times to draw, such as two cycles; the errors in the titles are over all samples.
+    `demonstration` is what the robot is scored against at `time_s` (t,), s; `before` and `after` are realised with the
+    motion as retargeted and optimised, NaN after a fall. `contact` (t, 4) shades the demonstration's stance. `window_s`
+    are the times to draw, such as two cycles; the errors in the titles are over all samples.
     """
     time = np.asarray(time_s, dtype=np.float64)
     wanted, *realised = (np.asarray(a, dtype=np.float64) for a in (demonstration, before, after))
