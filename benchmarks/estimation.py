@@ -130,8 +130,8 @@ def draw(name: str, robot: Robot, path: Path) -> None:
         axes.fill_between(
             t, 0, 1, where=log.wanted[0, rows, 0], transform=axes.get_xaxis_transform(), color=STANCE, lw=0
         )
-        axes.plot(t, true, **DEMONSTRATION.kwargs(), label="truth")
-        axes.plot(t, told, **AFTER.kwargs(), label="estimate")
+        axes.plot(t, true, **DEMONSTRATION._asdict(), label="truth")
+        axes.plot(t, told, **AFTER._asdict(), label="estimate")
         tidy(axes, title, "s" if axes is panels[-1] else "", unit)
     panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False, ncols=2)
     save(figure, path)

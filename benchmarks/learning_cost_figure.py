@@ -86,11 +86,11 @@ def _draw(axes: Axes, own: Sequence[Course], cost: Callable[[Course], Array], li
     if not own:
         return
     if not any(len(course.reward) for course in own):
-        axes.axhline(own[0].row["reward"], **{**line.kwargs(), "linewidth": 1.0}, zorder=2)
+        axes.axhline(own[0].row["reward"], **{**line._asdict(), "linewidth": 1.0}, zorder=2)
         return
     if own[0].row["method"] == RL:
         for course in own:
-            axes.plot(cost(course), course.reward, **line.kwargs(), marker=marker, markersize=4, zorder=4)
+            axes.plot(cost(course), course.reward, **line._asdict(), marker=marker, markersize=4, zorder=4)
         return
     length = min(len(course.reward) for course in own)
     rewards = np.array([course.reward[:length] for course in own])
@@ -99,7 +99,7 @@ def _draw(axes: Axes, own: Sequence[Course], cost: Callable[[Course], Array], li
     if len(spent):
         x = spent.mean(axis=0)
         every = np.unique(np.geomspace(1, length, _MARKERS).astype(int) - 1).tolist()
-        axes.plot(x, rewards.mean(axis=0), **line.kwargs(), marker=marker, markersize=4, markevery=every, zorder=3)
+        axes.plot(x, rewards.mean(axis=0), **line._asdict(), marker=marker, markersize=4, markevery=every, zorder=3)
         axes.fill_between(
             x, rewards.min(axis=0), rewards.max(axis=0), color=line.color, alpha=0.18, linewidth=0, zorder=1
         )

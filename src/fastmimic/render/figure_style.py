@@ -24,15 +24,11 @@ LIMIT: Final = "#b03060"
 
 
 class Line(NamedTuple):
-    """Colour and dash pattern of a series."""
+    """Colour and dash pattern of a series, as `Axes.plot` names them."""
 
     color: str
     linestyle: Any
     linewidth: float
-
-    def kwargs(self) -> dict[str, Any]:
-        """Keyword arguments of `Axes.plot`."""
-        return {"color": self.color, "linestyle": self.linestyle, "linewidth": self.linewidth}
 
 
 DEMONSTRATION: Final = Line("#009e73", (0, (5, 1.6)), 1.8)

@@ -163,7 +163,7 @@ def tracking_bars(
     for row, (axis, name) in enumerate(((2, "z"), (0, "x"))):
         axes = grid[row, 0]
         for key, line, order in (("demonstration", DEMONSTRATION, 2), ("before", BEFORE, 4), ("after", AFTER, 3)):
-            axes.plot(time, courses[key][:, leg, axis], **line.kwargs(), label=key, zorder=order)
+            axes.plot(time, courses[key][:, leg, axis], **line._asdict(), label=key, zorder=order)
         style.tidy(axes, f"{_TRACKED_LEG} foot {name}", "time (s)", f"foot {name}, body frame (m)")
         axes.set_xlim(time[0], time[-1])
         _error_bars(grid[row, 1], summaries, name)

@@ -78,7 +78,7 @@ def _panel(axes: Axes, rows: Sequence[dict[str, Any]], methods: Sequence[str], c
         line, marker = _LINES[i % len(_LINES)]
         x = [min(row["value"], beyond) for row in own]
         y = [row[curve] for row in own]
-        axes.plot(x, y, **line.kwargs(), marker=marker, markersize=4, label=method_named(method).label, zorder=3)
+        axes.plot(x, y, **line._asdict(), marker=marker, markersize=4, label=method_named(method).label, zorder=3)
     axes.axvline(
         min(kind.nominal, beyond), color=MUTED, linewidth=0.9, linestyle=(0, (3, 2)), label="nominal value", zorder=1
     )

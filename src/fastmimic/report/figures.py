@@ -48,9 +48,9 @@ def _draw_reward(axes: Axes, k: Array, h: History) -> None:
     best = h.best if h.randomized else np.fmax.accumulate(np.maximum(h.best, h.start))
     label = "candidates, ± 1 std"
     axes.fill_between(k, mean - std, mean + std, color=BEFORE.color, alpha=0.18, linewidth=0, label=label)
-    axes.plot(k, mean, **BEFORE.kwargs(), marker=marker, markersize=4, label="candidates, mean")
+    axes.plot(k, mean, **BEFORE._asdict(), marker=marker, markersize=4, label="candidates, mean")
     label = "best of the iteration" if h.randomized else "best so far"
-    axes.plot(k, best, **AFTER.kwargs(), marker=marker, markersize=4, label=label)
+    axes.plot(k, best, **AFTER._asdict(), marker=marker, markersize=4, label=label)
     axes.axhline(baseline, color=DEMONSTRATION.color, linestyle=DEMONSTRATION.linestyle, linewidth=1.4)
     said = f"not optimised{', first robots' if h.randomized else ''} {baseline:.3f}"
     where = {"xycoords": ("axes fraction", "data"), "ha": "right", "color": DEMONSTRATION.color}
@@ -113,7 +113,7 @@ def tracking_figure(
             shade(axes, time, stance[:, leg])
             styles = zip(drawn, (DEMONSTRATION, BEFORE, AFTER), ("demonstration", "before", "after"), strict=True)
             for feet, line, label in styles:
-                axes.plot(time, feet[:, leg], **line.kwargs(), label=label)
+                axes.plot(time, feet[:, leg], **line._asdict(), label=label)
             errors = [rmse(feet[:, leg], drawn[0][:, leg]) for feet in drawn[1:]]
             before_mm, after_mm = (f"{1000 * e:.1f}" if np.isfinite(e) else "–" for e in errors)
             style.tidy(axes, f"{name} {'xyz'[axis]}: RMSE {before_mm} → {after_mm} mm")

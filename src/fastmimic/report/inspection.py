@@ -40,7 +40,7 @@ def motion_figure(motion: Motion, robot: Robot, title: str | None = None) -> Fig
     grid = figure.subplots(3, 3, sharex=True)
     time = np.arange(motion.n_samples, dtype=np.float64) / motion.rate_hz
     _draw_gait(grid[0, 0], time, motion.dt, motion.contact)
-    grid[1, 0].plot(time, motion.root_pos_w[:, 2], **AFTER.kwargs())
+    grid[1, 0].plot(time, motion.root_pos_w[:, 2], **AFTER._asdict())
     style.tidy(grid[1, 0], "base height above the ground", ylabel="m")
     _widen(grid[1, 0], 0.04)
     _draw_tilt(grid[2, 0], time, motion.root_quat_wxyz)
@@ -86,8 +86,8 @@ def _draw_tilt(axes: Axes, time: Array, root_quat_wxyz: Array) -> None:
     R = matrix_from_quat(root_quat_wxyz)
     pitch = -np.arcsin(np.clip(R[:, 2, 0], -1, 1))
     roll = np.arctan2(R[:, 2, 1], R[:, 2, 2])
-    axes.plot(time, np.degrees(pitch), **AFTER.kwargs(), label="pitch")
-    axes.plot(time, np.degrees(roll), **BEFORE.kwargs(), label="roll")
+    axes.plot(time, np.degrees(pitch), **AFTER._asdict(), label="pitch")
+    axes.plot(time, np.degrees(roll), **BEFORE._asdict(), label="roll")
     style.tidy(axes, "base pitch (solid, nose down positive) and roll (dotted)", ylabel="degrees")
     _widen(axes, 4.0)
 
@@ -102,7 +102,7 @@ def _widen(axes: Axes, least: float) -> None:
 def _draw_joint(axes: Axes, time: Array, values: Array, lower: float, upper: float) -> None:
     """The four legs' `values` (t, 4) with the limits, which stay in view."""
     for leg, name in enumerate(LEGS):
-        axes.plot(time, values[:, leg], **LEG_LINES[leg].kwargs(), label=name)
+        axes.plot(time, values[:, leg], **LEG_LINES[leg]._asdict(), label=name)
     for limit, label in ((lower, "limit"), (upper, None)):
         axes.axhline(limit, color=LIMIT, linestyle="dashdot", linewidth=1.2, label=label)
     span = max(upper, values.max()) - min(lower, values.min())
@@ -122,7 +122,7 @@ def segments_figure(clip: Clip, segments: list[Segment], title: str) -> Figure:
     relative = (clip.toes_w - clip.hips_w)[..., :2]
     fore_aft = np.cos(yaw)[:, None] * relative[..., 0] + np.sin(yaw)[:, None] * relative[..., 1]
     for leg, name in enumerate(LEGS):
-        feet.plot(time, fore_aft[:, leg], **LEG_LINES[leg].kwargs(), label=name)
+        feet.plot(time, fore_aft[:, leg], **LEG_LINES[leg]._asdict(), label=name)
     feet.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=4, fontsize=8, frameon=False)
     trunk = (clip.point("neck") + clip.point("pelvis"))[:, :2] / 2
     smooth = uniform_filter1d(trunk, max(1, round(0.2 * clip.rate_hz)), axis=0, mode="nearest")  # a fifth of a second
