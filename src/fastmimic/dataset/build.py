@@ -34,20 +34,16 @@ class BuildRequest:
     """What to build.
 
     Attributes:
-        robots: built-in names, or paths of MJCFs.
-        seeds: searches for each excerpt and robot, with CMA-ES seeds 0 to seeds − 1.
-        confidence: least confidence of a cycle found in a take.
-        discrete: whether to imitate movement in takes that does not repeat, too.
         warm: a library with the motions that searches begin from; None to begin from the unmodulated motion.
         folders: absolute paths of the sources' folders; excerpts of files no longer in them are forgotten.
     """
 
     sources: Sequence[DatasetSource]
     recipe: BuildSettings
-    robots: Sequence[str]
-    seeds: int = 1
-    confidence: float = CONFIDENCE
-    discrete: bool = False
+    robots: Sequence[str]  # built-in names, or paths of MJCFs
+    seeds: int = 1  # searches for each excerpt and robot, with CMA-ES seeds 0 to seeds − 1
+    confidence: float = CONFIDENCE  # least confidence of a cycle found in a take
+    discrete: bool = False  # whether to imitate movement in takes that does not repeat, too
     warm: MotionDataset | None = None
     folders: Sequence[Path] = ()
 
@@ -65,36 +61,27 @@ class BuildStep:
     """Progress of a build.
 
     Attributes:
-        what: 'looking' through sources, or 'making' motions.
-        share: of all work of that kind, in [0, 1].
         record, survey: the one that was just finished, if any.
     """
 
-    what: str
+    what: str  # 'looking' through sources, or 'making' motions
     done: int
     total: int
-    share: float
+    share: float  # of all work of that kind, in [0, 1]
     record: Record | None = None
     survey: Survey | None = None
 
 
 @dataclass(frozen=True)
 class Built:
-    """Result of a build.
-
-    Attributes:
-        table: the library's index, an Arrow table.
-        ids: of the records of the requested sources' jobs.
-        done: number of jobs done now; the others were finished before.
-        left_out: robot motions for none of the robots, one line each.
-    """
+    """Result of a build."""
 
     library: MotionDataset
-    table: "pyarrow.Table"
+    table: "pyarrow.Table"  # the library's index, an Arrow table
     surveys: list[Survey]
-    ids: frozenset[str]
-    done: int
-    left_out: list[str]
+    ids: frozenset[str]  # of the records of the requested sources' jobs
+    done: int  # number of jobs done now; the others were finished before
+    left_out: list[str]  # robot motions for none of the robots, one line each
 
     @property
     def jobs(self) -> int:

@@ -32,28 +32,23 @@ class Excerpt:
     """One motion of a source.
 
     Attributes:
-        name: unique within the source.
-        frames: (first, end) in the source; None for all of it.
-        digest: of its content: 16 hexadecimal digits.
         gait, footfall, confidence: as in `fastmimic.clips.segment.Segment`; `WHOLE` and 1 without a search for cycles.
-        repeats: whether it counts as a cycle.
         period_s, speed_m_s, yaw_rate_rad_s: in the animal's size, or the robot's for a robot motion.
-        robot: of a robot motion; None for an animal's.
         licence, credit: of the recording; None if unknown.
     """
 
-    name: str
+    name: str  # unique within the source
     source: DatasetSource
-    frames: tuple[int, int] | None = None
-    digest: str
+    frames: tuple[int, int] | None = None  # (first, end) in the source; None for all of it
+    digest: str  # of its content: 16 hexadecimal digits
     gait: str
     footfall: str | None = None
     confidence: float = 1.0
-    repeats: bool
+    repeats: bool  # whether it counts as a cycle
     period_s: float
     speed_m_s: float
     yaw_rate_rad_s: float
-    robot: str | None = None
+    robot: str | None = None  # of a robot motion; None for an animal's
     licence: str | None
     credit: str | None
 
@@ -79,20 +74,13 @@ class Excerpt:
 
 @dataclass(frozen=True)
 class Survey:
-    """Result of a search through a source.
-
-    Attributes:
-        pieces: excerpts to imitate.
-        skipped: why there are none; None if there are.
-        failed: why the source cannot be read; None if it can.
-        looked: settings and state of the source at the time (see `look_of`); None if unknown.
-    """
+    """Result of a search through a source."""
 
     source: DatasetSource
-    pieces: tuple[Excerpt, ...] = ()
-    skipped: str | None = None
-    failed: str | None = None
-    looked: str | None = None
+    pieces: tuple[Excerpt, ...] = ()  # excerpts to imitate
+    skipped: str | None = None  # why there are none; None if there are
+    failed: str | None = None  # why the source cannot be read; None if it can
+    looked: str | None = None  # settings and state of the source at the time (see `look_of`); None if unknown
 
     @property
     def problem(self) -> str | None:

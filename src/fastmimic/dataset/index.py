@@ -54,21 +54,16 @@ class Membership:
     """The inputs that decide which records belong to a library.
 
     Attributes:
-        recipe: digest of the recipe; None if it cannot be read.
-        robots: digests of robots' descriptions, by name or file.
-        pieces: excerpts of all sources, by digest.
         unreadable: damaged files of recipe, sources and robots, one line each. Records that may depend on them are
             kept.
-        sources_known: whether no source's file is damaged.
-        problems: why sources have no excerpts, one line each.
     """
 
-    recipe: str | None
-    robots: Mapping[str, str]
-    pieces: Mapping[str, Sequence[Excerpt]]
+    recipe: str | None  # digest of the recipe; None if it cannot be read
+    robots: Mapping[str, str]  # digests of robots' descriptions, by name or file
+    pieces: Mapping[str, Sequence[Excerpt]]  # excerpts of all sources, by digest
     unreadable: tuple[str, ...]
-    sources_known: bool
-    problems: tuple[str, ...]
+    sources_known: bool  # whether no source's file is damaged
+    problems: tuple[str, ...]  # why sources have no excerpts, one line each
 
     def why_not(self, record: Mapping[str, Any]) -> str | None:
         """Why a record does not belong to the library; None if it does."""
@@ -96,17 +91,11 @@ def robot_of(record: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """All records of a library.
+    """All records of a library."""
 
-    Attributes:
-        table: those that belong to it, with `COLUMNS` and `GRADED`, sorted by name, robot, seed and id.
-        superseded: the others.
-        torn: names of files without a whole record.
-    """
-
-    table: "pyarrow.Table"
-    superseded: list[Superseded]
-    torn: list[str]
+    table: "pyarrow.Table"  # those that belong to it, with `COLUMNS` and `GRADED`, sorted by name, robot, seed and id
+    superseded: list[Superseded]  # the others
+    torn: list[str]  # names of files without a whole record
 
     def column(self, name: str) -> list[Any]:
         """Values of a column of the table."""

@@ -70,18 +70,16 @@ class Job:
     """A job.
 
     Attributes:
-        robot: a built-in robot's name, or the path of an MJCF.
-        warm: start of the search; None for the unmodulated motion.
         began: start of its build: a motion that failed since then is not tried again.
     """
 
     piece: Excerpt
-    robot: str
+    robot: str  # a built-in robot's name, or the path of an MJCF
     robot_digest: str
     seed: int
     recipe: BuildSettings
     folder: Path
-    warm: WarmStart | None = None
+    warm: WarmStart | None = None  # start of the search; None for the unmodulated motion
     began: str = "~"  # later than all times
 
     @cached_property

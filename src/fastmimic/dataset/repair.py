@@ -25,20 +25,16 @@ class DatasetHealth:
     """Result of `check`.
 
     Attributes:
-        damaged: defects, one line each; a new build repairs them.
-        useless: files of damaged records, relative to the library.
         foreign: files of no record that belongs to the library: of earlier recipes, changed sources, or killed
             builders.
-        unreadable: the lines of `damaged` about the recipe, sources and robots.
-        outdated: whether the index does not match the records.
     """
 
     records: int
-    damaged: tuple[str, ...]
-    useless: tuple[str, ...]
+    damaged: tuple[str, ...]  # defects, one line each; a new build repairs them
+    useless: tuple[str, ...]  # files of damaged records, relative to the library
     foreign: tuple[str, ...]
-    unreadable: tuple[str, ...]
-    outdated: bool
+    unreadable: tuple[str, ...]  # the lines of `damaged` about the recipe, sources and robots
+    outdated: bool  # whether the index does not match the records
 
     @property
     def sound(self) -> bool:

@@ -18,13 +18,11 @@ class JobOutcome:
     """Outcome of a job.
 
     Attributes:
-        index: of the job, from 0.
-        result: what the function returned; None if it raised.
         error: what it raised, or a `WorkerError` if its process or machine was lost every time; None without.
     """
 
-    index: int
-    result: Any = None
+    index: int  # of the job, from 0
+    result: Any = None  # what the function returned; None if it raised
     error: FastMimicError | None = None
 
 

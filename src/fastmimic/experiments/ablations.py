@@ -19,15 +19,13 @@ class Ablation:
 
     Attributes:
         change: its change of the controller's configuration.
-        consistent: whether retargeting makes the motion consistent (`RetargetConfig.consistent`).
-        n_basis: basis functions of each DMP.
     """
 
     name: str
     summary: str
     change: Callable[[ControllerConfig], ControllerConfig] = lambda config: config
-    consistent: bool = True
-    n_basis: int = N_BASIS
+    consistent: bool = True  # whether retargeting makes the motion consistent (`RetargetConfig.consistent`)
+    n_basis: int = N_BASIS  # basis functions of each DMP
 
     def changes(self, config: ControllerConfig) -> bool:
         """Whether the variant differs at all from the method under that configuration."""

@@ -56,17 +56,14 @@ class ComparisonPlan:
     """All runs of a comparison, in order of execution.
 
     Attributes:
-        motions: names, or files.
-        seeds: number of seeds of the methods that optimise.
-        ablations: whether to run the variants of `ABLATED` as well.
         policies: files of the learned method by run; see `choose_policies`.
     """
 
     settings: ComparisonSettings
-    motions: tuple[str, ...]
+    motions: tuple[str, ...]  # names, or files
     methods: tuple[str, ...]
-    seeds: int
-    ablations: bool
+    seeds: int  # number of seeds of the methods that optimise
+    ablations: bool  # whether to run the variants of `ABLATED` as well
     policies: Mapping[Run, Path] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -174,21 +171,14 @@ ReportProgress = Callable[[RunProgress, Row | None], None]
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A plan with all its inputs, loaded and checked; nothing is written yet.
-
-    Attributes:
-        out: folder of motions and runs.
-        files: the motions to write.
-        done: rows of the plan's finished runs.
-        kept: rows of other finished runs of the same settings in the folder.
-    """
+    """A plan with all its inputs, loaded and checked; nothing is written yet."""
 
     plan: ComparisonPlan
-    out: Path
-    files: Mapping[Path, Motion]
+    out: Path  # folder of motions and runs
+    files: Mapping[Path, Motion]  # the motions to write
     tasks: tuple[RunTask, ...]
-    done: Mapping[Run, Row]
-    kept: tuple[Row, ...]
+    done: Mapping[Run, Row]  # rows of the plan's finished runs
+    kept: tuple[Row, ...]  # rows of other finished runs of the same settings in the folder
 
     def perform(self, workers: int, report: ReportProgress) -> list[Row]:
         """Performs the remaining runs; returns the rows of all runs of the plan, in its order. Raises

@@ -65,24 +65,16 @@ _WARM_UP_S: Final = 0.01
 
 @dataclass(frozen=True)
 class ComparisonSettings:
-    """Settings of all runs of a comparison.
+    """Settings of all runs of a comparison."""
 
-    Attributes:
-        robot: its name, or the path of its MJCF.
-        duration_s: length of the optimisation's episodes, s.
-        evaluation_s: length of the evaluation's episodes, s; at most a motion that does not repeat.
-        perturbed_episodes: number of evaluation episodes from perturbed starts.
-        choice: how a search chooses its result.
-    """
-
-    robot: str = "a1"
+    robot: str = "a1"  # its name, or the path of its MJCF
     config: str = "default"
-    duration_s: float = 5.0
+    duration_s: float = 5.0  # length of the optimisation's episodes, s
     iterations: int = 200
     population: int = 10
-    evaluation_s: float = EVALUATION_S
-    perturbed_episodes: int = PERTURBED_EPISODES
-    choice: FinalChoice = FinalChoice()
+    evaluation_s: float = EVALUATION_S  # length of the evaluation's episodes, s; at most a motion that does not repeat
+    perturbed_episodes: int = PERTURBED_EPISODES  # number of evaluation episodes from perturbed starts
+    choice: FinalChoice = FinalChoice()  # how a search chooses its result
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, JSON-serialisable; `choice` only if it is not the usual one."""

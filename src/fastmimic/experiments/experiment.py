@@ -42,19 +42,13 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A method with its motion.
-
-    Attributes:
-        motion: the reference motion, with its demonstration.
-        controller: of a trained policy; None for the model-based one.
-        policy: identifies the policy; empty without one.
-    """
+    """A method with its motion."""
 
     method: Method
-    motion: Motion
+    motion: Motion  # the reference motion, with its demonstration
     config: ControllerConfig
-    controller: MakeController | None = None
-    policy: str = ""
+    controller: MakeController | None = None  # of a trained policy; None for the model-based one
+    policy: str = ""  # identifies the policy; empty without one
 
     def run(
         self,

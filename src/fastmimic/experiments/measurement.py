@@ -29,17 +29,14 @@ class Measured:
     """Metrics of a motion.
 
     Attributes:
-        figures: by column name, JSON-serialisable.
         before, after: the nominal episodes of the demonstration and of the motion, logged.
-        seconds: their length, s.
-        simulated_s: total simulated time, s.
     """
 
-    figures: Row
+    figures: Row  # by column name, JSON-serialisable
     before: Rollout
     after: Rollout
-    seconds: float
-    simulated_s: float
+    seconds: float  # length of each episode, s
+    simulated_s: float  # total simulated time, s
 
 
 def measure(

@@ -39,18 +39,15 @@ class StressSettings:
     """Settings of all sweeps.
 
     Attributes:
-        robot: its name, or the path of its MJCF.
         simulator, observe: as in `Conditions`.
-        duration_s: of an episode, s; at most a motion that does not repeat.
-        seed: of the starting phases, sensors and uneven ground.
     """
 
-    robot: str = "a1"
+    robot: str = "a1"  # its name, or the path of its MJCF
     simulator: str = "mujoco"
     observe: str = "truth"
     episodes: int = 20
-    duration_s: float = 6.0
-    seed: int = 0
+    duration_s: float = 6.0  # of an episode, s; at most a motion that does not repeat
+    seed: int = 0  # of the starting phases, sensors and uneven ground
     config: str = "default"
     iterations: int = 200
     population: int = 10

@@ -83,21 +83,15 @@ PAPER: Final = (
 
 @dataclass(frozen=True)
 class TransferSettings:
-    """Settings of all trials.
-
-    Attributes:
-        duration_s: of each, s; at most a motion that does not repeat.
-        seed: of the starts and the sensors.
-        identify: whether to run `IDENTIFIED` as well.
-    """
+    """Settings of all trials."""
 
     trials: int = 3
-    duration_s: float = 10.0
-    seed: int = 0
+    duration_s: float = 10.0  # of each, s; at most a motion that does not repeat
+    seed: int = 0  # of the starts and the sensors
     config: str = "default"
     iterations: int = 200
     population: int = 10
-    identify: bool = False
+    identify: bool = False  # whether to run `IDENTIFIED` as well
 
     def __post_init__(self) -> None:
         if self.trials < 1:

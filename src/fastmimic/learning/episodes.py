@@ -49,21 +49,16 @@ class Outcome:
     """Result of a step of n robots. The next step overwrites all arrays but `final`.
 
     Attributes:
-        seen: (n, `OBSERVATION_SIZE`) observations; after the end of an episode, those of the next one's start.
-        reward: (n,) mean over the step's control steps, 0 after a fall.
         fell, ended: (n,) bool, episodes that ended by a fall, or at their full length.
-        final: (k, `OBSERVATION_SIZE`) last observations of the k episodes that ended.
-        score: (k,) mean reward of these over the full length, 0 after a fall.
-        steps: (k,) policy steps until their end.
     """
 
-    seen: Seen
-    reward: Array
+    seen: Seen  # (n, `OBSERVATION_SIZE`) observations; after the end of an episode, those of the next one's start
+    reward: Array  # (n,) mean over the step's control steps, 0 after a fall
     fell: NDArray[np.bool_]
     ended: NDArray[np.bool_]
-    final: Seen
-    score: Array
-    steps: NDArray[np.int64]
+    final: Seen  # (k, `OBSERVATION_SIZE`) last observations of the k episodes that ended
+    score: Array  # (k,) mean reward of these over the full length, 0 after a fall
+    steps: NDArray[np.int64]  # (k,) policy steps until their end
 
     @property
     def done(self) -> NDArray[np.bool_]:

@@ -92,20 +92,15 @@ class Iteration:
     """Result of an iteration.
 
     Attributes:
-        reward: mean over all robots and steps.
-        scores: mean rewards of the ended episodes over their full length, 0 after a fall.
-        falls: number of them that ended by a fall.
-        losses: of the update, by name.
-        deviation: mean standard deviation of the actions.
         collect_s, update_s: wall time of the rollouts and of the update.
     """
 
-    reward: float
-    scores: tuple[float, ...]
+    reward: float  # mean over all robots and steps
+    scores: tuple[float, ...]  # mean rewards of the ended episodes over their full length, 0 after a fall
     lengths: tuple[int, ...]
-    falls: int
-    losses: dict[str, float]
-    deviation: float
+    falls: int  # number of episodes that ended by a fall
+    losses: dict[str, float]  # of the update, by name
+    deviation: float  # mean standard deviation of the actions
     learning_rate: float
     collect_s: float
     update_s: float

@@ -43,19 +43,15 @@ class Network(NamedTuple):
     """A policy in the kernels' format.
 
     Attributes:
-        sizes: (layers + 1,) widths, the observation's first.
-        parameters: all weights (inputs, outputs) and biases in sequence.
-        activation: index into `ACTIVATIONS`, of all layers but the last.
         mean, deviation: (observation,) of the normalisation.
-        work: (2, width) scratch.
     """
 
-    sizes: NDArray[np.int64]
-    parameters: Array
-    activation: int
+    sizes: NDArray[np.int64]  # (layers + 1,) widths, the observation's first
+    parameters: Array  # all weights (inputs, outputs) and biases in sequence
+    activation: int  # index into `ACTIVATIONS`, of all layers but the last
     mean: Array
     deviation: Array
-    work: Array
+    work: Array  # (2, width) scratch
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +62,6 @@ class Policy:
         weights, biases: of each layer, (inputs, outputs) and (outputs,).
         mean, deviation: (observation,) of the normalisation.
         robot, motion: names of the training's robot and motion.
-        samples: of that motion.
-        activation: one of `ACTIVATIONS`.
         about: further entries of its file: `library`, `versions`, `training` (`steps`, `wall_s`, …).
     """
 
@@ -77,8 +71,8 @@ class Policy:
     deviation: Weights
     robot: str
     motion: str
-    samples: int
-    activation: str = "elu"
+    samples: int  # of the training's motion
+    activation: str = "elu"  # one of `ACTIVATIONS`
     config: PolicyConfig = field(default_factory=PolicyConfig)
     seed: int = 0
     about: dict[str, Any] = field(default_factory=dict)

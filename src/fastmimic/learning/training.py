@@ -98,18 +98,15 @@ class Evaluated:
 
     Attributes:
         wall_s, cpu_s: time of the training so far.
-        reward: of a nominal episode.
-        reward_perturbed: mean over episodes from perturbed starts.
-        fell_perturbed: share of falls among these.
     """
 
     steps: int
     wall_s: float
     cpu_s: float
-    reward: float
-    reward_perturbed: float
+    reward: float  # of a nominal episode
+    reward_perturbed: float  # mean over episodes from perturbed starts
     fell: bool
-    fell_perturbed: float
+    fell_perturbed: float  # share of falls among those
 
 
 @dataclass(frozen=True)

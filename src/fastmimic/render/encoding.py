@@ -34,24 +34,18 @@ class Quality:
     """The quality of a video's drawing.
 
     Attributes:
-        name: as on the command line.
-        size: default width and height, pixels.
         shadow_map: resolution of the light's depth map, pixels each way; 0 for geoms flattened onto the ground, ten
             times as fast without a graphics card.
-        samples: of each pixel, for smooth edges; 0 for one.
-        reflectance: of the ground.
-        textured: whether the ground's pattern is a texture, which blurs with distance, or tiles, which are faster.
-        facets: around a round shape.
         preset, crf: libx264's effort and loss.
     """
 
-    name: str
-    size: tuple[int, int]
+    name: str  # as on the command line
+    size: tuple[int, int]  # default width and height, pixels
     shadow_map: int
-    samples: int
-    reflectance: float
-    textured: bool
-    facets: int
+    samples: int  # of each pixel, for smooth edges; 0 for one
+    reflectance: float  # of the ground
+    textured: bool  # whether the ground's pattern is a texture, which blurs with distance, or tiles, which are faster
+    facets: int  # around a round shape
     preset: str
     crf: int
 

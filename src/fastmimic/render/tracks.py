@@ -30,25 +30,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What one robot does, for a panel of a video. A NaN, as after a fall, holds the last pose before it.
+    """What one robot does, for a panel of a video. A NaN, as after a fall, holds the last pose before it."""
 
-    Attributes:
-        root_pos_w: (t, 3) base position, world, m.
-        root_quat_wxyz: (t, 4) base orientation, body → world.
-        joint_pos: (t, 12) rad.
-        title: first line of the panel, such as "before".
-        caption: second line, such as "reward 0.84".
-        ghost: the demonstration at the same times, drawn as a translucent robot; None for no ghost.
-        contact: (t, 4) bool, feet marked as loaded; None for no marks.
-    """
-
-    root_pos_w: Array
-    root_quat_wxyz: Array
-    joint_pos: Array
-    title: str = ""
-    caption: str = ""
-    ghost: "Track | None" = None
-    contact: NDArray[np.bool_] | None = None
+    root_pos_w: Array  # (t, 3) base position, world, m
+    root_quat_wxyz: Array  # (t, 4) base orientation, body → world
+    joint_pos: Array  # (t, 12) rad
+    title: str = ""  # first line of the panel, such as "before"
+    caption: str = ""  # second line, such as "reward 0.84"
+    ghost: "Track | None" = None  # the demonstration at the same times, drawn as a translucent robot; None for no ghost
+    contact: NDArray[np.bool_] | None = None  # (t, 4) bool, feet marked as loaded; None for no marks
 
     @property
     def pose(self) -> Array:
@@ -73,13 +63,11 @@ class AnimalTrack:
     """What an animal does, for a panel of a video: points and the bones between them.
 
     Attributes:
-        points_w: (t, k, 3) world, m, finite.
-        skeleton: which of the points are joined.
         title, caption: as in `Track`.
     """
 
-    points_w: Array
-    skeleton: Skeleton
+    points_w: Array  # (t, k, 3) world, m, finite
+    skeleton: Skeleton  # which of the points are joined
     title: str = ""
     caption: str = ""
 

@@ -58,20 +58,17 @@ class _Shown:
     """What a track shows in each of n frames.
 
     Attributes:
-        root: (n, 3) what the camera follows, world, m.
-        yaw: heading in the first frame, rad.
         robot, ghost: (n, 19) poses; None for an animal or without a ghost.
         feet: (n, p, 4, 3) feet now and at the p - 1 moments before that a trail joins, world, m; None without marks.
-        contact: (n, 4) loaded feet.
         bones, radii: (n, b, 2, 3) their ends, world, m, None for a robot; (b,) m.
     """
 
-    root: Array
-    yaw: float
+    root: Array  # (n, 3) what the camera follows, world, m
+    yaw: float  # heading in the first frame, rad
     robot: Array | None = None
     ghost: Array | None = None
     feet: Array | None = None
-    contact: NDArray[np.bool_] | None = None
+    contact: NDArray[np.bool_] | None = None  # (n, 4) loaded feet
     bones: Array | None = None
     radii: tuple[float, ...] = ()
 

@@ -49,19 +49,15 @@ class VideoScene:
 
     Attributes:
         robot_qpos: (19,) indices of the robot's root position, quaternion and joints in the common order.
-        ghost_qpos: (19,) those of the ghost; None without one.
-        casts_shadow: (ngeom,) geoms with a shadow: the robot's main ones.
-        tiles: geoms of the ground's pattern, which follow the camera; none with a texture.
-        tile: edge of a tile, m.
     """
 
     model: "mujoco.MjModel"
     robot_qpos: NDArray[np.int64]
-    ghost_qpos: NDArray[np.int64] | None
-    casts_shadow: NDArray[np.bool_]
+    ghost_qpos: NDArray[np.int64] | None  # (19,) those of the ghost; None without one
+    casts_shadow: NDArray[np.bool_]  # (ngeom,) geoms with a shadow: the robot's main ones
     quality: Quality = PREVIEW
-    tiles: tuple[int, ...] = ()
-    tile: float = TILE_M
+    tiles: tuple[int, ...] = ()  # geoms of the ground's pattern, which follow the camera; none with a texture
+    tile: float = TILE_M  # edge of a tile, m
 
 
 def build_video_scene(

@@ -19,17 +19,11 @@ if TYPE_CHECKING:  # loads the compiler
 
 @dataclass(frozen=True, eq=False)
 class MotionSource:
-    """A motion that was named, before its robot is known.
+    """A motion that was named, before its robot is known."""
 
-    Attributes:
-        name: the given name, or that of the given clip or motion.
-        motion: the robot motion; None for a clip, which must be retargeted.
-        clip: the clip, its name or its file; None for a robot motion.
-    """
-
-    name: str
-    motion: Motion | None = None
-    clip: Clip | str | Path | None = None
+    name: str  # the given name, or that of the given clip or motion
+    motion: Motion | None = None  # the robot motion; None for a clip, which must be retargeted
+    clip: Clip | str | Path | None = None  # the clip, its name or its file; None for a robot motion
     folder: Path | None = None
 
     @property

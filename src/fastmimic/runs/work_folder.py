@@ -30,22 +30,14 @@ RESULTS: Final = (METRICS, MOTION, CONVERGENCE, TRACKING, VIDEO)
 
 @dataclass(frozen=True)
 class WorkFolder:
-    """A folder of long work, which is begun, resumed or replaced.
-
-    Attributes:
-        what: the kind of work with its article, such as "a training".
-        record: name of the JSON file with the settings of the work.
-        section: the object in `record` that must be the same to resume.
-        files: patterns of the other files of the work, relative to the folder.
-        experiment: name of the experiment in `record`; None for other work.
-    """
+    """A folder of long work, which is begun, resumed or replaced."""
 
     path: Path
-    what: str
-    record: str
-    section: str
-    files: tuple[str, ...]
-    experiment: str | None = None
+    what: str  # the kind of work with its article, such as "a training"
+    record: str  # name of the JSON file with the settings of the work
+    section: str  # the object in `record` that must be the same to resume
+    files: tuple[str, ...]  # patterns of the other files of the work, relative to the folder
+    experiment: str | None = None  # name of the experiment in `record`; None for other work
 
     def found(self) -> list[str]:
         """Names of the work's existing files and subfolders."""
