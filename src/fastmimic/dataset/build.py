@@ -34,16 +34,20 @@ class BuildRequest:
     """What to build.
 
     Attributes:
+        robots: built-in names, or paths of MJCFs.
+        seeds: searches for each excerpt and robot, with CMA-ES seeds 0 to seeds − 1.
+        confidence: least confidence of a cycle found in a take.
+        discrete: whether to imitate movement in takes that does not repeat, too.
         warm: a library with the motions that searches begin from; None to begin from the unmodulated motion.
         folders: absolute paths of the sources' folders; excerpts of files no longer in them are forgotten.
     """
 
     sources: Sequence[DatasetSource]
     recipe: BuildSettings
-    robots: Sequence[str]  # built-in names, or paths of MJCFs
-    seeds: int = 1  # searches for each excerpt and robot, with CMA-ES seeds 0 to seeds − 1
-    confidence: float = CONFIDENCE  # least confidence of a cycle found in a take
-    discrete: bool = False  # whether to imitate movement in takes that does not repeat, too
+    robots: Sequence[str]
+    seeds: int = 1
+    confidence: float = CONFIDENCE
+    discrete: bool = False
     warm: MotionDataset | None = None
     folders: Sequence[Path] = ()
 

@@ -67,19 +67,25 @@ class BuildSettings:
     """Settings of all jobs of a library.
 
     Attributes:
+        config: name of the controller's parameters, or their file.
+        duration_s: length of the search's episodes, s.
+        evaluation_s: length of the evaluation's episodes, s.
+        perturbed: number of evaluation episodes from perturbed starts.
         others: number of other robots in the evaluation, with floors, loads and motors from the usual ranges.
+        second_simulator: whether to evaluate in PyBullet, if it knows the robot.
+        choice: how a search chooses its result.
     """
 
     method: str = "mbc-dmp"
-    config: str = "default"  # name of the controller's parameters, or their file
-    duration_s: float = 5.0  # length of the search's episodes, s
+    config: str = "default"
+    duration_s: float = 5.0
     iterations: int = 200
     population: int = 10
-    evaluation_s: float = 10.0  # length of the evaluation's episodes, s
-    perturbed: int = 8  # number of evaluation episodes from perturbed starts
+    evaluation_s: float = 10.0
+    perturbed: int = 8
     others: int = HELD_OUT_ROBOTS
-    second_simulator: bool = True  # whether to evaluate in PyBullet, if it knows the robot
-    choice: FinalChoice = FinalChoice()  # how a search chooses its result
+    second_simulator: bool = True
+    choice: FinalChoice = FinalChoice()
 
     def __post_init__(self) -> None:
         if method_named(self.method).name == RL:

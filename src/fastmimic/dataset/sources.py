@@ -26,12 +26,14 @@ class DatasetSource:
     """A clip, a take, or a robot motion.
 
     Attributes:
+        place: path, or a name of `fastmimic motions`.
+        frames: (first, end) of one motion; None to search all of it for motions.
         fps, up, scale, point_map: as in `fastmimic.clips.catalogue.open_clip`.
         licence, credit: of the recording, if the source itself has none.
     """
 
-    place: str  # path, or a name of `fastmimic motions`
-    frames: tuple[int, int] | None = None  # (first, end) of one motion; None to search all of it for motions
+    place: str
+    frames: tuple[int, int] | None = None
     fps: float | None = None
     up: str | None = None
     scale: float | None = None
