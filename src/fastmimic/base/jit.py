@@ -62,6 +62,16 @@ def record_dtype(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
     return np.dtype((np.record, np.dtype(fields, align=True)))
 
 
+def floats(**shapes: int | tuple[int, ...]) -> list[tuple[Any, ...]]:
+    """Fields of a record with real numbers, each by name with its shape: a length, or () for one number."""
+    return [(name, "f8", shape) for name, shape in shapes.items()]
+
+
+def integers(**shapes: int | tuple[int, ...]) -> list[tuple[Any, ...]]:
+    """Fields of a record with whole numbers, as `floats`."""
+    return [(name, "i8", shape) for name, shape in shapes.items()]
+
+
 def depends_on(compiled: Callable[..., Any], *files: str) -> None:
     """Makes the cache of a kernel, and of those decorated later that call it, stale when one of `files` changes."""
     function: Any = getattr(compiled, "py_func", compiled)

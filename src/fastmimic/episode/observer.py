@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.jit import kernel, record_dtype
+from fastmimic.base.jit import floats, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.estimation.estimator import Estimator
 from fastmimic.reference.table import advance_clocks, advance_recovering
@@ -20,16 +20,7 @@ MIN_DISTANCE: Final = 0.5  # m; a robot that stays where it is has no drift per 
 _SENSORS: Final = 1  # number of the sensors' random stream
 
 _ERRORS: Final = record_dtype(
-    [
-        ("steps", "i8"),
-        ("velocity_sq", "f8"),
-        ("height_sq", "f8"),
-        ("tilt_sq", "f8"),
-        ("heading", "f8"),
-        ("offset", "f8", (2,)),
-        ("distance", "f8"),
-        ("last", "f8", (2,)),
-    ]
+    [("steps", "i8"), *floats(velocity_sq=(), height_sq=(), tilt_sq=(), heading=(), offset=2, distance=(), last=2)]
 )  # running sums of one robot's errors until the fall; `heading` and `offset` (x, y) are the present ones
 
 

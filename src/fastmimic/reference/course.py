@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
-from fastmimic.base.jit import record_dtype
+from fastmimic.base.jit import floats, record_dtype
 from fastmimic.base.rotations import (
     quat_from_yaw,
     quat_multiply,
@@ -32,22 +32,10 @@ from fastmimic.stitching.switch import Cycle
 
 COURSE: Final = record_dtype(
     [
-        ("step", "f8", (2,)),
-        ("turn", "f8"),
-        ("root_z", "f8"),
-        ("tilt", "f8", (4,)),
-        ("lin_vel", "f8", (3,)),
-        ("ang_vel", "f8", (3,)),
-        ("lin_acc", "f8", (3,)),
-        ("ang_acc", "f8", (3,)),
-        ("leg_lin_acc", "f8", (3,)),
-        ("leg_ang_acc", "f8", (3,)),
-        ("foot", "f8", (4, 3)),
-        ("lift", "f8", (4,)),
-        ("contact", "i8", (4,)),
-        ("remaining", "f8", (4,)),
-        ("since_middle", "f8", (4,)),
-        ("travel", "f8", (3,)),
+        *floats(step=2, turn=(), root_z=(), tilt=4, lin_vel=3, ang_vel=3, lin_acc=3, ang_acc=3),
+        *floats(leg_lin_acc=3, leg_ang_acc=3, foot=(4, 3), lift=4),
+        ("contact", "i8", 4),
+        *floats(remaining=4, since_middle=4, travel=3),
         ("sync", "i8"),
     ]
 )

@@ -13,30 +13,22 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.vectors import copy
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import leg_inverse
 
 PLACE: Final = record_dtype(
-    [
-        ("position", "f8"),
-        ("pose", "f8", (3,)),
-        ("exit", "i8"),
-        ("entry", "i8"),
-        ("left", "i8"),
-        ("synced", "i8"),
-        ("jump", "f8"),
-    ]
+    [*floats(position=(), pose=3), *integers(exit=(), entry=(), left=(), synced=()), *floats(jump=())]
 )
 """Position in a course: row `position` and (x, y, yaw) of its root in the world. Before row `exit` ≥ 1 it continues in
 the next course at row `entry`; −1 for never. `left` and `synced` say whether the last step did so or started a cycle.
 `jump` is the sum of the distances moved by synchronisation, m."""
 
-MODULATION: Final = record_dtype([("speed", "f8"), ("turn", "f8"), ("lift", "f8"), ("speed_rate", "f8")])
+MODULATION: Final = record_dtype(floats(speed=(), turn=(), lift=(), speed_rate=()))
 """Factor on the phase's rate, added turn rate, rad/s, factor on the swing height, rate of change of the first, 1/s."""
 
-_WORK: Final = record_dtype([("feet", "f8", (3, 4, 3)), ("joints", "f8", (3, 12)), ("tilt", "f8", (4,))])
+_WORK: Final = record_dtype(floats(feet=(3, 4, 3), joints=(3, 12), tilt=4))
 
 
 def make_place() -> NDArray[Any]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import MotionError
-from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.rotations import (
     quat_continuous,
     quat_from_yaw,
@@ -32,20 +32,10 @@ from fastmimic.robot import Robot
 
 SAMPLE: Final = record_dtype(
     [
-        ("root_pos", "f8", (3,)),
-        ("root_quat", "f8", (4,)),
-        ("lin_vel", "f8", (3,)),
-        ("ang_vel", "f8", (3,)),
-        ("lin_acc", "f8", (3,)),
-        ("ang_acc", "f8", (3,)),
-        ("joint_pos", "f8", (12,)),
-        ("joint_vel", "f8", (12,)),
-        ("joint_acc", "f8", (12,)),
-        ("foot_pos", "f8", (4, 3)),
-        ("contact", "i8", (4,)),
-        ("remaining", "f8", (4,)),
-        ("leg_lin_acc", "f8", (3,)),
-        ("leg_ang_acc", "f8", (3,)),
+        *floats(root_pos=3, root_quat=4, lin_vel=3, ang_vel=3, lin_acc=3, ang_acc=3),
+        *floats(joint_pos=12, joint_vel=12, joint_acc=12, foot_pos=(4, 3)),
+        ("contact", "i8", 4),
+        *floats(remaining=4, leg_lin_acc=3, leg_ang_acc=3),
         ("sync", "i8"),
     ]
 )
@@ -55,15 +45,10 @@ beyond those of the body (`ground_acceleration`). `sync` is 1 where a cycle star
 
 CLOCK: Final = record_dtype(
     [
-        ("sample", "i8"),
-        ("cycle", "i8"),
-        ("repeats", "i8"),
-        ("origin", "f8", (3,)),
-        ("cycle_step", "f8", (3,)),
-        ("jump", "f8"),
+        *integers(sample=(), cycle=(), repeats=()),
+        *floats(origin=3, cycle_step=3, jump=()),
         ("recovering", "i8"),
-        ("lag", "f8"),
-        ("fraction", "f8"),
+        *floats(lag=(), fraction=()),
     ]
 )
 """A robot's progress in its reference: sample, period, whether the motion repeats, (x, y, yaw) of the period's origin,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.configuration import check, documented, pack, parameter, parameters, record_fields
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.jit import floats, inlined, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix, transposed_times
 from fastmimic.estimation.estimator import turn_by
 from fastmimic.robot import Robot
@@ -89,16 +89,8 @@ def ideal_sensors() -> SensorConfig:
 _ERRORS: Final = record_dtype(
     [
         ("tick", "i8"),
-        ("gyro_bias", "f8", (3,)),
-        ("accel_bias", "f8", (3,)),
-        ("attitude", "f8", (3,)),
-        ("joint_offset", "f8", (12,)),
-        ("torque_gain", "f8", (12,)),
-        ("foot_gain", "f8", (4,)),
-        ("foot_offset", "f8", (4,)),
-        ("velocity", "f8", (3,)),
-        ("up", "f8", (3,)),
-        ("level", "f8", (4,)),
+        *floats(gyro_bias=3, accel_bias=3, attitude=3, joint_offset=12, torque_gain=12, foot_gain=4, foot_offset=4),
+        *floats(velocity=3, up=3, level=4),
     ]
 )
 """One robot's lasting errors, and its velocity at the last IMU reading. `attitude` is the error of the IMU's
@@ -107,17 +99,8 @@ rotation from there to a frame with z vertical."""
 
 _NOISE: Final = record_dtype(
     [
-        ("gyro", "f8", (3,)),
-        ("gyro_bias", "f8", (3,)),
-        ("accel", "f8", (3,)),
-        ("accel_bias", "f8", (3,)),
-        ("orientation", "f8", (3,)),
-        ("tilt", "f8", (2,)),
-        ("joint_pos", "f8", (12,)),
-        ("joint_vel", "f8", (12,)),
-        ("torque", "f8", (12,)),
-        ("foot", "f8", (4,)),
-        ("foot_offset", "f8", (4,)),
+        *floats(gyro=3, gyro_bias=3, accel=3, accel_bias=3, orientation=3, tilt=2),
+        *floats(joint_pos=12, joint_vel=12, torque=12, foot=4, foot_offset=4),
     ]
 )  # standard normal numbers for one control step of a robot
 
