@@ -133,7 +133,7 @@ def search_courses(comparison: Path, method: str, motions: Iterable[str]) -> lis
             row["simulated_s"] = 0.0
             found.append(Course(row, none, none, none))
             continue
-        scores = Checkpoint.scores_of(folder / CHECKPOINT)
+        scores = Checkpoint.load(folder / CHECKPOINT).scores
         share = np.arange(1, len(scores) + 1) / len(scores)
         cpu_s = np.nan if row["cpu_s"] is None else row["cpu_s"]
         best = np.maximum.accumulate(scores.max(axis=1))

@@ -167,7 +167,7 @@ class TestLogFile:
         make_log().save(path)
         whole = path.read_bytes()
         path.write_bytes(whole[: len(whole) // 2])
-        with pytest.raises(LogError, match="cannot be read, perhaps cut off"):
+        with pytest.raises(LogError, match="not a readable log of a run, perhaps cut off"):
             RunLog.load(path)
         path.write_bytes(whole)
         with np.load(path) as file:

@@ -17,6 +17,4 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: _version(name) for name in names}}
 
 
-@cache
-def _version(name: str) -> str:
-    return metadata.version(name)
+_version = cache(metadata.version)

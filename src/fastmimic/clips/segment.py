@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.configuration import check, documented, parameter
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.clips.clip import Clip
@@ -246,17 +246,11 @@ class _Piece:
         )
 
 
-def _runs(on: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and end of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-
-
 def _periodic(
     take: _Take, period: NDArray[np.int64], lags: NDArray[np.int64], aperiodicity: Array, config: SegmentConfig
 ) -> list[Segment]:
     """The segments that repeat."""
-    runs = _runs(period > 0)
+    runs = stretches(period > 0)
     found = []
     for i, (start, end) in enumerate(runs):
         # at the start of a gait, cycles become alike only after half a cycle
@@ -379,7 +373,7 @@ def _with_the_rest(take: _Take, segments: list[Segment], aperiodicity: Array, co
     least = np.nanmin(np.where(np.isfinite(aperiodicity), aperiodicity, np.inf), axis=1)
     found = list(segments)
     for kind, mask, shortest in ((STAND, free & still, config.stand_s), (DISCRETE, free & ~still, config.discrete_s)):
-        for start, end in _runs(mask):
+        for start, end in stretches(mask):
             if end - start >= shortest * take.rate_hz:
                 certain = least[start:end]
                 certain = certain[np.isfinite(certain)]

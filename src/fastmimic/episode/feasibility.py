@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, quat_rotate_inverse, yaw_from_quat
 from fastmimic.episode.reward import MAX_ANGLE, MAX_DISTANCE
@@ -213,8 +213,7 @@ def _slide(motion: Motion) -> float:
     """Furthest horizontal motion of a foot within a stance, m; a stance across a cycle's seam counts as two."""
     feet, worst = motion.foot_pos_w[..., :2], 0.0
     for leg in range(4):
-        edges = np.flatnonzero(np.diff(motion.contact[:, leg].astype(np.int8), prepend=0, append=0))
-        for start, end in edges.reshape(-1, 2):
+        for start, end in stretches(motion.contact[:, leg]):
             points = feet[start:end, leg]
             worst = max(worst, float(np.linalg.norm(points - points[0], axis=1).max()))
     return worst

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from fastmimic.reference.table import (
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.simulators import Simulation, make_simulation
+from fastmimic.simulation.simulators import Placement, Simulation, make_simulation
 
 
 class LoopController(Protocol):
@@ -60,39 +60,14 @@ MakeController = Callable[[Robot, Motion, int, ControllerConfig], LoopController
 """Makes a controller for a robot, its demonstration, n robots, and the loop's configuration."""
 
 
-class Placement(NamedTuple):
-    """State of n robots, in the order of `Simulation.reset`.
-
-    Attributes:
-        root_pos, root_quat: (n, 3) m and (n, 4), world frame.
-        joint_pos: (n, 12) rad.
-        lin_vel: (n, 3) m/s, world frame.
-        ang_vel_b: (n, 3) rad/s, body frame.
-        joint_vel: (n, 12) rad/s.
-    """
-
-    root_pos: Array
-    root_quat: Array
-    joint_pos: Array
-    lin_vel: Array
-    ang_vel_b: Array
-    joint_vel: Array
-
-
 def on_reference(table: NDArray[Any], sample: NDArray[np.int64], origin: Array) -> Placement:
     """The states at samples (n,) of a table (t,) of `SAMPLE` with its origin at (n, 3) (x, y, yaw) in the world."""
     position, quat = world_root(table, sample, origin)
     velocity, turning = np.array(table["lin_vel"][sample]), np.array(table["ang_vel"][sample])
     velocity[:, :2] = rotate_planar(origin[:, 2], velocity[:, :2])
     turning[:, :2] = rotate_planar(origin[:, 2], turning[:, :2])
-    return Placement(
-        position,
-        quat,
-        table["joint_pos"][sample],
-        velocity,
-        quat_rotate_inverse(quat, turning),
-        table["joint_vel"][sample],
-    )
+    joints, speeds = table["joint_pos"][sample], table["joint_vel"][sample]
+    return Placement(position, quat, joints, velocity, quat_rotate_inverse(quat, turning), speeds)
 
 
 class ClosedLoop:

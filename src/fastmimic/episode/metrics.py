@@ -16,21 +16,6 @@ _LEAST_AMPLITUDE: Final = 1e-4  # m; a foot that moves less has no path of its o
 
 
 @dataclass(frozen=True, kw_only=True)
-class EstimationMetrics:
-    """Errors of the state estimate: root mean squares over the episodes.
-
-    Attributes:
-        drift_percent: mean over the episodes that travelled; NaN if none did.
-    """
-
-    drift_percent: float
-    velocity_rmse_m_per_s: float
-    height_rmse_m: float
-    tilt_rmse_rad: float
-    heading_error_rad: float
-
-
-@dataclass(frozen=True, kw_only=True)
 class Metrics:
     """Figures over the episodes of a rollout; NaN where there is no value (no swing).
 
@@ -46,7 +31,8 @@ class Metrics:
         foot_x_rmse_m, foot_z_rmse_m: against the demonstration, body frame.
         qp_failures: steps in which the stance QP failed, in all episodes.
         reward_animal: mean reward against the animal's motion, for a motion that was made executable.
-        estimate: None if the controller was told the true state.
+        estimate: errors of the state estimate by name, root mean squares over the episodes, but of the drift the mean
+            over those that travelled. None if the controller was told the true state.
     """
 
     episodes: int
@@ -64,7 +50,7 @@ class Metrics:
     foot_z_rmse_m: float
     qp_failures: int
     reward_animal: float | None = None
-    estimate: EstimationMetrics | None = None
+    estimate: dict[str, float] | None = None
 
     @classmethod
     def of(cls, rollout: Rollout) -> "Metrics":
@@ -86,7 +72,15 @@ class Metrics:
             foot_z_rmse_m=rms(r.foot_rmse[..., 2]),
             qp_failures=int(r.qp_failures.sum()),
             reward_animal=None if np.isnan(r.reward_animal).any() else float(r.reward_animal.mean()),
-            estimate=_estimation(r),
+            estimate=None
+            if r.estimation is None
+            else {
+                "drift_percent": mean_of_known(r.estimation.position_drift),
+                "velocity_rmse_m_per_s": rms(r.estimation.velocity_rmse),
+                "height_rmse_m": rms(r.estimation.height_rmse),
+                "tilt_rmse_rad": rms(r.estimation.tilt_rmse),
+                "heading_error_rad": rms(r.estimation.heading_error),
+            },
         )
 
     @property
@@ -106,19 +100,6 @@ class Metrics:
         if found["reward_animal"] is None:
             del found["reward_animal"]
         return found | {f"estimate_{name}": value for name, value in (estimate or {}).items()}
-
-
-def _estimation(rollout: Rollout) -> EstimationMetrics | None:
-    errors = rollout.estimation
-    if errors is None:
-        return None
-    return EstimationMetrics(
-        drift_percent=mean_of_known(errors.position_drift),
-        velocity_rmse_m_per_s=rms(errors.velocity_rmse),
-        height_rmse_m=rms(errors.height_rmse),
-        tilt_rmse_rad=rms(errors.tilt_rmse),
-        heading_error_rad=rms(errors.heading_error),
-    )
 
 
 def rms(values: Array) -> float:

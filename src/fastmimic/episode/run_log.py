@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import LogError
-from fastmimic.base.files import UNREADABLE, replace_file
+from fastmimic.base.files import read_arrays, replace_file
 from fastmimic.robot.state import COMMAND, OBSERVATION, READING
 
 FORMAT: Final = "fastmimic run log"
@@ -65,11 +65,7 @@ class RunLog:
         path = Path(path)
         if not path.is_file():
             raise LogError(f"{path}: no such file; 'fastmimic evaluate MOTION --observe sensors --log FILE' writes one")
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                found = {name: file[name] for name in file.files}
-        except UNREADABLE as error:
-            raise LogError(f"{path}: cannot be read, perhaps cut off while it was copied ({error})") from None
+        found = read_arrays(path, LogError, "log of a run, perhaps cut off while it was copied")
         try:
             about = json.loads(str(found["about"]))
             right = about["format"] == FORMAT and about["version"] == VERSION

@@ -240,7 +240,7 @@ def _optimised_parts(
 
 def _iterations_before(motion: Motion, checkpoint: Path, wanted: int | None) -> int:
     """Iterations of a single motion's search when the search on the whole began."""
-    had = len(Checkpoint.scores_of(checkpoint))
+    had = len(Checkpoint.load(checkpoint).scores)
     if wanted is not None and wanted != had:
         raise CheckpointError(
             f"the whole was begun from {had} iterations of '{motion.name}' by itself, not {wanted};"

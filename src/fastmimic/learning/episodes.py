@@ -20,7 +20,6 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.control.config import default_config
-from fastmimic.episode.loop import Placement
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.episode.reward import Scorer
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, pack_settings
@@ -34,6 +33,7 @@ from fastmimic.simulation.disturbances import Disturbance, Range, draw_uniform
 from fastmimic.simulation.disturbances import part as part_of
 from fastmimic.simulation.mujoco_disturbed import DisturbedMujocoSimulation
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
+from fastmimic.simulation.simulators import Placement
 
 Seen = NDArray[np.float32]
 

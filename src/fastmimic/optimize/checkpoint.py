@@ -47,18 +47,10 @@ class Checkpoint:
             ),
         )
 
-    @staticmethod
-    def scores_of(path: str | Path) -> Array:
-        """Scores (i, p) in any problem's checkpoint; raises `CheckpointError` if it is damaged."""
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                return np.asarray(file["scores"], np.float64)
-        except UNREADABLE as error:
-            raise CheckpointError(f"{path}: damaged checkpoint ({error}); leave out --resume to start anew") from None
-
     @classmethod
-    def load(cls, path: str | Path, identity: str) -> "Checkpoint":
-        """Reads a checkpoint; raises `CheckpointError` if it is missing, damaged, or of another problem."""
+    def load(cls, path: str | Path, identity: str | None = None) -> "Checkpoint":
+        """Reads a checkpoint, of any problem if `identity` is None; raises `CheckpointError` if it is missing, damaged,
+        or of another problem."""
         try:
             with np.load(path, allow_pickle=False) as file:
                 version = int(file["version"])
@@ -69,7 +61,7 @@ class Checkpoint:
             raise CheckpointError(f"{path}: damaged checkpoint ({error}); leave out --resume to start anew") from None
         if version != _VERSION:
             raise CheckpointError(f"{path}: checkpoint version {version}; this release reads version {_VERSION}")
-        if found.identity != identity:
+        if identity not in (None, found.identity):
             raise CheckpointError(
                 f"{path}: this checkpoint is of another problem (motion, robot, configuration, duration,"
                 " randomisation, seed or population differ); resume with the same arguments or choose another output"

@@ -170,13 +170,9 @@ def _feet(course: Any, following: Any, exit_row: int, entry: int, position: floa
     lean_x, lean_y = -height * curve / speed * vy, height * curve / speed * vx
     for leg in range(4):
         for k in range(3):
-            p0, p1, p2, p3 = a.foot[leg, k], b.foot[leg, k], c.foot[leg, k], d.foot[leg, k]
-            m1, m2 = 0.5 * (p2 - p0), 0.5 * (p3 - p1)
-            out[leg, k] = p1 + u * (m1 + u * (3 * (p2 - p1) - 2 * m1 - m2 + u * (2 * (p1 - p2) + m1 + m2)))
+            out[leg, k] = _cubic(a.foot[leg, k], b.foot[leg, k], c.foot[leg, k], d.foot[leg, k], u)
         if modulation.lift != 1.0:
-            p0, p1, p2, p3 = a.lift[leg], b.lift[leg], c.lift[leg], d.lift[leg]
-            m1, m2 = 0.5 * (p2 - p0), 0.5 * (p3 - p1)
-            lift = p1 + u * (m1 + u * (3 * (p2 - p1) - 2 * m1 - m2 + u * (2 * (p1 - p2) + m1 + m2)))
+            lift = _cubic(a.lift[leg], b.lift[leg], c.lift[leg], d.lift[leg], u)
             out[leg, 2] += (modulation.lift - 1.0) * lift
         if turn != 0.0:
             since = (b.since_middle[leg] + u * (c.since_middle[leg] - b.since_middle[leg])) / speed
@@ -186,6 +182,29 @@ def _feet(course: Any, following: Any, exit_row: int, entry: int, position: floa
             out[leg, 0], out[leg, 1] = cs * fx + sn * fy, -sn * fx + cs * fy
         out[leg, 0] -= lean_x
         out[leg, 1] -= lean_y
+
+
+@inlined
+def _blend(tilt: Array, later: Array, share: float, out: Array) -> None:
+    """A share of the way from one unit quaternion to another, (4,) each."""
+    same = 0.0
+    for k in range(4):
+        same += tilt[k] * later[k]
+    sign = -1.0 if same < 0 else 1.0
+    norm = 0.0
+    for k in range(4):
+        out[k] = tilt[k] + share * (sign * later[k] - tilt[k])
+        norm += out[k] * out[k]
+    norm = np.sqrt(norm)
+    for k in range(4):
+        out[k] /= norm
+
+
+@inlined
+def _cubic(p0: float, p1: float, p2: float, p3: float, u: float) -> float:
+    """At a share `u` of the way from p1 to p2, with the slopes of central differences there."""
+    m1, m2 = 0.5 * (p2 - p0), 0.5 * (p3 - p1)
+    return p1 + u * (m1 + u * (3 * (p2 - p1) - 2 * m1 - m2 + u * (2 * (p1 - p2) + m1 + m2)))
 
 
 @kernel
@@ -210,16 +229,7 @@ def _sample(
     speed, turn = modulation.speed, modulation.turn
     out.root_pos[0], out.root_pos[1] = 0.0, 0.0
     out.root_pos[2] = b.root_z + u * (c.root_z - b.root_z)
-    same = 0.0
-    for k in range(4):
-        same += b.tilt[k] * c.tilt[k]
-    sign = -1.0 if same < 0 else 1.0
-    norm = 0.0
-    for k in range(4):
-        out.root_quat[k] = b.tilt[k] + u * (sign * c.tilt[k] - b.tilt[k])
-        norm += out.root_quat[k] * out.root_quat[k]
-    for k in range(4):
-        out.root_quat[k] /= np.sqrt(norm)
+    _blend(b.tilt, c.tilt, u, out.root_quat)
     for k in range(3):
         out.lin_vel[k] = speed * (b.lin_vel[k] + u * (c.lin_vel[k] - b.lin_vel[k]))
         out.ang_vel[k] = speed * (b.ang_vel[k] + u * (c.ang_vel[k] - b.ang_vel[k]))
@@ -253,16 +263,8 @@ def _sample(
 @inlined
 def _to_body(tilt: Array, later: Array, share: float, z: float, q: Array, foot: Array) -> None:
     """A foot (3,) from the root's heading frame (z from the ground) to its body frame; `q` (4,) is work memory."""
-    same = 0.0
-    for k in range(4):
-        same += tilt[k] * later[k]
-    sign = -1.0 if same < 0 else 1.0
-    norm = 0.0
-    for k in range(4):
-        q[k] = tilt[k] + share * (sign * later[k] - tilt[k])
-        norm += q[k] * q[k]
-    norm = np.sqrt(norm)
-    w, a, b, c = q[0] / norm, -q[1] / norm, -q[2] / norm, -q[3] / norm
+    _blend(tilt, later, share, q)
+    w, a, b, c = q[0], -q[1], -q[2], -q[3]
     x, y, h = foot[0], foot[1], foot[2] - z
     t0, t1, t2 = 2 * (b * h - c * y), 2 * (c * x - a * h), 2 * (a * y - b * x)
     foot[0] = x + w * t0 + b * t2 - c * t1

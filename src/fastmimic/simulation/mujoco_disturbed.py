@@ -74,14 +74,12 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         self._directions: Array | None = None
         self._pushed = bool(self.world.at_each_step) or self.world.has("push", "side-push")
 
-    def reset(
-        self, root_pos: Array, root_quat: Array, joint_pos: Array, lin_vel: Array, ang_vel_b: Array, joint_vel: Array
-    ) -> None:
+    def reset(self, *state: Array) -> None:
         """As `MujocoSimulation.reset`; the clocks of pushes and delay restart."""
         self._steps = 0
         self._directions = None
         self._forces[:] = 0.0
-        super().reset(root_pos, root_quat, joint_pos, lin_vel, ang_vel_b, joint_vel)
+        super().reset(*state)
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
         """Applies commands (n,) of `COMMAND` for one control step; returns the new observation."""

@@ -16,7 +16,7 @@ from fastmimic.base.conventions import GRAVITY, LEGS
 from fastmimic.base.jit import kernel
 from fastmimic.robot import Robot
 from fastmimic.robot.state import OBSERVATION
-from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, substeps_of
+from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, Placement, substeps_of
 
 FLOOR: Final = "fastmimic_floor"
 GROUND_FRICTION: Final = 0.8
@@ -204,12 +204,10 @@ class MujocoSimulation:
         joints = [self.model.joint(name).id for name in robot.joint_names]
         self._index = np.concatenate([self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]]).astype(np.int64)
 
-    def reset(
-        self, root_pos: Array, root_quat: Array, joint_pos: Array, lin_vel: Array, ang_vel_b: Array, joint_vel: Array
-    ) -> None:
-        """Puts the robots into given states (n, …), world frame but for the angular velocity (body frame)."""
+    def reset(self, *state: Array) -> None:
+        """Puts the robots into given states, the arrays of `Placement`."""
         self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        self._set(np.arange(len(self.observation)), root_pos, root_quat, joint_pos, lin_vel, ang_vel_b, joint_vel)
+        self._set(np.arange(len(self.observation)), Placement(*state))
         self.batch.forward()
         self.observe()
 
@@ -217,26 +215,17 @@ class MujocoSimulation:
         """Puts some robots (k,) into given states and leaves the others alone; arrays (k, …) as in `reset`. Their
         contact forces are 0 until the next step."""
         self.batch.reset(rows, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        self._set(rows, *state)
+        self._set(rows, Placement(*state))
         self.observe()
         self.observation["foot_force"][rows] = 0.0
         self.observation["other_contact"][rows] = 0.0
 
-    def _set(
-        self,
-        rows: NDArray[np.int64],
-        root_pos: Array,
-        root_quat: Array,
-        joint_pos: Array,
-        lin_vel: Array,
-        ang_vel_b: Array,
-        joint_vel: Array,
-    ) -> None:
+    def _set(self, rows: NDArray[np.int64], state: Placement) -> None:
         joints, joint_dofs = self._index[:12], self._index[12:]
-        self._qpos[rows, :3], self._qpos[rows, 3:7] = root_pos, root_quat
-        self._qpos[rows[:, None], joints] = joint_pos
-        self._qvel[rows, :3], self._qvel[rows, 3:6] = lin_vel, ang_vel_b
-        self._qvel[rows[:, None], joint_dofs] = joint_vel
+        self._qpos[rows, :3], self._qpos[rows, 3:7] = state.root_pos, state.root_quat
+        self._qpos[rows[:, None], joints] = state.joint_pos
+        self._qvel[rows, :3], self._qvel[rows, 3:6] = state.lin_vel, state.ang_vel_b
+        self._qvel[rows[:, None], joint_dofs] = state.joint_vel
         self._ctrl[rows] = 0.0
         self._bias[rows, :, 1:3] = 0.0
 

@@ -83,16 +83,11 @@ class PybulletSimulation:
         while self._clients:
             self._clients.pop().disconnect()
 
-    def reset(
-        self, root_pos: Array, root_quat: Array, joint_pos: Array, lin_vel: Array, ang_vel_b: Array, joint_vel: Array
-    ) -> None:
-        """Puts the robots into given states (n, …), world frame but for the angular velocity (body frame). Reloads
-        everything: Bullet remembers contacts, and the same start must lead to the same course."""
+    def reset(self, *state: Array) -> None:
+        """Puts the robots into given states, the arrays of `Placement`. Reloads everything: Bullet remembers contacts,
+        and the same start must lead to the same course."""
         n = len(self._bodies)
-        wide = [
-            np.broadcast_to(np.asarray(a, dtype=np.float64), (n, k))
-            for a, k in ((root_pos, 3), (root_quat, 4), (joint_pos, 12), (lin_vel, 3), (ang_vel_b, 3), (joint_vel, 12))
-        ]
+        wide = [np.broadcast_to(np.asarray(a, dtype=np.float64), (n, np.shape(a)[-1])) for a in state]
         self._steps, self._sent, self._headings = 0, [], None
         for i in range(n):
             self._load(i)

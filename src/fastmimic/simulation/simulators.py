@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from numpy.typing import NDArray
 
@@ -18,6 +18,25 @@ if TYPE_CHECKING:  # its disturbances are entries that refer to simulators
 DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
 
 
+class Placement(NamedTuple):
+    """States of n robots, or one for all, in the order of `Simulation.reset`.
+
+    Attributes:
+        root_pos, root_quat: (n, 3) m and (n, 4), world frame.
+        joint_pos: (n, 12) rad.
+        lin_vel: (n, 3) m/s, world frame.
+        ang_vel_b: (n, 3) rad/s, body frame.
+        joint_vel: (n, 12) rad/s.
+    """
+
+    root_pos: Array
+    root_quat: Array
+    joint_pos: Array
+    lin_vel: Array
+    ang_vel_b: Array
+    joint_vel: Array
+
+
 class Simulation(Protocol):
     """n robots that take commands and give observations; see `MujocoSimulation`.
 
@@ -27,10 +46,8 @@ class Simulation(Protocol):
 
     observation: NDArray[Any]
 
-    def reset(
-        self, root_pos: Array, root_quat: Array, joint_pos: Array, lin_vel: Array, ang_vel_b: Array, joint_vel: Array
-    ) -> None:
-        """Puts the robots into given states (n, …), world frame but for the angular velocity (body frame)."""
+    def reset(self, *state: Array) -> None:
+        """Puts the robots into given states, the arrays of `Placement`."""
 
     def observe(self) -> NDArray[Any]:
         """The present states, (n,) of `OBSERVATION`."""
