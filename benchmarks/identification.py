@@ -27,8 +27,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.render.figure_style import new_figure, save, tidy
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
-from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.disturbances import Disturbance
+from fastmimic.simulation.conditions import Conditions, Disturbance
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 FIGURE = DOCS / "images" / "identification.png"

@@ -22,8 +22,7 @@ from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
-from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.disturbances import Disturbance
+from fastmimic.simulation.conditions import Conditions, Disturbance
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "robustness.md"
 LEVELS = {

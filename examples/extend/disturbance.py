@@ -12,8 +12,8 @@ import numpy as np
 
 import fastmimic as fm
 from fastmimic.base.arrays import Array
+from fastmimic.simulation.conditions import Disturbance
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, DisturbanceKind
-from fastmimic.simulation.disturbances import Disturbance
 
 
 def blow(simulation: Any, force: Array, time_s: float) -> None:

@@ -26,9 +26,8 @@ from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion
 from fastmimic.report.experiment_figures import stress_figure
 from fastmimic.robot import Robot
-from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.conditions import Conditions, Disturbance, known
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
-from fastmimic.simulation.disturbances import Disturbance, known
 from searches import QUICK_CHOICE
 
 SETTINGS = StressSettings(episodes=2, duration_s=0.6)

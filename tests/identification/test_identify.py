@@ -15,8 +15,7 @@ from fastmimic.identification.identify import FRICTION_MARGIN, Friction, identif
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.state import OBSERVATION
-from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.disturbances import Disturbance
+from fastmimic.simulation.conditions import Conditions, Disturbance
 from identification.conftest import STEPS, MakeLog
 
 

@@ -15,7 +15,7 @@ from fastmimic.learning.policy import controlled_by
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
-from fastmimic.simulation.disturbances import Range, check_lasting, parse_range
+from fastmimic.simulation.conditions import Range, check_lasting, parse_range
 from learning.hand_made import follower
 
 DECIMATION = PolicyConfig().decimation

@@ -25,7 +25,7 @@ from fastmimic.optimize.randomization import (
 from fastmimic.optimize.stitched import StitchedProblem
 from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
-from fastmimic.simulation.disturbances import Disturbance, Range
+from fastmimic.simulation.conditions import Disturbance, Range
 from fastmimic.stitching.join import stitch_motions
 from optimize.conftest import EPISODE_S
 from optimize.test_cma_es import KilledError, assert_same, stop_after

@@ -20,8 +20,7 @@ from fastmimic.reference.table import advance_clocks, advance_recovering, make_c
 from fastmimic.robot import Robot
 from fastmimic.robot.state import OBSERVATION
 from fastmimic.runs.loading import load_motion
-from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.disturbances import Disturbance
+from fastmimic.simulation.conditions import Conditions, Disturbance
 
 
 @pytest.fixture(scope="module")

@@ -14,9 +14,15 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND
-from fastmimic.simulation.conditions import Conditions, rough_ground
+from fastmimic.simulation.conditions import (
+    Conditions,
+    Disturbance,
+    driving_limit,
+    make_world,
+    parse_disturbance,
+    rough_ground,
+)
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, DisturbanceKind, loaded
-from fastmimic.simulation.disturbances import Disturbance, driving_limit, make_world, parse_disturbance
 from fastmimic.simulation.mujoco_disturbed import DisturbedMujocoSimulation
 from fastmimic.simulation.mujoco_sim import FLOOR, MujocoSimulation
 from fastmimic.simulation.simulators import SIMULATORS, Simulator, make_simulation

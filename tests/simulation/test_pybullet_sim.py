@@ -16,8 +16,7 @@ from fastmimic.episode.plan import nominal_start
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND
-from fastmimic.simulation.conditions import Conditions, rough_ground, turns
-from fastmimic.simulation.disturbances import Disturbance, parse_disturbance
+from fastmimic.simulation.conditions import Conditions, Disturbance, parse_disturbance, rough_ground, turns
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION, MujocoSimulation
 from fastmimic.simulation.pybullet_sim import PybulletSimulation
 from fastmimic.simulation.simulators import make_simulation

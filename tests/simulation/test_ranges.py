@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from fastmimic.base.errors import ConfigError
-from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S
-from fastmimic.simulation.disturbances import (
+from fastmimic.simulation.conditions import (
     PUSH_WINDOW_S,
     Range,
     check_once,
@@ -19,6 +18,7 @@ from fastmimic.simulation.disturbances import (
     usual_range,
     usual_ranges,
 )
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S
 
 RANGES = (Range("friction", 0.4, 1.2), Range("payload", 0.0, 3.0), Range("push", -5.0, 5.0))
 

@@ -16,7 +16,7 @@ from fastmimic.commands import options as opt
 from fastmimic.commands.console import PLAIN_STEPS, note, put, share_progress
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.simulation.disturbances import parse_range
+from fastmimic.simulation.conditions import parse_range
 
 if TYPE_CHECKING:
     from fastmimic.learning.learner import TrainingSettings

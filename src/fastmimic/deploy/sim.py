@@ -15,8 +15,7 @@ from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage, damping_
 from fastmimic.reference.standing import rising_path, smooth, standing_gains
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, READING
-from fastmimic.simulation.conditions import Conditions, episode_generator
-from fastmimic.simulation.disturbances import make_world
+from fastmimic.simulation.conditions import Conditions, episode_generator, make_world
 from fastmimic.simulation.sensors import Sensors
 from fastmimic.simulation.simulators import make_simulation
 

@@ -12,8 +12,7 @@ from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.estimation.estimator import Estimator
 from fastmimic.reference.table import advance_clocks, advance_recovering
 from fastmimic.robot import Robot
-from fastmimic.simulation.conditions import Conditions, episode_generator
-from fastmimic.simulation.disturbances import make_world
+from fastmimic.simulation.conditions import Conditions, episode_generator, make_world
 from fastmimic.simulation.sensors import Sensors
 
 MIN_DISTANCE: Final = 0.5  # m; a robot that stays where it is has no drift per distance

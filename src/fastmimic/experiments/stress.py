@@ -20,9 +20,8 @@ from fastmimic.experiments.experiment import Subject, all_parts
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.conditions import Conditions, Disturbance, known
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S
-from fastmimic.simulation.disturbances import Disturbance, known
 
 SUCCESS: Final = 0.95  # least share of episodes without a fall for a tolerated level
 AT_ONCE: Final = 120  # greatest number of robots in a batch

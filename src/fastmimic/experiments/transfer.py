@@ -23,8 +23,7 @@ from fastmimic.experiments.experiment import Subject, all_parts
 from fastmimic.identification.identify import identify
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.robot import Robot
-from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.disturbances import Disturbance, names_of
+from fastmimic.simulation.conditions import Conditions, Disturbance, names_of
 from fastmimic.simulation.simulators import FIRST_SIMULATOR, SECOND_SIMULATOR
 
 _LOG: Final = logging.getLogger(__name__)

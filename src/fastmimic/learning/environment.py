@@ -16,7 +16,7 @@ from fastmimic.learning.episodes import EPISODE_S, Episodes
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
-from fastmimic.simulation.disturbances import parse_range
+from fastmimic.simulation.conditions import parse_range
 
 Seen = NDArray[np.float32]
 

@@ -29,8 +29,8 @@ from fastmimic.reference.table import advance_clocks, make_clocks, reference_tab
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import leg_forward
 from fastmimic.robot.state import COMMAND, MEMORY
-from fastmimic.simulation.disturbances import Disturbance, Range, draw_uniform
-from fastmimic.simulation.disturbances import part as part_of
+from fastmimic.simulation.conditions import Disturbance, Range, draw_uniform
+from fastmimic.simulation.conditions import part as part_of
 from fastmimic.simulation.mujoco_disturbed import DisturbedMujocoSimulation
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
 from fastmimic.simulation.simulators import Placement

@@ -22,7 +22,7 @@ from fastmimic.learning.episodes import EPISODE_S, Episodes
 from fastmimic.learning.policy import Policy
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.simulation.disturbances import Range
+from fastmimic.simulation.conditions import Range
 
 _SMALL: Final = 0.01  # scale of the last layer's initial weights: the first actions hold the home pose
 _ACTIVATION: Final = "elu"

@@ -17,7 +17,7 @@ from fastmimic.episode.plan import nominal_start
 from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.problem import Problem
-from fastmimic.simulation.disturbances import Disturbance
+from fastmimic.simulation.conditions import Disturbance
 
 
 @dataclass(frozen=True)

@@ -35,9 +35,8 @@ from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.coordinates import FEET
 from fastmimic.reference.table import put_root, reference_table
 from fastmimic.robot import Robot
-from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.disturbances import Disturbance, repeated
-from fastmimic.simulation.disturbances import part as part_of
+from fastmimic.simulation.conditions import Conditions, Disturbance, repeated
+from fastmimic.simulation.conditions import part as part_of
 
 _CYCLES: Final = 1.5  # cycles in an episode, if the requested length does not hold one cycle
 

@@ -14,8 +14,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, unknown
-from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S
-from fastmimic.simulation.disturbances import (
+from fastmimic.simulation.conditions import (
     PUSH_WINDOW_S,
     Disturbance,
     Range,
@@ -24,6 +23,7 @@ from fastmimic.simulation.disturbances import (
     parse_range,
     usual_range,
 )
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S
 
 ROBOTS: Final = 4  # per candidate by default; the cost of a search is in proportion
 _WORST: Final = "worst"

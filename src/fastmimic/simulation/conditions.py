@@ -1,14 +1,23 @@
-"""The conditions of episodes: simulator, disturbances, and what the controller observes; random streams and ground."""
+"""The conditions of episodes: simulator, ground, what the controller observes, and disturbances with their strengths.
 
-from dataclasses import dataclass, field
+A disturbance is a deviation from robot and ground of the optimisation, unknown to the controller. On the command line:
+`name=value`, a push also `name=value@time`. For randomised robots they are drawn from ranges, `name=lower:upper`, for
+each robot of a batch.
+"""
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import ConfigError, unknown
+from fastmimic.base.errors import ConfigError, did_you_mean, unknown
 from fastmimic.estimation.config import EstimatorConfig
-from fastmimic.simulation.disturbances import Disturbance, parse_disturbance
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S, DisturbanceKind, EachStep
 from fastmimic.simulation.sensors import SensorConfig
 from fastmimic.simulation.simulators import SIMULATORS
 
@@ -21,6 +30,255 @@ _FLAT_RADIUS_M: Final = 0.45
 _FULL_RADIUS_M: Final = 0.9
 _GROUND_PURPOSE: Final = 71  # of the random stream
 _TURN_PURPOSE: Final = 72
+PUSH_WINDOW_S: Final = 1.0  # length of the window of push times after the usual time: any phase of the gait
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """A disturbance with its strength.
+
+    Attributes:
+        name: one of `DISTURBANCES`.
+        values: one for all robots, or one for each.
+        at_s: time of a timed disturbance, s after the start; None for a lasting one.
+    """
+
+    name: str
+    values: tuple[float, ...]
+    at_s: float | None = None
+
+    def __post_init__(self) -> None:
+        kind = DISTURBANCES[self.name]
+        if not self.values:
+            raise ConfigError(f"disturbance '{self.name}' has no value")
+        for value in self.values:
+            if math.isnan(value) or not kind.lower <= value <= kind.upper:
+                raise ConfigError(
+                    f"disturbance '{self.name}' takes {kind.show(kind.lower)} to {kind.show(kind.upper)},"
+                    f" found {value:g}: {kind.about}"
+                )
+        if len(self.values) > 1 and not kind.per_robot:
+            raise ConfigError(f"disturbance '{self.name}' has one value for all robots, found {len(self.values)}")
+        if kind.timed:
+            if self.at_s is None:
+                object.__setattr__(self, "at_s", PUSH_TIME_S)
+            elif not (math.isfinite(self.at_s) and self.at_s >= 0):
+                raise ConfigError(f"disturbance '{self.name}': the time must not be negative, found {self.at_s:g} s")
+        elif self.at_s is not None:
+            raise ConfigError(f"disturbance '{self.name}' is there all the time; only pushes take @time")
+
+    @property
+    def kind(self) -> DisturbanceKind:
+        return DISTURBANCES[self.name]
+
+    def __str__(self) -> str:
+        shown = self.kind.show(self.values[0]) if len(self.values) == 1 else f"{len(self.values)} values"
+        return f"{self.name} {shown}" + (f" at {self.at_s:g} s" if self.at_s is not None else "")
+
+
+def parse_disturbance(text: str) -> Disturbance:
+    """A disturbance from `name=value` or `name=value@time` (s); raises `ConfigError` for any other text."""
+    found = re.fullmatch(r"\s*([\w-]+)\s*=\s*([^@]+?)\s*(?:@\s*([^@]+?)\s*)?", text)
+    if found is None:
+        raise ConfigError(
+            f"a disturbance is written name=value, such as payload=2 or push=10@2.5; found '{text}'."
+            f" There are {', '.join(DISTURBANCES)}"
+        )
+    name, value, at = found.groups()
+    kind = DISTURBANCES[name]
+    try:
+        return Disturbance(name, (float(value),), None if at is None else float(at))
+    except ValueError:
+        raise ConfigError(f"'{text}' is not a number{f' of {kind.unit}' if kind.unit else ''}: {kind.about}") from None
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """The values of all disturbances for n robots, nominal where nothing is disturbed.
+
+    Attributes:
+        given: names of the disturbances present.
+        values: by name, (n,) in the disturbance's unit.
+        times: by name, s after the start, of those that happen at a time.
+    """
+
+    n: int
+    given: frozenset[str]
+    values: dict[str, Array]
+    times: dict[str, float]
+
+    def __getitem__(self, name: str) -> Array:
+        return self.values[name]
+
+    def has(self, *names: str) -> bool:
+        """Whether any of these is given."""
+        return any(name in self.given for name in names)
+
+    @cached_property
+    def at_each_step(self) -> list[tuple[EachStep, Array]]:
+        """What acts at each control step, with its values."""
+        kinds = [kind for kind in DISTURBANCES.values() if kind.name in self.given]
+        return [(kind.each_step, self.values[kind.name]) for kind in kinds if kind.each_step is not None]
+
+    @property
+    def gravity(self) -> Array:
+        """(n, 3) unit vectors of gravity in the ground's frame, z normal to it."""
+        x, y = (np.tan(np.radians(self.values[name])) for name in ("slope", "side-slope"))
+        down = -np.column_stack([x, y, np.ones(self.n)])
+        return down / np.linalg.norm(down, axis=1, keepdims=True)
+
+    def push(self, elapsed_s: float) -> Array | None:
+        """(n, 2) present push on the trunks, forwards and to the left, N; None without any."""
+        force, pushed = np.zeros((self.n, 2)), False
+        for axis, name in enumerate(("push", "side-push")):
+            if name in self.given and 0 <= elapsed_s - self.times[name] + 1e-9 < PUSH_DURATION_S:
+                force[:, axis] = self.values[name] / PUSH_DURATION_S
+                pushed = True
+        return force if pushed else None
+
+
+def make_world(disturbances: Sequence[Disturbance], n: int, simulator: str) -> World:
+    """The world of n robots; raises `ConfigError` for disturbances given twice, not realised in the simulator, or of
+    neither 1 nor n values."""
+    values = {name: np.full(n, kind.nominal) for name, kind in DISTURBANCES.items()}
+    given: set[str] = set()
+    for d in disturbances:
+        if d.name in given:
+            raise ConfigError(f"disturbance '{d.name}' is given twice")
+        if not d.kind.realized_in(simulator):
+            raise ConfigError(
+                f"disturbance '{d.name}' is not realised in {simulator}; those that are: {', '.join(known(simulator))}"
+            )
+        if len(d.values) not in (1, n):
+            raise ConfigError(f"disturbance '{d.name}' has {len(d.values)} values for {n} robots; expected 1 or {n}")
+        values[d.name][:] = d.values
+        given.add(d.name)
+    times = {d.name: d.at_s for d in disturbances if d.at_s is not None}
+    return World(n, frozenset(given), values, times)
+
+
+def known(simulator: str) -> list[str]:
+    """Names of the disturbances that a simulator realises."""
+    return [name for name, kind in DISTURBANCES.items() if kind.realized_in(simulator)]
+
+
+def driving_limit(limit: Array, top_speed: Array, joint_vel: Array) -> Array:
+    """Motor torque (n, 12) available in the direction of motion, N·m: full to half the top speed, then linear to 0.
+    `limit` is (12,) N·m, `top_speed` (n, 1) rad/s, `joint_vel` (n, 12) rad/s."""
+    with np.errstate(invalid="ignore"):
+        share = 2.0 * (1.0 - np.abs(joint_vel) / top_speed)
+    return limit * np.clip(share, 0.0, 1.0)
+
+
+def names_of(disturbances: Iterable[Disturbance]) -> str:
+    """The disturbances in one line; empty without any."""
+    return ", ".join(str(d) for d in disturbances)
+
+
+@dataclass(frozen=True)
+class Range:
+    """A disturbance drawn uniformly from a range, once for each robot; bounds are in the disturbance's unit."""
+
+    name: str
+    lower: float
+    upper: float
+
+    def __post_init__(self) -> None:
+        kind = DISTURBANCES[self.name]
+        if kind.usual is None:
+            raise ConfigError(f"'{self.name}' cannot differ between robots; what can: {', '.join(usual_ranges())}")
+        finite = math.isfinite(self.lower) and math.isfinite(self.upper)
+        if not (finite and kind.lower <= self.lower <= self.upper <= kind.upper):
+            raise ConfigError(
+                f"'{self.name}' takes a range within {kind.show(kind.lower)} to {kind.show(kind.upper)}, found"
+                f" {self.lower:g} to {self.upper:g}: {kind.about}"
+            )
+
+    @property
+    def timed(self) -> bool:
+        return DISTURBANCES[self.name].timed
+
+    def __str__(self) -> str:
+        unit = DISTURBANCES[self.name].unit
+        return f"{self.name} {self.lower:g} … {self.upper:g} {unit}".strip()
+
+
+def usual_ranges() -> dict[str, tuple[float, float]]:
+    """Usual lower and upper value by name, of all disturbances in which the robots of a batch can differ."""
+    return {name: kind.usual for name, kind in DISTURBANCES.items() if kind.usual is not None}
+
+
+def usual_range(name: str) -> Range:
+    """A disturbance over its usual range; raises `ConfigError` if it is unknown or robots cannot differ in it."""
+    return Range(name, *(DISTURBANCES[name].usual or (0.0, 0.0)))
+
+
+def parse_range(text: str) -> Range:
+    """A range from `name=lower:upper`, or the usual one from its name; raises `ConfigError` for anything else."""
+    found = re.fullmatch(r"\s*([\w-]+)\s*(?:=\s*([^:]+):([^:]+))?", text)
+    try:
+        if found is None:
+            raise ValueError
+        name, lower, upper = found.groups()
+        return usual_range(name) if lower is None else Range(name, float(lower), float(upper))
+    except ValueError:
+        name = re.match(r"\s*([\w-]*)", text)[1]  # type: ignore[index]  # it matches anything
+        raise ConfigError(
+            f"a range is written name=lower:upper, such as friction=0.4:1.2, or name for the usual one; found '{text}'."
+            f" There are {', '.join(usual_ranges())}{did_you_mean(name, usual_ranges())}"
+        ) from None
+
+
+def check_once(ranges: Sequence[Range]) -> None:
+    """Raises `ConfigError` if a disturbance has two ranges."""
+    names = [r.name for r in ranges]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"the range of '{name}' is given twice")
+
+
+def check_lasting(ranges: Sequence[Range]) -> None:
+    """Checks ranges for a training, which can be resumed at any step; raises `ConfigError` if a disturbance has two
+    ranges, happens at a time, or is a delay (commands under way are not part of the training's state)."""
+    check_once(ranges)
+    possible = [name for name in usual_ranges() if not DISTURBANCES[name].timed and name != "delay"]
+    for r in ranges:
+        if r.name not in possible:
+            raise ConfigError(f"'{r.name}' cannot differ between robots; what can: {', '.join(possible)}")
+
+
+def draw_uniform(ranges: Sequence[Range], n: int, rng: np.random.Generator) -> tuple[Disturbance, ...]:
+    """Draws n robots independently of each other; raises as `check_lasting`."""
+    check_lasting(ranges)
+    return tuple(Disturbance(r.name, tuple(rng.uniform(r.lower, r.upper, n).tolist())) for r in ranges)
+
+
+def draw(
+    ranges: Sequence[Range], n: int, rng: np.random.Generator, *, nominal_first: bool = False
+) -> tuple[Disturbance, ...]:
+    """Draws n robots by a Latin hypercube: one from each of n equal parts of each range, so that few robots spread. The
+    ranges are of different disturbances. With `nominal_first` the first robot is undisturbed and only the others are
+    drawn. Returns a disturbance of n values for each range; pushes all come at one time."""
+    first = int(nominal_first)
+    found = []
+    for r in ranges:
+        drawn = n - first
+        share = (rng.permutation(drawn) + rng.uniform(size=drawn)) / drawn
+        values = np.minimum(r.lower + (r.upper - r.lower) * share, r.upper)
+        at_s = PUSH_TIME_S + PUSH_WINDOW_S * float(rng.uniform()) if r.timed else None
+        nominal = (DISTURBANCES[r.name].nominal,) * first
+        found.append(Disturbance(r.name, (*nominal, *values.tolist()), at_s))
+    return tuple(found)
+
+
+def repeated(robots: Sequence[Disturbance], times: int) -> tuple[Disturbance, ...]:
+    """The same robots `times` over, round after round."""
+    return tuple(replace(d, values=d.values * times) for d in robots)
+
+
+def part(robots: Sequence[Disturbance], rows: slice) -> tuple[Disturbance, ...]:
+    """Some of the robots."""
+    return tuple(replace(d, values=d.values[rows]) for d in robots)
 
 
 @dataclass(frozen=True)

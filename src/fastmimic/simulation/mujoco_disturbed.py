@@ -10,9 +10,8 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
-from fastmimic.simulation.conditions import HALF_SIDE_M, rough_ground, turns
+from fastmimic.simulation.conditions import HALF_SIDE_M, Disturbance, driving_limit, make_world, rough_ground, turns
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
-from fastmimic.simulation.disturbances import Disturbance, driving_limit, make_world
 from fastmimic.simulation.mujoco_sim import FLOOR, HeightField, MujocoSimulation, actuate
 from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ
 

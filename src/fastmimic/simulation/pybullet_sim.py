@@ -24,9 +24,8 @@ from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate,
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import OBSERVATION
-from fastmimic.simulation.conditions import CELL_M, rough_ground, turns
+from fastmimic.simulation.conditions import CELL_M, Disturbance, driving_limit, make_world, rough_ground, turns
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M
-from fastmimic.simulation.disturbances import Disturbance, driving_limit, make_world
 from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, substeps_of
 
 DESCRIPTIONS: Final = {"a1": "a1/a1.urdf"}  # in the package `pybullet_data`, by robot
