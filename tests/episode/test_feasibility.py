@@ -1,7 +1,7 @@
 """What a motion asks of the robot is measured right, and a fall gets the reason that it has."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -129,7 +129,7 @@ def test_a_fall_says_when_and_how(robot: Robot, pushed: Rollout) -> None:
     assert 0.0 <= fall.saturated <= 1.0
     assert fall.slip_m > 0.05
     assert "friction" in [reason.kind for reason in reasons(EASY, fall)]
-    json.dumps(fall.as_dict())
+    json.dumps(asdict(fall))
 
 
 def test_who_did_not_fall_has_no_fall_and_without_a_log_there_is_none(robot: Robot, pushed: Rollout) -> None:

@@ -64,12 +64,16 @@ def record_dtype(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
 
 def floats(**shapes: int | tuple[int, ...]) -> list[tuple[Any, ...]]:
     """Fields of a record with real numbers, each by name with its shape: a length, or () for one number."""
-    return [(name, "f8", shape) for name, shape in shapes.items()]
+    return _fields("f8", shapes)
 
 
 def integers(**shapes: int | tuple[int, ...]) -> list[tuple[Any, ...]]:
     """Fields of a record with whole numbers, as `floats`."""
-    return [(name, "i8", shape) for name, shape in shapes.items()]
+    return _fields("i8", shapes)
+
+
+def _fields(kind: str, shapes: dict[str, int | tuple[int, ...]]) -> list[tuple[Any, ...]]:
+    return [(name, kind, (shape,) if isinstance(shape, int) else shape) for name, shape in shapes.items()]
 
 
 def depends_on(compiled: Callable[..., Any], *files: str) -> None:

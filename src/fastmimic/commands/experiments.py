@@ -22,7 +22,7 @@ from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.robot import ROBOT_NAMES, Robot
 from fastmimic.runs.work_folder import MOTIONS, TABLE, WorkFolder
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
-from fastmimic.simulation.simulators import SECOND_SIMULATOR, check_simulator
+from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.loop import MakeController
@@ -294,7 +294,7 @@ class Stress(ExperimentOptions):
         )
         policy = self.checked_policy(robot, motion)
         check_length(motion, names, settings)
-        check_simulator(robot, self.simulator)
+        SIMULATORS[self.simulator].check(robot)
         folder = self.opened("stress", SWEEPS, STRESS_FILES, {"motion": motion.name, **asdict(settings)})
         planned = [(method, name) for method in self.methods for name in names]
         with self.writing(folder, lambda: write_stress(folder, settings, planned)):
@@ -366,7 +366,7 @@ class Transfer(ExperimentOptions):
         robots = {robot.name: robot for robot, _ in loaded}
         if len(robots) > 1:
             raise ConfigError(f"the motions are for different robots: {', '.join(robots)}")
-        check_simulator(loaded[0][0], SECOND_SIMULATOR)
+        SIMULATORS[SECOND_SIMULATOR].check(loaded[0][0])
         policy = self.checked_policy(*loaded[0])
         folder = self.opened("transfer", PARTS, TRANSFER_FILES, {"robot": loaded[0][0].name, **asdict(settings)})
         planned = [(name, method) for name in names for method in self.methods]

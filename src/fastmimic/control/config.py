@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.configuration import changed, check, documented, pack, parameter, record_fields
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.base.errors import ConfigError, did_you_mean, unknown
+from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.base.files import read_json
 from fastmimic.base.jit import record_dtype
 from fastmimic.base.text import plain
@@ -150,10 +150,7 @@ def controller_config(name: str) -> ControllerConfig:
     if name.endswith(".json"):
         return read_config(name)
     if name not in CONFIGS:
-        raise ConfigError(
-            f"unknown configuration '{name}'; there are {', '.join(CONFIGS)}, or a file"
-            f" (.json){did_you_mean(name, CONFIGS)}"
-        )
+        raise unknown("configuration", name, (*CONFIGS, "or a file (.json)"))
     return CONFIGS[name]()
 
 

@@ -19,7 +19,7 @@ from numba import objmode, types
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.jit import depends_on, kernel, object_kernel, record_dtype
+from fastmimic.base.jit import depends_on, floats, kernel, object_kernel, record_dtype
 
 OPTIMAL: Final = 1
 INFINITY: Final = 1e30
@@ -34,13 +34,8 @@ def make_workspace(n_max: int, m_max: int) -> NDArray[Any]:
         1,
         record_dtype(
             [
-                ("hessian", "f8", (n_max * n_max,)),
-                ("gradient", "f8", (n_max,)),
-                ("rows", "f8", (m_max * n_max,)),
-                ("upper", "f8", (m_max,)),
-                ("lower", "f8", (m_max,)),
-                ("x", "f8", (n_max,)),
-                ("dual", "f8", (m_max,)),
+                *floats(hessian=n_max * n_max, gradient=n_max, rows=m_max * n_max, upper=m_max, lower=m_max),
+                *floats(x=n_max, dual=m_max),
                 ("problem", "i4", (20,)),
                 ("result", "i4", (32,)),
                 ("settings", "u1", (_SETTINGS_BYTES,)),

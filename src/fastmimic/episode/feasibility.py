@@ -5,7 +5,7 @@ to the demand within the friction of the ground. `describe_fall` looks at an epi
 compares both with the robot's limits.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -65,10 +65,6 @@ class Demands:
     slide_m: float
     body_clearance_m: float
 
-    def as_dict(self) -> dict[str, float]:
-        """Plain JSON types."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class Fall:
@@ -86,10 +82,6 @@ class Fall:
     how: str
     saturated: float
     slip_m: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain JSON types."""
-        return {**asdict(self), "touched": list(self.touched)}
 
 
 @dataclass(frozen=True)

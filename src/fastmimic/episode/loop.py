@@ -157,12 +157,14 @@ class ClosedLoop:
             summarised(after.since(before), b - a, rate_hz)
             for (a, b), (before, after) in zip(pairwise(cuts), pairwise(counted), strict=True)
         )
-        estimation = self.observer.errors() if self.observer is not None else None
-        course = recorder.log() if recorder is not None else None
-        found = summarised(scorer.counted(), steps, rate_hz, course, parts, estimation)
-        if self._animal_scorer is None:
-            return found
-        return dataclasses.replace(found, reward_animal=self._animal_scorer.tallies["reward_sum"] / steps)
+        found, animal = summarised(scorer.counted(), steps, rate_hz), self._animal_scorer
+        return dataclasses.replace(
+            found,
+            log=recorder.log() if recorder is not None else None,
+            parts=parts,
+            estimation=self.observer.errors() if self.observer is not None else None,
+            reward_animal=found.reward_animal if animal is None else animal.tallies["reward_sum"] / steps,
+        )
 
     def place(self, start: Start, references: Sequence[Motion] | NDArray[Any] | None = None) -> None:
         """Begins n episodes: puts the robots where the demonstration is; arguments and errors as for `run`."""

@@ -94,14 +94,7 @@ class Rollout:
         return {name: float(value) for name, value in zip(REWARD_TERMS, self.terms[episode], strict=True)}
 
 
-def summarised(
-    counted: Counted,
-    steps: int,
-    rate_hz: float,
-    log: Log | None = None,
-    parts: tuple[Rollout, ...] = (),
-    estimation: EstimationErrors | None = None,
-) -> Rollout:
+def summarised(counted: Counted, steps: int, rate_hz: float) -> Rollout:
     """The results of n episodes, or of a part of them; `steps` counts each episode's control steps, falls or not."""
     t = counted.tallies
     lived = np.maximum(t["steps"], 1)
@@ -121,9 +114,6 @@ def summarised(
         early_contacts=t["early_touchdowns"] / (lived / rate_hz),
         foot_rmse=np.sqrt(t["foot_error_sq"] / lived[:, None, None]),
         qp_failures=t["qp_failures"].copy(),
-        log=log,
-        parts=parts,
-        estimation=estimation,
     )
 
 

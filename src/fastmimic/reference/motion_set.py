@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final, TypeVar
 
 from numpy.typing import NDArray
@@ -162,18 +163,16 @@ def in_place(robot: Robot) -> Motion:
     return motion
 
 
-_ROBOTS: dict[str, Robot] = {}
+_robot_of = cache(load_robot)
 
 
 def warm_up(source: str) -> None:
     """Reads a robot, by name or file, once for the process."""
-    if source not in _ROBOTS:
-        _ROBOTS[source] = load_robot(source)
+    _robot_of(source)
 
 
 def _made_there(source: str, make: Callable[..., _Result], *given: Any) -> _Result:
-    warm_up(source)
-    return make(_ROBOTS[source], *given)
+    return make(_robot_of(source), *given)
 
 
 def _broke(future: Future[Any]) -> bool:

@@ -241,17 +241,6 @@ def _measure(
         e.tick += 1
 
 
-@kernel
-def _shift(errors: Any, commands: Any, outs: Any) -> None:
-    for i in range(commands.shape[0]):
-        outs[i].joint_vel = commands[i].joint_vel
-        outs[i].stiffness = commands[i].stiffness
-        outs[i].damping = commands[i].damping
-        outs[i].torque = commands[i].torque
-        for j in range(12):
-            outs[i].joint_pos[j] = commands[i].joint_pos[j] - errors[i].joint_offset[j]
-
-
 class Sensors:
     """The sensors of n robots. A robot's noise depends on its own generator alone."""
 
@@ -310,5 +299,6 @@ class Sensors:
     def to_motors(self, commands: NDArray[Any]) -> NDArray[Any]:
         """Commands (n,) of `COMMAND` as motors with encoder offsets take them: they close their position loops on what
         they measure. Overwritten by the next call."""
-        _shift(self._errors, commands, self._command)
+        self._command[...] = commands
+        self._command["joint_pos"] -= self._errors["joint_offset"]
         return self._command

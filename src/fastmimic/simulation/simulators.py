@@ -121,16 +121,11 @@ FIRST_SIMULATOR, SECOND_SIMULATOR = list(SIMULATORS)[:2]
 """Where motions are optimised, and where the results are tested again."""
 
 
-def check_simulator(robot: Robot, simulator: str) -> None:
-    """Raises `ConfigError` if the simulator is unknown, not installed, or does not know the robot."""
-    SIMULATORS[simulator].check(robot)
-
-
 def make_simulation(
     robot: Robot, n: int, conditions: "Conditions", *, control_rate_hz: float, threads: int = 1
 ) -> Simulation:
     """n robots in the simulator of the conditions (only `simulator`, `disturbances` and `seed` count). `threads` is an
-    upper bound; PyBullet has one. Raises `ConfigError` as `check_simulator`, for a disturbance that is not realised, or
+    upper bound; PyBullet has one. Raises `ConfigError` as `Simulator.check`, for a disturbance that is not realised, or
     for rates that do not fit."""
     return SIMULATORS[conditions.simulator].make(robot, n, conditions, control_rate_hz, threads)
 
