@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from fastmimic.primitive.regression import product, solve_positive_definite
+from fastmimic.primitive.rhythmic import product, solve_positive_definite
 
 
 @pytest.mark.nojit

@@ -25,8 +25,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
 from fastmimic.base.jit import kernel
-from fastmimic.primitive.regression import checked_samples, least_squares, product
-from fastmimic.primitive.rhythmic import ALPHA, N_BASIS, RIDGE
+from fastmimic.primitive.rhythmic import ALPHA, N_BASIS, RIDGE, checked_samples, least_squares, product
 
 MAX_S: Final = 30.0  # longest motion; memory and time of the fit grow with its square
 MAX_TAU_S: Final = 1.0

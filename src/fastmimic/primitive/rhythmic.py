@@ -7,6 +7,9 @@ With τ = T/2π and the phase φ̇ = 1/τ,
 
 Over the phase this is a linear filter with a periodic input, y″ + α y′ + αβ y = αβ g + a f(φ). Its limit cycle is y = g
 + a s(φ) with a fixed shape s: harmonic k of s is harmonic k of f times 1 / (αβ − k² + iαk). Nothing is integrated.
+
+Both primitives are fitted with sums in a fixed order. BLAS and LAPACK choose it by the number of threads, which would
+change the last bits of a fit, the results of a seed, and the match between a run and its checkpoint.
 """
 
 from dataclasses import dataclass
@@ -17,8 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.primitive.regression import checked_samples, least_squares, product
+from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.base.jit import kernel
 
+LEAST_SAMPLES: Final = 4
 N_BASIS: Final = 100
 ALPHA: Final = 25.0  # as in Ijspeert et al. 2013; critically damped with β = α/4
 RIDGE: Final = 1e-8  # weight of the regularisation: keeps w/αβ at the motion's size without loss of accuracy
@@ -217,3 +222,72 @@ def _equidistributed(density: Array, n_basis: int) -> Array:
     step = 0.5 * (density + np.roll(density, -1))
     cumulative = np.concatenate([[0.0], np.cumsum(step)])
     return np.interp(np.arange(n_basis) / n_basis * cumulative[-1], cumulative, 2 * np.pi * np.arange(t + 1) / t)
+
+
+def checked_samples(samples: NDArray[np.float64], what: str, **settings: float) -> NDArray[np.float64]:
+    """A copy of the samples (t, d); `what` names them in messages. Raises `MotionError` for fewer than 4 samples or a
+    value that is not finite, and `ConfigError` for a setting that is not positive."""
+    for name, value in settings.items():
+        if not (np.isfinite(value) and value > 0):
+            raise ConfigError(f"{name} must be positive, found {value}")
+    y = np.array(samples, dtype=np.float64)
+    if y.ndim != 2 or len(y) < LEAST_SAMPLES:
+        raise MotionError(f"a DMP of {what} needs at least {LEAST_SAMPLES} samples, found shape {y.shape}")
+    if not np.all(np.isfinite(y)):
+        raise MotionError(f"sample {int(np.argwhere(~np.isfinite(y))[0][0])} of {what} is not finite")
+    return y
+
+
+def least_squares(response: Array, wanted: Array, ridge: float, gain: float) -> Array:
+    """Weights (n, d) of n functions with `response` (t, n) nearest to `wanted` (t, d); `gain` is that of the spring."""
+    t, n = response.shape
+    normal = product(response.T, response) / t + ridge / (n * gain**2) * np.eye(n)
+    return solve_positive_definite(normal, product(response.T, wanted) / t)
+
+
+def product(a: Array, b: Array) -> Array:
+    """a @ b for (..., k) and (k, m)."""
+    rows = np.ascontiguousarray(a, dtype=np.float64).reshape(-1, a.shape[-1])
+    out = np.zeros((len(rows), b.shape[1]))
+    _product(rows, np.ascontiguousarray(b, dtype=np.float64), out)
+    return out.reshape(*a.shape[:-1], b.shape[1])
+
+
+def solve_positive_definite(a: Array, b: Array) -> Array:
+    """Solves a x = b for a symmetric positive definite a (n, n) and b (n, m) by Cholesky's method."""
+    factor, x = np.array(a, dtype=np.float64, order="C"), np.array(b, dtype=np.float64, order="C")
+    _solve(factor, x)
+    return x
+
+
+@kernel
+def _product(a: Array, b: Array, out: Array) -> None:
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            value = a[i, k]
+            for j in range(b.shape[1]):
+                out[i, j] += value * b[k, j]
+
+
+@kernel
+def _solve(a: Array, x: Array) -> None:
+    """Overwrites the lower triangle of `a` with its factor, and `x` with the solution."""
+    n, m = x.shape
+    for i in range(n):
+        for j in range(i + 1):
+            total = a[i, j]
+            for k in range(j):
+                total -= a[i, k] * a[j, k]
+            a[i, j] = np.sqrt(total) if i == j else total / a[j, j]
+    for i in range(n):
+        for j in range(m):
+            total = x[i, j]
+            for k in range(i):
+                total -= a[i, k] * x[k, j]
+            x[i, j] = total / a[i, i]
+    for i in range(n - 1, -1, -1):
+        for j in range(m):
+            total = x[i, j]
+            for k in range(i + 1, n):
+                total -= a[k, i] * x[k, j]
+            x[i, j] = total / a[i, i]
