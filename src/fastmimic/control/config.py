@@ -86,10 +86,7 @@ def _rules(config: ControllerConfig) -> tuple[tuple[bool, str], ...]:
     gait, stance, horizon, recovery = config.gait, config.stance, config.horizon, config.recovery
     rate_hz, used, ratio = config.rate_hz, stance.forces == "horizon", config.rate_hz / horizon.solve_rate_hz
     return (
-        (
-            gait.release_threshold <= gait.contact_threshold,
-            "gait.release_threshold must be in [0, contact_threshold]",
-        ),
+        (gait.release_threshold <= gait.contact_threshold, "gait.release_threshold must be in [0, contact_threshold]"),
         (stance.min_force < stance.max_force, "stance.min_force must be in [0, max_force)"),
         (
             not used or horizon.step_s * rate_hz >= 1 - 1e-9,
@@ -127,11 +124,7 @@ def paper_config() -> ControllerConfig:
             leg_dynamics=False,
         ),
         swing=SwingConfig(
-            velocity_feedback=(0.03, 0.03),
-            position_feedback=0.0,
-            leg_dynamics=False,
-            level=0.0,
-            liftoff_blend_time=0.0,
+            velocity_feedback=(0.03, 0.03), position_feedback=0.0, leg_dynamics=False, level=0.0, liftoff_blend_time=0.0
         ),
     )
 

@@ -173,10 +173,7 @@ class SwingConfig:
         " (0, as in the paper)",
     )
     liftoff_blend_time: float = parameter(
-        0.03,
-        unit="s",
-        key="blend_time",
-        about="time over which the foot's offset from the reference at lift-off fades",
+        0.03, unit="s", key="blend_time", about="time over which the foot's offset from the reference at lift-off fades"
     )
     foothold: Literal["reference", "raibert"] = parameter(
         "reference",
@@ -227,10 +224,7 @@ class RecoveryConfig:
         about="time constant with which the reference's x and y move to the robot's meanwhile; 0 for at once",
     )
     phase_rate: float = parameter(
-        1.0,
-        high=2.0,
-        key="recovery_rate",
-        about="rate of the reference's clock meanwhile: 1 continues, 0 waits",
+        1.0, high=2.0, key="recovery_rate", about="rate of the reference's clock meanwhile: 1 continues, 0 waits"
     )
     catch_up: float = parameter(
         0.1,

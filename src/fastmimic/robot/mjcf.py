@@ -304,9 +304,7 @@ def _composite(model: "mujoco.MjModel", body: int) -> tuple[float, Array, Array]
         for child in range(b + 1, model.nbody):
             if model.body_parentid[child] == b and not model.body_jntnum[child]:
                 collect(
-                    child,
-                    pos + quat_rotate(quat, model.body_pos[child]),
-                    quat_multiply(quat, model.body_quat[child]),
+                    child, pos + quat_rotate(quat, model.body_pos[child]), quat_multiply(quat, model.body_quat[child])
                 )
 
     collect(body, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))

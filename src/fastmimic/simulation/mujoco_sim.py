@@ -53,11 +53,7 @@ def build_model(
             geom.condim, geom.margin, geom.gap = SLIDING, 0.0, 0.0
             geom.solref, geom.solimp = plain.solref, plain.solimp
     spec.worldbody.add_geom(
-        name=FLOOR,
-        friction=[GROUND_FRICTION, 0.005, 0.0001],
-        contype=1,
-        conaffinity=0,
-        **_floor_shape(spec, ground),
+        name=FLOOR, friction=[GROUND_FRICTION, 0.005, 0.0001], contype=1, conaffinity=0, **_floor_shape(spec, ground)
     )
     for joint, limit in zip(robot.joint_names, robot.torque_limit, strict=True):
         actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)

@@ -13,16 +13,7 @@ from fastmimic.clips.formats.format import FORMATS, ROBOT_MOTION, Content, Forma
 from fastmimic.clips.formats.points import read_point_map
 from fastmimic.clips.formats.text_table import check_positive, check_rate
 
-__all__ = [
-    "FORMATS",
-    "Content",
-    "Format",
-    "ReadOptions",
-    "detect_format",
-    "read_clip",
-    "suffixes",
-    "with_scale",
-]
+__all__ = ["FORMATS", "Content", "Format", "ReadOptions", "detect_format", "read_clip", "suffixes", "with_scale"]
 
 _KEYPOINTS = (keypoints.FORMAT, keypoints.NAMED_FORMAT)
 for _format in (ROBOT_MOTION, csv_motion.FORMAT, *_KEYPOINTS, bvh.FORMAT, deepmimic.FORMAT):

@@ -32,12 +32,7 @@ JOINT_SPELLINGS: Final = (
 )
 """A file uses one row: FR_hip is the abduction next to FR_thigh, and the hip next to FR_abduction."""
 
-_LEG_SPELLINGS: Final = {
-    "FR": ("fr", "rf"),
-    "FL": ("fl", "lf"),
-    "RR": ("rr", "rh", "hr"),
-    "RL": ("rl", "lh", "hl"),
-}
+_LEG_SPELLINGS: Final = {"FR": ("fr", "rf"), "FL": ("fl", "lf"), "RR": ("rr", "rh", "hr"), "RL": ("rl", "lh", "hl")}
 _TIME_NAMES: Final = ("time", "t", "time_s", "timestamp", "seconds")
 _MAX_ANGLE: Final = 2 * np.pi
 _MIN_UPRIGHT: Final = 0.5
