@@ -4,6 +4,7 @@ speed, turning and footfall form a segment; `footfall_of` names its gait."""
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Final
 
@@ -167,6 +168,12 @@ class _Take:
     heading: Array
     trunk: Array
     rate_hz: float
+    config: SegmentConfig
+
+    @cached_property
+    def repetition(self) -> tuple[NDArray[np.int64], Array]:
+        """The lags, and d' (`aperiodicity_of`)."""
+        return aperiodicity_of(self.toes, self.rate_hz, self.config)
 
 
 def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segment]:
@@ -183,43 +190,40 @@ def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segme
         )
     if config.shortest_s * clip.rate_hz < 6:
         raise ClipError(f"{clip.rate_hz:g} frames a second are too few for cycles of {config.shortest_s:g} s")
-    take = _take(clip)
-    lags, aperiodicity = aperiodicity_of(take.toes, clip.rate_hz, config)
-    period = cheapest_track(lags, aperiodicity, config)
-    period[_still(take, config)] = 0
-    segments = _periodic(take, period, lags, aperiodicity, config)
-    return _with_the_rest(take, segments, aperiodicity, config)
+    take = _take(clip, config)
+    period = cheapest_track(*take.repetition, config)
+    period[_still(take)] = 0
+    return _with_the_rest(take, _periodic(take, period))
 
 
 def as_one_cycle(clip: Clip, config: SegmentConfig | None = None) -> Segment:
     """A clip as one cycle: its gait, speed and turning, and how well it closes."""
-    config = config if config is not None else SegmentConfig()
-    take = _take(clip)
+    take = _take(clip, config if config is not None else SegmentConfig())
     n = len(take.heading)
     piece = _piece(take, 0, n, float(n))
     x = take.toes.reshape(n, -1)
     gap = float(np.sum((2 * x[-1] - x[-2] - x[0]) ** 2) / max(2 * x.var(axis=0).sum(), 1e-12))
-    return _named(take, piece, float(n), (0, n), min(max(1.0 - gap, 0.0), 1.0), config)
+    return _named(take, piece, float(n), (0, n), min(max(1.0 - gap, 0.0), 1.0))
 
 
-def _take(clip: Clip) -> _Take:
+def _take(clip: Clip, config: SegmentConfig) -> _Take:
     neck, pelvis = clip.point("neck"), clip.point("pelvis")
     ahead = (neck - pelvis)[:, :2]
     heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
     c, s = np.cos(heading)[:, None], np.sin(heading)[:, None]
     x, y, z = np.moveaxis(clip.toes_w - clip.hips_w, -1, 0)
     toes = np.stack([c * x + s * y, c * y - s * x, z], axis=-1)
-    return _Take(toes, heading, ((neck + pelvis) / 2)[:, :2], clip.rate_hz)
+    return _Take(toes, heading, ((neck + pelvis) / 2)[:, :2], clip.rate_hz, config)
 
 
-def _still(take: _Take, config: SegmentConfig) -> NDArray[np.bool_]:
+def _still(take: _Take) -> NDArray[np.bool_]:
     """Whether nothing moves (t,) for half a second around a frame."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
     window = 2 * round(0.25 * take.rate_hz) + 1
     moving = np.concatenate([take.toes.reshape(len(take.toes), -1), take.trunk], axis=1)
     extent = maximum_filter1d(moving, window, axis=0) - minimum_filter1d(moving, window, axis=0)
-    return np.asarray(extent.max(axis=1) < config.still_m)
+    return np.asarray(extent.max(axis=1) < take.config.still_m)
 
 
 @dataclass(eq=False)
@@ -246,9 +250,7 @@ class _Piece:
         )
 
 
-def _periodic(
-    take: _Take, period: NDArray[np.int64], lags: NDArray[np.int64], aperiodicity: Array, config: SegmentConfig
-) -> list[Segment]:
+def _periodic(take: _Take, period: NDArray[np.int64]) -> list[Segment]:
     """The segments that repeat."""
     runs = stretches(period > 0)
     found = []
@@ -260,8 +262,8 @@ def _periodic(
         last = min(after, end + int(period[end - 1]) // 2)
         track = np.interp(np.arange(first, last), np.arange(start, end), period[start:end].astype(float))
         if last - first >= 1.5 * track.mean():
-            pieces = _merged(_cycles(take, first, track), config)
-            found += [_segment(take, piece, period, lags, aperiodicity, config) for piece in pieces]
+            pieces = _merged(_cycles(take, first, track), take.config)
+            found += [_segment(take, piece, period) for piece in pieces]
     return found
 
 
@@ -313,29 +315,20 @@ def _joined(a: _Piece, b: _Piece) -> _Piece:
     )
 
 
-def _segment(
-    take: _Take,
-    piece: _Piece,
-    track: NDArray[np.int64],
-    lags: NDArray[np.int64],
-    aperiodicity: Array,
-    config: SegmentConfig,
-) -> Segment:
-    start, end = piece.start, piece.end
+def _segment(take: _Take, piece: _Piece, track: NDArray[np.int64]) -> Segment:
+    (lags, aperiodicity), start, end = take.repetition, piece.start, piece.end
     tracked = track[start:end]
     frames = start + np.flatnonzero(tracked > 0)
     found = np.median(track[frames]) if len(frames) else piece.period
     doubt = aperiodicity[frames, track[frames] - lags[0]] if len(frames) else np.ones(1)
     confidence = float(np.clip(1.0 - np.nanmean(doubt), 0.0, 1.0))
-    return _named(take, piece, float(found), _best_cycle(take, start, end, round(found)), confidence, config)
+    return _named(take, piece, float(found), _best_cycle(take, start, end, round(found)), confidence)
 
 
-def _named(
-    take: _Take, piece: _Piece, period: float, cycle: tuple[int, int], confidence: float, config: SegmentConfig
-) -> Segment:
+def _named(take: _Take, piece: _Piece, period: float, cycle: tuple[int, int], confidence: float) -> Segment:
     speed, yaw_rate = _motion(take, piece.start, piece.end)
     footfall = footfall_of(np.angle(piece.legs) / (2 * math.pi))
-    turns = abs(yaw_rate) * period / take.rate_hz > config.turn_rad
+    turns = abs(yaw_rate) * period / take.rate_hz > take.config.turn_rad
     gait = TURN if turns else footfall
     return Segment(piece.start, piece.end, gait, footfall, period, cycle, confidence, speed, yaw_rate)
 
@@ -363,13 +356,13 @@ def _best_cycle(take: _Take, start: int, end: int, period: int) -> tuple[int, in
     return first, first + period
 
 
-def _with_the_rest(take: _Take, segments: list[Segment], aperiodicity: Array, config: SegmentConfig) -> list[Segment]:
+def _with_the_rest(take: _Take, segments: list[Segment]) -> list[Segment]:
     """Adds standing and movement that does not repeat between the segments."""
-    n = len(take.heading)
-    free = np.ones(n, dtype=bool)
+    config, (_, aperiodicity) = take.config, take.repetition
+    free = np.ones(len(take.heading), dtype=bool)
     for segment in segments:
         free[segment.start : segment.end] = False
-    still = _still(take, config)
+    still = _still(take)
     least = np.nanmin(np.where(np.isfinite(aperiodicity), aperiodicity, np.inf), axis=1)
     found = list(segments)
     for kind, mask, shortest in ((STAND, free & still, config.stand_s), (DISCRETE, free & ~still, config.discrete_s)):

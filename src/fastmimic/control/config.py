@@ -161,17 +161,13 @@ def read_config(path: str | Path) -> ControllerConfig:
     return config
 
 
+_PACKED: Final = (ControllerConfig, GaitConfig, StanceConfig, HorizonConfig, SwingConfig, RecoveryConfig)
 _RECORD: Final = record_dtype(
     [
         ("dt", "f8"),
         ("horizon_interval", "i8"),
         ("recovery_resync", "f8"),
-        *record_fields(ControllerConfig),
-        *record_fields(GaitConfig),
-        *record_fields(StanceConfig),
-        *record_fields(HorizonConfig),
-        *record_fields(SwingConfig),
-        *record_fields(RecoveryConfig),
+        *(field for part in _PACKED for field in record_fields(part)),
     ]
 )
 

@@ -18,7 +18,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.registry import Registry
 from fastmimic.base.rotations import rotate_planar
-from fastmimic.base.vectors import quat_to_matrix
+from fastmimic.base.vectors import quat_to_matrix, turn_rows
 from fastmimic.control.config import ControllerConfig
 from fastmimic.reference.table import world_root
 from fastmimic.robot import Robot
@@ -104,11 +104,6 @@ TALLY: Final = record_dtype(
 )  # running sums of one robot's episode
 
 
-@inlined
-def _gaussian(scale: float, squared: float) -> float:
-    return np.exp(-scale * squared)
-
-
 class ScoringContext(NamedTuple):
     """Inputs of the scoring besides the robots' states.
 
@@ -148,9 +143,7 @@ def _score_robot(context: ScoringContext, ref: Any, clock: Any, obs: Any, tally:
     quat_to_matrix(obs.root_quat, rotation)
     quat_to_matrix(ref.root_quat, reference)
     c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
-    for j in range(3):
-        r0, r1 = reference[0, j], reference[1, j]
-        reference[0, j], reference[1, j] = c * r0 - s * r1, s * r0 + c * r1
+    turn_rows(c, s, reference)
 
     pose = velocity = 0.0
     for j in range(12):
@@ -183,9 +176,9 @@ def _score_robot(context: ScoringContext, ref: Any, clock: Any, obs: Any, tally:
         tally.fallen = 1
         return
     feet = _score_feet(context, ref, obs, tally, rotation, reference)
-    tally.reward[0] = _gaussian(5.0, pose)
-    tally.reward[1] = _gaussian(0.1, velocity)
-    tally.reward[2] = _gaussian(40.0, feet)
+    tally.reward[0] = np.exp(-5.0 * pose)
+    tally.reward[1] = np.exp(-0.1 * velocity)
+    tally.reward[2] = np.exp(-40.0 * feet)
     tally.reward[3] = np.exp(-20.0 * distance_sq - 10.0 * angle * angle)
     tally.reward[4] = np.exp(-2.0 * linear_sq - angular_sq)
     for k in range(N_TERMS):

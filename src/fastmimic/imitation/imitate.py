@@ -18,7 +18,7 @@ from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.metrics import Metrics, swing_clearance
 from fastmimic.episode.plan import nominal_start
 from fastmimic.episode.rollout import Rollout
-from fastmimic.imitation.methods import Method, check_controller, made_with, method_named
+from fastmimic.imitation.methods import check_controller, made_with, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, History, Progress, optimize
 from fastmimic.optimize.parameters import FinalChoice, Parameter, moved_by
@@ -194,7 +194,11 @@ def imitate(
     over = randomization(randomize)
     if over is not None and not chosen.optimises:
         raise ConfigError(f"randomisation is of a search, and method '{method}' has none; leave it out")
-    moved = _warm(warm_start, chosen)
+    moved = None
+    if warm_start is not None:
+        if not chosen.optimises:
+            raise ConfigError(f"a warm start is of a search, and method '{method}' has none; leave it out")
+        moved = moved_by(warm_start if isinstance(warm_start, Motion) else Motion.load(warm_start))
     began = time.perf_counter()
     given = load_motion(source, robot, **overrides)
     demonstration = given.target
@@ -247,14 +251,6 @@ def imitate(
         interrupted=optimum.interrupted,
         held_out=held_out,
     )
-
-
-def _warm(given: str | Path | Motion | None, method: Method) -> dict[str, float] | None:
-    if given is None:
-        return None
-    if not method.optimises:
-        raise ConfigError(f"a warm start is of a search, and method '{method.name}' has none; leave it out")
-    return moved_by(given if isinstance(given, Motion) else Motion.load(given))
 
 
 def _held_out(

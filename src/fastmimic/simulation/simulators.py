@@ -49,9 +49,6 @@ class Simulation(Protocol):
     def reset(self, *state: Array) -> None:
         """Puts the robots into given states, the arrays of `Placement`."""
 
-    def observe(self) -> NDArray[Any]:
-        """The present states, (n,) of `OBSERVATION`."""
-
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
         """Applies commands (n,) of `COMMAND` for one control step; returns the new observation."""
 

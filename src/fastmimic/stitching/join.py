@@ -58,27 +58,23 @@ def stitch_motions(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int
     height = float(np.mean([m.root_pos_w[:, 2].mean() for m in motions]))
     reach = Reach.of_robot(robot, height, config.reach_margin_rad)
 
-    shifts, switches, starts = [0], [], []
-    for i, (a, b) in enumerate(pairwise(own)):
-        switch = best_switch(a, b, counts[i] * a.n, rate, reach, config.swing.linger_s)
-        starts.append(shifts[-1] + switch.out)
-        shifts.append(starts[-1] - switch.into)
-        switches.append(switch)
-    n = shifts[-1] + counts[-1] * own[-1].n
-    layout = _layout(motions, index, counts, shifts, starts, switches, n)
+    ends = [count * cycle.n for count, cycle in zip(counts, own, strict=True)]
+    neighbours = zip(pairwise(own), ends[:-1], strict=True)
+    switches = [best_switch(a, b, end, rate, reach, config.swing.linger_s) for (a, b), end in neighbours]
+    layout = _layout(motions, index, counts, switches)
 
     track, raw_w, contact = _laid_end_to_end(parts, layout)
     arrays = _samples(parts, layout, track)
     transitions = []
     for i in range(1, len(motions)):
-        neighbours = own[i - 1], own[i]
-        transition = make_transition(robot, layout, i, track, raw_w, contact, neighbours, rate, reach, config)
+        both = own[i - 1], own[i]
+        transition = make_transition(robot, layout, i, track, raw_w, contact, both, rate, reach, config)
         transitions.append(transition)
         for name, values in transition.arrays.items():
             arrays[name][transition.span.start : transition.span.end] = values
     arrays["root_quat_wxyz"] = quat_continuous(arrays["root_quat_wxyz"])
     rebuilt = (replace(s, rebuilt=t.span) for s, t in zip(layout.segments[1:], transitions, strict=True))
-    layout = Layout((layout.segments[0], *rebuilt), n)
+    layout = Layout((layout.segments[0], *rebuilt), layout.n)
     _check_room(layout)
     licences = sorted({m.provenance.licence for m in motions if m.provenance.licence})
     assumed = dict.fromkeys(a for m in motions for a in m.provenance.assumed)
@@ -123,15 +119,12 @@ def _check(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int] | None
     return counts
 
 
-def _layout(
-    motions: Sequence[Motion],
-    index: Sequence[int],
-    counts: Sequence[int],
-    shifts: Sequence[int],
-    starts: Sequence[int],
-    switches: Sequence[Switch],
-    n: int,
-) -> Layout:
+def _layout(motions: Sequence[Motion], index: list[int], counts: list[int], switches: list[Switch]) -> Layout:
+    shifts, starts = [0], []
+    for switch in switches:
+        starts.append(shifts[-1] + switch.out)
+        shifts.append(starts[-1] - switch.into)
+    n = shifts[-1] + counts[-1] * motions[-1].n_samples
     bounds = [0, *starts, n]
     segments = []
     for i, motion in enumerate(motions):
