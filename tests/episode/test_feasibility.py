@@ -115,7 +115,7 @@ def test_twice_as_fast_asks_for_twice_the_joint_speed(robot: Robot) -> None:
     slow, quick = demands(robot, motion), demands(robot, fast)
     assert quick.joint_speed == pytest.approx(2 * slow.joint_speed)
     assert quick.lacking_angular > slow.lacking_angular
-    json.dumps(slow.as_dict())
+    json.dumps(asdict(slow))
 
 
 def test_a_fall_says_when_and_how(robot: Robot, pushed: Rollout) -> None:

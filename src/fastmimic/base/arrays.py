@@ -1,4 +1,4 @@
-"""The array type of the package, stretches of True, and fingerprints of content."""
+"""The array types of the package, stretches of True, and fingerprints of content."""
 
 import hashlib
 from typing import Any
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Records = NDArray[Any]  # of a type with fields, such as those of `fastmimic.robot.state`
 
 
 def stretches(on: NDArray[np.bool_]) -> list[tuple[int, int]]:

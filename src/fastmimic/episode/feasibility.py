@@ -86,12 +86,8 @@ class Fall:
 
 @dataclass(frozen=True)
 class Reason:
-    """An exceeded limit.
-
-    Attributes:
-        kind: 'reach', 'joint speed', 'torque', 'friction', 'flight', 'support' or 'feedback'.
-        text: the finding, with figures.
-    """
+    """An exceeded limit: its `kind`, 'reach', 'joint speed', 'torque', 'friction', 'flight', 'support' or 'feedback',
+    and the finding in a `text` with figures."""
 
     kind: str
     text: str

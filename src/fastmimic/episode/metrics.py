@@ -20,13 +20,11 @@ class Metrics:
     """Figures over the episodes of a rollout; NaN where there is no value (no swing).
 
     Attributes:
-        duration_s: length of each episode.
         reward_mean, reward_std, reward_worst: over the episodes; steps after a fall count 0.
         components: mean of each term of the reward, by name.
         fell: share of the episodes that ended in a fall, in [0, 1].
         drift_m_per_s: speed that the synchronisation of the reference hides.
         swing_clearance_m: (4,) mean greatest height of each foot in its swings.
-        early_contacts_per_s: early touch-downs.
         stance_slip_m: mean path that a loaded foot slides in a stance.
         foot_x_rmse_m, foot_z_rmse_m: against the demonstration, body frame.
         qp_failures: steps in which the stance QP failed, in all episodes.

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.jit import floats, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.estimation.estimator import Estimator
@@ -77,44 +77,30 @@ class Observer:
         self._seed = conditions.seed
         self._errors = np.zeros(n, _ERRORS)
         self._work = np.zeros((2, 3, 3))
-        self._motors: NDArray[Any] | None = None
+        self._motors: Records | None = None
         self.clocks = np.zeros(0)
 
     def reset(
-        self,
-        truth: NDArray[Any],
-        starts: NDArray[Any],
-        planned: NDArray[np.int64],
-        episodes: NDArray[np.int64],
-        clocks: NDArray[Any],
-    ) -> NDArray[Any]:
-        """Begins n episodes; returns the controller's first observation, (n,) of `OBSERVATION`.
-
-        Args:
-            truth: (n,) of `OBSERVATION`, what the sensors measure.
-            starts: (n,) of `START`, the robots' known starts.
-            planned: (n, 4) whether each leg should stand.
-            episodes: (n,) numbers of the episodes' random streams.
-            clocks: (n,) of `CLOCK`, the initial state of the controller's own.
-        """
+        self, truth: Records, starts: Records, planned: NDArray[np.int64], episodes: NDArray[np.int64], clocks: Records
+    ) -> Records:
+        """Begins n episodes; returns the controller's first observation, (n,) of `OBSERVATION`, as is `truth`, which
+        the sensors measure. `starts` (n,) of `START` are the robots' known starts; `planned` (n, 4) says whether each
+        leg should stand; `episodes` (n,) are the numbers of the episodes' random streams, and `clocks` (n,) of `CLOCK`
+        the initial state of the controller's own."""
         self.clocks = clocks.copy()
         self._errors[...] = np.zeros((), _ERRORS)
         self._errors["last"] = truth["root_pos"][:, :2]
         generators = [episode_generator(self._seed, int(e), _SENSORS) for e in episodes]
         return self.estimator.reset(self.sensors.reset(generators, truth), starts, planned)
 
-    def to_motors(self, commands: NDArray[Any]) -> NDArray[Any]:
+    def to_motors(self, commands: Records) -> Records:
         """The controller's commands (n,) of `COMMAND` as the motors take them."""
         self._motors = self.sensors.to_motors(commands)
         return self._motors
 
     def look(
-        self,
-        truth: NDArray[Any],
-        planned: NDArray[np.int64],
-        tables: NDArray[Any],
-        recovery: NDArray[Any] | None = None,
-    ) -> NDArray[Any]:
+        self, truth: Records, planned: NDArray[np.int64], tables: Records, recovery: Records | None = None
+    ) -> Records:
         """The observation after a control step, with the controller's clocks advanced; arguments as for `reset`.
         `recovery` is the packed configuration of a controller with push recovery."""
         assert self._motors is not None
@@ -125,7 +111,7 @@ class Observer:
             advance_recovering(recovery, self.clocks, tables, told)
         return told
 
-    def compare(self, truth: NDArray[Any], tallies: NDArray[Any]) -> None:
+    def compare(self, truth: Records, tallies: Records) -> None:
         """Adds the present errors of the robots that have not fallen by their `TALLY`."""
         _compare(truth, self.estimator.observation, tallies, self._errors, self._work)
 

@@ -245,12 +245,7 @@ def _count_foot(
 
 
 class Counted(NamedTuple):
-    """Counters of n episodes so far.
-
-    Attributes:
-        tallies: (n,) of `TALLY`.
-        own: (n, k) sums of the user's terms.
-    """
+    """Counters of n episodes so far, (n,) of `TALLY`, and the sums (n, k) of the user's `own` terms."""
 
     tallies: NDArray[Any]
     own: Array
@@ -264,12 +259,7 @@ class Counted(NamedTuple):
 
 
 class Scorer:
-    """The reward, the falls and the counters of n robots. One thread at a time.
-
-    Attributes:
-        tallies: (n,) of `TALLY`.
-        context: inputs of the kernel besides the robots' states.
-    """
+    """The reward, the falls and the counters (`tallies`, (n,) of `TALLY`) of n robots. One thread at a time."""
 
     def __init__(self, robot: Robot, table: NDArray[Any], n: int, config: ControllerConfig, rate_hz: float) -> None:
         """`table` (t,) of `SAMPLE` is the demonstration; `config` gives the load above which a foot has touched

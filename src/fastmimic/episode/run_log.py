@@ -25,7 +25,6 @@ class RunLog:
     """One run over t control steps, as the robot's computer saw it. There is no field for the truth.
 
     Attributes:
-        robot, motion: names.
         rate_hz: control steps a second.
         latency_s: age of the readings of IMU and joints on arrival.
         reading: (t,) of `READING`, the latest at the end of each step.

@@ -206,12 +206,8 @@ def check_controller(method: Method, given: bool) -> None:
 def made_with(
     motion: Motion, method: str, config: ControllerConfig, randomization: Randomization | None = None
 ) -> Motion:
-    """The motion with its method and settings in its provenance.
-
-    Args:
-        motion: an optimised motion; a demonstration records no method.
-        config: with the method's changes. Only the name of its set is kept; None if it equals no set.
-    """
+    """An optimised motion (a demonstration records no method) with its method and settings in its provenance. Of
+    `config`, with the method's changes, only the name of its set is kept; None if it equals no set."""
     same = config.name in CONFIGS and method_named(method).configure(CONFIGS[config.name]()) == config
     over = None if randomization is None else randomization.as_dict()
     record = MadeWith(method, config.name if same else None, over)
@@ -221,17 +217,10 @@ def made_with(
 def controller_for(
     motion: Motion, method: str | None = None, config: ControllerConfig | str | None = None
 ) -> tuple[Method, ControllerConfig]:
-    """The method and controller parameters for running a motion.
-
-    Args:
-        method: one of `METHODS`; None for the motion's own, or mbc if it records none.
-        config: the controller's parameters, or the name of a set; None for the motion's own, or the default ones.
-
-    Returns:
-        The method, and the parameters with its changes.
-
-    Raises `ConfigError` for an unknown name, or a motion made with parameters of no set if none are given.
-    """
+    """The method for running a motion, and the controller's parameters with its changes. `method` is one of `METHODS`,
+    None for the motion's own, or mbc if it records none; `config` the parameters, or the name of a set, None for the
+    motion's own, or the default ones. Raises `ConfigError` for an unknown name, or a motion made with parameters of no
+    set if none are given."""
     record = motion.provenance.made_with or MadeWith("mbc", "default")
     config = record.config if config is None else config
     if config is None:

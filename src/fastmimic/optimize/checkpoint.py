@@ -20,13 +20,8 @@ _VERSION: Final = 1
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """The course of an optimisation so far.
-
-    Attributes:
-        identity: digest of the problem and the optimiser's settings.
-        candidates: (i, p, k) parameters, scaled to [0, 1] within their bounds.
-        scores: (i, p) greater is better.
-    """
+    """The course of an optimisation so far: `candidates` (i, p, k), scaled to [0, 1] within their bounds, with their
+    `scores` (i, p), greater is better. `identity` is a digest of the problem and the optimiser's settings."""
 
     identity: str
     candidates: Array

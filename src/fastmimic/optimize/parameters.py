@@ -21,13 +21,8 @@ _GOAL, _AMPLITUDE = "goal", "amplitude"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that the optimiser varies, in physical units.
-
-    Attributes:
-        name: such as `FR_foot_z.goal` or `FR_foot_z.amplitude`.
-        unit: "m", "rad" or "1".
-        initial: value of the unmodulated motion.
-    """
+    """One number that the optimiser varies, such as `FR_foot_z.goal` or `FR_foot_z.amplitude`, in its `unit`, "m",
+    "rad" or "1". `initial` is the value of the unmodulated motion."""
 
     name: str
     unit: str

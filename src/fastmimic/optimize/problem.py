@@ -218,7 +218,6 @@ class ImitationProblem(Problem):
             demonstration: the motion to compare with.
             dmp: fitted to it.
             group: one of `PARAMETER_GROUPS`.
-            workers: threads; None for one per core.
             moved: modulation at the start of the search (see `moved_by`); None for the unmodulated motion.
 
         Raises `ConfigError` for fewer than one worker, or no such group.

@@ -46,13 +46,8 @@ def usual_randomization() -> tuple[Range, ...]:
 
 @dataclass(frozen=True)
 class Randomization:
-    """The robots that score a candidate.
-
-    Attributes:
-        robots: number per candidate, the nominal robot included.
-        over: ranges of their differences; texts such as "friction" or "payload=0:3" are read as on the command line.
-        criterion: one of `CRITERIA`.
-    """
+    """The `robots` that score a candidate, the nominal one included, by a `criterion`, one of `CRITERIA`. `over` are
+    the ranges of their differences; texts such as "friction" or "payload=0:3" are read as on the command line."""
 
     robots: int = ROBOTS
     over: tuple[Range, ...] = field(default_factory=usual_randomization)

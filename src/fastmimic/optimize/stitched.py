@@ -63,8 +63,6 @@ class StitchedProblem(Problem):
                 value.
             objective: how candidates are scored; the clearance rule holds per segment, the duration is ignored.
             group: of each segment, one of `PARAMETER_GROUPS`.
-            workers: threads; None for one per core.
-            n_basis: basis functions of each DMP.
 
         Raises `ConfigError` for fewer than one worker, no such group, or a start with other parameters, and
         `MotionError` if the motion is not stitched.

@@ -9,9 +9,8 @@ so that weight and centripetal force meet between the feet. Without modulation t
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.vectors import copy
@@ -31,7 +30,7 @@ MODULATION: Final = record_dtype(floats(speed=(), turn=(), lift=(), speed_rate=(
 _WORK: Final = record_dtype(floats(feet=(3, 4, 3), joints=(3, 12), tilt=4))
 
 
-def make_place() -> NDArray[Any]:
+def make_place() -> Records:
     """A place at the start of a course, (1,) of `PLACE`."""
     place = np.zeros(1, PLACE)
     place["exit"] = -1
@@ -49,12 +48,7 @@ class Stream:
         self._scratch = make_place()
 
     def advance(
-        self,
-        course: NDArray[Any],
-        following: NDArray[Any] | None,
-        place: NDArray[Any],
-        modulation: NDArray[Any],
-        root_xy: Array,
+        self, course: Records, following: Records | None, place: Records, modulation: Records, root_xy: Array
     ) -> None:
         """Advances `place` by one control step in `course` (t,) of `COURSE` and the `following` one. At the start of a
         cycle x and y are synchronised to the robot's position `root_xy` (2,), m."""
@@ -62,12 +56,7 @@ class Stream:
         _advance(course, other, place[0], modulation[0], self._dt, True, root_xy[0], root_xy[1])
 
     def fill(
-        self,
-        course: NDArray[Any],
-        following: NDArray[Any] | None,
-        place: NDArray[Any],
-        modulation: NDArray[Any],
-        table: NDArray[Any],
+        self, course: Records, following: Records | None, place: Records, modulation: Records, table: Records
     ) -> None:
         """Writes the coming reference into a table (t,) of `SAMPLE`, in the root's present heading frame."""
         other = course if following is None else following

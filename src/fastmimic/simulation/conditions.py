@@ -35,13 +35,8 @@ PUSH_WINDOW_S: Final = 1.0  # length of the window of push times after the usual
 
 @dataclass(frozen=True)
 class Disturbance:
-    """A disturbance with its strength.
-
-    Attributes:
-        name: one of `DISTURBANCES`.
-        values: one for all robots, or one for each.
-        at_s: time of a timed disturbance, s after the start; None for a lasting one.
-    """
+    """A disturbance with its strength: `name` is one of `DISTURBANCES`; `values` are one for all robots, or one for
+    each; `at_s` is the time of a timed one, s after the start, None for a lasting one."""
 
     name: str
     values: tuple[float, ...]
@@ -94,13 +89,8 @@ def parse_disturbance(text: str) -> Disturbance:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """The values of all disturbances for n robots, nominal where nothing is disturbed.
-
-    Attributes:
-        given: names of the disturbances present.
-        values: by name, (n,) in the disturbance's unit.
-        times: by name, s after the start, of those that happen at a time.
-    """
+    """The `values` of all disturbances for n robots by name, (n,) in the disturbance's unit, nominal where nothing is
+    disturbed. `given` are those present; `times`, s after the start, of those that happen at a time."""
 
     n: int
     given: frozenset[str]

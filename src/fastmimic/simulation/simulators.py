@@ -38,11 +38,7 @@ class Placement(NamedTuple):
 
 
 class Simulation(Protocol):
-    """n robots that take commands and give observations; see `MujocoSimulation`.
-
-    Attributes:
-        observation: (n,) of `OBSERVATION`, the present states.
-    """
+    """n robots that take commands and give the present states, (n,) of `OBSERVATION`; see `MujocoSimulation`."""
 
     observation: NDArray[Any]
 
