@@ -8,17 +8,15 @@ from importlib.util import find_spec
 from types import ModuleType
 
 
-def after_import(name: str, call: Callable[[], None]) -> None:
+class AfterImport(MetaPathFinder):
     """Calls `call` now if the top-level package `name` is imported already, else right after its import."""
-    if name in sys.modules:
-        call()
-    else:
-        sys.meta_path.insert(0, _Watch(name, call))
 
-
-class _Watch(MetaPathFinder):
     def __init__(self, name: str, call: Callable[[], None]) -> None:
         self._name, self._call = name, call
+        if name in sys.modules:
+            call()
+        else:
+            sys.meta_path.insert(0, self)
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None

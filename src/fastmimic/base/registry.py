@@ -31,16 +31,9 @@ Entry = TypeVar("Entry", bound=Named)
 
 
 class Registry(dict[str, Entry]):
-    """Entries by name, in the order of registration. An unknown name raises an error that lists the names.
-
-    Args:
-        kind: what one entry is, in the singular, for messages: "method".
-        error: raised for an unknown or a duplicate name.
-
-    Example:
-        METHODS.register(Method("mine", …))
-        METHODS["mine"]
-    """
+    """Entries by name, in the order of registration: after `METHODS.register(Method("mine", …))` there is
+    `METHODS["mine"]`. An unknown name raises an `error` that lists the names, a duplicate one that too. `kind` is what
+    one entry is, in the singular, for messages: "method"."""
 
     def __init__(self, kind: str, entries: Iterable[Entry] = (), *, error: type[FastMimicError] = ConfigError) -> None:
         super().__init__()

@@ -231,12 +231,8 @@ class Controller:
     """n robots under one configuration, each following a reference of the same length. For one thread at a time."""
 
     def __init__(self, robot: Robot, motions: Sequence[Motion], n: int, config: ControllerConfig | None = None) -> None:
-        """`motions` has one reference for all robots, or one for each.
-
-        Raises:
-            ConfigError: the references are at another rate or neither 1 nor n, or the config is for another robot.
-            MotionError: the references differ in length.
-        """
+        """`motions` has one reference for all robots, or one for each. Raises `ConfigError` if the references are at
+        another rate or neither 1 nor n, or the config is for another robot; `MotionError` if they differ in length."""
         self.config = config if config is not None else default_config()
         if self.config.robot not in ("", robot.name):
             raise ConfigError(

@@ -134,9 +134,8 @@ class ClosedLoop:
             log: whether to keep the whole course.
             divisions: ascending control steps at which a part of the episodes ends and the next begins.
 
-        Raises:
-            ConfigError: the number of starts or references is not that of the robots, or their rate differs.
-            MotionError: the references' period is not the demonstration's.
+        Raises `ConfigError` if the number of starts or references is not that of the robots, or their rate differs;
+        `MotionError` if the references' period is not the demonstration's.
         """
         self.place(start, references)
         rate_hz, scorer = self.controller.config.rate_hz, self.scorer

@@ -26,12 +26,8 @@ EVALUATION_S: Final = 10.0  # s, default for a motion that repeats
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Results of a motion over several episodes.
-
-    Attributes:
-        method: one of `fastmimic.imitation.methods.METHODS`, which gave the controller.
-        config: the controller's parameters with the method's changes.
-    """
+    """Results of a motion over several episodes, under the controller of the method (one of
+    `fastmimic.imitation.methods.METHODS`) with the parameters `config`, the method's changes included."""
 
     motion: Motion
     rollout: Rollout

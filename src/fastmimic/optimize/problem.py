@@ -72,13 +72,9 @@ class Objective:
 
 
 class Problem(ABC):
-    """Scores parameter vectors in closed loop, in parallel, with the same bits for any number of workers. Subclasses
-    define what a vector means: `tables` and `motion`.
-
-    Attributes:
-        steps: control steps in an episode.
-        start: (k,) where the search begins.
-    """
+    """Scores parameter vectors in closed loop, in parallel, with the same bits for any number of workers, in episodes
+    of `steps` control steps. The search begins at `start` (k,). Subclasses define what a vector means: `tables` and
+    `motion`."""
 
     steps: int
 
@@ -154,12 +150,8 @@ class Problem(ABC):
     def rollout(
         self, tables: NDArray[Any], start: Start, steps: int, robots: Sequence[Disturbance] = ()
     ) -> list[Rollout]:
-        """Runs one episode per table on the workers; returns a result for each part, in order.
-
-        Args:
-            tables: (n, t) of `SAMPLE`.
-            robots: differences of the n robots from the nominal one, n values each.
-        """
+        """Runs one episode per table (n, t) of `SAMPLE` on the workers; returns a result for each part, in order.
+        `robots` are the differences of the n robots from the nominal one, n values each."""
         bounds = np.linspace(0, len(tables), min(self.workers, len(tables)) + 1).astype(int)
         parts = [slice(a, b) for a, b in pairwise(bounds)]
 

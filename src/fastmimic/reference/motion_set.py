@@ -40,13 +40,9 @@ class Entry:
 
 class MotionSet:
     """Motions by name. Getting up ends in "stand", and motions without a direct transition pass through "in-place";
-    both are always there. Raises `MotionError` for a motion that does not repeat, or is for another robot or rate.
-
-    Args:
-        rate_hz: of the control.
-        executor: processes that make transitions in the background; None makes them when they are needed.
-        source: name or file from which such a process loads the robot; the robot's name if None.
-    """
+    both are always there. Raises `MotionError` for a motion that does not repeat, or is for another robot or rate. The
+    processes of `executor` make transitions in the background, and load the robot from `source`, a file or by default
+    the robot's name; without it they are made when they are needed."""
 
     def __init__(
         self,

@@ -51,13 +51,9 @@ class Simulation(Protocol):
 
 @dataclass(frozen=True)
 class Simulator:
-    """A simulator.
-
-    Attributes:
-        make: `make(robot, n, conditions, control_rate_hz, threads)` returns a simulation.
-        check: raises `ConfigError` if it is not installed or does not know the robot.
-        realizes: names of the disturbances that it has by itself, without the disturbance's own functions.
-    """
+    """A simulator: `make(robot, n, conditions, control_rate_hz, threads)` returns a simulation; `check` raises
+    `ConfigError` if it is not installed or does not know the robot; `realizes` names the disturbances that it has by
+    itself, without the disturbance's own functions."""
 
     name: str
     about: str

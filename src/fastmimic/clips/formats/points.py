@@ -88,15 +88,10 @@ def clip_of(
     assumed: Sequence[str],
     skeleton: Skeleton | None = None,
 ) -> Clip:
-    """A clip of all points `body` (t, k, 3) of a file, in its axes and unit, with `chosen` (10,) indices of the ten.
-
-    Args:
-        up: 'y' or 'z'; if None, the axis along which the hips are above the toes.
-        assumed: assumptions so far.
-        skeleton: between the k points; only the ten are kept if None.
-
-    Raises `ClipError` for an impossible frame rate, or if it is not an upright, right-handed animal.
-    """
+    """A clip of all points `body` (t, k, 3) of a file, in its axes and unit, with `chosen` (10,) indices of the ten and
+    the assumptions so far. `up` is 'y' or 'z'; if None, the axis along which the hips are above the toes. `skeleton` is
+    between the k points; only the ten are kept if None. Raises `ClipError` for an impossible frame rate, or if it is
+    not an upright, right-handed animal."""
     check_rate(rate_hz)
     notes = list(assumed)
     points = body[:, list(chosen)]
