@@ -80,21 +80,14 @@ def motion_names() -> tuple[str, ...]:
 def describe(folder: str | Path | None = None) -> list[MotionRow]:
     """One row for each name, the built-in ones first."""
     licences = {dataset.name: dataset.licence for dataset in DATASETS}
-    built_in = [
+    rows = [
         MotionRow(name, spec.about, _speed(spec), "built in", BUILT_IN_LICENCE, True) for name, spec in GAITS.items()
     ]
-    recorded = [
-        MotionRow(
-            name,
-            motion.about,
-            motion.speed,
-            motion.source,
-            licences[motion.dataset],
-            find_file(motion.dataset, motion.file, folder) is not None,
-        )
-        for name, motion in RECORDED.items()
-    ]
-    return built_in + recorded
+    for name, motion in RECORDED.items():
+        fetched = find_file(motion.dataset, motion.file, folder) is not None
+        licence = licences[motion.dataset]
+        rows.append(MotionRow(name, motion.about, motion.speed, motion.source, licence, fetched))
+    return rows
 
 
 def open_clip(

@@ -68,14 +68,9 @@ class Demands:
 
 @dataclass(frozen=True)
 class Fall:
-    """An episode's early end.
-
-    Attributes:
-        touched: bodies other than feet on the ground, by name.
-        how: 'touched the ground', 'tipped over', 'left its place' or 'simulation failed'.
-        saturated: share of the motor commands in the last 0.3 s that exceed their torque limit.
-        slip_m: longest path of a loaded foot's centre in those 0.3 s in scheduled stance; a few mm of it are rolling.
-    """
+    """An episode's early end: the bodies other than feet on the ground, by name; 'touched the ground', 'tipped over',
+    'left its place' or 'simulation failed'; and of the last 0.3 s, the share of the motor commands that exceed their
+    torque limit, and the longest path of a loaded foot's centre in scheduled stance (a few mm of it are rolling)."""
 
     time_s: float
     touched: tuple[str, ...]

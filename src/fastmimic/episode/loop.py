@@ -35,14 +35,9 @@ from fastmimic.simulation.simulators import Placement, Simulation, make_simulati
 
 
 class LoopController(Protocol):
-    """What the loop needs of a controller; see `fastmimic.control.controller.Controller`.
-
-    Attributes:
-        config: its rate, and the contact thresholds.
-        tables: (1 or n, t) of `SAMPLE`, what the robots follow.
-        memory: (n,) of `MEMORY`.
-        command: (n,) of `COMMAND`, the last ones.
-    """
+    """What the loop needs of a controller; see `fastmimic.control.controller.Controller`: the rate and the contact
+    thresholds in its `config`, the `tables` (1 or n, t) of `SAMPLE` that the robots follow, the `memory` (n,) of
+    `MEMORY`, and the last `command` (n,) of `COMMAND`."""
 
     config: ControllerConfig
     tables: NDArray[Any]

@@ -25,15 +25,9 @@ _ERRORS: Final = record_dtype(
 
 @dataclass(frozen=True, eq=False)
 class EstimationErrors:
-    """Estimate against truth in n episodes, until the fall or the end.
-
-    Attributes:
-        velocity_rmse: (n,) of the base's velocity vector, m/s.
-        position_drift: (n,) horizontal error at the end in % of the distance travelled; NaN if that is less than 0.5 m.
-        height_rmse: (n,) m.
-        tilt_rmse: (n,) angle between the true and the estimated vertical, rad.
-        heading_error: (n,) at the end, rad.
-    """
+    """Estimate against truth in n episodes, until the fall or the end, (n,) each: errors of the base's velocity vector,
+    m/s, and height, m; the angle between the true and the estimated vertical, rad; at the end the heading's error, rad,
+    and the horizontal one in % of the distance travelled, NaN if that is less than 0.5 m."""
 
     velocity_rmse: Array
     position_drift: Array

@@ -105,16 +105,9 @@ TALLY: Final = record_dtype(
 
 
 class ScoringContext(NamedTuple):
-    """Inputs of the scoring besides the robots' states.
-
-    Attributes:
-        table: (t,) of `SAMPLE`, the demonstration.
-        geometry: (4, 12) leg geometry rows.
-        foot_radius: m.
-        threshold: vertical force above which a foot is loaded, N.
-        dt: control step, s.
-        work: (2, 3, 3) scratch.
-    """
+    """Inputs of the scoring besides the robots' states: the demonstration's `table` (t,) of `SAMPLE`, the legs'
+    `geometry` (4, 12), the feet's radius, m, the vertical force above which one is loaded, N, the control step, s, and
+    scratch memory (2, 3, 3)."""
 
     table: NDArray[Any]
     geometry: Array

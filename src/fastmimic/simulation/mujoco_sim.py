@@ -62,8 +62,9 @@ def build_model(
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         actuator.forcelimited = True
         actuator.forcerange = [-limit, limit]
+    # found (1) and the net force in the world frame (3)
+    wanted = (1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)) | (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE))
     for leg, geom in zip(LEGS, robot.foot_geoms, strict=True):
-        # found (1) and the net force in the world frame (3)
         spec.add_sensor(
             name=f"{leg}_ground_force",
             type=mujoco.mjtSensor.mjSENS_CONTACT,
@@ -71,11 +72,7 @@ def build_model(
             objname=FLOOR,
             reftype=mujoco.mjtObj.mjOBJ_GEOM,
             refname=geom,
-            intprm=[
-                (1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)) | (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)),
-                3,  # netforce
-                1,
-            ],
+            intprm=[wanted, 3, 1],  # 3: the net force
         )
     spec.compiler.discardvisual = True  # geoms that only decorate would be moved at every step
     spec.option.gravity = [0, 0, -GRAVITY]

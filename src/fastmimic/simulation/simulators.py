@@ -19,15 +19,8 @@ DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
 
 
 class Placement(NamedTuple):
-    """States of n robots, or one for all, in the order of `Simulation.reset`.
-
-    Attributes:
-        root_pos, root_quat: (n, 3) m and (n, 4), world frame.
-        joint_pos: (n, 12) rad.
-        lin_vel: (n, 3) m/s, world frame.
-        ang_vel_b: (n, 3) rad/s, body frame.
-        joint_vel: (n, 12) rad/s.
-    """
+    """States of n robots, or one for all, in the order of `Simulation.reset`: root (n, 3), m, and (n, 4), world frame;
+    joints (n, 12), rad; their velocities (n, 3), m/s, world frame, (n, 3), rad/s, body frame, and (n, 12), rad/s."""
 
     root_pos: Array
     root_quat: Array
