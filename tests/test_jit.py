@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fastmimic.base.jit import kernel, record_dtype
+from fastmimic.base.jit import floats, integers, kernel, record_dtype
 
 CALLEE = """
 from fastmimic.base.jit import inlined
@@ -103,3 +103,9 @@ def test_records_have_their_fields_as_attributes_with_and_without_the_compiler()
     fill(records)
     np.testing.assert_array_equal(records["count"], [0, 1, 2])
     np.testing.assert_array_equal(records["vector"][:, 1], 2.5)
+
+
+def test_fields_of_a_record_by_name_and_shape() -> None:
+    found = record_dtype([*floats(one=(), three=3, matrix=(2, 4)), *integers(count=(), feet=4)])
+    explicit = [("one", "f8"), ("three", "f8", (3,)), ("matrix", "f8", (2, 4)), ("count", "i8"), ("feet", "i8", (4,))]
+    assert found == record_dtype(explicit)
