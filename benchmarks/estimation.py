@@ -29,7 +29,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.render.figure_style import AFTER, DEMONSTRATION, STANCE, new_figure, save, tidy
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.sensors import SensorConfig, ideal_sensors
+from fastmimic.simulation.config import SensorConfig, ideal_sensors
 
 MOTIONS = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps", "trot", "pace", "turn", "side-step")
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "estimation.md"

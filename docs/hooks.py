@@ -26,7 +26,7 @@ def parameter_tables() -> str:
     from fastmimic.deploy.safety import SafetyLimits
     from fastmimic.estimation.config import EstimatorConfig
     from fastmimic.learning.config import PolicyConfig
-    from fastmimic.simulation.sensors import SensorConfig
+    from fastmimic.simulation.config import SensorConfig
 
     controller = (
         *(config.ControllerConfig, config_parts.GaitConfig, config_parts.StanceConfig, config_parts.HorizonConfig),

@@ -47,6 +47,6 @@ from fastmimic.robot import Robot as Robot
 from fastmimic.robot import load_robot as load_robot
 from fastmimic.runs.loading import load_motion as load_motion
 from fastmimic.simulation.conditions import Conditions as Conditions
-from fastmimic.simulation.sensors import SensorConfig as SensorConfig
+from fastmimic.simulation.config import SensorConfig as SensorConfig
 
 __version__: str

@@ -12,7 +12,7 @@ from fastmimic.base.configuration import parameters
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.safety import SafetyLimits
 from fastmimic.estimation.config import EstimatorConfig
-from fastmimic.simulation.sensors import SensorConfig
+from fastmimic.simulation.config import SensorConfig
 
 HOOKS = Path(fastmimic.__file__).parents[2] / "docs" / "hooks.py"
 

@@ -103,7 +103,7 @@ class TestSearches:
 
     def test_a_lost_checkpoint_is_said_in_a_line(self, comparison: Path) -> None:
         (comparison / "runs" / "mbc-dmp0" / FILE_NAME).unlink()
-        with pytest.raises(CheckpointError, match="damaged checkpoint"):
+        with pytest.raises(CheckpointError, match="no checkpoint"):
             search_courses(comparison, "mbc-dmp", ["trot"])
 
 

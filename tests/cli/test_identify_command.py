@@ -32,7 +32,7 @@ def test_one_line_for_what_cannot_be_done(run: Run, in_folder: Path) -> None:
     assert "must end in .npz" in run("evaluate", "trot", *SHORT, "--log", "run.csv").error
     assert "none.npz: no such file" in run("identify", "none.npz").error
     (in_folder / "half.npz").write_bytes(b"PK")
-    assert "half.npz: cannot be read" in run("identify", "half.npz").error
+    assert "half.npz: not a readable log of a run" in run("identify", "half.npz").error
     assert "none.json: no such file" in run("evaluate", "trot", "--config", "none.json").error
     assert run("evaluate", "trot", "--observe", "sensors", "--duration", "0.6", "--log", "short.npz").status == 0
     assert "short.npz: the log is 0.60 s long; at least 1 s" in run("identify", "short.npz", "--out", "x.json").error

@@ -12,7 +12,8 @@ from fastmimic.base.rotations import matrix_from_quat, quat_from_rotvec, quat_mu
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, OBSERVATION
 from fastmimic.simulation.conditions import Conditions, episode_generator
-from fastmimic.simulation.sensors import SensorConfig, Sensors, ideal_sensors
+from fastmimic.simulation.config import SensorConfig, ideal_sensors
+from fastmimic.simulation.sensors import Sensors
 
 RATE = 500.0
 DT = 1 / RATE

@@ -339,7 +339,7 @@ class RobotSim:
         """The checked settings of the server."""
         from fastmimic.deploy.sim import LinkFaults
         from fastmimic.deploy.sim_server import SimSettings
-        from fastmimic.simulation.sensors import ideal_sensors
+        from fastmimic.simulation.config import ideal_sensors
 
         check_interface(self.interface)
         if self.robot.lower() in ROBOT_NAMES and self.robot.lower() not in SIMULATED:

@@ -19,8 +19,9 @@ from fastmimic.deploy.log import GroundTruthLog
 from fastmimic.deploy.sim import STARTS, WATCHDOG_S, LinkFaults, SimulatedBody, SimulatedLink
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
+from fastmimic.simulation.config import SensorConfig
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
-from fastmimic.simulation.sensors import SensorConfig, Sensors
+from fastmimic.simulation.sensors import Sensors
 
 PHYSICS_RATE_HZ: Final = 1000.0
 MODE: Final = "normal"  # of the active motion service

@@ -17,8 +17,8 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, did_you_mean, unknown
 from fastmimic.estimation.config import EstimatorConfig
+from fastmimic.simulation.config import SensorConfig
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S, DisturbanceKind, EachStep
-from fastmimic.simulation.sensors import SensorConfig
 from fastmimic.simulation.simulators import SIMULATORS
 
 OBSERVED: Final = ("truth", "sensors")
