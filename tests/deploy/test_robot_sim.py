@@ -28,7 +28,7 @@ from fastmimic.deploy.sim import LinkFaults, SimulatedBody, SimulatedLink
 from fastmimic.deploy.sim_server import PHYSICS_RATE_HZ, SimServer, SimSettings, go2_body
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.state import COMMAND, OBSERVATION
-from fastmimic.simulation.sensors import ideal_sensors
+from fastmimic.simulation.config import ideal_sensors
 
 
 @pytest.fixture(scope="module")

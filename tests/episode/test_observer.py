@@ -12,7 +12,7 @@ from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.sensors import ideal_sensors
+from fastmimic.simulation.config import ideal_sensors
 
 STEPS = 400
 SENSED = Conditions(observe="sensors", seed=4)

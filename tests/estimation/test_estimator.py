@@ -19,7 +19,7 @@ from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 from fastmimic.robot.state import READING
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.sensors import ideal_sensors
+from fastmimic.simulation.config import ideal_sensors
 
 RATE = 500.0
 ALL = np.ones((1, 4), np.int64)
