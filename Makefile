@@ -6,6 +6,8 @@
 
 VENV ?= .venv
 BIN := $(VENV)/bin
+# Modules are compiled when they are first imported, not all of them here.
+INSTALL := $(BIN)/python -m pip install --quiet --no-compile
 PYTEST_ARGS ?=
 WORKERS ?= auto
 DEMO_ARGS ?=
@@ -22,8 +24,8 @@ test: $(VENV)/.installed-dev
 
 # Torch without CUDA, where the index has such a build.
 test-skipped: $(VENV)/.installed-dev
-	$(BIN)/python -m pip install --quiet torch==2.13.0
-	$(BIN)/python -m pip install --quiet --editable '.[rl,ray]' onnxruntime pandas
+	$(INSTALL) torch==2.13.0
+	$(INSTALL) --editable '.[rl,ray]' onnxruntime pandas
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --skipped $(PYTEST_ARGS)
 
 lint: $(VENV)/.installed-dev
@@ -38,7 +40,7 @@ types: $(VENV)/.installed-dev
 	$(BIN)/mypy
 
 docs: $(VENV)/.installed-dev
-	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	$(INSTALL) --editable '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --site-dir build/site
 
 bench: $(VENV)/.installed
@@ -53,13 +55,13 @@ clean:
 $(VENV)/.made:
 	@test -n "$(PYTHON)" || { echo "no Python 3.11 or newer found; name one: make PYTHON=..." >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip  # a recent one finds versions in half of the time
+	$(INSTALL) --upgrade pip  # a recent one finds versions in half of the time
 	touch $@
 
 $(VENV)/.installed: pyproject.toml | $(VENV)/.made
-	$(BIN)/python -m pip install --quiet --editable .
+	$(INSTALL) --editable .
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml | $(VENV)/.made
-	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	$(INSTALL) --editable '.[dev]'
 	touch $@ $(VENV)/.installed

@@ -10,16 +10,16 @@ from fastmimic.motion.motion import Motion
 
 
 def test_retarget_says_what_gave_and_evaluate_scores_against_the_animal(run: Run, in_folder: Path) -> None:
-    done = run("retarget", "trot", "--executable", "--out", "trot.npz")
+    done = run("retarget", "turn", "--executable", "--out", "turn.npz")
     assert done.status == 0, done.err
     assert "executable: speed × " in done.out
-    motion = Motion.load("trot.npz")
+    motion = Motion.load("turn.npz")
     assert motion.animal is not None
     assert np.abs(motion.root_pos_w - motion.animal.root_pos_w).max() > 1e-3
-    done = run("evaluate", "trot.npz", "--duration", "0.6", "--episodes", "2", "--json")
+    done = run("evaluate", "turn.npz", "--duration", "0.6", "--episodes", "2", "--json")
     found = json.loads(done.out)
     assert 0.9 < found["reward_animal"] < found["reward_mean"]
-    assert "reward against the animal" in run("evaluate", "trot.npz", "--duration", "0.2").out
+    assert "reward against the animal" in run("evaluate", "turn.npz", "--duration", "0.2").out
     assert "reward_animal" not in json.loads(run("evaluate", "trot", "--duration", "0.2", "--json").out)
 
 

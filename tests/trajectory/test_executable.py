@@ -131,6 +131,11 @@ def test_a_passage_that_does_not_repeat(a1: Robot) -> None:
     assert motion.animal.cycle is None
     assert motion.n_samples == motion.animal.n_samples
     assert report.executable is not None
+    assert "executable: speed × " in "\n".join(report.lines())
+    assert motion.provenance.retarget is not None
+    assert motion.provenance.retarget["executable"]["speed_share"] == report.executable.speed_share
+    assert set(report.executable.peak) == {"torque", "torque at speed", "joint speed", "friction"}
+    assert all(0.0 < value <= 1.0 for value in report.executable.peak.values())
     duration = report.executable.period_s[1]
     assert motion.n_samples == round(duration * motion.rate_hz) + 1
     assert duration == pytest.approx(kinematic.period_s - kinematic.dt, abs=0.01)
@@ -143,15 +148,3 @@ def test_a_passage_that_does_not_repeat(a1: Robot) -> None:
     assert found.fell == 0.0
     assert found.reward_animal is not None
     assert found.reward_animal > 0.9
-
-
-def test_retargeting_reports_what_gave(a1: Robot) -> None:
-    motion, report = retarget(generate("pace"), a1, executable=True)
-    assert motion.animal is not None
-    assert report.executable is not None
-    text = "\n".join(report.lines())
-    assert "executable: speed × " in text
-    assert motion.provenance.retarget is not None
-    assert motion.provenance.retarget["executable"]["speed_share"] == report.executable.speed_share
-    assert set(report.executable.peak) == {"torque", "torque at speed", "joint speed", "friction"}
-    assert all(0.0 < value <= 1.0 for value in report.executable.peak.values())
