@@ -156,7 +156,6 @@ _LIMITS = {
     "speed": "joint speed",
     "friction": "friction",
     "knees": "height of the knees",
-    "apart": "distance of left and right feet",
     "turning": "angular acceleration",
 }
 
@@ -168,7 +167,7 @@ def _worst(program: Program, solution: Solution) -> str:
     node, row = np.unravel_index(int(np.argmax(excess)), excess.shape)
     name = next(name for name, part in ROWS.items() if part.start <= row < part.stop)
     amount = float(excess[node, row])
-    size = f"{1e3 * amount / METRES:.0f} mm" if name in ("feet", "knees", "apart") else f"{100 * amount:.0f} %"
+    size = f"{1e3 * amount / METRES:.0f} mm" if name in ("feet", "knees") else f"{100 * amount:.0f} %"
     return f"{_LIMITS[name]} by {size} at {solution.time[node]:.2f} s"
 
 

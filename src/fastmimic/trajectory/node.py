@@ -57,13 +57,12 @@ ROWS: Final = _slices(
         "speed": 12,
         "friction": 16,
         "knees": 4,
-        "apart": 2,
         "turning": 3,
     }
 )
 """Constraint rows of a node, each about 1 at its limit: missing wrench; feet against their footholds, m × 10 (z above
 the ground); torque, and torque and speed together, share of the limits; speed; friction pyramid; heights of the knees,
-m × 10; lateral distance of left and right feet, m × 10; accelerations of roll, pitch and yaw."""
+m × 10; accelerations of roll, pitch and yaw."""
 
 N_VARIABLES: Final = VARIABLES["stride"].stop
 N_GIVEN: Final = GIVEN["weight"].stop
@@ -73,7 +72,7 @@ METRES: Final = 10.0  # scale of rows in metres
 
 @dataclass(frozen=True, eq=False)
 class NodeFunctions:
-    """CasADi functions of a node's variables (61,) and parameters. The sparse derivatives' entries are dense vectors
+    """CasADi functions of a node's variables (77,) and parameters. The sparse derivatives' entries are dense vectors
     whose places are in `jacobian_at` and `hessian_at` (rows, columns; upper triangle)."""
 
     rows: Any
@@ -143,7 +142,6 @@ def _expressions(robot: Robot, config: TrajectoryConfig, z: Expression, p: Expre
         x, y, up = (force[3 * leg + j] for j in range(3))
         pyramid += [config.friction * up - x, config.friction * up + x]
         pyramid += [config.friction * up - y, config.friction * up + y]
-    lateral = [now.feet_level[3 * leg + 4] - now.feet_level[3 * leg + 1] for leg in (0, 2)]
     rows = ca.vertcat(
         now.wrench * scale,
         METRES * ca.vertcat(*feet),
@@ -153,7 +151,6 @@ def _expressions(robot: Robot, config: TrajectoryConfig, z: Expression, p: Expre
         leaving[6:] / ca.DM(robot.joint_speed_limit),
         *pyramid,
         METRES * now.knees,
-        METRES * ca.vertcat(*lateral),
         acceleration[3:6] / config.turn_rad_per_s2,
     )
 

@@ -72,7 +72,7 @@ class Solution:
         converged, status: whether the solver's tolerances were met, and IPOPT's words.
         iterations: of the solver.
         violation: largest violation of a scaled constraint.
-        rows: (N, 88) constraint rows.
+        rows: (N, 89) constraint rows.
         cost: of the whole.
         variables: of the program, to start another one from.
     """
@@ -191,7 +191,7 @@ class Program:
 
     @cached_property
     def given(self) -> Array:
-        """(N, 58) parameters of the nodes."""
+        """(N, 81) parameters of the nodes."""
         modes, animal = self.modes, self.animal
         nodes = np.arange(modes.n_nodes)
         p = np.zeros((modes.n_nodes, N_GIVEN))
@@ -212,7 +212,7 @@ class Program:
         return p
 
     def bounds_of_rows(self) -> tuple[Array, Array]:
-        """Lower and upper bounds (N, 88) of the rows; infinite where a row does not apply."""
+        """Lower and upper bounds (N, 89) of the rows; infinite where a row does not apply."""
         robot, config, modes = self.robot, self.config, self.modes
         shape = (modes.n_nodes, N_ROWS)
         low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
