@@ -13,7 +13,7 @@ from cli.running import Run
 from fastmimic import cli
 from fastmimic.commands.motion_files import Robots
 
-HEAVY = ("scipy", "numba", "mujoco", "matplotlib", "pooch")
+HEAVY = ("scipy", "numba", "mujoco", "matplotlib", "pooch", "casadi")
 
 
 def modules_after(code: str) -> set[str]:

@@ -10,7 +10,6 @@ from fastmimic.robot.dynamics import inverse_dynamics
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.node import GIVEN, N_GIVEN, N_ROWS, N_VARIABLES, VARIABLES, node_functions
-from fastmimic.trajectory.program import roll_pitch_yaw
 from fastmimic.trajectory.symbolic import instant
 
 
@@ -118,10 +117,3 @@ def test_a_nodes_derivatives_are_those_of_its_rows_and_cost() -> None:
         return factor * np.array(functions.gradient(x, p)).ravel() + multipliers @ full
 
     close(hessian, slope(lagrangian_gradient))
-
-
-def test_roll_pitch_yaw_give_back_the_orientation() -> None:
-    angles = np.random.default_rng(2).uniform(-1.0, 1.0, (20, 3))
-    found = roll_pitch_yaw(np.array([_quaternion(x) for x in angles]))
-    np.testing.assert_allclose(found[:, :2], angles[:, :2], atol=1e-12)
-    np.testing.assert_allclose(np.sin(found[:, 2] - angles[:, 2]), 0.0, atol=1e-12)

@@ -100,6 +100,14 @@ def roll_pitch_from_quat(q: Array) -> tuple[Array, Array]:
     return roll, np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
 
 
+def trunk_quaternion(heading: Array, tilt: Array) -> Array:
+    """Orientation (t, 4) from heading (t,), then pitch, then roll about the body's x; `tilt` (t, 2) is roll, pitch."""
+    zero = np.zeros_like(heading)
+    roll = quat_from_rotvec(np.stack([tilt[:, 0], zero, zero], axis=-1))
+    pitch = quat_from_rotvec(np.stack([zero, tilt[:, 1], zero], axis=-1))
+    return quat_multiply(quat_from_yaw(heading), quat_multiply(pitch, roll))
+
+
 def planar_exp(twist: Array, share: Array) -> tuple[Array, Array]:
     """SE(2) exponential: displacement (..., 2) and rotation (...), rad, at `share` (...) of the twist (vx, vy, ω)."""
     angle = share * twist[2]

@@ -130,6 +130,12 @@ class Problem(ABC):
         return np.array([p.lower for p in self.parameters]), np.array([p.upper for p in self.parameters])
 
     @cached_property
+    def _scored(self) -> Motion:
+        """The demonstration, without the animal's motion, whose reward the search does not ask for."""
+        of = self.demonstration
+        return of if of.animal is None else replace(of, animal=None)
+
+    @cached_property
     def identity(self) -> str:
         """A digest of all that determines scores; identifies checkpoints."""
         digest = hashlib.sha256()
@@ -186,7 +192,7 @@ class Problem(ABC):
         loop = self._loops.get(key)
         if loop is None or loop.conditions.disturbances != robots:  # each iteration's robots replace the last ones
             conditions = Conditions(disturbances=robots)
-            loop = ClosedLoop(self.robot, self.demonstration, n, self.config, conditions=conditions)
+            loop = ClosedLoop(self.robot, self._scored, n, self.config, conditions=conditions)
             self._loops[key] = loop
         return loop
 

@@ -10,11 +10,11 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import (
     quat_conjugate,
     quat_continuous,
-    quat_from_rotvec,
     quat_from_yaw,
     quat_multiply,
     quat_rotate,
     quat_rotate_inverse,
+    trunk_quaternion,
 )
 from fastmimic.motion.ground import differentiate, pad
 from fastmimic.motion.motion import Motion
@@ -46,14 +46,6 @@ class Pose:
     unreachable: NDArray[np.bool_]
     limited: NDArray[np.bool_]
     lowered_m: float
-
-
-def trunk_quaternion(heading: Array, tilt: Array) -> Array:
-    """Orientation (t, 4) from heading (t,), then pitch, then roll about the body's x; `tilt` (t, 2) is roll, pitch."""
-    zero = np.zeros_like(heading)
-    roll = quat_from_rotvec(np.stack([tilt[:, 0], zero, zero], axis=-1))
-    pitch = quat_from_rotvec(np.stack([zero, tilt[:, 1], zero], axis=-1))
-    return quat_multiply(quat_from_yaw(heading), quat_multiply(pitch, roll))
 
 
 def solve_pose(

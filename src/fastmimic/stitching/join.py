@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError
-from fastmimic.base.rotations import quat_continuous, rotate_planar, turned_about_z, yaw_from_quat
+from fastmimic.base.rotations import quat_continuous, rotate_planar, trunk_quaternion, turned_about_z, yaw_from_quat
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import Provenance, Span, StitchedSegment, StitchRecord
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.pose import trunk_quaternion
 from fastmimic.retargeting.reach import Reach
 from fastmimic.retargeting.track import TrunkTrack, steps
 from fastmimic.robot import Robot

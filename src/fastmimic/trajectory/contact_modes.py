@@ -144,11 +144,7 @@ class ContactModes:
 
     def at_nodes(self, values: Array, following: Array) -> Array:
         """Values (n, …) of the motion's samples at the nodes (N, …); `following` (…) is the one after the last."""
-        extended = np.concatenate([values, following[None]])
-        whole = np.floor(self.sample).astype(int)
-        share = (self.sample - whole).reshape(-1, *[1] * (values.ndim - 1))
-        result: Array = extended[whole] * (1 - share) + extended[whole + 1] * share
-        return result
+        return interpolated(values, following, self.sample)
 
     def swings(self, leg: int) -> list[NDArray[np.int_]]:
         """Nodes of each swing of a leg."""
@@ -159,3 +155,11 @@ class ContactModes:
         order = np.roll(np.arange(self.n_nodes), -turn)
         up = np.flatnonzero(~down[order])
         return [order[part] for part in np.split(up, np.flatnonzero(np.diff(up) > 1) + 1)]
+
+
+def interpolated(values: Array, following: Array, sample: Array) -> Array:
+    """Values (n, …) at places (k,) in [0, n], not whole numbers; `following` (…) is the one after the last."""
+    extended = np.concatenate([values, following[None]])
+    whole = np.minimum(np.floor(sample).astype(int), len(values) - 1)
+    share = (sample - whole).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(extended[whole] * (1 - share) + extended[whole + 1] * share)

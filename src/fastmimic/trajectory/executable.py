@@ -9,19 +9,19 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import (
-    quat_from_rotvec,
     quat_from_yaw,
     quat_multiply,
     quat_rotate,
     quat_rotate_inverse,
     rotate_planar,
+    trunk_quaternion,
 )
 from fastmimic.motion.ground import differentiate, pad
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 from fastmimic.trajectory.config import TrajectoryConfig
-from fastmimic.trajectory.contact_modes import ContactModes
+from fastmimic.trajectory.contact_modes import ContactModes, interpolated
 from fastmimic.trajectory.node import METRES, ROWS
 from fastmimic.trajectory.program import Program, Solution, displacement
 
@@ -180,7 +180,7 @@ def sampled(program: Program, solution: Solution) -> Motion:
     stretch = last / animal.rate_hz / solution.time[-1]
     wide = _Path(program, solution)
     root, rates = wide.root(time)
-    quat = _quaternion(root[:, 3:])
+    quat = trunk_quaternion(root[:, 5], root[:, 3:5])
     feet = wide.feet(time)
     foot_b = quat_rotate_inverse(quat[:, None], feet - root[:, None, :3])
     joints = np.unwrap(inverse_kinematics(robot, foot_b)[0], axis=0)
@@ -216,10 +216,7 @@ def aligned(animal: Motion, modes: ContactModes, solution: Solution, time: Array
     moved, turn = displacement(animal)
 
     def at(values: Array, following: Array) -> Array:
-        extended = np.concatenate([values, (following if modes.periodic else values[-1])[None]])
-        whole = np.minimum(np.floor(sample).astype(int), len(values) - 1)
-        share = (sample - whole).reshape(-1, *[1] * (values.ndim - 1))
-        return np.asarray(extended[whole] * (1 - share) + extended[whole + 1] * share)
+        return interpolated(values, following if modes.periodic else values[-1], sample)
 
     position = animal.root_pos_w - np.array([*animal.root_pos_w[0, :2], 0.0])
     end = np.array([*moved, position[0, 2]])
@@ -261,7 +258,7 @@ class _Path:
             time, period = solution.time[:-1], solution.time[-1]
             self._time = np.concatenate([time - period, time, time + period])
             self._q, self._down = np.concatenate([before, q, after]), np.tile(self._down, (3, 1))
-        turned = _quaternion(self._q[:, 3:6])
+        turned = trunk_quaternion(self._q[:, 5], self._q[:, 3:5])
         self._feet = self._q[:, None, :3] + quat_rotate(turned[:, None], foot_positions(program.robot, self._q[:, 6:]))
 
     def root(self, time: Array) -> tuple[Array, Array]:
@@ -291,12 +288,6 @@ class _Path:
                     ends = at_rest if first > 0 else free, at_rest if last < end else free
                     feet[inside, leg] = CubicSpline(self._time[first : last + 1], path, bc_type=ends)(time[inside])
         return feet
-
-
-def _quaternion(angles: Array) -> Array:
-    """(t, 4) from roll, pitch, yaw (t, 3)."""
-    about = [quat_from_rotvec(angles[:, j : j + 1] * np.eye(3)[j]) for j in range(3)]
-    return quat_multiply(about[2], quat_multiply(about[1], about[0]))
 
 
 def _angular_velocity(root: Array, rates: Array) -> Array:

@@ -16,6 +16,7 @@ from fastmimic.base.rotations import (
     quat_from_yaw,
     quat_multiply,
     quat_rotate,
+    roll_pitch_from_quat,
     rotate_planar,
     yaw_from_quat,
 )
@@ -39,15 +40,6 @@ from fastmimic.trajectory.node import (
 _SHORTEST_STEP_S = 0.0025
 _LONGEST_STEP_S = 0.012
 _MOST_DIFFERENCE = 0.6  # of the distance that a cycle covers
-
-
-def roll_pitch_yaw(quat: Array) -> Array:
-    """(t, 3) rad of orientations (t, 4), R = Rz(yaw) Ry(pitch) Rx(roll); yaw without jumps."""
-    w, x, y, z = quat.T
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-    return np.stack([roll, pitch, yaw], axis=1)
 
 
 def displacement(motion: Motion) -> tuple[Array, float]:
@@ -162,8 +154,8 @@ class Program:
         step, turn = self.displacement
         origin = np.array([*motion.root_pos_w[0, :2], 0.0])
         position = motion.root_pos_w - origin
-        angles = roll_pitch_yaw(motion.root_quat_wxyz)
-        angles[:, 2] += yaw_from_quat(motion.root_quat_wxyz[0]) - angles[0, 2]
+        quat = motion.root_quat_wxyz
+        angles = np.column_stack([*roll_pitch_from_quat(quat), np.unwrap(yaw_from_quat(quat))])
         moved = np.array([0.0, 0.0, turn])
         if modes.periodic:
             wide = np.concatenate([angles[-1:] - moved, angles, angles[:1] + moved])
