@@ -31,8 +31,9 @@ class Course:
     """How the reward of one training, or of one search, grew with what was spent on it.
 
     Attributes:
-        row: what came out: `motion`, `method`, `seed`, `reward`, `reward_perturbed`, `fell`, `fell_perturbed`,
-            `wall_s`, `cpu_s`, `simulated_s`, as a comparison has them; `cpu_s` is None where it is not known.
+        row: what came out: `motion`, `method`, `seed`, `reward_mean`, `reward_mean_perturbed`, `fell`,
+            `fell_perturbed`, `wall_s`, `cpu_s`, `simulated_s`, as a comparison has them; `cpu_s` is None where it is
+            not known.
         simulated_s: (k,) time that robots were simulated for, s.
         cpu_s: (k,) processor time, s; NaN where it is not known.
         reward: (k,) of a training: the nominal episode of the policy as it was then; of a search: the best objective so
@@ -64,9 +65,9 @@ def training_course(folder: Path) -> Course:
         "method": RL,
         "variant": "",
         "seed": policy.seed,
-        "reward": kept.reward,
-        "reward_perturbed": kept.reward_perturbed,
-        "fell": kept.fell,
+        "reward_mean": kept.reward,
+        "reward_mean_perturbed": kept.reward_perturbed,
+        "fell": float(kept.fell),
         "fell_perturbed": kept.fell_perturbed,
         "wall_s": last.wall_s,
         "cpu_s": last.cpu_s,
@@ -170,7 +171,7 @@ def _line(s: Summary) -> list[str]:
     return [
         *(f"`{s.motion}`", s.label, f"{len(s.rows)}", f"{CONTROL_RATE_HZ * simulated / 1e6:.2f}"),
         *(_whole(simulated), _whole(s.mean("cpu_s")), _whole(s.mean("wall_s"))),
-        *(f"**{spread(s, 'reward')}**", spread(s, "reward_perturbed")),
+        *(f"**{spread(s, 'reward_mean')}**", spread(s, "reward_mean_perturbed")),
         *(f"{sum(bool(row['fell']) for row in s.rows)} of {len(s.rows)}", perturbed),
     ]
 

@@ -86,7 +86,7 @@ def _draw(axes: Axes, own: Sequence[Course], cost: Callable[[Course], Array], li
     if not own:
         return
     if not any(len(course.reward) for course in own):
-        axes.axhline(own[0].row["reward"], **{**line._asdict(), "linewidth": 1.0}, zorder=2)
+        axes.axhline(own[0].row["reward_mean"], **{**line._asdict(), "linewidth": 1.0}, zorder=2)
         return
     if own[0].row["method"] == RL:
         for course in own:

@@ -233,7 +233,7 @@ def takes(out: Path, iterations: int, say: Callable[[str], None]) -> str:
 
     def progress(step: BuildStep) -> None:
         if step.record is not None:
-            say(f"{step.done}/{step.total} {step.record['name']}: {step.record['reward']}")
+            say(f"{step.done}/{step.total} {step.record['name']}: {step.record['reward_mean']}")
 
     sources = find_sources(data_folder())
     recipe = replace(BuildSettings(), iterations=iterations)

@@ -81,8 +81,8 @@ def measured(motion: fm.Motion, settings: Settings) -> dict[str, Any]:
         "clearance": float(np.nanmin(share)),
         "others": others.reward.tolist(),
         "others_fell": int(others.fell.sum()),
-        "transfer": [row["reward"] for row in trials],
-        "transfer_fell": sum(row["fell"] for row in trials),
+        "transfer": [row["reward_mean"] for row in trials],
+        "transfer_fell": sum(row["fell"] > 0 for row in trials),
     }
 
 

@@ -62,8 +62,8 @@ def run(name: str, iterations: int, out: Path) -> dict[str, Any]:
     retargeting = result.demonstration.provenance.as_dict()["retarget"]
     row = {
         "motion": name,
-        "speed_m_s": float(np.linalg.norm(result.demonstration.root_lin_vel_w[:, :2].mean(axis=0))),
-        "yaw_rate_rad_s": float(result.demonstration.root_ang_vel_w[:, 2].mean()),
+        "speed_m_per_s": float(np.linalg.norm(result.demonstration.root_lin_vel_w[:, :2].mean(axis=0))),
+        "yaw_rate_rad_per_s": float(result.demonstration.root_ang_vel_w[:, 2].mean()),
         "before": before.as_dict(),
         "after": after.as_dict(),
         "perturbed": perturbed.as_dict(),
@@ -108,8 +108,9 @@ def table(rows: list[dict[str, Any]]) -> str:
         before, after, rough = r["before"], r["after"], r["perturbed"]
         clearance = "–" if r["clearance_share_after"] is None else f"{100 * r['clearance_share_after']:.0f} %"
         lines.append(
-            f"| `{r['motion']}` | {r['speed_m_s']:.2f} | {r['yaw_rate_rad_s']:+.2f} | {before['reward_mean']:.3f}"
-            f" | **{after['reward_mean']:.3f}** | {yes(before['fell'])} / {yes(after['fell'])} | {clearance}"
+            f"| `{r['motion']}` | {r['speed_m_per_s']:.2f} | {r['yaw_rate_rad_per_s']:+.2f}"
+            f" | {before['reward_mean']:.3f} | **{after['reward_mean']:.3f}**"
+            f" | {yes(before['fell'])} / {yes(after['fell'])} | {clearance}"
             f" | {after['drift_m_per_s']:.2f} | {rough['reward_mean']:.3f}, {round(8 * rough['fell'])} of 8"
             f" | {1e3 * np.linalg.norm(r['trunk_change_m']):.0f} mm, {np.linalg.norm(r['trunk_change_deg']):.1f}°"
             f" | {r['against_unbalanced']:.3f} |"

@@ -39,8 +39,8 @@ def finished(comparison: Path, method: str, seed: int = 0, *, variant: str = "",
     folder = comparison / "runs" / f"{method}{variant}{seed}"
     folder.mkdir(parents=True)
     row = {
-        **{"motion": "trot", "method": method, "variant": variant, "seed": seed, "reward": 0.9},
-        **{"reward_perturbed": 0.8, "fell": False, "fell_perturbed": 0.0, "wall_s": 9.0, "cpu_s": cpu_s},
+        **{"motion": "trot", "method": method, "variant": variant, "seed": seed, "reward_mean": 0.9},
+        **{"reward_mean_perturbed": 0.8, "fell": 0.0, "fell_perturbed": 0.0, "wall_s": 9.0, "cpu_s": cpu_s},
         **{"simulated_s": 300.0, "evaluation_s": 10.0, "perturbed_episodes": 8},
     }
     (folder / ROW).write_text(json.dumps(row))
@@ -62,7 +62,7 @@ class TestTraining:
     def test_it_is_worth_the_policy_that_was_kept_and_costs_all_of_it(self, tmp_path: Path) -> None:
         course = training(tmp_path)
         rate_hz = 500 / 17
-        assert (course.row["reward"], course.row["fell_perturbed"]) == (0.4, 0.125)
+        assert (course.row["reward_mean"], course.row["fell_perturbed"]) == (0.4, 0.125)
         assert (course.row["motion"], course.row["method"], course.row["seed"]) == ("trot", "rl", 3)
         assert (course.row["cpu_s"], course.row["wall_s"], course.row["steps"]) == (4.0, 30.0, 5000)
         assert course.simulated_s == pytest.approx(np.array([1000, 2000, 5000]) / rate_hz)

@@ -50,7 +50,7 @@ def test_segment_lists_prints_and_draws_what_repeats(run: Run, tmp_path: Path) -
     assert re.search(r"fastmimic imitate .*take.txt --frames \d+:\d+", done.err)
     assert (tmp_path / "take.png").read_bytes()[:4] == b"\x89PNG"
     (found,) = json.loads(run("segment", tmp_path / "take.txt", "--json").out)["segments"]
-    assert set(found) >= {"start", "end", "period_frames", "gait", "confidence", "speed_m_s", "yaw_rate_rad_s"}
+    assert set(found) >= {"start", "end", "period_frames", "gait", "confidence", "speed_m_per_s", "yaw_rate_rad_per_s"}
     first, end = found["cycle"]
     again = run("inspect", tmp_path / "take.txt", "--frames", f"{first}:{end}")
     assert again.status == 0

@@ -66,8 +66,8 @@ def test_a_gait_is_one_segment_with_its_name_period_and_speed(name: str) -> None
     assert found.period_frames == pytest.approx(period, abs=1)
     assert found.confidence > 0.95
     travel = np.linalg.norm(take.points_w[-1, 0, :2] - take.points_w[0, 0, :2])
-    assert found.speed_m_s == pytest.approx(travel * take.rate_hz / (take.n_frames - 1), rel=0.03)
-    assert abs(found.yaw_rate_rad_s) < 0.02
+    assert found.speed_m_per_s == pytest.approx(travel * take.rate_hz / (take.n_frames - 1), rel=0.03)
+    assert abs(found.yaw_rate_rad_per_s) < 0.02
 
 
 def test_the_best_cycle_is_in_its_segment_and_closes() -> None:
@@ -105,7 +105,7 @@ def test_turning_enough_in_a_cycle_is_a_turn_and_keeps_its_footfall() -> None:
     (turning,) = find_segments(open_clip("turn"))
     assert turning.gait == TURN
     assert turning.footfall in FOOTFALLS
-    assert turning.yaw_rate_rad_s > 0.8
+    assert turning.yaw_rate_rad_per_s > 0.8
     (straight,) = find_segments(open_clip("trot"))
     assert straight.gait == straight.footfall == "trot"
 
@@ -134,7 +134,7 @@ def test_the_frame_rate_changes_frames_only() -> None:
     (full,), (found,) = find_segments(clip), find_segments(half)
     assert found.gait == full.gait == "pace"
     assert found.period_frames == pytest.approx((full.period_frames or 0) / 2, abs=1)
-    assert found.speed_m_s == pytest.approx(full.speed_m_s, rel=0.03)
+    assert found.speed_m_per_s == pytest.approx(full.speed_m_per_s, rel=0.03)
 
 
 @pytest.mark.parametrize(

@@ -52,12 +52,12 @@ def test_a_record_says_all(built: Path) -> None:
         assert row["best"]
         assert row["gait"] == row["footfall"] == row["name"]
         assert row["licence"].startswith("no recording")
-        assert row["reward_second_simulator"] is None
+        assert row["reward_mean_second_simulator"] is None
         motion = MotionDataset.open(built).motion(row)
         again = evaluate(motion, "a1", duration_s=RECIPE.evaluation_s)
-        assert again.rollout.reward[0] == row["reward"]
+        assert again.rollout.reward[0] == row["reward_mean"]
         assert row["iterations"] == 3
-        assert row["speed_m_s"] == pytest.approx(1.25, abs=0.45)
+        assert row["speed_m_per_s"] == pytest.approx(1.25, abs=0.45)
 
 
 def test_pandas_reads_the_index(built: Path) -> None:
@@ -213,7 +213,7 @@ def test_a_damaged_recipe_is_written_anew_by_the_next_build_like_it(text: str, m
 
 def test_a_record_of_another_kind_is_none(mine: Path) -> None:
     path = next((mine / "records").iterdir())
-    path.write_text(json.dumps({**json.loads(path.read_text()), "reward": "high"}))
+    path.write_text(json.dumps({**json.loads(path.read_text()), "reward_mean": "high"}))
     assert check(MotionDataset.open(mine)).damaged == (f"records/{path.name}: not a whole record",)
     assert build_dataset(of("trot", "pace"), mine, HERE).done == 1
 
@@ -469,7 +469,7 @@ def test_warm_starts_are_of_the_nearest(built: Path, tmp_path: Path) -> None:
     done = build_dataset(of("pace", warm=MotionDataset.open(built)), tmp_path, HERE)
     assert [row["warm_start"] for row in done.rows] == [rows["pace"]["id"]]
     assert done.rows[0]["id"] != rows["pace"]["id"]
-    assert done.rows[0]["reward"] >= rows["pace"]["reward"] - 1e-3
+    assert done.rows[0]["reward_mean"] >= rows["pace"]["reward_mean"] - 1e-3
 
 
 def test_of_several_starts_the_one_of_the_last_build_counts(built: Path, mine: Path) -> None:
@@ -494,7 +494,7 @@ def test_a_rerun_notices_another_reward(mine: Path) -> None:
     assert rerun(library, 5) == ([], 2)
     path = next(mine.glob("records/*.json"))
     record = json.loads(path.read_text())
-    path.write_text(json.dumps({**record, "reward": 0.5}))
+    path.write_text(json.dumps({**record, "reward_mean": 0.5}))
     library.write_index()
     differing, _ = rerun(library, 5)
     assert len(differing) == 1

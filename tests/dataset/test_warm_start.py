@@ -17,7 +17,7 @@ def test_the_nearest_is_the_least_distant_of_all() -> None:
 
     def piece(i: int):  # type: ignore[no-untyped-def]
         numbers = draw.choice([0.3, 0.4, 0.5], 1)[0], *np.round(draw.normal(0, 1, 2), 1).tolist()  # with equal ones
-        known = dict(zip(("period_s", "speed_m_s", "yaw_rate_rad_s"), numbers, strict=True))
+        known = dict(zip(("period_s", "speed_m_per_s", "yaw_rate_rad_per_s"), numbers, strict=True))
         return replace(trot, digest=f"{i:04}", footfall=footfalls[draw.integers(4)], **known)
 
     pieces = {p.digest: p for p in map(piece, range(400))}
@@ -29,7 +29,7 @@ def test_the_nearest_is_the_least_distant_of_all() -> None:
         found = known.nearest(asked, "a1")
         assert found is not None
         assert found.of == near["id"]
-    far = replace(trot, speed_m_s=trot.speed_m_s + 100.0)
+    far = replace(trot, speed_m_per_s=trot.speed_m_per_s + 100.0)
     assert all(distance(far, other) > FARTHEST for other in pieces.values())
     assert known.nearest(far, "a1") is None
     assert known.nearest(trot, "go2") is None

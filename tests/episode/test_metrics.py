@@ -55,3 +55,12 @@ def test_means_leave_out_what_is_not_known() -> None:
     assert mean_of_known(np.array([1.0, np.nan, 3.0])) == 2.0
     assert np.isnan(mean_of_known(np.array([np.nan])))
     assert rms(np.array([3.0, -4.0])) == pytest.approx(np.sqrt(12.5))
+
+
+def test_rows_take_their_figures_by_name() -> None:
+    second = rollout().episodes(slice(1, 2))
+    assert second.reward.tolist() == [0.2]
+    assert second.terms.shape == (1, 5)
+    figures = Metrics.of(second)
+    assert figures.named(("reward_mean", "fell"), "robots") == {"reward_mean_robots": 0.2, "fell_robots": 1.0}
+    assert figures.named(("episodes",)) == {"episodes": 1}

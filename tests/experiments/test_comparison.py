@@ -128,9 +128,9 @@ class TestRows:
 
     def test_the_reward_is_the_sum_of_its_terms(self, rows: list[Row]) -> None:
         for row in rows:
-            terms = [row[f"reward_{name}"] for name in TERMS]
-            assert row["reward"] == pytest.approx(np.dot(WEIGHTS, terms))
-            assert 0 < row["reward"] <= 1
+            terms = [row[f"components_{name}"] for name in TERMS]
+            assert row["reward_mean"] == pytest.approx(np.dot(WEIGHTS, terms))
+            assert 0 < row["reward_mean"] <= 1
 
     def test_methods_without_a_search_have_none(self, rows: list[Row]) -> None:
         for row in rows:
@@ -140,9 +140,9 @@ class TestRows:
 
     def test_before_is_the_unoptimised_motion_under_the_same_controller(self, rows: list[Row]) -> None:
         by = {(r["method"], r["variant"], r["seed"]): r for r in rows}
-        assert by["mbc-dmp", "", 0]["reward_before"] == by["mbc", "", 0]["reward"]
-        assert by["lh-dmp", "", 1]["reward_before"] == by["lh", "", 0]["reward"]
-        assert by["mbc", "", 0]["reward"] != by["lh", "", 0]["reward"]
+        assert by["mbc-dmp", "", 0]["reward_mean_before"] == by["mbc", "", 0]["reward_mean"]
+        assert by["lh-dmp", "", 1]["reward_mean_before"] == by["lh", "", 0]["reward_mean"]
+        assert by["mbc", "", 0]["reward_mean"] != by["lh", "", 0]["reward_mean"]
 
     def test_seeds_are_those_of_the_search(self, rows: list[Row], out: Path) -> None:
         one, other = (r for r in rows if r["method"] == "mbc-dmp" and not r["variant"])
@@ -167,7 +167,7 @@ class TestRows:
         for row in rows:
             if row["variant"]:
                 assert row["digest"] != whole["digest"]
-        before = {r["variant"]: r["reward_before"] for r in rows if r["method"] == "mbc-dmp" and r["seed"] == 0}
+        before = {r["variant"]: r["reward_mean_before"] for r in rows if r["method"] == "mbc-dmp" and r["seed"] == 0}
         # legs touch down in time in so short and smooth an episode, and fewer basis functions are no other controller
         same = {"", "no-state-machine", "10-basis-functions", "25-basis-functions"}
         assert {name for name, reward in before.items() if reward == before[""]} == same
@@ -271,7 +271,7 @@ class TestKept:
             assert row["evaluation_s"] == pytest.approx(lasted)
             assert row["simulated_s"] == pytest.approx(min(TINY.duration_s, whole) + lasted * (1 + 3))
             found = evaluate(once, episodes=4, duration_s=lasted, seed=20230617).rollout
-            assert row["reward_perturbed"] == pytest.approx(found.reward[1:].mean())
+            assert row["reward_mean_perturbed"] == pytest.approx(found.reward[1:].mean())
 
 
 class TestFolder:
@@ -286,7 +286,7 @@ class TestFolder:
         with (out / "results.csv").open(newline="") as file:
             found = list(csv.DictReader(file))
         assert list(found[0]) == list(COLUMNS)
-        assert [float(r["reward"]) for r in found] == [r["reward"] for r in rows]
+        assert [float(r["reward_mean"]) for r in found] == [r["reward_mean"] for r in rows]
         assert found[0]["style_distance"] == ""
 
     def test_the_optimised_motion_is_kept_with_its_run(self, out: Path, rows: list[Row]) -> None:
@@ -332,10 +332,10 @@ class TestFolder:
 class TestTables:
     def test_means_and_deviations_over_the_seeds(self, rows: list[Row]) -> None:
         found = {(s.method, s.variant): s for s in summaries(rows)}
-        own = [r["reward"] for r in rows if (r["method"], r["variant"]) == ("mbc-dmp", "")]
-        assert found["mbc-dmp", ""].mean("reward") == pytest.approx(np.mean(own))
-        assert found["mbc-dmp", ""].std("reward") == pytest.approx(abs(own[0] - own[1]) / np.sqrt(2))
-        assert found["mbc", ""].std("reward") is None
+        own = [r["reward_mean"] for r in rows if (r["method"], r["variant"]) == ("mbc-dmp", "")]
+        assert found["mbc-dmp", ""].mean("reward_mean") == pytest.approx(np.mean(own))
+        assert found["mbc-dmp", ""].std("reward_mean") == pytest.approx(abs(own[0] - own[1]) / np.sqrt(2))
+        assert found["mbc", ""].std("reward_mean") is None
         assert [s.method for s in found.values() if not s.variant] == list(PAPER_METHODS)
 
     def test_the_comparison_has_a_line_a_method_and_the_papers_numbers_in_none(self, rows: list[Row]) -> None:
@@ -343,7 +343,7 @@ class TestTables:
         text = comparison_table(own, len(own))
         lines = [line for line in text.splitlines() if line.startswith("| `trot`")]
         assert [line.split(" | ")[1] for line in lines] == ["Raibert", "MBC", "LH", "MBC-DMP", "LH-DMP"]
-        assert f"**{own[1]['reward']:.3f}**" in lines[1]
+        assert f"**{own[1]['reward_mean']:.3f}**" in lines[1]
         assert "±" in lines[3].split(" | ")[2]
         assert not any("0.803" in line for line in lines)
         assert "not a row of ours" in text
@@ -361,6 +361,6 @@ class TestTables:
         own = [r for r in rows if r["method"] == "mbc-dmp"]
         lines = [line for line in ablation_table(own, len(own)).splitlines() if line.startswith("| `trot`")]
         assert [line.split(" | ")[1] for line in lines] == ["mbc-dmp, as it is", *PLAN.variants]
-        base = np.mean([r["reward"] for r in own if not r["variant"]])
-        first = np.mean([r["reward"] for r in own if r["variant"] == PLAN.variants[0]])
+        base = np.mean([r["reward_mean"] for r in own if not r["variant"]])
+        first = np.mean([r["reward_mean"] for r in own if r["variant"] == PLAN.variants[0]])
         assert lines[1].split(" | ")[3] == f"{first - base:+.3f}"

@@ -49,7 +49,7 @@ def made_up(method: str, name: str, success: list[float]) -> list[dict[str, Any]
     about |= {"simulator": "mujoco", "observe": "truth", "duration_s": 6.0, "seed": 0}
     levels = DISTURBANCES[name].levels
     return [
-        {**about, "method": method, "disturbance": name, "value": level, "success": s, "reward_mean": 0.9 * s}
+        {**about, "method": method, "disturbance": name, "value": level, "fell": 1.0 - s, "reward_mean": 0.9 * s}
         for level, s in zip(levels, success, strict=True)
     ]
 
@@ -59,7 +59,7 @@ class TestSweep:
         rows = sweep(subject, "joint-damping", robot, SETTINGS)
         assert tuple(row["value"] for row in rows) == DISTURBANCES["joint-damping"].levels
         assert all(set(COLUMNS) == set(row) for row in rows)
-        assert rows[0]["success"] == 1.0
+        assert rows[0]["fell"] == 0.0
         assert rows[-1]["reward_mean"] < rows[0]["reward_mean"]
 
     def test_the_nominal_level_is_an_undisturbed_evaluation(self, subject: Subject, robot: Robot) -> None:
@@ -128,7 +128,7 @@ class TestTolerance:
 
     def test_figures_have_a_panel_for_each_disturbance(self) -> None:
         rows = made_up("mbc", "payload", [1.0] * 10) + made_up("mbc", "top-speed", [0.5] * 9)
-        figure = stress_figure(rows, "success", "title")
+        figure = stress_figure(rows, "fell", "title")
         titles = [axes.get_title(loc="left") for axes in figure.axes]
         assert titles[:2] == ["payload", "top-speed"]
         x = figure.axes[1].lines[0].get_xdata()

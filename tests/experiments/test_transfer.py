@@ -46,14 +46,14 @@ class TestTrials:
     def test_every_stage_has_every_trial(self, rows: list[dict[str, Any]]) -> None:
         assert [(row["stage"], row["trial"]) for row in rows] == [(s.name, k) for s in STAGES for k in (0, 1)]
         assert all(set(COLUMNS) == set(row) for row in rows)
-        assert len({row["reward"] for row in rows}) == len(rows), "every one is another robot or start"
+        assert len({row["reward_mean"] for row in rows}) == len(rows), "every one is another robot or start"
 
     def test_the_first_stage_is_the_simulation_of_the_optimisation(
         self, rows: list[dict[str, Any]], subject: Subject, robot: Robot
     ) -> None:
         start = trial_starts(2, SETTINGS.seed)
         plain = run_episodes(robot, subject.motion, start=start, duration_s=0.6, config=subject.config)
-        assert [row["reward"] for row in rows if row["stage"] == SIMULATION] == plain.reward.tolist()
+        assert [row["reward_mean"] for row in rows if row["stage"] == SIMULATION] == plain.reward.tolist()
 
     def test_the_last_stage_differs_in_everything(self) -> None:
         last = STAGES[-1]
@@ -96,7 +96,7 @@ class TestIdentified:
     def test_has_a_column_of_its_own(self) -> None:
         rows = TestResults().made_up()
         rows += [
-            {**row, "stage": IDENTIFIED.name, "reward": 0.76, "fell": False} for row in rows if row["stage"] == LAST
+            {**row, "stage": IDENTIFIED.name, "reward_mean": 0.76, "fell": 0.0} for row in rows if row["stage"] == LAST
         ]
         table = transfer_table(rows, 0)
         assert "| (c) all | (c) identified | change to (c) identified |" in table
@@ -110,7 +110,7 @@ class TestResults:
         rewards = {"simulation": (0.8, 0.8), "sensors": (0.7, 0.8), "engine": (0.6, 0.8), "robot": (0.2, 0.6)}
         about = {"motion": "turn", "method": "mbc", "robot": "a1", "duration_s": 10.0, "seed": 0}
         return [
-            {**about, "stage": stage, "trial": k, "reward": r, "fell": stage == "robot" and k == 0}
+            {**about, "stage": stage, "trial": k, "reward_mean": r, "fell": float(stage == "robot" and k == 0)}
             for stage, both in rewards.items()
             for k, r in enumerate(both)
         ]

@@ -144,7 +144,7 @@ class TestCompare:
         with (tmp_path / "results.csv").open() as file:
             written = {row["method"]: row for row in csv.DictReader(file)}
         assert list(written) == ["rl", "mbc"]
-        assert float(written["rl"]["reward"]) > 0.3
+        assert float(written["rl"]["reward_mean"]) > 0.3
         assert written["rl"]["parameters"].startswith("policy=")
         assert "| `side-step` | RL |" in (tmp_path / "table.md").read_text()
         assert (tmp_path / "comparison.png").stat().st_size > 10_000

@@ -16,14 +16,14 @@ def summary(
     fallen = fell or [False] * len(rewards)
     rows = [
         {
-            "reward": reward,
-            "reward_perturbed": reward - 0.1,
+            "reward_mean": reward,
+            "reward_mean_perturbed": reward - 0.1,
             "fell": down,
             "fell_before": False,
-            "foot_z_rmse_before_m": 0.010,
-            "foot_z_rmse_after_m": 0.0076,
-            "foot_x_rmse_before_m": 0.020,
-            "foot_x_rmse_after_m": 0.0016,
+            "foot_z_rmse_m_before": 0.010,
+            "foot_z_rmse_m": 0.0076,
+            "foot_x_rmse_m_before": 0.020,
+            "foot_x_rmse_m": 0.0016,
             **other,
         }
         for reward, down in zip(rewards, fallen, strict=True)
@@ -54,7 +54,7 @@ def test_methods_stand_in_the_papers_order_and_falls_are_marked() -> None:
 @pytest.mark.parametrize("fell", [False, True])
 @pytest.mark.parametrize("rough", [0.3, 0.49, 0.5, 0.51, 0.53, 0.55, 0.57, 0.6, 0.63, 0.9])
 def test_no_circle_lies_on_a_number(rough: float, fell: bool) -> None:
-    figure = comparison_figure([summary("mbc", [0.5], fell=[fell], reward_perturbed=rough)], "title")
+    figure = comparison_figure([summary("mbc", [0.5], fell=[fell], reward_mean_perturbed=rough)], "title")
     figure.draw_without_rendering()
     axes = figure.axes[0]
     number = axes.texts[0].get_window_extent()

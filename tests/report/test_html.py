@@ -310,9 +310,10 @@ def test_a_comparison_has_its_tables_and_figures(tmp_path: Path) -> None:
 def a_row(motion: str, method: str, seed: int, reward: float, variant: str = "") -> dict[str, Any]:
     """A row of results.csv, as short as it can be."""
     texts = {name: "x" for name in COLUMNS if name.endswith("_version") or name in ("parameters", "digest", "config")}
-    said = {"motion": motion, "method": method, "variant": variant, "seed": float(seed), "robot": "a1", "fell": False}
-    numbers = {"reward": reward, "reward_perturbed": reward - 0.1, "style_distance_realised": 0.1, "cpu_s": 10.0 + seed}
-    return {**dict.fromkeys(COLUMNS), **texts, **said, **numbers, "foot_z_rmse_after_m": 0.002, "fell_before": True}
+    said = {"motion": motion, "method": method, "variant": variant, "seed": float(seed), "robot": "a1", "fell": 0.0}
+    numbers = {"reward_mean": reward, "reward_mean_perturbed": reward - 0.1, "style_distance_realised": 0.1}
+    numbers |= {"cpu_s": 10.0 + seed, "foot_z_rmse_m": 0.002, "fell_before": 1.0}
+    return {**dict.fromkeys(COLUMNS), **texts, **said, **numbers}
 
 
 ROWS = [
@@ -511,7 +512,7 @@ def test_a_heading_sorts_its_table(compared: Path, chromium: Any) -> None:
         said = heading.get_attribute("aria-sort")
         tab.page.locator("table.sortable button", has_text="reward").first.click()
         first = tab.page.locator("table.sortable tbody tr").first.inner_text()
-    rewards = sorted(row["reward"] for row in ROWS)
+    rewards = sorted(row["reward_mean"] for row in ROWS)
     assert orders == [rewards, rewards[::-1]]
     assert said == "descending"
     assert "0.500" in first

@@ -145,8 +145,8 @@ class Segment:
         period_frames, cycle: period, and the cycle (first, end) that repeats best; None where nothing repeats.
         confidence: from 0, where d' is no better than chance, to 1, an exact repetition; for standing and discrete
             parts, how clearly nothing repeats.
-        speed_m_s: mean over the ground, of the trunk, in the animal's size.
-        yaw_rate_rad_s: mean of its heading, positive to the left.
+        speed_m_per_s: mean over the ground, of the trunk, in the animal's size.
+        yaw_rate_rad_per_s: mean of its heading, positive to the left.
     """
 
     start: int
@@ -156,8 +156,8 @@ class Segment:
     period_frames: float | None
     cycle: tuple[int, int] | None
     confidence: float
-    speed_m_s: float
-    yaw_rate_rad_s: float
+    speed_m_per_s: float
+    yaw_rate_rad_per_s: float
 
 
 @dataclass(frozen=True, eq=False)

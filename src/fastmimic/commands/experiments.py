@@ -178,7 +178,7 @@ def _progress(total: int) -> "Iterator[ReportProgress]":
             elif row is not None:
                 run = row["method"] + (f" ({row['variant']})" if row["variant"] else "") + f" seed {row['seed']}"
                 fell = ", fell" if row["fell"] else ""
-                note(f"{finished}/{total} {row['motion']} {run}: reward {row['reward']:.3f}{fell}{left}")
+                note(f"{finished}/{total} {row['motion']} {run}: reward {row['reward_mean']:.3f}{fell}{left}")
 
         yield report
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # loads the compiler
 LibraryFolder = Annotated[Positional[Path], opt.option("LIBRARY", "Folder of the library.")]
 _LISTED: Final = (
     *("id", "name", "robot", "seed", "gait", "footfall", "grade"),
-    *("kept", "best", "reward", "reward_robots", "lacks"),
+    *("kept", "best", "reward_mean", "reward_mean_robots", "lacks"),
 )
 """Columns that a list shows or is filtered by."""
 
@@ -356,7 +356,7 @@ def _progress(said: str) -> "Iterator[Callable[[BuildStep], None]]":
             elif step.record is not None:
                 started()
                 r = step.record
-                what = f"reward {r['reward']:.3f}, {grade(r)[0]}"
+                what = f"reward {r['reward_mean']:.3f}, {grade(r)[0]}"
                 note(f"{step.done}/{step.total} {r['name']} on {r['robot']} seed {r['seed']}: {what}")
             if bar is not None:
                 bar(step.share, f"{step.what} {step.done}/{step.total}")
@@ -388,6 +388,6 @@ def put_summary(library: "MotionDataset") -> None:
 
 def _line(row: "Row") -> tuple[str, ...]:
     gait = row["gait"] if row["footfall"] in (None, row["gait"]) else f"{row['gait']} ({row['footfall']})"
-    rewards = ("" if row[name] is None else f"{row[name]:.3f}" for name in ("reward", "reward_robots"))
+    rewards = ("" if row[name] is None else f"{row[name]:.3f}" for name in ("reward_mean", "reward_mean_robots"))
     about = (row["id"][:8], row["name"], row["robot"], str(row["seed"]))
     return (*about, gait or "", row["grade"], *rewards, row["lacks"] or "")

@@ -297,8 +297,8 @@ def _segment_row(segment: "Segment", rate_hz: float) -> tuple[str, ...]:
         f"{segment.period_frames:g} ({segment.period_frames / rate_hz:.2f} s)" if segment.period_frames else "",
         "{}:{}".format(*segment.cycle) if periodic and segment.cycle else "",
         f"{segment.confidence:.2f}",
-        f"{segment.speed_m_s:.2f}",
-        f"{segment.yaw_rate_rad_s:+.2f}",
+        f"{segment.speed_m_per_s:.2f}",
+        f"{segment.yaw_rate_rad_per_s:+.2f}",
     )
 
 

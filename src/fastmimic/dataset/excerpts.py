@@ -33,7 +33,7 @@ class Excerpt:
 
     Attributes:
         gait, footfall, confidence: as in `fastmimic.clips.segment.Segment`; `WHOLE` and 1 without a search for cycles.
-        period_s, speed_m_s, yaw_rate_rad_s: in the animal's size, or the robot's for a robot motion.
+        period_s, speed_m_per_s, yaw_rate_rad_per_s: in the animal's size, or the robot's for a robot motion.
         licence, credit: of the recording; None if unknown.
     """
 
@@ -46,8 +46,8 @@ class Excerpt:
     confidence: float = 1.0
     repeats: bool  # whether it counts as a cycle
     period_s: float
-    speed_m_s: float
-    yaw_rate_rad_s: float
+    speed_m_per_s: float
+    yaw_rate_rad_per_s: float
     robot: str | None = None  # of a robot motion; None for an animal's
     licence: str | None
     credit: str | None
@@ -151,8 +151,8 @@ def _of_motion(source: DatasetSource, motion: Motion) -> Excerpt:
         gait=WHOLE,
         repeats=motion.cycle is not None,
         period_s=motion.period_s,
-        speed_m_s=float(np.linalg.norm(motion.root_lin_vel_w[:, :2], axis=1).mean()),
-        yaw_rate_rad_s=float(motion.root_ang_vel_w[:, 2].mean()),
+        speed_m_per_s=float(np.linalg.norm(motion.root_lin_vel_w[:, :2], axis=1).mean()),
+        yaw_rate_rad_per_s=float(motion.root_ang_vel_w[:, 2].mean()),
         robot=robot,
         licence=motion.provenance.licence or source.licence,
         credit=motion.provenance.credit or source.credit,
@@ -196,8 +196,8 @@ def _piece(source: DatasetSource, cut: Clip, frames: tuple[int, int], segment: S
         confidence=round(segment.confidence, 4),
         repeats=repeats,
         period_s=cut.n_frames / cut.rate_hz,
-        speed_m_s=segment.speed_m_s,
-        yaw_rate_rad_s=segment.yaw_rate_rad_s,
+        speed_m_per_s=segment.speed_m_per_s,
+        yaw_rate_rad_per_s=segment.yaw_rate_rad_per_s,
         licence=cut.meta.get("licence") or source.licence,
         credit=cut.meta.get("credit") or source.credit,
     )

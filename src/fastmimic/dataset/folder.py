@@ -49,8 +49,8 @@ FORMAT_VERSION: Final = 1
 
 LISTED: Final = "motions.csv"
 _EXPORTED: Final = (
-    *("file", "name", "robot", "seed", "gait", "footfall", "grade", "reward", "period_s", "speed_m_s"),
-    *("yaw_rate_rad_s", "source", "licence", "credit", "id"),
+    *("file", "name", "robot", "seed", "gait", "footfall", "grade", "reward_mean", "period_s", "speed_m_per_s"),
+    *("yaw_rate_rad_per_s", "source", "licence", "credit", "id"),
 )
 NEEDED: Final = (*_EXPORTED[1:], "robot_file", "motion_file", "lacks")
 """Columns of the index that an export needs."""

@@ -117,7 +117,7 @@ class _Brief:
         robot, digest, recipe = (intern(said) for said in (robot_of(row), row["robot_digest"], row["recipe"]))
         search = (row["piece"], robot, row["seed"], digest, recipe)
         order = (row["name"], row["robot"], row["seed"], row["id"])
-        rank = (RANKS.index(reached), row["reward_perturbed"] or 0.0)
+        rank = (RANKS.index(reached), row["reward_mean_perturbed"] or 0.0)
         return cls(search, row["finished"] or "", order, rank, reached in KEPT)
 
 

@@ -28,6 +28,7 @@ from fastmimic.dataset.index import robot_of
 from fastmimic.dataset.records import DONE, FAILED, MOTIONS, Record, empty, load_record, save_record, sha256
 from fastmimic.episode.feasibility import demands, describe_fall, reasons
 from fastmimic.episode.loop import run_episodes
+from fastmimic.episode.metrics import Metrics
 from fastmimic.episode.plan import nominal_start, perturbed_start
 from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import Report
@@ -249,15 +250,11 @@ def _tried(job: Job, result: Imitation) -> Record:
         others = Randomization().held_out(recipe.others)
         rollout = elsewhere(Conditions(disturbances=others), recipe.others, perturbed=False)
         simulated_s += measured.seconds * recipe.others
-        figures |= {
-            "reward_robots": rollout.reward.mean(),
-            "reward_robots_worst": rollout.reward.min(),
-            "fell_robots": rollout.fell.mean(),
-        }
+        figures |= Metrics.of(rollout).named(("reward_mean", "reward_worst", "fell"), "robots")
     if recipe.second_simulator and job.robot in DESCRIPTIONS:
         rollout = elsewhere(Conditions(SECOND_SIMULATOR), _SECOND_SIMULATOR_EPISODES, perturbed=True)
         simulated_s += measured.seconds * _SECOND_SIMULATOR_EPISODES
-        figures |= {"reward_second_simulator": rollout.reward.mean(), "fell_second_simulator": rollout.fell.mean()}
+        figures |= Metrics.of(rollout).named(("reward_mean", "fell"), "second_simulator")
     return figures | {"simulated_s": simulated_s}
 
 
@@ -266,8 +263,8 @@ def _what_it_is(motion: Motion) -> Record:
     velocity = motion.root_lin_vel_w[:, :2]
     return {
         "period_s": motion.period_s,
-        "speed_m_s": np.linalg.norm(velocity, axis=1).mean(),
-        "yaw_rate_rad_s": motion.root_ang_vel_w[:, 2].mean(),
+        "speed_m_per_s": np.linalg.norm(velocity, axis=1).mean(),
+        "yaw_rate_rad_per_s": motion.root_ang_vel_w[:, 2].mean(),
         "duty_factor": motion.contact.mean(),
         "repeats": motion.cycle is not None,
     }
@@ -277,8 +274,8 @@ def distance(a: Excerpt, b: Excerpt) -> float:
     """Difference of two excerpts, 0 for the same."""
     apart = math.hypot(
         math.log(a.period_s / b.period_s) / TEMPO,
-        (a.speed_m_s - b.speed_m_s) / SPEED_M_S,
-        (a.yaw_rate_rad_s - b.yaw_rate_rad_s) / YAW_RAD_S,
+        (a.speed_m_per_s - b.speed_m_per_s) / SPEED_M_S,
+        (a.yaw_rate_rad_per_s - b.yaw_rate_rad_per_s) / YAW_RAD_S,
     )
     return apart + _other(a.footfall, b.footfall)
 
@@ -343,7 +340,7 @@ class Neighbours:
 
 def _place(piece: Excerpt) -> tuple[float, float, float]:
     """Coordinates of an excerpt; their distance is `distance` without the footfall."""
-    return math.log(piece.period_s) / TEMPO, piece.speed_m_s / SPEED_M_S, piece.yaw_rate_rad_s / YAW_RAD_S
+    return math.log(piece.period_s) / TEMPO, piece.speed_m_per_s / SPEED_M_S, piece.yaw_rate_rad_per_s / YAW_RAD_S
 
 
 def _other(a: str | None, b: str | None) -> float:

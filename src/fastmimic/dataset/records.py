@@ -37,28 +37,28 @@ _IDENTITY: Final = {
 MJCF, `robot_digest` that of the robot's description, `reason` that of a failure."""
 
 _REWARDS: Final = (
-    *("reward", "reward_before", "reward_perturbed", "reward_std"),
-    *("reward_robots", "reward_robots_worst", "reward_second_simulator"),
+    *("reward_mean", "reward_mean_before", "reward_mean_perturbed", "reward_std_perturbed"),
+    *("reward_mean_robots", "reward_worst_robots", "reward_mean_second_simulator"),
 )
+_FALLS: Final = ("fell", "fell_before", "fell_perturbed", "fell_robots", "fell_second_simulator")
 _MEASURES: Final = (
-    *("fell_perturbed", "fell_robots", "fell_second_simulator", "style_distance", "style_distance_realised"),
-    *("swing_clearance_m", "swing_clearance_least_share", "early_contacts_per_s", "stance_slip_m", "drift_m_per_s"),
+    *("style_distance", "style_distance_realised"),
+    *("mean_clearance_m", "swing_clearance_least_share", "early_contacts_per_s", "stance_slip_m", "drift_m_per_s"),
     *("joint_speed_share", "torque_share", "friction_needed", "flight_share"),
 )
 _PACKAGES: Final = ("fastmimic", "python", "mujoco", "daqp", "cma", "numba", "numpy")
 FIGURES: Final = {
-    **dict.fromkeys(("period_s", "speed_m_s", "yaw_rate_rad_s", "duty_factor"), float),
+    **dict.fromkeys(("period_s", "speed_m_per_s", "yaw_rate_rad_per_s", "duty_factor"), float),
     "repeats": bool,
-    **dict.fromkeys(_REWARDS, float),
-    **dict.fromkeys(("fell", "fell_before"), bool),
-    **dict.fromkeys(_MEASURES, float),
+    **dict.fromkeys((*_REWARDS, *_FALLS, *_MEASURES), float),
     **dict.fromkeys(("limits_exceeded", "warm_start", "parameters"), str),
     **dict.fromkeys(("iterations", "evaluations"), int),
     "simulated_s": float,
     **dict.fromkeys(("motion_file", "motion_sha256", *(f"{name}_version" for name in _PACKAGES)), str),
 }
-"""Further columns of a finished motion. `limits_exceeded` is from `fastmimic.episode.feasibility.reasons`; `warm_start`
-is the record that the search began from."""
+"""Further columns of a finished motion; figures of episodes have the names of `Metrics`, of the nominal episode where a
+name says no more. `limits_exceeded` is from `fastmimic.episode.feasibility.reasons`; `warm_start` is the record that
+the search began from."""
 COSTS: Final = {"wall_s": float, "cpu_s": float, "finished": str}  # differ between repetitions
 
 COLUMNS: Final = {**_IDENTITY, **FIGURES, **COSTS}
@@ -189,12 +189,14 @@ class Demand:
     Attributes:
         figure: of the record; ignored if the record lacks it, because it was not evaluated.
         least, most: inclusive bounds; None for no bound.
+        numbered: whether a violation states the figure and its bound.
     """
 
     figure: str
     least: float | None = None
     most: float | None = None
     says: str = ""
+    numbered: bool = True
 
     def unmet(self, record: Mapping[str, Any]) -> str | None:
         """The violation in words; None if the record meets the demand."""
@@ -202,13 +204,9 @@ class Demand:
         if value is None:
             return None
         if self.least is not None and value < self.least:
-            return f"{self.says} {float(value):.3g}, below {self.least:g}"
+            return f"{self.says} {value:.3g}, below {self.least:g}"
         if self.most is not None and value > self.most:
-            return (
-                self.says
-                if self.most == 0 and isinstance(value, bool)
-                else f"{self.says} {float(value):.3g}, above {self.most:g}"
-            )
+            return f"{self.says} {value:.3g}, above {self.most:g}" if self.numbered else self.says
         return None
 
 
@@ -216,22 +214,22 @@ _FELL = "share of {} that end in a fall"
 
 GRADES: Final[dict[str, tuple[Demand, ...]]] = {
     "A": (
-        Demand("reward", least=0.9, says="reward"),
-        Demand("reward_perturbed", least=0.85, says="reward from perturbed starts"),
-        Demand("reward_robots", least=0.8, says="reward on other robots"),
-        Demand("reward_second_simulator", least=0.75, says="reward in the second simulator"),
+        Demand("reward_mean", least=0.9, says="reward"),
+        Demand("reward_mean_perturbed", least=0.85, says="reward from perturbed starts"),
+        Demand("reward_mean_robots", least=0.8, says="reward on other robots"),
+        Demand("reward_mean_second_simulator", least=0.75, says="reward in the second simulator"),
         Demand("fell_perturbed", most=0.0, says=_FELL.format("perturbed starts")),
         Demand("fell_robots", most=0.0, says=_FELL.format("other robots")),
         Demand("fell_second_simulator", most=0.0, says=_FELL.format("trials in the second simulator")),
     ),
     "B": (
-        Demand("reward", least=0.8, says="reward"),
+        Demand("reward_mean", least=0.8, says="reward"),
         Demand("fell_perturbed", most=0.0, says=_FELL.format("perturbed starts")),
         Demand("fell_robots", most=0.2, says=_FELL.format("other robots")),
     ),
     "C": (
-        Demand("fell", most=0.0, says="falls"),
-        Demand("reward", least=0.6, says="reward"),
+        Demand("fell", most=0.0, says="falls", numbered=False),
+        Demand("reward_mean", least=0.6, says="reward"),
         Demand("style_distance", most=0.5, says="distance from the demonstration's style"),
         Demand("swing_clearance_least_share", least=0.5, says="share of the demonstration's swing clearance"),
     ),

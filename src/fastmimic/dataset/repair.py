@@ -17,7 +17,7 @@ from fastmimic.imitation.methods import method_named
 from fastmimic.robot import load_robot
 
 _DRAW_SEED = 0
-_COLUMNS = ("id", "name", "robot", "robot_file", "method", "motion_file", "reward", "lacks")
+_COLUMNS = ("id", "name", "robot", "robot_file", "method", "motion_file", "reward_mean", "lacks")
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,8 @@ def rerun(
         except (MotionError, RobotError) as error:
             found.append(f"{what}: {reason_of(error)}")
         else:
-            if reward != row["reward"]:
-                found.append(f"{what}: {row['reward']!r} recorded, {reward!r} now")
+            if reward != row["reward_mean"]:
+                found.append(f"{what}: {row['reward_mean']!r} recorded, {reward!r} now")
         if progress is not None:
             progress(i + 1, len(drawn))
     return found, len(drawn)

@@ -1,5 +1,6 @@
 """The figures of a rollout: one record for files, tables and reports; clearance and style of foot motions."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -90,6 +91,11 @@ class Metrics:
     def mean_clearance_m(self) -> float:
         """Mean of the feet's swing clearances; NaN without swings."""
         return mean_of_known(np.array(self.swing_clearance_m))
+
+    def named(self, names: Iterable[str], of: str = "") -> dict[str, Any]:
+        """Some figures by name, for a row; `of` is appended where a row has several kinds of episodes:
+        `reward_mean_perturbed`."""
+        return {f"{name}_{of}" if of else name: getattr(self, name) for name in names}
 
     def as_dict(self) -> dict[str, Any]:
         """Everything by name, for JSON: None for NaN, the estimation's figures with the prefix `estimate_`."""

@@ -1,6 +1,6 @@
 """The results of episodes."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -92,6 +92,12 @@ class Rollout:
     def components(self, episode: int) -> dict[str, float]:
         """The reward's terms of one episode by name."""
         return {name: float(value) for name, value in zip(REWARD_TERMS, self.terms[episode], strict=True)}
+
+    def episodes(self, which: slice) -> "Rollout":
+        """Some of the episodes, without `log`, `parts` and `estimation`."""
+        known = {f.name: getattr(self, f.name) for f in fields(self)}
+        chosen: dict[str, Any] = {name: value[which] for name, value in known.items() if isinstance(value, np.ndarray)}
+        return replace(self, **chosen, log=None, parts=(), estimation=None)
 
 
 def summarised(counted: Counted, steps: int, rate_hz: float) -> Rollout:

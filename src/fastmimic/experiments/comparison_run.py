@@ -1,8 +1,8 @@
 """A run of a comparison (a method on a motion with a seed, and its row of results), and the comparison's folder.
 
 The seed of an optimised method is that of CMA-ES. Other methods are deterministic in simulation (paper) and run once,
-as seed 0. All runs have the same evaluation: one nominal episode from the motion's start (`reward`), and episodes from
-the same perturbed starts (`reward_perturbed`, `reward_std`), which no optimisation has seen.
+as seed 0. All runs have the same evaluation: one nominal episode from the motion's start (`reward_mean`), and episodes
+from the same perturbed starts (`reward_mean_perturbed`, `reward_std_perturbed`), which no optimisation has seen.
 """
 
 import json

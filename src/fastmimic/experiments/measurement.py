@@ -21,6 +21,9 @@ Row = dict[str, Any]
 
 EVALUATION_S: Final = 10.0
 PERTURBED_EPISODES: Final = 8
+_BEFORE: Final = ("reward_mean", "fell", "foot_z_rmse_m", "foot_x_rmse_m")
+_NOMINAL: Final = (*_BEFORE, "drift_m_per_s", "mean_clearance_m", "early_contacts_per_s", "stance_slip_m")
+_PERTURBED: Final = ("reward_mean", "reward_std", "fell")
 _EVALUATION_SEED: Final = 20230617  # of the perturbed starts of every run; no optimisation uses it
 
 
@@ -68,25 +71,13 @@ def measure(
     share = after.clearance[0] / swing_clearance(demonstration, robot.foot_radius)
     style = None if method.own_feet else style_distance(result.motion.foot_pos_b, demonstration.foot_pos_b)
     figures = {
-        "reward": nominal.reward_mean,
-        "reward_before": unoptimised.reward_mean,
-        "reward_perturbed": perturbed.reward_mean,
-        "reward_std": perturbed.reward_std,
-        "fell": nominal.fell_once,
-        "fell_before": unoptimised.fell_once,
-        "fell_perturbed": perturbed.fell,
-        "drift_m_per_s": nominal.drift_m_per_s,
-        "swing_clearance_m": nominal.mean_clearance_m,
+        **nominal.named(_NOMINAL),
+        **unoptimised.named(_BEFORE, "before"),
+        **perturbed.named(_PERTURBED, "perturbed"),
         "swing_clearance_least_share": np.nanmin(share) if np.isfinite(share).any() else None,
-        "early_contacts_per_s": nominal.early_contacts_per_s,
-        "stance_slip_m": nominal.stance_slip_m,
         "style_distance": style,
         "style_distance_realised": _realised_style(after, demonstration, robot),
-        "foot_z_rmse_before_m": unoptimised.foot_z_rmse_m,
-        "foot_z_rmse_after_m": nominal.foot_z_rmse_m,
-        "foot_x_rmse_before_m": unoptimised.foot_x_rmse_m,
-        "foot_x_rmse_after_m": nominal.foot_x_rmse_m,
-        **{f"reward_{name}": value for name, value in nominal.components.items()},
+        **{f"components_{name}": value for name, value in nominal.components.items()},
     }
     simulated_s = seconds * (1 + method.optimises + perturbed_episodes)
     return Measured(plain(figures), before, after, seconds, simulated_s)

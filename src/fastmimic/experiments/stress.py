@@ -14,6 +14,7 @@ import numpy as np
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.text import markdown_table
+from fastmimic.episode.metrics import Metrics
 from fastmimic.episode.plan import episode_duration, nominal_start, start_room
 from fastmimic.experiments.comparison_run import Row, check_unique
 from fastmimic.experiments.experiment import Subject, all_parts
@@ -28,9 +29,10 @@ AT_ONCE: Final = 120  # greatest number of robots in a batch
 SWEEPS: Final = "sweeps"
 
 COLUMNS: Final = (
-    *("motion", "method", "disturbance", "unit", "value", "episodes", "success", "reward_mean", "reward_std"),
+    *("motion", "method", "disturbance", "unit", "value", "episodes", "fell", "reward_mean", "reward_std"),
     *("simulator", "observe", "duration_s", "seed"),
 )
+_FIGURES: Final = ("episodes", "fell", "reward_mean", "reward_std", "duration_s")  # of `Metrics`
 
 
 @dataclass(frozen=True)
@@ -126,13 +128,9 @@ def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSett
                     "disturbance": disturbance,
                     "unit": kind.unit,
                     "value": level if math.isfinite(level) else str(level),
-                    "episodes": settings.episodes,
-                    "success": float(1.0 - rollout.fell[own].mean()),
-                    "reward_mean": float(rollout.reward[own].mean()),
-                    "reward_std": float(rollout.reward[own].std()),
+                    **Metrics.of(rollout.episodes(own)).named(_FIGURES),
                     "simulator": settings.simulator,
                     "observe": settings.observe,
-                    "duration_s": rollout.duration_s,
                     "seed": settings.seed,
                 }
             )
@@ -157,7 +155,7 @@ def tolerances(rows: Iterable[Row]) -> list[Tolerance]:
 
 def _tolerance(method: str, disturbance: str, rows: list[Row]) -> Tolerance:
     values = [float(row["value"]) for row in rows]
-    holds = [row["success"] >= SUCCESS - 1e-9 for row in rows]
+    holds = [1.0 - row["fell"] >= SUCCESS - 1e-9 for row in rows]
     nominal = values.index(DISTURBANCES[disturbance].nominal)
     first = last = nominal
     while first > 0 and holds[first - 1]:
@@ -165,7 +163,7 @@ def _tolerance(method: str, disturbance: str, rows: list[Row]) -> Tolerance:
     while last + 1 < len(values) and holds[last + 1]:
         last += 1
     lower, upper = (values[first], values[last]) if holds[nominal] else (None, None)
-    return Tolerance(method, disturbance, lower, upper, values[0], values[-1], float(rows[nominal]["success"]))
+    return Tolerance(method, disturbance, lower, upper, values[0], values[-1], 1.0 - rows[nominal]["fell"])
 
 
 def stress_table(rows: Sequence[Row], settings: StressSettings, missing: int) -> str:

@@ -14,18 +14,19 @@ from fastmimic.experiments.comparison_run import Row
 from fastmimic.imitation.methods import METHODS, RL, method_named
 
 COLUMNS: Final = (
-    *("motion", "method", "variant", "seed", "reward", "reward_std", "reward_perturbed", "reward_before"),
-    *("fell", "fell_perturbed", "fell_before", "drift_m_per_s", "swing_clearance_m", "swing_clearance_least_share"),
-    *("early_contacts_per_s", "stance_slip_m", "style_distance", "style_distance_realised"),
-    *("foot_z_rmse_before_m", "foot_z_rmse_after_m", "foot_x_rmse_before_m", "foot_x_rmse_after_m"),
-    *(f"reward_{name}" for name in REWARD_TERMS),
+    *("motion", "method", "variant", "seed", "reward_mean", "reward_mean_perturbed", "reward_std_perturbed"),
+    *("reward_mean_before", "fell", "fell_perturbed", "fell_before", "drift_m_per_s", "mean_clearance_m"),
+    *("swing_clearance_least_share", "early_contacts_per_s", "stance_slip_m"),
+    *("style_distance", "style_distance_realised"),
+    *("foot_z_rmse_m_before", "foot_z_rmse_m", "foot_x_rmse_m_before", "foot_x_rmse_m"),
+    *(f"components_{name}" for name in REWARD_TERMS),
     *("wall_s", "cpu_s", "evaluations", "iterations", "simulated_s", "robot", "config", "duration_s", "population"),
     *("evaluation_s", "perturbed_episodes", "parameters", "digest"),
     *(f"{name}_version" for name in ("fastmimic", "python", "mujoco", "daqp", "cma", "numba", "numpy")),
 )
-"""Columns of `results.csv`. `reward`: nominal episode; `reward_perturbed`, `reward_std`, `fell_perturbed`: mean,
-standard deviation and share over the perturbed episodes; `*_before`: nominal episode of the unoptimised motion with the
-same controller; `cpu_s`: processor time of an uninterrupted run; SI units."""
+"""Columns of `results.csv`; figures of episodes have the names of `Metrics`, of the nominal episode unless a name says
+more. `*_perturbed`: over the perturbed episodes; `*_before`: nominal episode of the unoptimised motion with the same
+controller; `cpu_s`: processor time of an uninterrupted run; SI units."""
 
 _CLEARANCE: Final = "swing_clearance_least_share"
 
@@ -93,16 +94,16 @@ def ablation_table(rows: Sequence[Row], expected: int) -> str:
         *("reward before", "least clearance", "style distance", "realised"),
     )
     found = summaries(rows)
-    whole = {s.motion: s.mean("reward") for s in found if not s.variant}
+    whole = {s.motion: s.mean("reward_mean") for s in found if not s.variant}
     body = []
     for s in found:
-        reward, base = s.mean("reward"), whole.get(s.motion)
+        reward, base = s.mean("reward_mean"), whole.get(s.motion)
         change = NONE if not s.variant or reward is None or base is None else f"{reward - base:+.3f}"
         body.append(
             [
-                *(f"`{s.motion}`", s.variant or f"{ABLATED}, as it is", spread(s, "reward"), change),
+                *(f"`{s.motion}`", s.variant or f"{ABLATED}, as it is", spread(s, "reward_mean"), change),
                 *(_spread_of_episodes(s), _count(s, "fell"), _percent(s.mean("fell_perturbed"))),
-                *(number(s.mean("reward_before")), _percent(s.mean(_CLEARANCE))),
+                *(number(s.mean("reward_mean_before")), _percent(s.mean(_CLEARANCE))),
                 *(number(s.mean(name), 2) for name in ("style_distance", "style_distance_realised")),
             ]
         )
@@ -113,7 +114,7 @@ def ablation_table(rows: Sequence[Row], expected: int) -> str:
 
 def _line(s: Summary) -> list[str]:
     return [
-        *(f"`{s.motion}`", s.label, f"**{spread(s, 'reward')}**", _spread_of_episodes(s), _count(s, "fell")),
+        *(f"`{s.motion}`", s.label, f"**{spread(s, 'reward_mean')}**", _spread_of_episodes(s), _count(s, "fell")),
         *(_percent(s.mean("fell_perturbed")), _percent(s.mean(_CLEARANCE))),
         *(number(s.mean(name), 2) for name in ("style_distance", "style_distance_realised", "drift_m_per_s")),
         *(number(s.mean("early_contacts_per_s"), 1), number(s.mean("stance_slip_m"), 1, 1e3)),
@@ -168,7 +169,7 @@ def spread(s: Summary, column: str) -> str:
 
 
 def _spread_of_episodes(s: Summary) -> str:
-    means, stds = s.values("reward_perturbed"), s.values("reward_std")
+    means, stds = s.values("reward_mean_perturbed"), s.values("reward_std_perturbed")
     if not means:
         return NONE
     square = np.mean(np.square(stds)) + np.var(means)

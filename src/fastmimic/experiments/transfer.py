@@ -16,6 +16,7 @@ import numpy as np
 from fastmimic.base.errors import ConfigError, LogError
 from fastmimic.base.text import markdown_table
 from fastmimic.control.config import ControllerConfig
+from fastmimic.episode.metrics import Metrics
 from fastmimic.episode.plan import Start, episode_duration, perturbed_start
 from fastmimic.episode.rollout import run_log
 from fastmimic.experiments.comparison_run import Row
@@ -28,7 +29,8 @@ from fastmimic.simulation.simulators import FIRST_SIMULATOR, SECOND_SIMULATOR
 
 _LOG: Final = logging.getLogger(__name__)
 PARTS: Final = "trials"
-COLUMNS: Final = ("motion", "method", "stage", "trial", "reward", "fell", "robot", "duration_s", "seed")
+COLUMNS: Final = ("motion", "method", "stage", "trial", "reward_mean", "fell", "robot", "duration_s", "seed")
+_FIGURES: Final = ("reward_mean", "fell", "duration_s")  # of `Metrics`, over the one episode of a trial
 
 
 @dataclass(frozen=True)
@@ -121,10 +123,8 @@ def run_trials(
                 "method": subject.method.name,
                 "stage": stage.name,
                 "trial": trial,
-                "reward": float(rollout.reward[trial]),
-                "fell": bool(rollout.fell[trial]),
+                **Metrics.of(rollout.episodes(slice(trial, trial + 1))).named(_FIGURES),
                 "robot": robot.name,
-                "duration_s": rollout.duration_s,
                 "seed": settings.seed,
             }
             for trial in range(settings.trials)
@@ -187,8 +187,8 @@ def transferred(rows: Sequence[Row]) -> list[Transferred]:
     for motion, method in sorted(groups, key=lambda key: motions.index(key[0])):
         own = groups[motion, method]
         by = [[row for row in own if row["stage"] == stage.name] for stage in stages]
-        rewards = np.array([[row["reward"] for row in stage] for stage in by])
-        falls = np.array([sum(row["fell"] for row in stage) for stage in by])
+        rewards = np.array([[row["reward_mean"] for row in stage] for stage in by])
+        falls = np.array([sum(row["fell"] > 0 for row in stage) for stage in by])
         found.append(Transferred(motion, method, rewards, falls))
     return found
 

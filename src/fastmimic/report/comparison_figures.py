@@ -133,7 +133,7 @@ def _marks() -> list[Line2D]:
 
 
 def _bar(axes: Axes, x: float, width: float, s: Summary, color: str, hatch: str) -> None:
-    mean, std, rough = s.mean("reward"), s.std("reward"), s.mean("reward_perturbed")
+    mean, std, rough = s.mean("reward_mean"), s.std("reward_mean"), s.mean("reward_mean_perturbed")
     assert mean is not None, "every run has a reward"
     axes.bar(x, mean, 0.92 * width, color=color, hatch=hatch, edgecolor="white", linewidth=0)
     if std is not None:
@@ -175,10 +175,10 @@ def _error_bars(axes: Axes, summaries: Sequence[Summary], axis: str) -> None:
     """RMS errors of the four feet in one axis, before and after, with the change in percent."""
     top = 0.0
     for i, s in enumerate(summaries):
-        before, after = (s.mean(f"foot_{axis}_rmse_{when}_m") for when in ("before", "after"))
+        before, after = (s.mean(f"foot_{axis}_rmse_m{when}") for when in ("_before", ""))
         if before is None or after is None:
             continue
-        std = s.std(f"foot_{axis}_rmse_after_m")
+        std = s.std(f"foot_{axis}_rmse_m")
         axes.bar(i - 0.2, 1e3 * before, 0.38, color=BEFORE.color, hatch="//", edgecolor="white", linewidth=0)
         axes.bar(i + 0.2, 1e3 * after, 0.38, color=AFTER.color)
         if std is not None:
@@ -214,7 +214,9 @@ def ablation_figure(summaries: Sequence[Summary], title: str) -> Figure:
             if s is not None:
                 _row(axes, j, s)
         if (motion, "") in found:
-            axes.axvline(found[motion, ""].mean("reward") or 0.0, color=MUTED, linewidth=0.9, linestyle=(0, (3, 2)))
+            axes.axvline(
+                found[motion, ""].mean("reward_mean") or 0.0, color=MUTED, linewidth=0.9, linestyle=(0, (3, 2))
+            )
         axes.set_xlim(0, 1)
         axes.set_xticks((0, 0.5, 1))
         axes.set_yticks(range(len(variants)), [v or f"{method_named(ABLATED).label}, as it is" for v in variants])
@@ -226,7 +228,7 @@ def ablation_figure(summaries: Sequence[Summary], title: str) -> Figure:
 
 
 def _row(axes: Axes, y: float, s: Summary) -> None:
-    mean, std, rough = s.mean("reward"), s.std("reward"), s.mean("reward_perturbed")
+    mean, std, rough = s.mean("reward_mean"), s.std("reward_mean"), s.mean("reward_mean_perturbed")
     assert mean is not None, "every run has a reward"
     axes.barh(y, mean, 0.72, color=AFTER.color if not s.variant else "#9db8cc")
     if std is not None:

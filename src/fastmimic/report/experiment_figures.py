@@ -33,7 +33,7 @@ _LINES: Final = (  # Okabe and Ito's colours, each with a dash pattern and a mar
     (Line("#56b4e9", (0, (1, 1)), 1.7), "x"),
 )
 _COLUMNS: Final = 4
-_CURVES: Final = {"success": "episodes without a fall", "reward_mean": "mean reward"}
+_CURVES: Final = {"fell": "episodes without a fall", "reward_mean": "mean reward"}
 _COLORS: Final = (("#0072b2", ""), ("#56b4e9", "//"), ("#e69f00", "\\\\"), ("#d55e00", "xx"), ("#009e73", ".."))
 
 
@@ -47,12 +47,13 @@ def write_stress(folder: WorkFolder, settings: stress.StressSettings, planned: S
     folder.write(RESULTS_CSV, csv_text(stress.COLUMNS, rows))
     folder.write(TABLE, stress.stress_table(rows, settings, missing))
     about = f"{rows[0]['motion']} on {settings.robot} in {settings.simulator}, {settings.episodes} episodes a point"
-    save(stress_figure(rows, "success", f"What is withstood: {about}"), folder.path / SUCCESS_FIGURE)
+    save(stress_figure(rows, "fell", f"What is withstood: {about}"), folder.path / SUCCESS_FIGURE)
     save(stress_figure(rows, "reward_mean", f"What it is worth: {about}"), folder.path / REWARD_FIGURE)
 
 
 def stress_figure(rows: Sequence[dict[str, Any]], curve: str, title: str) -> Figure:
-    """One panel per disturbance, one line per method: "success" or "reward_mean" of the sweeps' rows."""
+    """One panel per disturbance, one line per method: "fell", as the share without a fall, or "reward_mean" of the rows
+    of sweeps."""
     names = list(dict.fromkeys(row["disturbance"] for row in rows))
     methods = [name for name in METHODS if any(row["method"] == name for row in rows)]
     columns = min(_COLUMNS, len(names))
@@ -77,12 +78,12 @@ def _panel(axes: Axes, rows: Sequence[dict[str, Any]], methods: Sequence[str], c
         own = sorted((row for row in rows if row["method"] == method), key=lambda row: float(row["value"]))
         line, marker = _LINES[i % len(_LINES)]
         x = [min(row["value"], beyond) for row in own]
-        y = [row[curve] for row in own]
+        y = [1.0 - row[curve] if curve == "fell" else row[curve] for row in own]
         axes.plot(x, y, **line._asdict(), marker=marker, markersize=4, label=method_named(method).label, zorder=3)
     axes.axvline(
         min(kind.nominal, beyond), color=MUTED, linewidth=0.9, linestyle=(0, (3, 2)), label="nominal value", zorder=1
     )
-    if curve == "success":
+    if curve == "fell":
         axes.axhline(stress.SUCCESS, color="#bbbbbb", linewidth=0.8, zorder=1)
     axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
     if len(finite) < len(rows):

@@ -21,15 +21,15 @@ from fastmimic.runs.work_folder import ENVIRONMENT, RESULTS_CSV, TABLE
 
 _TEXT: Final = ("motion", "method", "variant", "robot", "config", "parameters", "digest")
 _EACH: Final = (  # column of results.csv, heading, digits, scale
-    ("reward", "reward", 4, 1.0),
-    ("reward_perturbed", "perturbed starts", 4, 1.0),
-    ("reward_before", "before", 4, 1.0),
-    ("fell", "fell", 0, 1.0),
+    ("reward_mean", "reward", 4, 1.0),
+    ("reward_mean_perturbed", "perturbed starts", 4, 1.0),
+    ("reward_mean_before", "before", 4, 1.0),
+    ("fell", "fell, %", 0, 100.0),
     ("fell_perturbed", "fell, perturbed, %", 0, 100.0),
     ("swing_clearance_least_share", "least clearance, %", 0, 100.0),
     ("style_distance_realised", "style, realised", 3, 1.0),
-    ("foot_z_rmse_after_m", "foot z, mm", 2, 1e3),
-    ("foot_x_rmse_after_m", "foot x, mm", 2, 1e3),
+    ("foot_z_rmse_m", "foot z, mm", 2, 1e3),
+    ("foot_x_rmse_m", "foot x, mm", 2, 1e3),
     ("drift_m_per_s", "drift, m/s", 3, 1.0),
     ("stance_slip_m", "slip, mm", 2, 1e3),
     ("cpu_s", "processor time, s", 1, 1.0),
@@ -57,16 +57,16 @@ class Measure(NamedTuple):
 
 
 _REWARDS: Final = (
-    Measure("reward", "Nominal episode", "reward (0 to 1)", top=1.05),
-    Measure("reward_perturbed", "Perturbed starts, mean over the episodes", "reward (0 to 1)", top=1.05),
+    Measure("reward_mean", "Nominal episode", "reward (0 to 1)", top=1.05),
+    Measure("reward_mean_perturbed", "Perturbed starts, mean over the episodes", "reward (0 to 1)", top=1.05),
 )
 _HOW: Final = (
     Measure(
         "swing_clearance_least_share", "Swing clearance, least of four legs", "share of the demonstration's (%)", 100
     ),
     Measure("style_distance_realised", "Style distance of what the feet did", "0 the same, 1 not lifted"),
-    Measure("foot_z_rmse_after_m", "Foot height error", "RMS, four feet (mm)", 1e3, before="foot_z_rmse_before_m"),
-    Measure("foot_x_rmse_after_m", "Fore-aft error", "RMS, four feet (mm)", 1e3, before="foot_x_rmse_before_m"),
+    Measure("foot_z_rmse_m", "Foot height error", "RMS, four feet (mm)", 1e3, before="foot_z_rmse_m_before"),
+    Measure("foot_x_rmse_m", "Fore-aft error", "RMS, four feet (mm)", 1e3, before="foot_x_rmse_m_before"),
 )
 
 
@@ -147,16 +147,14 @@ def _part(path: Path, figures: list[Figure], names: list[str], table: str, missi
 
 
 def read_rows(text: str) -> list[Row]:
-    """The rows of `results.csv`: text, falls and numbers, None if empty; raises `ValueError` and `KeyError`."""
+    """The rows of `results.csv`: text and numbers, None if empty; raises `ValueError` and `KeyError`."""
     rows: list[Row] = []
     for line in csv.DictReader(text.splitlines()):
         row: Row = {}
-        for name in ("motion", "method", "variant", "seed", "reward", *line):
+        for name in ("motion", "method", "variant", "seed", "reward_mean", *line):
             value = line[name]
             if name in _TEXT or name.endswith("_version"):
                 row[name] = value
-            elif value in ("True", "False"):
-                row[name] = value == "True"
             else:
                 row[name] = float(value) if value else None
         rows.append(row)
@@ -184,7 +182,7 @@ def _rows(path: Path, missing: list[str]) -> list[Row]:
 
 def rewards(found: Sequence[Summary]) -> Figure:
     """Reward of every method on every motion, nominal and from perturbed starts; without variants."""
-    means = {method_named(m).label: _over_motions(found, m, "reward") for m in _methods(found)}
+    means = {method_named(m).label: _over_motions(found, m, "reward_mean") for m in _methods(found)}
     best = max(means.values())
     leading = [label for label, mean in means.items() if mean > best - _ALIKE]
     title = "Reward of each method on each motion"
@@ -222,7 +220,7 @@ def cost(found: Sequence[Summary]) -> Figure | None:
     for name in _methods(found):
         rows = [row for s in found if s.method == name for row in s.rows if row.get("cpu_s")]
         if rows:
-            x, y = numbers([row["cpu_s"] for row in rows]), numbers([row["reward"] for row in rows], 17)
+            x, y = numbers([row["cpu_s"] for row in rows]), numbers([row["reward_mean"] for row in rows], 17)
             trace = points(x, y, _key(name), "%{text}: reward %{y:.3f}, %{x:.3g} s")
             trace["marker"]["line"] = {"width": 1, "color": "var(--paper)"}
             data.append({**trace, "text": [f"{row['motion']}, seed {row['seed']:g}" for row in rows]})
@@ -255,16 +253,16 @@ def ablations(found: Sequence[Summary]) -> Figure:
         names = [s.variant or ABLATED for s in own]
         data = []
         for column, key, hover, size in (
-            ("reward", _NOMINAL, "reward", 10),
-            ("reward_perturbed", _ROUGH, "perturbed starts", 8),
+            ("reward_mean", _NOMINAL, "reward", 10),
+            ("reward_mean_perturbed", _ROUGH, "perturbed starts", 8),
         ):
             means = numbers([np.nan if (mean := s.mean(column)) is None else mean for s in own], 17)
             data.append(points(means, names, key, f"%{{y}}: {hover} %{{x:.3f}}<extra></extra>", size=size))
-        stds = numbers([s.std("reward") or 0.0 for s in own])
+        stds = numbers([s.std("reward_mean") or 0.0 for s in own])
         data[0]["error_x"] = {"type": "data", "array": stds, **_INK_BARS}
         layout = layout_of("reward", "", 90 + 24 * len(variants), hovermode="closest")
         layout["yaxis"] |= rows_axis([v or ABLATED for v in variants])
-        whole = next((s.mean("reward") for s in own if not s.variant), None)
+        whole = next((s.mean("reward_mean") for s in own if not s.variant), None)
         if whole is not None:
             layout["shapes"] = [rule(_WHOLE, x=whole, width=1.2)]
         plots.append(Plot(motion, data, layout))
@@ -346,9 +344,9 @@ def _over_motions(found: Sequence[Summary], method: str, column: str) -> float:
 
 def _change(found: Sequence[Summary], variant: str) -> float | None:
     """Change of the reward against the unchanged method, mean over the motions that have both."""
-    whole = {s.motion: s.mean("reward") for s in found if not s.variant}
+    whole = {s.motion: s.mean("reward_mean") for s in found if not s.variant}
     changes = [
-        float(s.mean("reward") or 0.0) - float(whole[s.motion] or 0.0)
+        float(s.mean("reward_mean") or 0.0) - float(whole[s.motion] or 0.0)
         for s in found
         if s.variant == variant and whole.get(s.motion) is not None
     ]
