@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from dataset.conftest import same
 from fastmimic.dataset import MotionDataset
 from fastmimic.dataset.records import reproducible
 from fastmimic.dataset.repair import check
+from fastmimic.simulation.simulators import FIRST_SIMULATOR, SECOND_SIMULATOR, SIMULATORS
 from searches import QUICK_COMMAND
 
 pytest.importorskip("pyarrow")
@@ -188,10 +190,21 @@ def test_another_recipe_is_refused(library: Path, run: Run) -> None:
     assert "duration_s was 0.6" in run("library", "build", "trot", "--out", library, *changed).error
 
 
-def test_robots_that_pybullet_does_not_know_share_a_recipe_with_one_that_it_knows() -> None:
-    from fastmimic.commands.library import _second_simulator
+@pytest.mark.parametrize(("robot", "told"), [("a1", True), ("A1", True), ("go2", False)])
+def test_a_second_simulator_that_is_missing_is_noted_for_a_robot_that_it_knows(
+    robot: str, told: bool, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    missing = replace(SIMULATORS[SECOND_SIMULATOR], needs=("no_such_module",))
+    monkeypatch.setitem(SIMULATORS, SECOND_SIMULATOR, missing)
+    done = run("library", "build", "trot", "--out", "x", "--robots", robot, "--warm-start", "none")
+    assert "none: no library there" in done.err
+    assert ("motions are not tested in a second simulator" in done.err) == told
 
-    assert _second_simulator(["go2"]) == _second_simulator(["a1"])
+
+def test_whether_there_is_a_second_simulator_is_the_same_for_all_robots() -> None:
+    second = SIMULATORS[SECOND_SIMULATOR]
+    assert second.installed == (find_spec("pybullet") is not None)
+    assert (second.knows("a1"), second.knows("go2"), SIMULATORS[FIRST_SIMULATOR].knows("go2")) == (True, False, True)
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])

@@ -26,6 +26,7 @@ from fastmimic.commands.motion_files import ExportFormat
 from fastmimic.executors import make_executor
 from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.robot import ROBOT_CHOICES
+from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.dataset.build import BuildRequest, BuildStep
@@ -68,7 +69,7 @@ class Build:
     others: int = 16
     """Number of other robots to test on: random ground, payload and motors from the usual ranges."""
     no_second_simulator: opt.Flag = False
-    """Do not test in PyBullet, even if it is installed."""
+    """Do not test in the second simulator, even if it is installed."""
     confidence: Annotated[float, opt.option("SHARE")] = 0.5
     """Least confidence at which a cycle found in a take is imitated."""
     discrete: opt.Flag = False
@@ -323,16 +324,11 @@ class Libraries:
 
 
 def _second_simulator(robots: Sequence[str]) -> bool:
-    """Whether PyBullet is installed; prints a note if it is missing and has one of the robots."""
-    from fastmimic.simulation.pybullet_sim import DESCRIPTIONS, require_pybullet  # it loads the compiler
-
-    try:
-        require_pybullet()
-    except ConfigError:
-        if any(name.lower() in DESCRIPTIONS for name in robots):
-            note("PyBullet is not installed: motions are not tested in a second simulator")
-        return False
-    return True
+    """Whether the second simulator is installed; prints a note if it is missing and knows one of the robots."""
+    second = SIMULATORS[SECOND_SIMULATOR]
+    if not second.installed and any(map(second.knows, robots)):
+        note(f"{second.name} is not installed: motions are not tested in a second simulator")
+    return second.installed
 
 
 @contextmanager

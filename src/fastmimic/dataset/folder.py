@@ -72,7 +72,7 @@ class BuildSettings:
         evaluation_s: length of the evaluation's episodes, s.
         perturbed: number of evaluation episodes from perturbed starts.
         others: number of other robots in the evaluation, with floors, loads and motors from the usual ranges.
-        second_simulator: whether to evaluate in PyBullet, if it knows the robot.
+        second_simulator: whether to evaluate in `SECOND_SIMULATOR`, if it knows the robot.
         choice: how a search chooses its result.
     """
 

@@ -41,8 +41,7 @@ from fastmimic.optimize.randomization import Randomization
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.simulation.pybullet_sim import DESCRIPTIONS
-from fastmimic.simulation.simulators import SECOND_SIMULATOR
+from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
 
 WORK: Final = "work"
 _SEARCH: Final = 0.85  # approximate share of a job's time in the search
@@ -251,7 +250,7 @@ def _tried(job: Job, result: Imitation) -> Record:
         rollout = elsewhere(Conditions(disturbances=others), recipe.others, perturbed=False)
         simulated_s += measured.seconds * recipe.others
         figures |= Metrics.of(rollout).named(("reward_mean", "reward_worst", "fell"), "robots")
-    if recipe.second_simulator and job.robot in DESCRIPTIONS:
+    if recipe.second_simulator and SIMULATORS[SECOND_SIMULATOR].knows(job.robot):
         rollout = elsewhere(Conditions(SECOND_SIMULATOR), _SECOND_SIMULATOR_EPISODES, perturbed=True)
         simulated_s += measured.seconds * _SECOND_SIMULATOR_EPISODES
         figures |= Metrics.of(rollout).named(("reward_mean", "fell"), "second_simulator")

@@ -26,9 +26,8 @@ from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import OBSERVATION
 from fastmimic.simulation.conditions import CELL_M, Disturbance, driving_limit, make_world, rough_ground, turns
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M
-from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, substeps_of
+from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, PYBULLET_URDFS, substeps_of
 
-DESCRIPTIONS: Final = {"a1": "a1/a1.urdf"}  # in the package `pybullet_data`, by robot
 _TRUNK: Final = "trunk"
 _JOINTS: Final = tuple(f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "upper", "lower"))
 _TOES: Final = tuple(f"{leg}_toe" for leg in LEGS)
@@ -49,7 +48,7 @@ class PybulletSimulation:
         physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
     ) -> None:
         """Bullet and the motor law step at `physics_rate_hz`; `seed` is for uneven ground; a disturbance has one value,
-        or one for each robot. Raises `ConfigError` if PyBullet is missing, the robot (of `DESCRIPTIONS`) or a
+        or one for each robot. Raises `ConfigError` if PyBullet is missing, the robot (of `PYBULLET_URDFS`) or a
         disturbance is not supported, or the physics rate is not a multiple of the control rate."""
         pybullet, BulletClient = require_pybullet()
         description = read_description(robot)
@@ -302,11 +301,11 @@ def read_description(robot: Robot) -> str:
     """The robot's URDF without visual shapes; raises `ConfigError` if there is none."""
     import pybullet_data
 
-    if robot.name not in DESCRIPTIONS:
+    if robot.name not in PYBULLET_URDFS:
         raise ConfigError(
-            f"PyBullet has a description of {' and '.join(DESCRIPTIONS)}, none of '{robot.name}'; run it in mujoco"
+            f"PyBullet has a description of {' and '.join(PYBULLET_URDFS)}, none of '{robot.name}'; run it in mujoco"
         )
-    path = Path(pybullet_data.getDataPath()) / DESCRIPTIONS[robot.name]
+    path = Path(pybullet_data.getDataPath()) / PYBULLET_URDFS[robot.name]
     tree = ElementTree.fromstring(path.read_text(encoding="utf-8"))
     for link in tree.iter("link"):
         for visual in link.findall("visual"):

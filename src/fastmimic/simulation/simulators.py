@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ if TYPE_CHECKING:  # its disturbances are entries that refer to simulators
 
 
 DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
+PYBULLET_URDFS: Final = {"a1": "a1/a1.urdf"}  # in the package `pybullet_data`, by robot
 
 
 class Placement(NamedTuple):
@@ -44,15 +46,31 @@ class Simulation(Protocol):
 
 @dataclass(frozen=True)
 class Simulator:
-    """A simulator: `make(robot, n, conditions, control_rate_hz, threads)` returns a simulation; `check` raises
-    `ConfigError` if it is not installed or does not know the robot; `realizes` names the disturbances that it has by
-    itself, without the disturbance's own functions."""
+    """A simulator.
+
+    Attributes:
+        make: `make(robot, n, conditions, control_rate_hz, threads)` returns a simulation.
+        check: raises `ConfigError` if it is not installed or does not know the robot.
+        realizes: the disturbances that it has by itself, without the disturbance's own functions.
+        needs: the modules that must be installed.
+        robots: the robots that it has a description of; None for any.
+    """
 
     name: str
     about: str
     make: "Callable[[Robot, int, Conditions, float, int], Simulation]"
     check: Callable[[Robot], None] = lambda robot: None
     realizes: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
+    robots: tuple[str, ...] | None = None
+
+    @property
+    def installed(self) -> bool:
+        return all(find_spec(name) is not None for name in self.needs)
+
+    def knows(self, robot: str) -> bool:
+        """Whether it has a robot, given by its name or the path of its MJCF."""
+        return self.robots is None or robot.lower() in self.robots
 
 
 def _mujoco(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: float, threads: int) -> Simulation:
@@ -96,6 +114,8 @@ SIMULATORS: Final = Registry(
                 *("friction", "slope", "side-slope", "roughness", "payload", "com-x", "com-y"),
                 *(*_MOTORS, "joint-friction", "joint-damping", *_PUSHES),
             ),
+            needs=("pybullet", "pybullet_data", "pybullet_utils"),
+            robots=tuple(PYBULLET_URDFS),
         ),
     ],
 )
