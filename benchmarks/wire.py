@@ -7,6 +7,7 @@ trip` is from handing over a command to having the reading of its answer; `lost`
 """
 
 import argparse
+import contextlib
 import json
 import multiprocessing
 import time
@@ -33,7 +34,7 @@ def answer(domain: int, ready: Any, stop: Any) -> None:
     """The other process: a state for each command, with the command's number as its tick."""
     reading = np.zeros(1, READING)
     reading["quat"][0, 0] = 1.0
-    with Participant(domain) as participant:
+    with contextlib.closing(Participant(domain)) as participant:
         reader = Reader(participant, LOW_COMMAND_TOPIC, LowCommand)
         writer = Writer(participant, LOW_STATE_TOPIC, LowState)
         assert writer.record is not None
@@ -88,7 +89,7 @@ def over_loopback(domain: int, seconds: float) -> dict[str, float]:
     taken, writing, sent, received, wrong = [], [], 0, 0, 0
     try:
         ready.wait(60)
-        with Participant(domain) as participant:
+        with contextlib.closing(Participant(domain)) as participant:
             writer = Writer(participant, LOW_COMMAND_TOPIC, LowCommand)
             reader = Reader(participant, LOW_STATE_TOPIC, LowState)
             assert writer.record is not None

@@ -235,8 +235,7 @@ def opengl() -> None:
     import mujoco
 
     try:
-        with Offscreen(mujoco.MjModel.from_xml_string("<mujoco/>")):
-            pass
+        Offscreen(mujoco.MjModel.from_xml_string("<mujoco/>")).close()
     except NoRendererError as error:
         pytest.skip(str(error))
 

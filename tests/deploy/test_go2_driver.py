@@ -240,7 +240,12 @@ def test_joints_outside_the_robots_limits_mean_another_robot(go2: Robot, publish
 
 def test_two_robots_in_one_domain_are_not_told_apart(go2: Robot, publisher: Publisher) -> None:
     other = Publisher(go2, publisher.domain)
-    with other.participant, publisher.talking(), other.talking(), pytest.raises(DriverError, match="2 robots"):
+    with (
+        contextlib.closing(other.participant),
+        publisher.talking(),
+        other.talking(),
+        pytest.raises(DriverError, match="2 robots"),
+    ):
         Go2Driver(go2, domain=publisher.domain).open()
 
 
@@ -271,7 +276,7 @@ def test_a_second_robot_that_comes_later_is_not_listened_to(
     publisher.send()
     assert newest(driver) is not None
     other = Publisher(go2, publisher.domain)
-    with other.participant:
+    with contextlib.closing(other.participant):
         other.send(publisher.tick + 2)
         assert newest(driver) is None
     assert driver.packets.rejected == 1
@@ -292,7 +297,7 @@ class HumanoidState(Message):
 
 def test_a_robot_of_another_family_is_named(go2: Robot) -> None:
     domain = free_domain()
-    with Participant(domain) as participant:
+    with contextlib.closing(Participant(domain)) as participant:
         Writer(participant, LOW_STATE_TOPIC, HumanoidState)
         with pytest.raises(DriverError, match=r"not of the Go2's family.*unitree_hg"):
             Go2Driver(go2, domain=domain, timeout_s=0.5).open()

@@ -4,6 +4,7 @@ It is built with Debian's cyclonedds-dev and cyclonedds-tools, and has nothing o
 of version 11, as its Python binding sends them, would end it with a segmentation fault.
 """
 
+import contextlib
 import json
 import os
 import re
@@ -113,7 +114,7 @@ def test_a_driver_reads_a_robot_on_0_10_and_commands_it(start: Callable[..., sub
 def test_a_client_on_0_10_reads_and_commands_the_simulated_robot(start: Callable[..., subprocess.Popen[str]]) -> None:
     domain = free_domain()
     stop, log = threading.Event(), GroundTruthLog()
-    with SimServer(load_robot("go2"), SimSettings(domain=domain), log) as sim:
+    with contextlib.closing(SimServer(load_robot("go2"), SimSettings(domain=domain), log)) as sim:
         client = start(domain, "client")
         runner = threading.Thread(target=sim.run, args=(stop, 60.0))
         runner.start()

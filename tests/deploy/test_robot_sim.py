@@ -1,5 +1,6 @@
 """The simulated robot: its body, the faults of its wire, its log, and the process that it is."""
 
+import contextlib
 import json
 import os
 import signal
@@ -248,7 +249,7 @@ def test_commands_are_ignored_while_its_service_is_active(go2: Robot, simulated:
 
 def test_a_service_answers_what_it_does_not_know_with_a_code(simulated: Callable[..., SimServer]) -> None:
     sim = simulated(start="standing")
-    with Participant(sim.settings.domain) as participant:
+    with contextlib.closing(Participant(sim.settings.domain)) as participant:
         client = messages.ServiceClient(participant, messages.SPORT)
         assert client.find(10.0)
         assert client.ask(4711).code == messages.NOT_IMPLEMENTED

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from fastmimic.base.arrays import stretches
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.robot import Robot
 from fastmimic.viewer.marks import (
@@ -15,7 +16,7 @@ from fastmimic.viewer.marks import (
     friction_use,
     trails,
 )
-from fastmimic.viewer.panel import gait_strip, leg_table, plot_base, plot_data, plot_series, runs, status_line
+from fastmimic.viewer.panel import gait_strip, leg_table, plot_base, plot_data, plot_series, status_line
 from fastmimic.viewer.take import Take
 
 
@@ -98,7 +99,7 @@ def test_strip_and_table_tell_the_states_apart_without_colour(take: Take) -> Non
     assert table.count("☐ stance") == take.stance[row].sum()
     assert table.count("swing") == 4 - take.stance[row].sum()
     assert table.count("●") == take.measured[row].sum()
-    assert runs(np.array([True, True, False, True])) == [(0, 2), (3, 4)]
+    assert stretches(np.array([True, True, False, True])) == [(0, 2), (3, 4)]
 
 
 def test_what_a_file_is_called_cannot_become_markup(take: Take) -> None:

@@ -190,7 +190,7 @@ def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segme
         )
     if config.shortest_s * clip.rate_hz < 6:
         raise ClipError(f"{clip.rate_hz:g} frames a second are too few for cycles of {config.shortest_s:g} s")
-    take = _take(clip, config)
+    take = take_of(clip, config)
     period = cheapest_track(*take.repetition, config)
     period[_still(take)] = 0
     return _with_the_rest(take, _periodic(take, period))
@@ -198,7 +198,7 @@ def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segme
 
 def as_one_cycle(clip: Clip, config: SegmentConfig | None = None) -> Segment:
     """A clip as one cycle: its gait, speed and turning, and how well it closes."""
-    take = _take(clip, config if config is not None else SegmentConfig())
+    take = take_of(clip, config if config is not None else SegmentConfig())
     n = len(take.heading)
     piece = _piece(take, 0, n, float(n))
     x = take.toes.reshape(n, -1)
@@ -206,7 +206,8 @@ def as_one_cycle(clip: Clip, config: SegmentConfig | None = None) -> Segment:
     return _named(take, piece, float(n), (0, n), min(max(1.0 - gap, 0.0), 1.0))
 
 
-def _take(clip: Clip, config: SegmentConfig) -> _Take:
+def take_of(clip: Clip, config: SegmentConfig) -> _Take:
+    """The paths of a clip's toes, heading and trunk."""
     neck, pelvis = clip.point("neck"), clip.point("pelvis")
     ahead = (neck - pelvis)[:, :2]
     heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))

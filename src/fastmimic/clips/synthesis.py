@@ -6,7 +6,7 @@ touch-down. All paths are twice continuously differentiable in time.
 """
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -120,33 +120,32 @@ GAITS: Final[dict[str, GaitSpec]] = {
 """The built-in gaits by name."""
 
 
-def gait(
-    name: str, *, speed: float | None = None, yaw_rate: float | None = None, duty: float | None = None
-) -> GaitSpec:
-    """A built-in gait with some of its parameters replaced. Raises `ConfigError`: no such gait, or a value out of
-    range. `speed`, m/s at the A1's size, is along the gait's own direction (sideways for a side-step); `yaw_rate`,
-    rad/s, is positive to the left; `duty` is the share of the period in stance."""
+_RANGES: Final = {"speed": (-2.5, 2.5, "m/s"), "yaw_rate": (-4.0, 4.0, "rad/s"), "duty": (0.3, 0.85, "of the period")}
+
+
+def gait(name: str, **changes: float | None) -> GaitSpec:
+    """A built-in gait with some of its parameters replaced, those that are not None: `speed`, m/s at the A1's size, is
+    along the gait's own direction (sideways for a side-step); `yaw_rate`, rad/s, is positive to the left; `duty` is the
+    share of the period in stance. Raises `ConfigError`: no such gait, or a value out of range."""
     if name not in GAITS:
         raise unknown("gait", name, GAITS)
     spec = GAITS[name]
-    if speed is not None:
-        _in_range("speed", speed, -2.5, 2.5, "m/s")
-        spec = replace(spec, lateral_speed=speed) if spec.lateral_speed else replace(spec, speed=speed)
-    if yaw_rate is not None:
-        _in_range("yaw_rate", yaw_rate, -4.0, 4.0, "rad/s")
-        spec = replace(spec, yaw_rate=yaw_rate)
-    if duty is not None:
-        _in_range("duty", duty, 0.3, 0.85, "of the period")
-        spec = replace(spec, duty=duty)
+    for what, value in changes.items():
+        if value is None:
+            continue
+        low, high, unit = _RANGES[what]
+        if not low <= value <= high:
+            raise ConfigError(f"{what} must be between {low:g} and {high:g} {unit}, found {value}")
+        sideways = what == "speed" and spec.lateral_speed
+        change: dict[str, Any] = {"lateral_speed" if sideways else what: value}
+        spec = replace(spec, **change)
     return spec
 
 
-def generate(
-    name: str, *, speed: float | None = None, yaw_rate: float | None = None, duty: float | None = None
-) -> Clip:
+def generate(name: str, **changes: float | None) -> Clip:
     """One cycle of a built-in gait as an animal's keypoints; for the arguments and errors see `gait`."""
-    spec = gait(name, speed=speed, yaw_rate=yaw_rate, duty=duty)
-    given = {k: v for k, v in (("speed", speed), ("yaw_rate", yaw_rate), ("duty", duty)) if v is not None}
+    spec = gait(name, **changes)
+    given = {what: value for what, value in changes.items() if value is not None}
     meta: dict[str, object] = {
         "name": name,
         "source": "built in",
@@ -170,11 +169,6 @@ def keypoints(spec: GaitSpec, meta: dict[str, object] | None = None) -> Clip:
     points += [position + quat_rotate(quat, hip) for hip in _HIP]
     points += [_toe(spec, leg, share, twist, animal) for leg in range(4)]
     return Clip(points_w=np.stack(points, axis=1), rate_hz=RATE_HZ, is_cycle=True, meta=dict(meta or {}))
-
-
-def _in_range(what: str, value: float, low: float, high: float, unit: str) -> None:
-    if not low <= value <= high:
-        raise ConfigError(f"{what} must be between {low:g} and {high:g} {unit}, found {value}")
 
 
 def _trunk(spec: GaitSpec, share: Array, twist: Array, animal: float) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -322,7 +322,7 @@ class RobotSim:
             log = GroundTruthLog()
         with slow_start():
             server = SimServer(load_robot(self.robot), settings, log)
-        with server, _until_interrupted() as stop:
+        with closing(server), _until_interrupted() as stop:
             note(f"a {self.robot}, {self.start}, in DDS domain {self.domain} on '{self.interface}'; Ctrl-C ends it")
             server.run(stop, duration, _status)
         summary = {"robot": self.robot, **server.summary()}

@@ -8,6 +8,7 @@ A file names a set ("default" if absent) and the changes to it; "identified" is 
 
 import dataclasses
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -59,6 +60,13 @@ class ControllerConfig:
         for ok, message in _rules(self):
             if not ok:
                 raise ConfigError(where + message)
+
+    @property
+    def samples_ahead(self) -> int:
+        """Samples of the reference that the controller reads: the present one, or those that it plans ahead too."""
+        if self.stance.forces != "horizon":
+            return 1
+        return math.ceil((self.horizon.steps + 1) * self.horizon.step_s * self.rate_hz) + 2
 
     def release_force(self, robot: Robot) -> float:
         """Vertical force above which plots, videos and pages show a foot as loaded, N."""

@@ -126,7 +126,7 @@ def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> Mot
         return _standing(robot, motion, config)
     start, end = f"{motion.name} (start)", f"{motion.name} (end)"
     library = MotionSet(robot, {start: first, end: last}, config.rate_hz)
-    ahead = _looked_ahead(config)
+    ahead = config.samples_ahead
     hold = max(1, round(STAND_S * config.rate_hz))
     stand = library.entry(STAND)
 
@@ -163,7 +163,7 @@ def _standing(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionS
             " the robot cannot reach it without a step"
         )
     course = course_of(stand, robot)
-    table, _ = _table(robot, [_CourseSlice(course, 0, hold + _looked_ahead(config))], config.rate_hz)
+    table, _ = _table(robot, [_CourseSlice(course, 0, hold + config.samples_ahead)], config.rate_hz)
     into, out = _blending("into", motion, table, hold), _blending("out of", motion, table, hold)
     main = SequencePart(motion.name, reference_table(motion, robot)[None], 0, 0, make_clocks(motion, 1))
     return MotionSequence(motion, into, main, out, stand.joint_pos[0].copy())
@@ -187,13 +187,6 @@ def _ends(robot: Robot, motion: Motion, rate_hz: float) -> list[tuple[Motion, in
         )
     segments = Layout.of(motion.target).segments
     return [(parts[s.part], s.shift) for s in (segments[0], segments[-1])]
-
-
-def _looked_ahead(config: ControllerConfig) -> int:
-    """Control steps that the controller plans ahead."""
-    if config.stance.forces != "horizon":
-        return 1
-    return math.ceil((config.horizon.steps + 1) * config.horizon.step_s * config.rate_hz) + 2
 
 
 def _way(library: MotionSet, start: str, goal: str) -> list[tuple[str, CourseTransition]]:

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 
@@ -82,7 +82,7 @@ def go2_body(robot: Robot, settings: SimSettings) -> SimulatedBody:
 
 
 class SimServer:
-    """A simulated robot with a Go2's DDS interface; a context manager. `realtime_factor` is simulated time per second,
+    """A simulated robot with a Go2's DDS interface. `realtime_factor` is simulated time per second,
     ≤ 1."""
 
     def __init__(self, robot: Robot, settings: SimSettings | None = None, log: GroundTruthLog | None = None) -> None:
@@ -173,12 +173,6 @@ class SimServer:
     def close(self) -> None:
         """Leaves the domain; may be called twice."""
         self._participant.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def _dead(self) -> bool:

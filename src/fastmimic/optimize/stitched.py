@@ -174,15 +174,13 @@ def make_problem(
     robot: Robot,
     motion: Motion,
     *,
-    objective: Objective | None = None,
-    config: ControllerConfig | None = None,
     group: str = FOOT_HEIGHT,
-    workers: int | None = None,
     n_basis: int = N_BASIS,
     moved: Mapping[str, float] | None = None,
+    **settings: Any,
 ) -> Problem:
     """The problem for a motion: its cycle, the whole of a motion that does not repeat, or all segments of a stitched
-    one.
+    one; `settings` are `objective`, `config` and `workers`.
 
     Raises `ConfigError` for no such group, or `moved` with a stitched motion, and `MotionError` if DMPs cannot be
     fitted.
@@ -197,16 +195,12 @@ def make_problem(
             robot,
             demonstration,
             start=own or None,
-            objective=objective,
-            config=config,
             group=needed_group(group, names),
-            workers=workers,
             n_basis=n_basis,
+            **settings,
         )
     dmp = MotionDmp.fit(demonstration, robot, n_basis)
-    return ImitationProblem(
-        robot, demonstration, dmp, group=group, objective=objective, config=config, workers=workers, moved=moved
-    )
+    return ImitationProblem(robot, demonstration, dmp, group=group, moved=moved, **settings)
 
 
 def parameters_of(motion: Motion) -> dict[str, float]:

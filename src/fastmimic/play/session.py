@@ -173,9 +173,7 @@ class LiveSession:
         config = METHODS[name].configure(self._given)
         before = self.controller.memory.copy() if self.method else None
         self.controller: Controller = Controller(self.robot, [self.library.entry(STAND).motion], 1, config)
-        ahead = 1
-        if config.stance.forces == "horizon":
-            ahead = math.ceil((config.horizon.steps + 1) * config.horizon.step_s * config.rate_hz) + 2
+        ahead = config.samples_ahead
         self._every = max(1, round(config.rate_hz / config.horizon.solve_rate_hz)) if ahead > 1 else 1
         self._tables = np.zeros((1, ahead), SAMPLE)
         self.controller.tables = self._tables

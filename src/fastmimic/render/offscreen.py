@@ -50,8 +50,8 @@ def in_any_thread() -> bool:
 
 
 class Offscreen:
-    """An OpenGL context with a framebuffer of the model's `vis.global_.offwidth` × `offheight`; a context manager.
-    Raises `NoRendererError` if no OpenGL backend works here; the message lists those tried."""
+    """An OpenGL context with a framebuffer of the model's `vis.global_.offwidth` × `offheight`. Raises
+    `NoRendererError` if no OpenGL backend works here; the message lists those tried."""
 
     def __init__(self, model: "mujoco.MjModel") -> None:
         self.width = int(model.vis.global_.offwidth)
@@ -78,12 +78,6 @@ class Offscreen:
     def close(self) -> None:
         self._context.free()
         self._gl.free()
-
-    def __enter__(self) -> "Offscreen":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def grid_cells(count: int, width: int, height: int, columns: int | None = None) -> list[tuple[int, int, int, int]]:

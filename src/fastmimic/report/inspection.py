@@ -12,7 +12,7 @@ from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.rotations import matrix_from_quat
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.segment import DISCRETE, STAND, TURN, Segment
+from fastmimic.clips.segment import DISCRETE, STAND, TURN, Segment, SegmentConfig, take_of
 from fastmimic.motion.motion import Motion
 from fastmimic.render import figure_style as style
 from fastmimic.render.figure_style import AFTER, BEFORE, INK, LEG_LINES, LIMIT, MUTED, STANCE
@@ -31,12 +31,9 @@ _GAIT_COLORS: Final = {
 }
 
 
-def motion_figure(motion: Motion, robot: Robot, title: str | None = None) -> Figure:
-    """A motion's gait, trunk and joints with the robot's limits, over its samples (one cycle if it is periodic).
-
-    The default title has the motion's name with its period, speed and yaw a cycle.
-    """
-    figure = style.new_figure(15.0, 7.6, title if title is not None else _heading(motion, robot))
+def motion_figure(motion: Motion, robot: Robot) -> Figure:
+    """A motion's gait, trunk and joints with the robot's limits, over its samples (one cycle if it is periodic)."""
+    figure = style.new_figure(15.0, 7.6, _heading(motion, robot))
     grid = figure.subplots(3, 3, sharex=True)
     time = np.arange(motion.n_samples, dtype=np.float64) / motion.rate_hz
     _draw_gait(grid[0, 0], time, motion.dt, motion.contact)
@@ -117,18 +114,15 @@ def segments_figure(clip: Clip, segments: list[Segment], title: str) -> Figure:
     bars, feet, speed, heading = figure.subplots(4, 1, sharex=True, height_ratios=(1.1, 2, 1, 1))
     _draw_bars(bars, segments, clip.rate_hz)
     time = np.arange(clip.n_frames) / clip.rate_hz
-    ahead = (clip.point("neck") - clip.point("pelvis"))[:, :2]
-    yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
-    relative = (clip.toes_w - clip.hips_w)[..., :2]
-    fore_aft = np.cos(yaw)[:, None] * relative[..., 0] + np.sin(yaw)[:, None] * relative[..., 1]
+    take = take_of(clip, SegmentConfig())
     for leg, name in enumerate(LEGS):
-        feet.plot(time, fore_aft[:, leg], **LEG_LINES[leg]._asdict(), label=name)
+        feet.plot(time, take.toes[:, leg, 0], **LEG_LINES[leg]._asdict(), label=name)
     feet.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=4, fontsize=8, frameon=False)
-    trunk = (clip.point("neck") + clip.point("pelvis"))[:, :2] / 2
-    smooth = uniform_filter1d(trunk, max(1, round(0.2 * clip.rate_hz)), axis=0, mode="nearest")  # a fifth of a second
+    fifth = max(1, round(0.2 * clip.rate_hz))  # of a second
+    smooth = uniform_filter1d(take.trunk, fifth, axis=0, mode="nearest")
     pace = np.linalg.norm(np.gradient(smooth, axis=0), axis=1) * clip.rate_hz
     speed.plot(time, pace, color=INK, linewidth=1.2)
-    heading.plot(time, np.degrees(yaw - yaw[0]), color=INK, linewidth=1.2)
+    heading.plot(time, np.degrees(take.heading - take.heading[0]), color=INK, linewidth=1.2)
     style.tidy(feet, "Toes ahead of their hips: what is compared with itself", ylabel="m")
     style.tidy(speed, "Speed of the trunk, in the animal's size", ylabel="m/s")
     style.tidy(heading, "Heading, from the first", "time (s)", "deg")

@@ -30,18 +30,16 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         *,
         seed: int = 0,
         control_rate_hz: float = 500.0,
-        physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
         threads: int = 1,
     ) -> None:
         """`robot` is without the disturbances; `seed` is for uneven ground; the rest as for `MujocoSimulation`. Raises
-        `ConfigError` as `make_world`, or if the physics rate is not a multiple of the control rate."""
+        `ConfigError` as `make_world`, or if the control rate does not divide the physics rate."""
         self.world = make_world(disturbances, n, "mujoco")
         rough = self.world.has("roughness")
         super().__init__(
             robot,
             n,
             control_rate_hz=control_rate_hz,
-            physics_rate_hz=physics_rate_hz,
             threads=threads,
             ground=HeightField(rough_ground(self.world["roughness"][0], seed), HALF_SIDE_M) if rough else None,
         )
@@ -60,12 +58,11 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         if self.constants_changed:
             self.batch.set_const()
         self._limit = robot.torque_limit
-        self._physics_rate = physics_rate_hz
         self._forces = self.batch.bind("xfrc_applied")
         self._range = (
             self.batch.expand("actuator_forcerange") if self.world.has("motor-strength", "top-speed") else None
         )
-        late = np.round(self.world["delay"] * physics_rate_hz).astype(np.int64)
+        late = np.round(self.world["delay"] * DEFAULT_PHYSICS_RATE_HZ).astype(np.int64)
         self._late = late if late.any() else None
         self._sent = np.zeros((int(late.max()) // self.substeps + 2, n), COMMAND)
         self._due = np.zeros(n, COMMAND)
@@ -122,7 +119,7 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         """Sets the force on the trunks; a push keeps the heading of its beginning."""
         if not self._pushed:
             return
-        time_s = self._steps * self.substeps / self._physics_rate
+        time_s = self._steps * self.substeps / DEFAULT_PHYSICS_RATE_HZ
         self.trunk_force[:] = 0.0
         for act, values in self.world.at_each_step:
             act(self, values, time_s)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from fastmimic.viewer.take import Take
 
 TRAIL_S: Final = 1.0
+_SMOOTHED_S: Final = 0.35
 TRAIL_POINTS: Final = 40
 LEAST_FORCE: Final = 0.01  # share of the robot's weight below which a force has no arrow
 _GROUND_Z: Final = 0.004  # above the plane, so that the marks do not flicker
@@ -118,11 +119,11 @@ def bone_segments(points: Array) -> Array:
     return np.asarray(points[np.array(KEYPOINTS.bones)])
 
 
-def smoothed_path(take: "Take", seconds: float = 0.35) -> Array:
+def smoothed_path(take: "Take") -> Array:
     """The robot's path (t, 2) on the ground without sway, for the view, m."""
     from scipy.ndimage import gaussian_filter1d
 
-    return np.asarray(gaussian_filter1d(take.pose[:, :2], seconds * take.rate_hz, axis=0, mode="nearest"))
+    return np.asarray(gaussian_filter1d(take.pose[:, :2], _SMOOTHED_S * take.rate_hz, axis=0, mode="nearest"))
 
 
 def _contact_points(take: "Take", row: int) -> Array:

@@ -5,9 +5,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.conventions import LEGS
 from fastmimic.episode.reward import REWARD_TERMS, reward_weights
 from fastmimic.render.figure_style import INK, LEG_LINES, MUTED
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 
 _SPEEDS: Final = {f"× {speed:g}": speed for speed in (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)}
 _REPEATS: "Final[dict[str, Repeat]]" = {"everything": "all", "this cycle": "cycle", "nothing": "off"}
-_CYCLES: Final = {"first": 0, "− 1": -1, "+ 1": 1}
+_CYCLES: Final = {"first": -(10**9), "− 1": -1, "+ 1": 1}  # cycles to go
 _STEP_S: Final = 0.01
 _FRAMES: Final = {"− 10 ms": -1, "+ 10 ms": 1}
 _XRAY: Final = 0.35
@@ -138,11 +137,7 @@ class ViewerPanel(Panel):
             player.seek(row)
 
         def step_cycle() -> None:
-            by = _CYCLES[str(cycles.value)]
-            if by:
-                player.step_cycle(by)
-            else:
-                player.seek(0)
+            player.step_cycle(_CYCLES[str(cycles.value)])
 
         def step_frames() -> None:
             go_to(player.row + _FRAMES[str(frames.value)] * max(1, round(_STEP_S * player.rate_hz)))
@@ -318,7 +313,7 @@ def gait_strip(take: "Take", row: int, now: float = 0.5) -> str:
             y = leg * leg_height + k * _ROW
             write(f"{name} {label}" if k == 0 else label, _LEFT - 4, y + 7.5, "end", INK)
             flags = getattr(take, kind)
-            for a, b in [] if flags is None else runs(flags[first:end, leg]):
+            for a, b in [] if flags is None else stretches(flags[first:end, leg]):
                 left, right = x(first + a), x(first + b)
                 parts.append(
                     f'<rect x="{left:.1f}" y="{y + 1}" width="{max(right - left, 0.5):.1f}" height="{_ROW - 2}"'
@@ -331,12 +326,6 @@ def gait_strip(take: "Take", row: int, now: float = 0.5) -> str:
         anchor = "start" if share == 0 else "end" if share == 1 else "middle"
         write(text, _LEFT + share * (_STRIP_WIDTH - _LEFT), bottom + 9, anchor, MUTED)
     return "".join([*parts, "</svg>"])
-
-
-def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """(first, end) of each run of True in (t,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def leg_table(take: "Take", row: int) -> str:

@@ -6,7 +6,7 @@ import functools
 import socket
 import threading
 from collections.abc import Callable
-from typing import Any, Final, Self, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ _NOT_NOW: Final = -4  # DDS_RETCODE_PRECONDITION_NOT_MET
 _PUBLICATIONS: Final = 0x7FFF0000 + 3  # the built-in topic of everybody's writers
 _KEEP_LAST, _BEST_EFFORT, _RELIABLE, _XCDR1 = 0, 0, 1, 0
 _ANY_STATE: Final = 0x7F
+_TEXTS: Final = 16  # queued messages of a `TextReader`
 
 
 class SampleInfo(ctypes.Structure):
@@ -209,7 +210,7 @@ def leave_domain(domain: int) -> None:
 
 
 class Participant:
-    """A participant in a DDS domain (0 … `MAX_DOMAIN`; robots are in 0). A context manager; not thread-safe. Raises
+    """A participant in a DDS domain (0 … `MAX_DOMAIN`; robots are in 0). Not thread-safe. Raises
     `DriverError` without CycloneDDS, for an unknown interface or domain, or if the domain is full."""
 
     def __init__(self, domain: int, interface: str = LOOPBACK) -> None:
@@ -252,12 +253,6 @@ class Participant:
             self.handle = 0
             leave_domain(self.domain)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 def _endpoint(
     kind: str, participant: Participant, topic: str, message: type[Message], reliable: bool, depth: int
@@ -282,11 +277,11 @@ class Writer:
         record: (1,) the same memory as a NumPy structure.
     """
 
-    def __init__(self, participant: Participant, topic: str, message: type[Message], depth: int = 1) -> None:
+    def __init__(self, participant: Participant, topic: str, message: type[Message]) -> None:
         self._participant = participant
         self.message = message()
         self.record = np.frombuffer(memoryview(self.message), np.dtype(message)) if fixed_size(message) else None
-        self._handle = _endpoint("writer", participant, topic, message, True, depth)
+        self._handle = _endpoint("writer", participant, topic, message, True, 1)
         self._address = ctypes.addressof(self.message)
         self._write = cyclone().dds_write
 
@@ -353,10 +348,10 @@ class Reader:
 class TextReader:
     """Receives messages with strings or sequences, in the library's memory."""
 
-    def __init__(self, participant: Participant, topic: str, message: type[Message], depth: int = 16) -> None:
-        self._participant, self._message, self._depth = participant, message, depth
-        self._handle = _endpoint("reader", participant, topic, message, True, depth)
+    def __init__(self, participant: Participant, topic: str, message: type[Message]) -> None:
+        self._participant, self._message = participant, message
+        self._handle = _endpoint("reader", participant, topic, message, True, _TEXTS)
 
     def take(self, convert: Callable[[Any], T]) -> list[T]:
         """Applies `convert` to each message that has arrived; the message is freed afterwards."""
-        return loaned(self._handle, self._depth, self._message, convert)
+        return loaned(self._handle, _TEXTS, self._message, convert)
