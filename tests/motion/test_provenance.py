@@ -6,7 +6,18 @@ import json
 import pytest
 
 from fastmimic.base.errors import MotionError
-from fastmimic.motion.provenance import DmpRecord, MadeWith, Provenance, Span, StitchedSegment, StitchRecord
+from fastmimic.motion.provenance import (
+    ClipOrigin,
+    DmpRecord,
+    MadeWith,
+    Provenance,
+    RandomizationRecord,
+    RetargetBound,
+    RetargetOutcome,
+    Span,
+    StitchedSegment,
+    StitchRecord,
+)
 
 DMP = DmpRecord(
     n_basis=2,
@@ -33,10 +44,11 @@ STITCH = StitchRecord(
 WHOLE = Provenance(
     name="trot",
     robot="a1",
-    source={"source": "trot.txt", "assumed": ["one cycle"]},
+    source={"source": "trot.txt", "frames": [3, 9], "assumed": ["one cycle"], "loop": {"LoopMode": "Wrap"}},
+    retarget={"scale": 0.8, "samples": 4, "bounds": [{"name": "slip", "value": None, "limit": 1, "met": False}]},
     dmp=DMP,
     stitch=STITCH,
-    made_with=MadeWith("mbc-dmp", None),
+    made_with=MadeWith("mbc-dmp", None, RandomizationRecord(2, "mean", {"payload": (0, 1.5)})),
     extra={"owner": "somebody", "extra": 1},
 )
 
@@ -51,6 +63,14 @@ def test_it_goes_through_json() -> None:
     assert found["stitch"]["segments"][0]["trunk"] is None
     assert "held_s" not in found
     assert "primitive" not in found["dmp"]
+
+
+def test_what_a_clip_and_retargeting_always_say_is_typed() -> None:
+    assert WHOLE.origin == ClipOrigin("trot.txt", None, (3, 9), ("one cycle",))
+    assert WHOLE.retargeted == RetargetOutcome(0.8, (RetargetBound("slip", None, 1, False),))
+    assert (Provenance().origin, Provenance().retargeted) == (ClipOrigin(), RetargetOutcome())
+    with pytest.raises(MotionError, match=r"got `int` - at `\$\.source\.source`"):
+        _ = Provenance(source={"source": 3}).origin
 
 
 def test_modulation_names_every_dimension() -> None:
@@ -74,6 +94,18 @@ def test_modulation_names_every_dimension() -> None:
             r"`array` of length 4.* - at `\$\.stitch\.segments\[1\]\.feet`",
         ),
         (("stitch", "cycle_starts", 0), 0.5, r"Expected `int`, got `float` - at `\$\.stitch\.cycle_starts\[0\]`"),
+        (
+            ("stitch", "transitions", 0, "slip_m"),
+            "x",
+            r"Expected `int \| float`, got `str`.*\.transitions",
+        ),
+        (("source", "frames"), [3], r"`array` of length 2.* - at `\$\.source\.frames`"),
+        (
+            ("retarget", "bounds", 0, "limit"),
+            "x",
+            r"Expected `float`, got `str` - at `\$\.retarget\.bounds\[0\]",
+        ),
+        (("made_with", "randomization", "over", "payload"), [0], r"`array` of length 2.*\.randomization\.over"),
         (("made_with", "config"), ..., r"missing required field `config` - at `\$\.made_with`"),
     ],
 )

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from fastmimic.base.text import number
+from fastmimic.base.text import NONE, number
 from fastmimic.clips.formats import FORMATS
 from fastmimic.commands.console import EXIT_INTERRUPTED, count_progress, note, put, put_table
 from fastmimic.motion.motion import Motion
@@ -116,14 +116,14 @@ def note_origin(robot: Robot, motion: Motion) -> None:
 
 def provenance(motion: Motion) -> str:
     """One line: name, source, scale, period, licence."""
-    source, retargeting = motion.provenance.source or {}, motion.provenance.retarget or {}
-    parts = [str(source.get("source", "unknown source"))]
-    if "frames" in source:
-        parts.append("frames {}:{}".format(*source["frames"]))
-    if source.get("format") in FORMATS:
-        parts.append(FORMATS[source["format"]].about)
-    if "scale" in retargeting:
-        parts.append(f"scale {retargeting['scale']:.3f}")
+    origin, scale = motion.provenance.origin, motion.provenance.retargeted.scale
+    parts = [origin.source]
+    if origin.frames is not None:
+        parts.append("frames {}:{}".format(*origin.frames))
+    if origin.format is not None and origin.format in FORMATS:
+        parts.append(FORMATS[origin.format].about)
+    if scale is not None:
+        parts.append(f"scale {scale:.3f}")
     held = motion.provenance.held_s
     once = "run once, " + (f"the last {held:.2g} s at rest" if held else "ends in mid-stride")
     once = "not periodic" if motion.target.parts else once
@@ -135,8 +135,8 @@ def provenance(motion: Motion) -> str:
 def unmet_bounds(motion: Motion) -> list[str]:
     """The bounds of a faithful retargeting that this motion exceeds, as sentences."""
     return [
-        f"{bound['name']} {bound['value']:.3g} exceeds {bound['limit']:.3g}"
-        + (f" ({bound['reason']})" if bound["reason"] else "")
-        for bound in (motion.provenance.retarget or {}).get("bounds", [])
-        if not bound["met"]
+        f"{bound.name} {NONE if bound.value is None else f'{bound.value:.3g}'} exceeds {bound.limit:.3g}"
+        + (f" ({bound.reason})" if bound.reason else "")
+        for bound in motion.provenance.retargeted.bounds
+        if not bound.met
     ]

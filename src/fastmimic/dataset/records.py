@@ -189,14 +189,13 @@ class Demand:
     Attributes:
         figure: of the record; ignored if the record lacks it, because it was not evaluated.
         least, most: inclusive bounds; None for no bound.
-        numbered: whether a violation states the figure and its bound.
     """
 
     figure: str
     least: float | None = None
     most: float | None = None
     says: str = ""
-    numbered: bool = True
+    numbered: bool = True  # whether a violation states the figure and its bound
 
     def unmet(self, record: Mapping[str, Any]) -> str | None:
         """The violation in words; None if the record meets the demand."""

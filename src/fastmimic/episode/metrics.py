@@ -93,8 +93,7 @@ class Metrics:
         return mean_of_known(np.array(self.swing_clearance_m))
 
     def named(self, names: Iterable[str], of: str = "") -> dict[str, Any]:
-        """Some figures by name, for a row; `of` is appended where a row has several kinds of episodes:
-        `reward_mean_perturbed`."""
+        """Some figures by name, for a row; `of` is appended where it has several kinds of episodes."""
         return {f"{name}_{of}" if of else name: getattr(self, name) for name in names}
 
     def as_dict(self) -> dict[str, Any]:

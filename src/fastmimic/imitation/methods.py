@@ -10,11 +10,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+import msgspec
+
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.registry import Registry
 from fastmimic.control.config import CONFIGS, ControllerConfig, controller_config
 from fastmimic.motion.motion import Motion
-from fastmimic.motion.provenance import MadeWith
+from fastmimic.motion.provenance import MadeWith, RandomizationRecord
 from fastmimic.optimize.parameters import FEET_AND_TRUNK, FOOT_HEIGHT, FOOT_PATH, PARAMETER_GROUPS
 from fastmimic.optimize.randomization import Randomization
 
@@ -209,7 +211,7 @@ def made_with(
     """An optimised motion (a demonstration records no method) with its method and settings in its provenance. Of
     `config`, with the method's changes, only the name of its set is kept; None if it equals no set."""
     same = config.name in CONFIGS and method_named(method).configure(CONFIGS[config.name]()) == config
-    over = None if randomization is None else randomization.as_dict()
+    over = None if randomization is None else msgspec.convert(randomization.as_dict(), RandomizationRecord)
     record = MadeWith(method, config.name if same else None, over)
     return dataclasses.replace(motion, provenance=dataclasses.replace(motion.provenance, made_with=record))
 

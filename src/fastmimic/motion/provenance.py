@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
+
+_Kind = TypeVar("_Kind")
 
 
 @dataclass(frozen=True)
@@ -78,12 +80,12 @@ class DmpRecord:
 
 @dataclass(frozen=True)
 class StitchRecord:
-    """How a motion was stitched: its segments, the samples at which later cycles start, figures of the transitions; of
-    an optimised one the `parameters` by name and the DMPs of each segment."""
+    """How a motion was stitched: its segments, the samples at which later cycles start, figures of the transitions by
+    name; of an optimised one the `parameters` by name and the DMPs of each segment."""
 
     segments: tuple[StitchedSegment, ...]
     cycle_starts: tuple[int, ...]
-    transitions: tuple[dict[str, Any], ...]
+    transitions: tuple[dict[str, int | float], ...]
     parameters: dict[str, float] | None = None
     dmp: tuple[DmpRecord | None, ...] | None = None
 
@@ -93,21 +95,56 @@ class StitchRecord:
 
 
 @dataclass(frozen=True)
+class RandomizationRecord:
+    """`Randomization.as_dict`: number of robots, criterion, and the ranges of their differences by name."""
+
+    robots: int
+    criterion: str
+    over: dict[str, tuple[int | float, int | float]]
+
+
+@dataclass(frozen=True)
 class MadeWith:
     """The method of an optimised motion, the name of its controller's parameters (None for its own ones), and the
-    robots that it was optimised over, if more than one (`Randomization.as_dict`)."""
+    robots that it was optimised over, if more than one."""
 
     method: str
     config: str | None
-    randomization: dict[str, Any] | None = None
+    randomization: RandomizationRecord | None = None
+
+
+class ClipOrigin(msgspec.Struct, frozen=True):
+    """What every clip's description may say; formats add keys of their own."""
+
+    source: str = "unknown source"
+    format: str | None = None  # one of `fastmimic.clips.formats.FORMATS`
+    frames: tuple[int, int] | None = None  # start and end (exclusive) of the part of a file
+    assumed: str | tuple[str, ...] = ()  # in reading it, as sentences
+
+
+class RetargetBound(msgspec.Struct, frozen=True):
+    """A bound within which a motion counts as the animal's; no value where it could not be measured."""
+
+    name: str
+    value: float | None
+    limit: float
+    met: bool
+    reason: str = ""
+
+
+class RetargetOutcome(msgspec.Struct, frozen=True):
+    """What is read again of a report of retargeting: the scale from the animal's size, and the bounds."""
+
+    scale: float | None = None
+    bounds: tuple[RetargetBound, ...] = ()
 
 
 @dataclass(frozen=True)
 class Provenance:
     """Where a motion comes from and how it was made.
 
-    `source` is the clip's own description (`Clip.meta`), `retarget` a `RetargetReport.as_dict`. The end of a motion
-    without a cycle is held for `held_s`. `extra` keeps the keys of other programs.
+    `source` is the clip's own description (`Clip.meta`), `retarget` a `RetargetReport.as_dict`; see `origin` and
+    `retargeted`. The end of a motion without a cycle is held for `held_s`. `extra` keeps the keys of other programs.
     """
 
     name: str = "motion"
@@ -130,18 +167,27 @@ class Provenance:
     @classmethod
     def from_dict(cls, found: Any) -> "Provenance":
         """Reads what `as_dict` made. Raises `MotionError`, which names the key, for a malformed value."""
-        try:
-            own = msgspec.convert(found, dict[str, Any])
-            extra = {key: own.pop(key) for key in own.keys() - ({f.name for f in fields(cls)} - {"extra"})}
-            return msgspec.convert(own | {"extra": extra}, cls)
-        except msgspec.ValidationError as error:
-            raise MotionError(f"provenance: {error}") from None
+        own = _typed(found, dict[str, Any], "$")
+        extra = {key: own.pop(key) for key in own.keys() - ({f.name for f in fields(cls)} - {"extra"})}
+        made = _typed(own | {"extra": extra}, cls, "$")
+        _ = made.origin, made.retargeted
+        return made
+
+    @property
+    def origin(self) -> ClipOrigin:
+        """What is known of the clip."""
+        return _typed(self.source or {}, ClipOrigin, "$.source")
+
+    @property
+    def retargeted(self) -> RetargetOutcome:
+        """What is known of its retargeting."""
+        return _typed(self.retarget or {}, RetargetOutcome, "$.retarget")
 
     @property
     def assumed(self) -> list[str]:
         """Assumptions made in reading the clip, as sentences."""
-        found = (self.source or {}).get("assumed", [])
-        return [str(sentence) for sentence in (found if isinstance(found, list | tuple) else [found])]
+        found = self.origin.assumed
+        return [found] if isinstance(found, str) else list(found)
 
     @property
     def stitched(self) -> StitchRecord:
@@ -151,10 +197,19 @@ class Provenance:
         return self.stitch
 
 
+def _typed(found: Any, kind: type[_Kind], at: str) -> _Kind:
+    try:
+        return msgspec.convert(found, kind)
+    except msgspec.ValidationError as error:
+        raise MotionError(f"provenance: {error}".replace("`$", f"`{at}")) from None
+
+
 def _plain(value: Any) -> Any:
     """JSON types; a dataclass leaves out what is None by default."""
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
     if not is_dataclass(value):
         return value
     found = {f: _plain(getattr(value, f.name)) for f in fields(value)}

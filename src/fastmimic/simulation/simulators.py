@@ -46,23 +46,17 @@ class Simulation(Protocol):
 
 @dataclass(frozen=True)
 class Simulator:
-    """A simulator.
-
-    Attributes:
-        make: `make(robot, n, conditions, control_rate_hz, threads)` returns a simulation.
-        check: raises `ConfigError` if it is not installed or does not know the robot.
-        realizes: the disturbances that it has by itself, without the disturbance's own functions.
-        needs: the modules that must be installed.
-        robots: the robots that it has a description of; None for any.
-    """
+    """A simulator: `make(robot, n, conditions, control_rate_hz, threads)` returns a simulation; `check` raises
+    `ConfigError` if it is not installed or does not know the robot; `realizes` names the disturbances that it has by
+    itself, without the disturbance's own functions."""
 
     name: str
     about: str
     make: "Callable[[Robot, int, Conditions, float, int], Simulation]"
     check: Callable[[Robot], None] = lambda robot: None
     realizes: tuple[str, ...] = ()
-    needs: tuple[str, ...] = ()
-    robots: tuple[str, ...] | None = None
+    needs: tuple[str, ...] = ()  # modules that must be installed
+    robots: tuple[str, ...] | None = None  # names of those that it has a description of; None for any
 
     @property
     def installed(self) -> bool:
