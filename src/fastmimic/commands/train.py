@@ -1,6 +1,7 @@
 """`fastmimic train`: trains a policy that imitates a motion, by reinforcement learning."""
 
 import hashlib
+import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from fastmimic.commands import options as opt
 from fastmimic.commands.console import PLAIN_STEPS, note, put, share_progress
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
+from fastmimic.runs.work_folder import CONFIG
 from fastmimic.simulation.conditions import parse_range
 
 if TYPE_CHECKING:
@@ -80,7 +82,8 @@ class Train:
         threads = self.threads if self.threads is not None else available_cores()
         if not resume:
             folder.clear()
-        folder.begin({"training": same, "motion": motion.provenance.as_dict()})
+        record = {"training": same, "motion": motion.provenance.as_dict()}
+        folder.write(CONFIG, json.dumps(record, indent=1, sort_keys=True) + "\n")
         note(f"{motion.name} on {robot.name}: {self.steps:,} steps of {self.robots} robots, networks on {device}")
         try:
             with _progress() as progress:

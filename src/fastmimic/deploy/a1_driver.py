@@ -20,7 +20,6 @@ LOW_LEVEL: Final = 0xFF
 FOOT_N_PER_COUNT: Final = 1.0  # assumed: the vendor gives no unit of the foot sensors
 
 _FIELDS: Final = ("joint_pos", "stiffness", "joint_vel", "damping", "torque")
-_POLL_S: Final = 0.0002
 _REQUEST_S: Final = 0.002
 
 
@@ -59,9 +58,6 @@ class A1Driver(RobotDriver):
         self._sequence = tick
         self.packets.received += 1
         return StateMessage(reading, tick, self._now())
-
-    def _wait(self, most_s: float) -> None:
-        time.sleep(min(_POLL_S, most_s))
 
     def _send(self, command: NDArray[Any]) -> bool:
         for k, name in enumerate(_FIELDS):

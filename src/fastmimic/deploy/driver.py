@@ -17,6 +17,7 @@ from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 
 FIRST_STATE_S: Final = 3.0  # timeout of the first state
+_POLL_S: Final = 0.0002
 ENCODER_ERROR: Final = 0.3  # rad; tolerance beyond a joint's range
 
 SIM: Final = "sim"
@@ -49,7 +50,7 @@ class Packets:
 
 class RobotDriver:
     """Base of all drivers; a context manager that opens and closes the connection. A driver implements `_connect`,
-    `close`, `_newest`, `_wait` and `_send`."""
+    `close`, `_newest` and `_send`."""
 
     def __init__(
         self,
@@ -105,7 +106,7 @@ class RobotDriver:
 
     def _wait(self, most_s: float) -> None:
         """Waits for a state, up to `most_s`."""
-        raise NotImplementedError
+        time.sleep(min(_POLL_S, most_s))
 
     def _send(self, command: NDArray[Any]) -> bool:
         """Sends a finite command; returns whether it left."""

@@ -49,15 +49,6 @@ class PolicyConfig:
         """Actions per second."""
         return self.control_rate_hz / self.decimation
 
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> "PolicyConfig":
-        """From `dataclasses.asdict`, as JSON; raises `ConfigError` for other content."""
-        try:
-            gains = {name: tuple(float(g) for g in values[name]) for name in ("stiffness", "damping")}
-            return cls(**{**values, **gains})
-        except (TypeError, KeyError, ValueError) as error:
-            raise ConfigError(f"policy configuration: not readable ({error})") from None
-
 
 SETTINGS: Final = record_dtype(
     [

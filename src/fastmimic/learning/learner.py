@@ -4,6 +4,7 @@ The algorithm is `rsl_rl.algorithms.PPO`, as in Isaac Lab and mjlab. rsl-rl's ow
 checkpoints hold neither the episodes' state nor the random generators'.
 """
 
+import json
 import tempfile
 import time
 import warnings
@@ -215,7 +216,7 @@ class Learner:
             "learning_rate": self._algorithm.learning_rate,
             "torch_random": torch.get_rng_state(),
             "cuda_random": torch.cuda.get_rng_state(self.device) if self.device.startswith("cuda") else None,
-            "numpy_random": _plain(random),
+            "numpy_random": json.dumps(random),
             "episodes": {
                 name: torch.frombuffer(bytearray(array.tobytes()), dtype=torch.uint8)
                 for name, array in episodes.items()
@@ -236,7 +237,7 @@ class Learner:
             name: tensor.numpy().view(like[name].dtype).reshape(like[name].shape)
             for name, tensor in state["episodes"].items()
         }
-        self._seen = self._tensors(self.episodes.restore({**found, "random": _unplain(state["numpy_random"])}))
+        self._seen = self._tensors(self.episodes.restore({**found, "random": json.loads(state["numpy_random"])}))
 
     def close(self) -> None:
         self.episodes.close()
@@ -280,16 +281,3 @@ class Learner:
         from tensordict import TensorDict
 
         return TensorDict({"policy": self._tensor(seen, np.float32)}, batch_size=[len(seen)], device=self.device)
-
-
-def _plain(value: Any) -> Any:
-    """A generator's state with numbers as text, because they do not fit into a tensor's."""
-    if isinstance(value, dict):
-        return {name: _plain(v) for name, v in value.items()}
-    return value if isinstance(value, str) else f"{int(value)}"
-
-
-def _unplain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _unplain(v) for name, v in value.items()}
-    return int(value) if value.lstrip("-").isdigit() else value

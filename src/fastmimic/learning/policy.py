@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, fingerprint
+from fastmimic.base.configuration import changed
 from fastmimic.base.errors import ConfigError, PolicyError
 from fastmimic.base.files import read_arrays, replace_file
 from fastmimic.base.jit import inlined, kernel
@@ -182,7 +183,7 @@ class Policy:
     def _of(cls, arrays: dict[str, NDArray[Any]]) -> "Policy":
         meta = dict(json.loads(str(arrays["meta_json"])))
         known: dict[str, Any] = {name: kind(meta.pop(name)) for name, kind in _PLAIN.items()}
-        config = PolicyConfig.from_dict(dict(meta.pop("config")))
+        config = changed(PolicyConfig(), dict(meta.pop("config")), "policy configuration")
         del meta["observation_size"], meta["action_size"]  # the weights have them
 
         def array(name: str) -> Weights:

@@ -1,7 +1,6 @@
 """A training run: its folder, iterations, evaluations in the common metric, checkpoints and logs."""
 
 import io
-import json
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -28,7 +27,7 @@ CHECKPOINT: Final = "checkpoint.pt"
 ONNX: Final = "policy.onnx"
 EVALUATIONS: Final = "evaluations.csv"
 EVENTS: Final = "tensorboard"
-_VERSION: Final = 1
+_VERSION: Final = 2
 _FILES: Final = (CHECKPOINT, ONNX, EVALUATIONS, POLICY_FILE, f"{EVENTS}/events.out.tfevents.*")
 CHECKPOINT_S: Final = 60.0  # s of wall time between checkpoints
 EVALUATION_STEPS: Final = 500_000  # policy steps between evaluations
@@ -42,10 +41,6 @@ class TrainingFolder(WorkFolder):
     @classmethod
     def at(cls, path: Path) -> "TrainingFolder":
         return cls(path, "a training", CONFIG, "training", _FILES)
-
-    def begin(self, record: Mapping[str, Any]) -> None:
-        """Writes `config.json`; raises `OutputError`."""
-        self.write(CONFIG, json.dumps(record, indent=1, sort_keys=True) + "\n")
 
     def save(self, state: Mapping[str, Any]) -> None:
         import torch
