@@ -252,7 +252,6 @@ class _Piece:
 
 
 def _periodic(take: _Take, period: NDArray[np.int64]) -> list[Segment]:
-    """The segments that repeat."""
     runs = stretches(period > 0)
     found = []
     for i, (start, end) in enumerate(runs):

@@ -83,7 +83,6 @@ class Recorder:
         return row
 
     def rows(self) -> NDArray[Any]:
-        """The rows kept, in order."""
         n = len(self._rows)
         if self.periods <= n:
             return self._rows[: self.periods]

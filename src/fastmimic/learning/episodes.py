@@ -254,7 +254,6 @@ class Shard:
         observe(self._settings, tables, clocks, simulation.observation, self._senses, self._rotation, seen)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Copies of all arrays that change."""
         return {name: array.copy() for name, array in self._arrays().items()}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:

@@ -108,8 +108,6 @@ class Iteration:
 
 
 class Learner:
-    """A policy under training with its robots."""
-
     def __init__(
         self, robot: Robot, motion: Motion, settings: TrainingSettings, *, device: str = "cpu", threads: int = 1
     ) -> None:

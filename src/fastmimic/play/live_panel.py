@@ -90,7 +90,6 @@ class PlayPanel(Panel):
         self.show_limits()
 
     def show(self, take: "Take", plot: tuple[Any, ...]) -> None:
-        """Updates texts and charts."""
         row = take.rows - 1
         self._state.content = self._status()
         self._figures.content = self._numbers()

@@ -47,7 +47,6 @@ class LiveReference:
 
     @property
     def state(self) -> str:
-        """The state in words."""
         if self.trouble is not None:
             return self.trouble
         if self._transition is not None:

@@ -108,7 +108,6 @@ class LiveHistory:
         self.add()
 
     def add(self) -> None:
-        """Adds the present moment."""
         now = self._session.snapshot()
         if not self._rows:
             self.followed = now.pose[:2].copy()
@@ -127,7 +126,6 @@ class LiveHistory:
 
     @property
     def now(self) -> "Snapshot":
-        """The last moment."""
         return self._rows[-1]
 
     def push(self, within_s: float) -> Array | None:
@@ -210,7 +208,6 @@ class PlayPage(WebPage):
         self.draw()
 
     def draw(self) -> None:
-        """Updates scene and panel."""
         moment = time.monotonic()
         with self.pacer.lock:
             take, plot = self.history.take(), self.history.plot()

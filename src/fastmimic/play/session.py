@@ -200,7 +200,6 @@ class LiveSession:
 
     @property
     def motion(self) -> str:
-        """The present motion; during a transition the one before it."""
         return self.reference.motion
 
     @property
@@ -215,7 +214,6 @@ class LiveSession:
 
     @property
     def state(self) -> str:
-        """The state in words."""
         return self._recovery.phase.value if self.fallen else self.reference.state
 
     @property
@@ -227,7 +225,6 @@ class LiveSession:
         return float(found[0]), float(found[1])
 
     def snapshot(self) -> Snapshot:
-        """The present moment."""
         obs, truth, memory, up = self.observation, self._truth[0], self.controller.memory[0], not self.fallen
         yaw = float(yaw_from_quat(obs["root_quat"]))
         pose = np.concatenate([obs["root_pos"], obs["root_quat"], obs["joint_pos"]])
@@ -275,7 +272,6 @@ class LiveSession:
         self._begin_control()
 
     def step(self) -> None:
-        """One control step."""
         self.world.apply()
         if self.steps % _PREPARING == 0:
             self.library.prepare(self.motion)

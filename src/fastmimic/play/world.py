@@ -106,7 +106,6 @@ class GettingUp:
         self.phase = GettingUpPhase.DONE
 
     def begin(self) -> None:
-        """Starts after a fall."""
         self.phase, self._time, self._tries = GettingUpPhase.LIMP, 0.0, 0
 
     def step(self, observation: NDArray[Any]) -> NDArray[Any]:

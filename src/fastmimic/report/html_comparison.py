@@ -46,8 +46,6 @@ _INK_BARS: Final = {"color": "var(--ink)", "thickness": 1.2, "width": 3}
 
 
 class Measure(NamedTuple):
-    """A drawn column of `results.csv`."""
-
     column: str
     title: str
     unit: str  # of the axis

@@ -78,7 +78,6 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         super().reset(*state)
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
-        """Applies commands (n,) of `COMMAND` for one control step; returns the new observation."""
         self._push()
         self._sent[self._steps % len(self._sent)] = commands
         if self._late is None and not self.world.has("top-speed"):

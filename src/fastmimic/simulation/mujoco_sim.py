@@ -228,7 +228,6 @@ class MujocoSimulation:
         return self.observation
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
-        """Applies commands (n,) of `COMMAND` for one control step; returns the new observation."""
         actuate(commands, self._ctrl, self._bias)
         self.batch.step(nstep=self.substeps)
         return self.observe()

@@ -103,7 +103,6 @@ class PybulletSimulation:
         return self.observation
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
-        """Applies commands (n,) of `COMMAND` for one control step; returns the new observation."""
         self._sent.append(commands.copy())
         if len(self._sent) > int(self._late.max()) // self.substeps + 2:
             self._sent.pop(0)

@@ -104,7 +104,6 @@ class ViewerPanel(Panel):
             gui.add_html(_KEY.format(terms=plot_key()))
 
     def show(self, row: int) -> None:
-        """Updates slider and charts."""
         player = self._player
         self._time.value = min(row / player.rate_hz, self._time.max)
         cycles = len(player.cycle_starts)
@@ -181,8 +180,6 @@ class ViewerPanel(Panel):
 
 
 class _TakeCharts:
-    """The charts of the take in a scene."""
-
     def __init__(self, gui: "viser.GuiApi", scene: "RobotScene", *, alone: bool) -> None:
         self._scene = scene
         self._status, self._strip = gui.add_html(""), gui.add_html("")
@@ -229,7 +226,6 @@ def add_layer_boxes(gui: "viser.GuiApi", robots: "Sequence[RobotScene]", hidden:
 
 
 def reward_plot(gui: "viser.GuiApi", data: Any, series: Any, height: int, *, legend: bool) -> Any:
-    """The plot of the reward and its terms."""
     return gui.add_uplot(
         data=data,
         series=series,

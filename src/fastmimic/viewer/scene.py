@@ -134,7 +134,6 @@ class RobotScene:
         self.set_take(take)
 
     def set_take(self, take: "Take") -> None:
-        """Shows another take."""
         self.take = take
         self._path = self._followed(take)
         self._title.text = take.title
@@ -186,7 +185,6 @@ class RobotScene:
 
     @property
     def layers(self) -> tuple[str, ...]:
-        """Those of `LAYERS` that it has."""
         return tuple(self._groups)
 
     def _add_bodies(

@@ -46,7 +46,6 @@ class Player:
 
     @property
     def row(self) -> int:
-        """The row to show."""
         return min(int(self._position), self.rows - 1)
 
     @property
@@ -73,7 +72,6 @@ class Player:
         self._position = position
 
     def seek(self, row: int) -> None:
-        """Goes to the nearest row."""
         self._position = float(min(max(row, 0), self.rows - 1))
 
     def step_cycle(self, by: int) -> None:
@@ -136,7 +134,6 @@ class Viewer(WebPage):
             self.draw(force=True)
 
     def draw(self, *, force: bool = False) -> None:
-        """Updates scene and panel if the row has changed."""
         with self.lock:
             row = self.player.row
             if not force and self._drawn == (row, self.panel.version):

@@ -134,15 +134,12 @@ class WebPage:
 
     @property
     def url(self) -> str:
-        """Address of the page."""
         return f"http://{HOST}:{self.server.get_port()}"
 
     def watched(self) -> bool:
-        """Whether a browser shows the page."""
         return bool(self.server.get_clients())
 
     def close(self) -> None:
-        """Stops the server."""
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
 

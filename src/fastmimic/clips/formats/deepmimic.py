@@ -101,7 +101,6 @@ def _rotate_y(angle: Array, v: Array) -> Array:
 
 
 def _named(name: Any, robot: Robot | None) -> Robot:
-    """The robot that a file names."""
     from fastmimic.robot import ROBOT_NAMES, load_robot
 
     if robot is not None and robot.name == name:

@@ -290,7 +290,6 @@ class Writer:
         return bool(self._write(self._handle, self._address) == 0)
 
     def matched(self) -> int:
-        """The number of readers."""
         status = Matched()
         cyclone().dds_get_publication_matched_status(self._handle, ctypes.byref(status))
         return int(status.current)
@@ -334,13 +333,11 @@ class Reader:
         return bool(checked(self._wait(self._waitset, None, 0, round(max(timeout_s, 0.0) * 1e9)), "waiting") > 0)
 
     def matched(self) -> int:
-        """The number of writers."""
         status = Matched()
         cyclone().dds_get_subscription_matched_status(self._handle, ctypes.byref(status))
         return int(status.current)
 
     def close(self) -> None:
-        """Stops listening."""
         cyclone().dds_delete(self._waitset)
         cyclone().dds_delete(self._handle)
 

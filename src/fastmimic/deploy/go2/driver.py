@@ -148,7 +148,6 @@ class Go2Driver(RobotDriver):
         return height < _LYING * self._robot.home_height
 
     def _silence(self, participant: Participant) -> str:
-        """Why no state came."""
         where = f"in DDS domain {self._domain} on '{self._interface}'"
         others = set(participant.publishers(messages.LOW_STATE_TOPIC)) - {messages.LowState.typename}
         if others:
