@@ -38,9 +38,9 @@ SECONDS = 8.0
 def tried(robot: Robot, library: MotionSet, name: str, asked: dict[str, float], impulse: float) -> tuple[bool, float]:
     """Whether a motion stands with a modulation, and its mean reward."""
     session = LiveSession(robot, library, start=name)
-    session.set_speed(asked["speed"])
-    session.set_turn(asked["turn"])
-    session.set_lift(asked["lift"])
+    session.want("speed", asked["speed"])
+    session.want("turn", asked["turn"])
+    session.want("lift", asked["lift"])
     rewards = []
     for step in range(round(SECONDS * session.rate_hz)):
         if impulse and step * session.dt in PUSHES:

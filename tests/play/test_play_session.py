@@ -156,7 +156,7 @@ def test_speed_is_what_was_asked_for(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start="walk")
     session.run(1.0)
     own = mean_velocity(session, 1.6)[0]
-    session.set_speed(1.2)
+    session.want("speed", 1.2)
     session.run(1.5)
     assert session.modulation["speed"] == pytest.approx(1.2)
     assert mean_velocity(session, 1.6)[0] == pytest.approx(1.2 * own, rel=0.05)
@@ -166,7 +166,7 @@ def test_speed_is_what_was_asked_for(a1: Robot, library: MotionSet) -> None:
 def test_turning_is_what_was_asked_for(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start="trot")
     for rate in (0.4, -0.4):
-        session.set_turn(rate)
+        session.want("turn", rate)
         session.run(1.5)
         assert mean_velocity(session, 1.5)[2] == pytest.approx(rate, abs=0.05)
     assert session.falls == 0
@@ -176,7 +176,7 @@ def test_swing_height_is_what_was_asked_for(a1: Robot, library: MotionSet) -> No
     peaks = []
     for factor in (0.6, 1.5):
         session = LiveSession(a1, library, start="in-place")
-        session.set_lift(factor)
+        session.want("lift", factor)
         session.run(1.5)
         heights = []
         for _ in range(500):
@@ -190,8 +190,8 @@ def test_swing_height_is_what_was_asked_for(a1: Robot, library: MotionSet) -> No
 
 def test_what_is_asked_for_is_cut_to_the_limits_and_followed_at_a_limited_rate(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start="trot")
-    session.set_turn(10.0)
-    session.set_lift(10.0)
+    session.want("turn", 10.0)
+    session.want("lift", 10.0)
     session.step()
     assert session.modulation["turn"] == pytest.approx(RATES["turn"] * session.dt)
     session.run(2.0)
@@ -201,12 +201,12 @@ def test_what_is_asked_for_is_cut_to_the_limits_and_followed_at_a_limited_rate(a
     assert limits.lift[1] <= LIFT[1]
     assert library.entry(STAND).limits.turn == (0.0, 0.0)
     with pytest.raises(ConfigError, match="must be a number"):
-        session.set_speed(math.nan)
+        session.want("speed", math.nan)
 
 
 def test_a_transition_waits_for_the_motions_own_speed(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start="trot")
-    session.set_speed(1.1)
+    session.want("speed", 1.1)
     session.run(1.0)
     assert session.modulation["speed"] == pytest.approx(1.1)
     reach(session, "walk")
@@ -323,7 +323,7 @@ def test_an_optimised_motion_is_followed_and_scored_against_its_demonstration(a1
         np.testing.assert_array_equal(entry.demonstration[name], own[name])
     session.run(1.0)
     reach(session, IN_PLACE)
-    session.set_speed(0.95)
+    session.want("speed", 0.95)
     reach(session, "optimised")
     session.run(1.0)
     assert session.falls == 0

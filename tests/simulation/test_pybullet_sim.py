@@ -42,7 +42,7 @@ def standing(robot: Robot, seconds: float = 0.6, *disturbances: str) -> tuple[Py
     simulation.reset(np.array([0, 0, height]), LEVEL, home, np.zeros(3), np.zeros(3), np.zeros(12))
     for _ in range(round(500 * seconds)):
         simulation.step(hold(1, home))
-    return simulation, simulation.observe()[0]
+    return simulation, simulation.observation[0]
 
 
 class TestFrames:
@@ -55,7 +55,7 @@ class TestFrames:
         joints = np.array([random_joints(robot, rng) for _ in range(n)])
         velocity, turning_b, speeds = (rng.normal(size=(n, k)) for k in (3, 3, 12))
         simulation.reset(position, quat, joints, velocity, turning_b, speeds)
-        o = simulation.observe()
+        o = simulation.observation
         np.testing.assert_allclose(o["root_pos"], position, atol=1e-9)
         np.testing.assert_allclose(np.abs(np.sum(o["root_quat"] * quat, axis=1)), 1.0, atol=1e-9)
         np.testing.assert_allclose(o["lin_vel"], velocity, atol=1e-9)
@@ -80,7 +80,7 @@ class TestFrames:
             np.array([0, 0, 5.0]), random_quat(rng), robot.home_joint_pos, rng.normal(size=3), 3 * rng.normal(size=3),
             np.zeros(12),
         )  # fmt: skip
-        before = simulation.observe()[0].copy()
+        before = simulation.observation[0].copy()
         after = simulation.step(hold(1, robot.home_joint_pos))[0]
         moved = (after["root_pos"] - before["root_pos"]) / 0.002
         np.testing.assert_allclose(moved, (after["lin_vel"] + before["lin_vel"]) / 2, atol=0.05)
@@ -124,7 +124,7 @@ class TestMechanics:
             ]
             return sum(m * np.array(v) for m, v in zip(masses, velocities, strict=True))
 
-        o = simulation.observe()[0].copy()
+        o = simulation.observation[0].copy()
         simulation.substeps = 1  # the forces of every physics step are seen
         yaw = np.array([np.cos(0.5), 0, 0, np.sin(0.5)])
         simulation.reset(
@@ -252,7 +252,7 @@ class TestDeterminism:
         def course(simulation: PybulletSimulation, n: int) -> bytes:
             simulation.reset(np.array([0, 0, height]), LEVEL, home, np.zeros(3), np.zeros(3), np.zeros(12))
             states = [simulation.step(np.repeat(c, n))[-1].tobytes() for c in commands]
-            assert simulation.observe()["foot_force"].any()
+            assert simulation.observation["foot_force"].any()
             return b"".join(states)
 
         first = PybulletSimulation(robot, 1)

@@ -146,12 +146,11 @@ class Render:
 
         with slow_start():
             found = evaluate(motion, robot, duration_s=seconds, method=method, config=self.config, log=True)
-        assert found.rollout.log is not None
         caption = METHODS[found.method].label + (f" ({found.config.name})" if found.config.name != "default" else "")
         track = rollout_track(
             found.rollout, found.config.release_force(robot), f"{motion.name} on {robot.name}", note=caption
         )
-        return track, found.rollout.log.rate_hz
+        return track, found.rollout.course.rate_hz
 
 
 def _kinematic(motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, float]":

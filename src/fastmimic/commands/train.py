@@ -1,6 +1,5 @@
 """`fastmimic train`: trains a policy that imitates a motion, by reinforcement learning."""
 
-import hashlib
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import Positional
 
+from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import available_cores
 from fastmimic.base.text import plain
@@ -124,13 +124,11 @@ def _identity(
     robot: Robot, motion: Motion, settings: "TrainingSettings", device: str, evaluate_every: int
 ) -> dict[str, Any]:
     """The settings that must match for a training to resume, JSON-serialisable."""
-    content = hashlib.sha256(robot.content)
-    for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "contact"):
-        content.update(getattr(motion, name).tobytes())
+    content = (robot.content, motion.root_pos_w, motion.root_quat_wxyz, motion.joint_pos, motion.contact)
     return {
         "robot": robot.name,
         "motion": motion.name,
-        "content": content.hexdigest()[:16],
+        "content": fingerprint(*content),
         "device": device,
         "evaluate_every": evaluate_every,
         **plain(settings),

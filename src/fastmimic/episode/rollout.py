@@ -89,6 +89,12 @@ class Rollout:
     parts: "tuple[Rollout, ...]" = ()
     estimation: EstimationErrors | None = None
 
+    @property
+    def course(self) -> Log:
+        """The log of a rollout for which it was requested."""
+        assert self.log is not None, "this needs a rollout with its log"
+        return self.log
+
     def components(self, episode: int) -> dict[str, float]:
         """The reward's terms of one episode by name."""
         return {name: float(value) for name, value in zip(REWARD_TERMS, self.terms[episode], strict=True)}

@@ -181,9 +181,9 @@ class PlayPanel(Panel):
             limits = session.library.entry(session.motion).limits
             fast, slow = limits.speed[1] - 1.0, 1.0 - limits.speed[0]
             speed, turn, lift = (float(slider.value) for slider in self._sliders.values())
-            session.set_speed(speed + (on * fast if on > 0 else on * slow))
-            session.set_turn(turn + left * limits.turn[1])
-            session.set_lift(lift)
+            session.want("speed", speed + (on * fast if on > 0 else on * slow))
+            session.want("turn", turn + left * limits.turn[1])
+            session.want("lift", lift)
 
         self._do(want)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.base.errors import ConfigError, MotionError, unknown
 from fastmimic.reference.course import CourseTransition
 from fastmimic.reference.modulation import Limits
 from fastmimic.reference.motion_set import Entry, MotionSet
@@ -80,7 +80,9 @@ class LiveReference:
         self._disarm()
 
     def want(self, name: str, value: float) -> None:
-        """Requests a modulation, cut to the limits; raises `ConfigError` if it is not a number."""
+        """Requests a modulation, cut to the limits; raises `ConfigError` for another name, or if it is no number."""
+        if name not in NEUTRAL:
+            raise unknown("modulation", name, NEUTRAL)
         if not math.isfinite(value):
             raise ConfigError(f"{name} must be a number, found {value}")
         self.wanted[name] = float(value)

@@ -149,17 +149,10 @@ class LiveSession:
         """Changes to another motion as soon as feet and phase allow; raises `ConfigError` for an unknown one."""
         self.reference.switch(name)
 
-    def set_speed(self, factor: float) -> None:
-        """Requests a factor on the motion's own speed, cut to its limits."""
-        self.reference.want("speed", factor)
-
-    def set_turn(self, rate: float) -> None:
-        """Requests a turn rate in addition to the motion's own, rad/s, positive to the left, within its limits."""
-        self.reference.want("turn", rate)
-
-    def set_lift(self, factor: float) -> None:
-        """Requests a factor on the motion's own swing height, within its limits."""
-        self.reference.want("lift", factor)
+    def want(self, name: str, value: float) -> None:
+        """Requests a modulation, cut to the motion's limits: "speed" and "lift" are factors on its own speed and swing
+        height, "turn" is a turn rate in addition to its own, rad/s, positive to the left."""
+        self.reference.want(name, value)
 
     def push(self, impulse: float, direction: float = 0.5 * math.pi) -> None:
         """Pushes the trunk by `impulse`, N·s, in a direction from its heading, rad, positive to the left."""

@@ -116,8 +116,7 @@ def rollout_track(rollout: "Rollout", loaded_n: float, title: str = "", episode:
     """An episode of a logged rollout, falls included, with the demonstration at each step as its ghost. The panel's
     second line tells the reward and the time of a fall after `note`, such as the method; `loaded_n` is a loaded foot's
     least force, N."""
-    log = rollout.log
-    assert log is not None, "a track needs a rollout with its log"
+    log = rollout.course
     robot, ghost = log.observation[episode], log.demonstration[episode]
     caption = f"{note} · " if note else ""
     caption += f"reward {rollout.reward[episode]:.2f}"

@@ -171,12 +171,11 @@ def write_video(
     from fastmimic.render.video import render_video
 
     began = time.perf_counter()
-    assert result.before.log is not None
     info = render_video(
         result.robot,
         _tracks(result),
         folder.path / VIDEO,
-        rate_hz=result.before.log.rate_hz,
+        rate_hz=result.before.course.rate_hz,
         progress=progress,
         quality=quality,
     )
@@ -202,8 +201,7 @@ def _tracks(result: Imitation) -> list[Track]:
 
 
 def _tracked(result: Imitation, title: str) -> Figure:
-    log = result.after.log
-    assert log is not None
+    log = result.after.course
     time_s = np.arange(1, log.wanted.shape[1] + 1) / log.rate_hz
     alive_s = max(int(result.before.steps[0]), int(result.after.steps[0])) / log.rate_hz
     wanted, after = foot_courses(result.after, result.robot)

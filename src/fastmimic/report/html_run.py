@@ -58,8 +58,8 @@ class RerunEpisodes:
     @cached_property
     def series(self) -> tuple[tuple[Rollout, Log, Key], ...]:
         if self.after is None:
-            return ((self.before, _log_of(self.before), ONLY),)
-        return ((self.before, _log_of(self.before), BEFORE), (self.after, _log_of(self.after), AFTER))
+            return ((self.before, self.before.course, ONLY),)
+        return ((self.before, self.before.course, BEFORE), (self.after, self.after.course, AFTER))
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -97,11 +97,6 @@ class RerunEpisodes:
         """Lines between the segments of a stitched motion."""
         border = Key("", "var(--muted)", "dash")
         return [rule(border, x=s / self.log.rate_hz, width=1) for s in self.motion.target.segment_starts if s]
-
-
-def _log_of(rollout: Rollout) -> Log:
-    assert rollout.log is not None, "the plots need rollouts with their logs"
-    return rollout.log
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,10 +98,6 @@ class PybulletSimulation:
         for i, body in enumerate(self._bodies):
             body.observe(self.observation[i], self._rate)
 
-    def observe(self) -> NDArray[Any]:
-        """The present states, (n,) of `OBSERVATION`; contact forces are those of the last substep."""
-        return self.observation
-
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
         self._sent.append(commands.copy())
         if len(self._sent) > int(self._late.max()) // self.substeps + 2:

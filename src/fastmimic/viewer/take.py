@@ -77,8 +77,7 @@ def rollout_take(
     rollout: "Rollout", motion: Motion, robot: Robot, config: "ControllerConfig", title: str = "", episode: int = 0
 ) -> Take:
     """An episode with its log, falls included."""
-    log = rollout.log
-    assert log is not None, "a take needs a rollout with its log"
+    log = rollout.course
     track = rollout_track(rollout, config.release_force(robot), title, episode)
     assert track.ghost is not None
     pose = held(track.pose)

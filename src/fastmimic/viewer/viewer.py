@@ -39,11 +39,6 @@ class Player:
     repeat: Repeat = "all"
     _position: float = 0.0
 
-    def load(self, rows: int, rate_hz: float, cycle_starts: NDArray[np.int64]) -> None:
-        """Starts another take, at the same speed."""
-        self.rows, self.rate_hz, self.cycle_starts = rows, rate_hz, cycle_starts
-        self._position = 0.0
-
     @property
     def row(self) -> int:
         return min(int(self._position), self.rows - 1)
@@ -129,7 +124,9 @@ class Viewer(WebPage):
             takes = [takes[min(episode, len(takes) - 1)] for takes in self._shown]
             for scene, take in zip(self.robots, takes, strict=True):
                 scene.set_take(take)
-            self.player.load(*_longest(takes))
+            player = self.player
+            player.rows, player.rate_hz, player.cycle_starts = _longest(takes)
+            player.seek(0)
             self.panel.set_takes()
             self.draw(force=True)
 
