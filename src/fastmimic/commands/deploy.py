@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from fastmimic.base.errors import ConfigError, DriverError
+from fastmimic.base.errors import ConfigError, DriverError, unknown
 from fastmimic.base.files import write_json
 from fastmimic.base.machine import versions
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import EXIT_INTERRUPTED, note, put, put_json, put_table, slow_start
 from fastmimic.deploy.computer import LoopClock, StopSwitch, VirtualClock
 from fastmimic.deploy.dds.cyclone import check_interface
-from fastmimic.deploy.driver import DRIVERS, SIM, WIRED, check_driver, make_driver
+from fastmimic.deploy.driver import DRIVERS, SIM, WIRED, make_driver
 from fastmimic.deploy.log import LOG, RESULT, GroundTruthLog, open_deployment
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
@@ -105,7 +105,6 @@ class Deploy:
     def run(self) -> int:
         from fastmimic.deploy.safety import read_limits
 
-        check_driver(self.driver)
         self._check()
         robot, motion = self._load()
         limits = read_limits(robot, self.limits, opt.joined(self.limit))
@@ -126,6 +125,8 @@ class Deploy:
 
     def _check(self) -> None:
         """Raises `ConfigError` for options that do not fit the driver, before any long work."""
+        if self.driver not in DRIVERS:
+            raise unknown("driver", self.driver, DRIVERS)
         opt.check_duration(self.duration)
         if self.driver != SIM:
             for name in opt.given(self.simulated):

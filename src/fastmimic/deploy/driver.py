@@ -12,7 +12,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.errors import ConfigError, DriverError, did_you_mean
+from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 
@@ -137,12 +137,6 @@ def implausible_joint(robot: Robot, joint_pos: NDArray[np.float64]) -> str:
         f"{robot.joint_names[j]} is at {joint_pos[j]:.2f} rad, outside the {robot.name}'s {robot.joint_lower[j]:.2f} …"
         f" {robot.joint_upper[j]:.2f} rad: another robot, or its joints are not calibrated"
     )
-
-
-def check_driver(name: str) -> None:
-    """Raises `ConfigError` for an unknown driver."""
-    if name not in DRIVERS:
-        raise ConfigError(f"unknown driver '{name}'; there are {', '.join(DRIVERS)}{did_you_mean(name, DRIVERS)}")
 
 
 def make_driver(driver: str, robot: Robot, **options: Any) -> RobotDriver:

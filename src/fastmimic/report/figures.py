@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.conventions import LEGS
@@ -85,29 +85,26 @@ def _marker(k: Array) -> str:
 
 
 def tracking_figure(
-    time_s: ArrayLike,
-    demonstration: ArrayLike,
-    before: ArrayLike,
-    after: ArrayLike,
-    contact: ArrayLike,
+    time: Array,
+    wanted: Array,
+    before: Array,
+    after: Array,
+    stance: NDArray[np.bool_],
     title: str = "Foot tracking",
     *,
     window_s: tuple[float, float] | None = None,
 ) -> Figure:
     """Height and fore-aft position of the four feet, wanted and realised, (t, 4, 3) foot centres in the body frame, m.
 
-    `demonstration` is what the robot is scored against at `time_s` (t,), s; `before` and `after` are realised with the
-    motion as retargeted and optimised, NaN after a fall. `contact` (t, 4) shades the demonstration's stance. `window_s`
-    are the times to draw, such as two cycles; the errors in the titles are over all samples.
+    `wanted` is what the robot is scored against at `time` (t,), s; `before` and `after` are realised with the motion as
+    retargeted and optimised, NaN after a fall. `stance` (t, 4), the demonstration's, is shaded. `window_s` are the
+    times to draw, such as two cycles; the errors in the titles are over all samples.
     """
-    time = np.asarray(time_s, dtype=np.float64)
-    wanted, *realised = (np.asarray(a, dtype=np.float64) for a in (demonstration, before, after))
-    stance = np.asarray(contact, dtype=bool)
     start, end = window_s if window_s is not None else (time[0], time[-1])
     figure = style.new_figure(14.0, 6.2, title, below=0.85)
     grid = figure.subplots(2, 4, sharex=True)
     for row, axis in enumerate((2, 0)):
-        drawn = [wanted[:, :, axis], *(feet[:, :, axis] for feet in realised)]
+        drawn = [wanted[:, :, axis], before[:, :, axis], after[:, :, axis]]
         for leg, name in enumerate(LEGS):
             axes = grid[row, leg]
             shade(axes, time, stance[:, leg])
