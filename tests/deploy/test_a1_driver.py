@@ -11,6 +11,7 @@ import pytest
 
 from fastmimic.base.errors import DriverError
 from fastmimic.deploy.a1_driver import A1Driver
+from fastmimic.deploy.driver import RobotDriver
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 
@@ -155,3 +156,11 @@ def test_joints_outside_its_limits_mean_another_robot(robot: Robot, module: type
     module.RobotInterface = Other  # type: ignore[attr-defined]
     with pytest.raises(DriverError, match=r"FR_knee is at 0\.40 rad, outside the a1's"):
         A1Driver(robot, timeout_s=0.05).open()
+
+
+def test_a_driver_that_lacks_a_method_cannot_be_made(robot: Robot) -> None:
+    class Deaf(A1Driver):
+        _newest = RobotDriver._newest
+
+    with pytest.raises(TypeError, match=r"abstract method '?_newest"):
+        Deaf(robot)

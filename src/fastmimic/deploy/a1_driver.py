@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.driver import RobotDriver, StateMessage, implausible_joint
+from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage, implausible_joint
 from fastmimic.robot.state import READING
 
 MODULE: Final = "robot_interface"
@@ -40,6 +40,7 @@ class A1Driver(RobotDriver):
             self._interface = interface()
         self._sequence, self._command = -1, np.zeros(60, np.float32)
         self._await_state()
+        self.packets = Packets()
 
     def close(self) -> None:
         self._interface = None

@@ -4,6 +4,7 @@ Drivers convert the vendor's units, order and signs to the project's (`fastmimic
 """
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -48,9 +49,8 @@ class Packets:
     rejected: int = 0  # states with a wrong checksum, duplicates, out of order, or not finite
 
 
-class RobotDriver:
-    """Base of all drivers; a context manager that opens and closes the connection. A driver implements `_connect`,
-    `close`, `_newest` and `_send`."""
+class RobotDriver(ABC):
+    """Base of all drivers; a context manager that opens and closes the connection."""
 
     def __init__(
         self,
@@ -68,16 +68,16 @@ class RobotDriver:
     def open(self) -> None:
         """Connects and waits for the first state. Sends no command. Raises `DriverError` for whatever a user can
         correct: a missing extra, an unknown interface, another robot, no state within `timeout_s`."""
+        self.packets = Packets()
         try:
             self._connect()
         except BaseException:
             self.close()
             raise
-        self.packets = Packets()
 
+    @abstractmethod
     def close(self) -> None:
         """Disconnects; sends nothing. May be called twice."""
-        raise NotImplementedError
 
     def read(self, timeout_s: float = 0.0) -> StateMessage | None:
         """The newest acceptable state since the last call, or None after `timeout_s`. See `Packets.rejected`."""
@@ -96,21 +96,21 @@ class RobotDriver:
     def _now(self) -> float:
         return time.perf_counter()
 
+    @abstractmethod
     def _connect(self) -> None:
-        """Opens the connection and waits for the first state; raises `DriverError`."""
-        raise NotImplementedError
+        """Opens the connection and waits for the first state, which does not count; raises `DriverError`."""
 
+    @abstractmethod
     def _newest(self) -> StateMessage | None:
         """The newest acceptable state since the last call."""
-        raise NotImplementedError
 
     def _wait(self, most_s: float) -> None:
         """Waits for a state, up to `most_s`."""
         time.sleep(min(_POLL_S, most_s))
 
+    @abstractmethod
     def _send(self, command: NDArray[Any]) -> bool:
         """Sends a finite command; returns whether it left."""
-        raise NotImplementedError
 
     def __enter__(self) -> Self:
         self.open()

@@ -269,9 +269,8 @@ class SimDriver(RobotDriver):
         """(steps + 1,) of `OBSERVATION`: the true states, by the sequence number of the state message."""
         return np.concatenate(self._truth)
 
-    def open(self) -> None:
+    def _connect(self) -> None:
         """Puts the robot at its start and sends its first state."""
-        self.packets = Packets()
         self._states = SimulatedLink(self._faults, self._dt, 0)
         self._commands = SimulatedLink(self._faults, self._dt, 1)
         self._from_robot, self._at_robot = Receiver(READING, self.packets), Receiver(COMMAND)

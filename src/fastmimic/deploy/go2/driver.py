@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
 from fastmimic.deploy.dds.cyclone import LOOPBACK, Participant, Reader, Writer
-from fastmimic.deploy.driver import RobotDriver, StateMessage, implausible_joint
+from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage, implausible_joint
 from fastmimic.deploy.go2 import messages
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
@@ -56,7 +56,7 @@ class Go2Driver(RobotDriver):
             self.released = messages.release_motion_service(participant, self._lies, self._say)
             self._check_alone(participant)
         self._reader.take()  # states of before are old
-        self._sequence = -1
+        self._sequence, self.packets = -1, Packets()
 
     def close(self) -> None:
         if self._participant is not None:
