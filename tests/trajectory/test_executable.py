@@ -79,7 +79,10 @@ def test_it_repeats_and_stays_near_the_animal(animal: Motion, turn: Executable) 
     assert np.linalg.norm(last[:2] - following) < 2e-3
 
 
-def test_the_same_problem_has_the_same_solution_bit_for_bit(a1: Robot, animal: Motion, turn: Executable) -> None:
+def test_the_same_problem_has_the_same_solution_bit_for_bit(
+    a1: Robot, animal: Motion, turn: Executable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # where no solution is kept yet
     again = Program(a1, animal, TrajectoryConfig()).solve()
     np.testing.assert_array_equal(again.variables, turn.solution.variables)
 

@@ -14,7 +14,7 @@ from fastmimic.base.rotations import quat_rotate, quat_rotate_inverse, rotate_pl
 from fastmimic.control.config import ControllerConfig, default_config, loaded_robot, pack_config
 from fastmimic.control.controller import Controller
 from fastmimic.episode.observer import Observer
-from fastmimic.episode.plan import Start, episode_steps, nominal_start
+from fastmimic.episode.plan import Start, episode_steps, nominal_start, perturbed_start, start_room
 from fastmimic.episode.reward import Scorer, demonstration_in_world
 from fastmimic.episode.rollout import Log, Rollout, summarised
 from fastmimic.estimation.estimator import START
@@ -320,3 +320,10 @@ def run_episodes(
     return loop.run(
         list(references) if references is not None else [motion], start, steps, log=log, divisions=divisions
     )
+
+
+def share_of_falls(robot: Robot, motion: Motion) -> float:
+    """Share of perturbed starts from which the robot falls within 10 s of a motion under the default controller. The
+    starts are not those of evaluations."""
+    start = perturbed_start(16, start_room(motion, 10.0), np.random.default_rng(20_000))
+    return float(run_episodes(robot, motion, start=start).fell.mean())

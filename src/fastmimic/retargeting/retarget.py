@@ -10,6 +10,7 @@ After Peng et al. 2020 (section IV), then made consistent, by one rule for every
     fidelity, report   what changed
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
@@ -42,6 +43,7 @@ def retarget(
     cycle: bool | None = None,
     config: RetargetConfig | None = None,
     executable: bool = False,
+    falls: Callable[[Robot, Motion], float] | None = None,
 ) -> tuple[Motion, RetargetReport]:
     """Turns an animal's clip into a reference motion of a robot; returns it with a report of the changes.
 
@@ -53,6 +55,7 @@ def retarget(
         config: settings at the A1's size, `RetargetConfig()` if None.
         executable: whether the motion is the nearest one that the robot can execute, by optimal control, in place of
             one with a balanced trunk; its `animal` is the kinematic motion.
+        falls: share of perturbed starts from which a robot falls with a motion; see `nearest_executable`.
 
     The motion's `provenance` holds the report as well. Raises `ConfigError` unless rate and scale are positive, and
     `ClipError` if the clip is too short; `MotionError` if no motion near it is executable.
@@ -82,7 +85,7 @@ def retarget(
     motion = replace(fitted.motion, provenance=provenance)
     if not executable:
         return motion, report
-    found = nearest_executable(robot, motion)
+    found = nearest_executable(robot, motion, falls=falls)
     report = replace(report, executable=found.figures)
     return replace(found.motion, provenance=replace(provenance, retarget=report.as_dict())), report
 

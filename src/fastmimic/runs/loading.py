@@ -56,9 +56,11 @@ class MotionSource:
 
     def retarget(self, robot: Robot, *, executable: bool = False, **overrides: Any) -> "tuple[Motion, RetargetReport]":
         """The clip's motion for a robot, and what changed; raises as `open_clip` and `retarget` do."""
-        from fastmimic.retargeting.retarget import retarget  # loads the compiler
+        from fastmimic.episode.loop import share_of_falls  # loads the compiler
+        from fastmimic.retargeting.retarget import retarget
 
-        return retarget(self.open_clip(robot, **overrides), robot, executable=executable)
+        clip = self.open_clip(robot, **overrides)
+        return retarget(clip, robot, executable=executable, falls=share_of_falls)
 
     def load(self, robot: Robot, **overrides: Any) -> Motion:
         """The motion for a robot; see `load_motion`."""

@@ -13,6 +13,9 @@ class TrajectoryConfig:
     torque of its own."""
 
     node_s: float = parameter(0.008, unit="s", above=0.0, about="time between nodes; each contact mode has whole steps")
+    phase_nodes: float = parameter(
+        21.0, above=0.0, about="nodes of a stance or swing; their time is at most 1.5 times `node_s`"
+    )
     friction: float = parameter(0.42, above=0.0, about="bound of the horizontal over the vertical force of a foot")
     torque_share: float = parameter(0.85, above=0.0, high=1.0, about="share of the joints' torque limit")
     speed_share: float = parameter(0.95, above=0.0, high=1.0, about="share of the joints' speed limit")
@@ -25,6 +28,12 @@ class TrajectoryConfig:
     )
     least_force: float = parameter(0.03, low=0.0, about="least vertical force of a foot in stance")
     most_force: float = parameter(2.5, above=0.0, about="greatest force of a foot along each axis")
+    loading: float = parameter(
+        5.0,
+        above=0.0,
+        about="a foot's force rises and falls no faster, in slopes of a half sine over its stance that carries its"
+        " share of the weight: feet touch down early or late",
+    )
     landing_m_per_s: float = parameter(
         0.2, unit="m/s", above=0.0, about="a foot moves no faster along each axis just before it touches down"
     )
@@ -38,6 +47,13 @@ class TrajectoryConfig:
     keep_speed: bool = parameter(False, about="the motion keeps the animal's distance a cycle")
     shortest_share: float = parameter(0.4, above=0.0, about="least duration of a contact mode, of the animal's")
     longest_share: float = parameter(1.7, low=1.0, about="greatest duration of a contact mode, of the animal's")
+    capture_weight: float = parameter(0.0, low=0.0, about="cost of the capture point near a side's feet, 1/m²")
+    capture_m: float = parameter(
+        0.05, unit="m", above=0.0, scale="length", about="the capture point stays this far inside the feet of a side"
+    )
+    capture_growth: float = parameter(
+        3.5, low=1.0, about="where that side alone carries the trunk until an error grows this many times"
+    )
     duration_weight: float = parameter(3000.0, low=0.0, about="cost of a changed duration, 1/s²")
     stride_weight: float = parameter(30.0, low=0.0, about="cost of a changed distance a cycle, of the squared share")
     force_weight: float = parameter(3e-2, low=0.0, about="cost of squared forces")

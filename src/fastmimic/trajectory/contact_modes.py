@@ -148,13 +148,17 @@ class ContactModes:
 
     def swings(self, leg: int) -> list[NDArray[np.int_]]:
         """Nodes of each swing of a leg."""
-        down = self.stands[:, leg]
-        if down.all():
-            return []
-        turn = int(np.argmax(down)) if self.periodic and down.any() else 0
-        order = np.roll(np.arange(self.n_nodes), -turn)
-        up = np.flatnonzero(~down[order])
-        return [order[part] for part in np.split(up, np.flatnonzero(np.diff(up) > 1) + 1)]
+        return runs_of(~self.stands[:, leg], self.periodic)
+
+
+def runs_of(holds: NDArray[np.bool_], periodic: bool) -> list[NDArray[np.int_]]:
+    """Nodes (N,) of each run in which a condition holds; one that crosses a cycle's end counts once."""
+    if holds.all():
+        return [np.arange(len(holds))]
+    turn = int(np.argmin(holds)) if periodic else 0
+    order = np.roll(np.arange(len(holds)), -turn)
+    at = np.flatnonzero(holds[order])
+    return [order[part] for part in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(part)]
 
 
 def interpolated(values: Array, following: Array, sample: Array) -> Array:

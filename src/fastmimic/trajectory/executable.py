@@ -1,5 +1,6 @@
 """The motion nearest to an animal's that a robot can execute, from the optimal control problem's solution."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
@@ -30,6 +31,11 @@ _RETRIES: Final[tuple[dict[str, float], ...]] = (
     {"landing_m_per_s": 0.4, "friction": 0.5, "torque_share": 0.95},
 )
 """Margins that a problem without a solution gives up, in this order."""
+_STEADIER: Final[tuple[dict[str, float], ...]] = (
+    {"capture_weight": 1000.0, "acceleration_weight": 3e-3, "capture_m": 0.06},
+    {"capture_weight": 1000.0, "capture_m": 0.03, "loading": 3.0},
+)
+"""Margins that a cycle gets instead, one after another, while the robot falls with it."""
 _AT_LIMIT: Final = 1e-3
 
 
@@ -44,7 +50,9 @@ class ExecutableFigures:
         trunk_m, trunk_deg: RMS change of x, y (along the animal's own way) and z, and of roll, pitch and yaw.
         peak: greatest use of each limit, share of the robot's own: 1 is its limit. `friction` is the coefficient.
         active: share of the time at which a limit, with its margin, is reached.
-        given_up: margins that were given up, since no motion keeps them.
+        margins: settings that differ from the default ones: margins given up since no motion keeps them, or margins
+            added since the robot fell.
+        fell: share of the starts from which the robot falls with it all the same; NaN if it was not tried.
         iterations, cost: of the solver.
     """
 
@@ -55,7 +63,8 @@ class ExecutableFigures:
     trunk_deg: tuple[float, ...]
     peak: dict[str, float]
     active: dict[str, float]
-    given_up: dict[str, float]
+    margins: dict[str, float]
+    fell: float
     iterations: int
     cost: float
 
@@ -65,13 +74,14 @@ class ExecutableFigures:
         moved += [f"{a} {v:.1f}°" for a, v in zip(("roll", "pitch", "yaw"), self.trunk_deg, strict=True)]
         before, after = self.period_s
         used = ", ".join(f"{name} {self.peak[name]:.2f} ({100 * self.active[name]:.0f} %)" for name in self.peak)
-        given_up = ", ".join(f"{name} {value:g}" for name, value in self.given_up.items())
+        margins = ", ".join(f"{name} {value:g}" for name, value in self.margins.items())
         return [
             f"executable: speed × {self.speed_share:.3f}; period {before:.4f} → {after:.4f} s; contact modes longer or"
             f" shorter by up to {1e3 * self.duration_s:.0f} ms",
             f"trunk changed by {', '.join(moved)} RMS",
             f"greatest share of each limit, and the share of the time at it: {used}",
-            *([f"margins given up: {given_up}"] if given_up else []),
+            *([f"margins changed: {margins}"] if margins else []),
+            *([f"falls all the same from {100 * self.fell:.0f} % of the perturbed starts"] * (self.fell > 0)),
         ]
 
 
@@ -90,26 +100,50 @@ class Executable:
     solution: Solution
 
 
-def nearest_executable(robot: Robot, animal: Motion, config: TrajectoryConfig | None = None) -> Executable:
+def nearest_executable(
+    robot: Robot,
+    animal: Motion,
+    config: TrajectoryConfig | None = None,
+    *,
+    falls: Callable[[Robot, Motion], float] | None = None,
+) -> Executable:
     """The motion nearest to `animal` that the robot can execute.
 
-    `animal` is a kinematic motion of the robot: feet and trunk as the animal's, contacts clean. Raises `MotionError` if
-    no motion keeps the limits; the message says which limit.
+    `animal` is a kinematic motion of the robot: feet and trunk as the animal's, contacts clean. `falls` gives the share
+    of perturbed starts from which a robot falls with a motion. While a cycle falls, more margins are tried, and the
+    motion that falls least is returned. Raises `MotionError` if no motion keeps the limits; the message says which.
     """
-    first = config or TrajectoryConfig()
-    without: dict[str, float] = {}
-    for given_up in (without, *_RETRIES):
-        program = Program(robot, animal, replace(first, **given_up))  # type: ignore[arg-type]
+    config = config or TrajectoryConfig()
+    best = _within_limits(robot, animal, config, {})
+    if falls is None or animal.cycle is None:
+        return best
+    fell = falls(robot, best.motion)
+    for margins in _STEADIER:
+        if fell == 0:
+            break
+        try:
+            other = _within_limits(robot, animal, config, margins)
+        except MotionError:
+            continue
+        if (share := falls(robot, other.motion)) < fell:
+            best, fell = other, share
+    return replace(best, figures=replace(best.figures, fell=fell))
+
+
+def _within_limits(robot: Robot, animal: Motion, config: TrajectoryConfig, margins: dict[str, float]) -> Executable:
+    for given_up in ({}, *_RETRIES):
+        changed = {**margins, **given_up}
+        program = Program(robot, animal, replace(config, **changed))  # type: ignore[arg-type]
         solution = program.solve()
         if solution.converged:
-            return Executable(sampled(program, solution), _figures(program, solution, given_up), solution)
+            return Executable(sampled(program, solution), _figures(program, solution, changed), solution)
     raise MotionError(
         f"no motion of {robot.name} near '{animal.name}' keeps the limits: {_worst(program, solution)}"
         f" ({solution.status} after {solution.iterations} iterations)"
     )
 
 
-def _figures(program: Program, solution: Solution, given_up: dict[str, float]) -> ExecutableFigures:
+def _figures(program: Program, solution: Solution, margins: dict[str, float]) -> ExecutableFigures:
     config, modes, animal = program.config, program.modes, program.animal
     low, high = program.bounds_of_rows()
     rows = solution.rows
@@ -141,7 +175,8 @@ def _figures(program: Program, solution: Solution, given_up: dict[str, float]) -
         trunk_deg=tuple(np.degrees(change[3:]).tolist()),
         peak=peak,
         active=active,
-        given_up=given_up,
+        margins=margins,
+        fell=np.nan,
         iterations=solution.iterations,
         cost=solution.cost,
     )

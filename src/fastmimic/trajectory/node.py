@@ -32,6 +32,7 @@ GIVEN: Final = _slices(
         "lap_after": 5,
         "lap_holds": 16,
         "loaded": 4,
+        "capture": 4,
         "position": 3,
         "angles": 3,
         "joints": 12,
@@ -172,8 +173,16 @@ def _expressions(robot: Robot, config: TrajectoryConfig, z: Expression, p: Expre
     paths = (feet_in_world(robot, q) for q in (before, here, after))
     foot_before, foot_here, foot_after = paths
     foot_acceleration = 2 * ((foot_after - foot_here) / dt - (foot_here - foot_before) / dt_before) / (dt_before + dt)
+    sideways = -ca.sin(here[5]) * velocity[0] + ca.cos(here[5]) * velocity[1]
+    beyond = 0
+    for leg in range(4):
+        side = float(np.sign(robot.hip_pos_b[leg, 1]))
+        inside = side * (now.feet_level[3 * leg + 1] - sideways * ca.sqrt(here[2] / GRAVITY))
+        short = g["capture"][leg] - inside
+        beyond += (0.5 * (short + ca.sqrt(short**2 + 0.01**2))) ** 2
     smooth = (
-        config.force_weight * ca.sumsqr(force)
+        config.capture_weight * beyond
+        + config.force_weight * ca.sumsqr(force)
         + config.vertical_weight * (20 * off[2] ** 2 + 2 * moving[2] ** 2)
         + config.acceleration_weight * ca.sumsqr(acceleration[:3])
         + config.angular_acceleration_weight * ca.sumsqr(acceleration[3:6])

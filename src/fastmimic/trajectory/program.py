@@ -23,8 +23,9 @@ from fastmimic.base.rotations import (
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.trajectory.config import TrajectoryConfig
-from fastmimic.trajectory.contact_modes import ContactModes
+from fastmimic.trajectory.contact_modes import ContactModes, runs_of
 from fastmimic.trajectory.ipopt import make_solver
+from fastmimic.trajectory.margins import capture_margins, heaviest
 from fastmimic.trajectory.node import (
     GIVEN,
     METRES,
@@ -36,6 +37,7 @@ from fastmimic.trajectory.node import (
     NodeFunctions,
     node_functions,
 )
+from fastmimic.trajectory.solved import keep, problem_key, remembered
 
 _SHORTEST_STEP_S = 0.0025
 _LONGEST_STEP_S = 0.012
@@ -94,7 +96,12 @@ class Program:
 
     @cached_property
     def modes(self) -> ContactModes:
-        return ContactModes.of(self.motion, self.config.node_s)
+        """Nodes are closer where feet swing fast."""
+        config, periodic = self.config, self.motion.cycle is not None
+        phases = [run for leg in self.motion.contact.T for down in (leg, ~leg) for run in runs_of(down, periodic)]
+        phase_s = float(np.quantile([len(run) for run in phases], 0.25)) * self.motion.dt
+        node_s = float(np.clip(phase_s / config.phase_nodes, config.node_s, 1.5 * config.node_s))
+        return ContactModes.of(self.motion, node_s)
 
     @cached_property
     def functions(self) -> NodeFunctions:
@@ -196,6 +203,8 @@ class Program:
         laps = {k: self._lap(-k)[:4] for k in np.unique(modes.laps).tolist()}
         p[:, GIVEN["lap_holds"]] = [np.concatenate([laps[k] for k in row]) for row in modes.laps.tolist()]
         p[:, GIVEN["loaded"]] = modes.loaded
+        height = float(animal["position"][:, 2].mean())
+        p[:, GIVEN["capture"]] = capture_margins(modes, self.animal_steps, self.robot, height, self.config)
         for name in ("position", "angles", "joints", "velocity", "angle_rates", "joint_rates", "feet"):
             p[:, GIVEN[name]] = animal[name]
         step = ((modes.end - modes.first) / modes.steps)[modes.mode]
@@ -247,6 +256,7 @@ class Program:
         pushes = modes.loaded & modes.moves[:, None]
         force_low[pushes] = -config.most_force, -config.most_force, config.least_force
         force_high[pushes] = config.most_force
+        force_high[pushes, 2] = heaviest(modes, self.animal_steps, config)[pushes]
         part = slice(at["force"], at["durations"])
         low[part], high[part] = force_low.ravel(), force_high.ravel()
         part = slice(at["durations"], at["holds"])
@@ -259,6 +269,11 @@ class Program:
         free = 0.0 if config.keep_speed else _MOST_DIFFERENCE
         low[at["stride"]], high[at["stride"]] = 1 - free, 1 + free
         return low, high
+
+    @property
+    def animal_steps(self) -> Array:
+        """(N,) intervals after the nodes at the animal's durations, s."""
+        return np.asarray((self.animal_durations / self.modes.steps)[self.modes.mode])
 
     @property
     def animal_durations(self) -> Array:
@@ -284,14 +299,8 @@ class Program:
 
     def solve(self, start: Array | None = None) -> Solution:
         """Solves the problem from a first guess (n,), by default `start()`."""
-        solver, (low, high) = make_solver(
-            self.functions, self.index, self.given, self.bounds_of_rows(), self._quadratic(), self.config
-        )
-        lower, upper = self.bounds_of_variables()
-        found = solver(x0=self.start() if start is None else start, lbx=lower, ubx=upper, lbg=low, ubg=high)
-        stats = solver.stats()
-        w, g = np.array(found["x"]).ravel(), np.array(found["g"]).ravel()
-        violation = max(0.0, float((low - g).max(initial=0.0)), float((g - high).max(initial=0.0)))
+        found = self._solved(self.start() if start is None else start)
+        w = found["variables"]
         modes, at = self.modes, self._at
         durations = w[at["durations"] : at["holds"]]
         steps = np.repeat(durations / modes.steps, modes.steps)
@@ -304,14 +313,36 @@ class Program:
             durations=durations,
             stride=float(w[at["stride"]]),
             holds=w[at["holds"] : at["stride"]].reshape(-1, 2),
-            converged=bool(stats["success"]),
-            status=str(stats["return_status"]),
-            iterations=int(stats["iter_count"]),
-            violation=violation,
+            converged=bool(found["converged"]),
+            status=str(found["status"]),
+            iterations=int(found["iterations"]),
+            violation=float(found["violation"]),
             rows=all_rows,
-            cost=float(found["f"]),
+            cost=float(found["cost"]),
             variables=w,
         )
+
+    def _solved(self, start: Array) -> dict[str, Array]:
+        """The solver's answer, or what it answered to the same problem before."""
+        bounds, rows, (smooth, wanted) = self.bounds_of_variables(), self.bounds_of_rows(), self._quadratic()
+        parts = (self.given, *bounds, *rows, smooth.data, wanted, start)
+        key = problem_key(repr((self.config, self.robot)).encode(), self.index, *map(np.ascontiguousarray, parts))
+        if (found := remembered(key)) is not None:
+            return found
+        solver, (low, high) = make_solver(self.functions, self.index, self.given, rows, (smooth, wanted), self.config)
+        answer = solver(x0=start, lbx=bounds[0], ubx=bounds[1], lbg=low, ubg=high)
+        stats, g = solver.stats(), np.array(answer["g"]).ravel()
+        found = {
+            "variables": np.array(answer["x"]).ravel(),
+            "cost": np.array(float(answer["f"])),
+            "converged": np.array(bool(stats["success"])),
+            "status": np.array(str(stats["return_status"])),
+            "iterations": np.array(int(stats["iter_count"])),
+            "violation": np.array(max(0.0, float((low - g).max(initial=0.0)), float((g - high).max(initial=0.0)))),
+        }
+        if stats["success"]:
+            keep(key, found)
+        return found
 
     def _quadratic(self) -> tuple[Any, Array]:
         """Sparse E and e of the cost |E w − e|² of changed durations, and of forces that differ between nodes."""
@@ -329,7 +360,7 @@ class Program:
         here = at["force"] + (12 * node + 3 * leg)[:, None] + np.arange(3)
         there = at["force"] + (12 * modes.after[node] + 3 * leg)[:, None] + np.arange(3)
         k = here.size
-        step = np.repeat((self.animal_durations / modes.steps)[modes.mode[node]], 3)
+        step = np.repeat(self.animal_steps[node], 3)
         rate = np.sqrt(config.force_rate_weight / step / self.animal_durations.sum())
         values = np.concatenate([rate, -rate])
         rates = sp.csr_matrix(
