@@ -66,25 +66,26 @@ FIGURES += (
     "estimate_height_rmse_m",
 )
 """Of `evaluate --json`, where they are there."""
-COLUMNS: tuple[str, ...] = (
-    "reward",
-    "reward_std",
-    "reward_perturbed",
-    "reward_before",
-    "fell",
-    "fell_perturbed",
-    "drift_m_per_s",
+COLUMNS: tuple[tuple[str, ...], ...] = (
+    ("reward_mean", "reward"),
+    ("reward_std_perturbed", "reward_std"),
+    ("reward_mean_perturbed", "reward_perturbed"),
+    ("reward_mean_before", "reward_before"),
+    ("fell",),
+    ("fell_perturbed",),
+    ("drift_m_per_s",),
+    ("mean_clearance_m", "swing_clearance_m"),
+    ("swing_clearance_least_share",),
+    ("stance_slip_m",),
+    ("style_distance",),
+    ("components_root_pose", "reward_root_pose"),
+    ("style_distance_realised",),
+    ("foot_z_rmse_m", "foot_z_rmse_after_m"),
+    ("foot_x_rmse_m", "foot_x_rmse_after_m"),
+    ("evaluations",),
+    ("simulated_s",),
 )
-COLUMNS += ("swing_clearance_m", "swing_clearance_least_share", "stance_slip_m", "style_distance")
-COLUMNS += (
-    "reward_root_pose",
-    "style_distance_realised",
-    "foot_z_rmse_after_m",
-    "foot_x_rmse_after_m",
-    "evaluations",
-    "simulated_s",
-)
-"""Of a comparison's `results.csv`."""
+"""Of a comparison's `results.csv`; later and earlier names."""
 
 Case = tuple[str, str]
 
@@ -169,7 +170,13 @@ def comparisons() -> Iterator[Case]:
         options = ["--methods", "raibert", "mbc", "mbc-dmp", "--seeds", "1", "--iterations", "2", "--population", "4"]
         command("compare", "--motions", "trot", "turn", *options, "--duration", "0.8", "--out", str(out))
         for row in csv.DictReader(io.StringIO((out / "results.csv").read_text())):
-            yield f"compare {row['motion']} {row['method']}", digest(*(row[name] for name in COLUMNS))
+            yield f"compare {row['motion']} {row['method']}", digest(*(number(row, names) for names in COLUMNS))
+
+
+def number(row: dict[str, str], names: tuple[str, ...]) -> float:
+    """The first of these columns that the row has; a truth value is 0 or 1."""
+    text = next(row[name] for name in names if name in row)
+    return float(text == "True") if text in ("True", "False") else float(text or "nan")
 
 
 def policies() -> Iterator[Case]:

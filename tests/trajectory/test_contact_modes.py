@@ -38,7 +38,7 @@ def test_every_stance_has_one_foothold_across_the_cycles_end_as_well(walk: Motio
     for leg in range(4):
         assert sum(hold.leg == leg for hold in modes.footholds) == touch_downs[leg]
     assert (modes.laps == 1).any()
-    assert ((modes.foothold >= 0) == (modes.stands | modes.landing)).all()
+    assert ((modes.foothold >= 0) == (modes.stands | modes.landing | modes.leaving)).all()
     # a foot pushes only where it stands before and after
     assert (modes.loaded <= modes.stands).all()
     assert (modes.stands[modes.loaded[modes.before]] | True).all()
@@ -48,6 +48,11 @@ def test_every_stance_has_one_foothold_across_the_cycles_end_as_well(walk: Motio
     assert len(landing) == touch_downs.sum()
     for node, leg in landing:
         assert modes.stands[modes.after[node], leg]
+    leaving = np.argwhere(modes.leaving)
+    assert len(leaving) == touch_downs.sum()
+    for node, leg in leaving:
+        assert modes.stands[modes.before[node], leg]
+        assert modes.foothold[node, leg] == modes.foothold[modes.before[node], leg]
 
 
 def test_swings_are_runs_of_nodes_in_order(walk: Motion) -> None:

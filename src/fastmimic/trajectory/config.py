@@ -34,8 +34,11 @@ class TrajectoryConfig:
         about="a foot's force rises and falls no faster, in slopes of a half sine over its stance that carries its"
         " share of the weight: feet touch down early or late",
     )
-    landing_m_per_s: float = parameter(
-        0.2, unit="m/s", above=0.0, about="a foot moves no faster along each axis just before it touches down"
+    contact_m_per_s: float = parameter(
+        0.3,
+        unit="m/s",
+        above=0.0,
+        about="a foot moves no faster along each axis just before it touches down and just after it lifts off",
     )
     clearance_share: float = parameter(0.8, low=0.0, about="least height of each leg's highest swing, of the animal's")
     swing_m: float = parameter(

@@ -30,6 +30,7 @@ class ContactModes:
         stands: (N, 4) feet at their foothold, at touch-down and lift-off as well.
         loaded: (N, 4) feet that may push: not at touch-down and lift-off, where the force is 0.
         landing: (N, 4) feet that touch down at the next node.
+        leaving: (N, 4) feet that lifted off at the node before.
         footholds: of all stances.
         foothold: (N, 4) index of the foothold of a foot that stands or lands, else −1.
         laps: (N, 4) periods by which that foothold's own node is before this node's period.
@@ -45,6 +46,7 @@ class ContactModes:
     stands: NDArray[np.bool_]
     loaded: NDArray[np.bool_]
     landing: NDArray[np.bool_]
+    leaving: NDArray[np.bool_]
     footholds: tuple[Foothold, ...]
     foothold: NDArray[np.int_]
     laps: NDArray[np.int_]
@@ -101,6 +103,7 @@ class ContactModes:
             stands=now | earlier,
             loaded=now & earlier,
             landing=np.zeros_like(now),
+            leaving=np.zeros_like(now),
             footholds=(),
             foothold=np.full(now.shape, -1),
             laps=np.zeros(now.shape, dtype=int),
@@ -121,11 +124,14 @@ class ContactModes:
                 elif starts[first_mode] > 0 or self.periodic:
                     nodes = np.append(starts[first_mode] - 1, nodes)
                     self.landing[(starts[first_mode] - 1) % self.n_nodes, leg] = True
+                if count < len(self.steps) and (self.periodic or nodes[-1] < self.n_nodes - 1):
+                    nodes = np.append(nodes, nodes[-1] + 1)
+                    self.leaving[nodes[-1] % self.n_nodes, leg] = True
                 place = nodes % self.n_nodes
                 self.foothold[place, leg] = len(found)
                 self.laps[place, leg] = nodes // self.n_nodes
                 found.append(Foothold(leg, int(starts[first_mode])))
-        self.landing[self.stands] = False  # a swing of one interval
+        self.landing[self.stands] = self.leaving[self.stands] = False  # a swing of one interval
         return ContactModes(**{**self.__dict__, "footholds": tuple(found)})
 
     def _stances(self, leg: int) -> list[tuple[int, int]]:

@@ -27,8 +27,8 @@ from fastmimic.trajectory.node import METRES, ROWS
 from fastmimic.trajectory.program import Program, Solution, displacement
 
 _RETRIES: Final[tuple[dict[str, float], ...]] = (
-    {"landing_m_per_s": 0.4},
-    {"landing_m_per_s": 0.4, "friction": 0.5, "torque_share": 0.95},
+    {"contact_m_per_s": 0.5},
+    {"contact_m_per_s": 0.5, "friction": 0.5, "torque_share": 0.95},
 )
 """Margins that a problem without a solution gives up, in this order."""
 _STEADIER: Final[tuple[dict[str, float], ...]] = (

@@ -226,17 +226,17 @@ class Program:
         low[moves, ROWS["turning"]], high[moves, ROWS["turning"]] = -1.0, 1.0
         low[moves, ROWS["speed"]], high[moves, ROWS["speed"]] = -config.speed_share, config.speed_share
         height = self.animal["feet"].reshape(-1, 4, 3)[..., 2] - robot.foot_radius
-        near = METRES * config.landing_m_per_s * config.node_s
+        near = METRES * config.contact_m_per_s * config.node_s
         for leg in range(4):
             foot = slice(ROWS["feet"].start + 3 * leg, ROWS["feet"].start + 3 * leg + 3)
             up = foot.stop - 1
-            stands, landing = modes.stands[:, leg], modes.landing[:, leg]
+            stands, slow = modes.stands[:, leg], modes.landing[:, leg] | modes.leaving[:, leg]
             low[:, up] = METRES * np.clip(0.5 * height[:, leg], 0.0, config.swing_m * size)
             for nodes in modes.swings(leg):
                 top = nodes[np.argmax(height[nodes, leg])]
                 low[top, up] = max(low[top, up], METRES * config.clearance_share * height[top, leg])
-            low[landing, foot], high[landing, foot] = -near, near
-            low[landing, up] = 0.0
+            low[slow, foot], high[slow, foot] = -near, near
+            low[slow, up] = 0.0
             low[stands, foot] = high[stands, foot] = 0.0
             pyramid = slice(ROWS["friction"].start + 4 * leg, ROWS["friction"].start + 4 * leg + 4)
             low[modes.loaded[:, leg] & moves, pyramid] = 0.0
