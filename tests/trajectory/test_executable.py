@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fastmimic.base.arrays import stretches
 from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.clips.synthesis import generate
@@ -41,7 +42,7 @@ def test_it_keeps_every_limit_by_mujocos_inverse_dynamics(a1: Robot, animal: Mot
     assert found.torque_at_speed <= 1.0
     assert found.joint_speed <= 1.0
     assert found.friction <= 0.6
-    assert found.slide_m < 1e-6
+    assert found.slide_m < 2e-3
     assert found.body_clearance_m > 0.0
 
 
@@ -111,6 +112,20 @@ def test_scored_against_the_animal_as_well(a1: Robot, turn: Executable) -> None:
     assert Metrics.of(run_episodes(a1, replace(turn.motion, animal=None), duration_s=0.2)).reward_animal is None
 
 
+def test_feet_roll_as_the_robots_do(a1: Robot) -> None:
+    still, _ = retarget(generate("trot"), a1)
+    rolling, _ = retarget(generate("trot"), a1, executable=True)
+    for motion, least, most in ((still, 0.0, 1e-6), (rolling, 0.012, 0.025)):  # its calves turn by 0.87 rad
+        ends = [(leg, *ends) for leg in range(4) for ends in stretches(motion.contact[:, leg])]
+        leg, first, end = max(ends, key=lambda found: found[2] - found[1])
+        way = np.linalg.norm(motion.foot_pos_w[end - 1, leg, :2] - motion.foot_pos_w[first, leg, :2])
+        assert least <= way <= most
+        assert demands(a1, motion).slide_m < 2e-3
+    # where the reference's feet do not roll, the robot drifts ahead of it
+    drifts = [Metrics.of(run_episodes(a1, motion, duration_s=3.0)).drift_m_per_s for motion in (still, rolling)]
+    assert drifts[1] < 0.7 * drifts[0]
+
+
 def test_the_animal_is_saved_with_the_motion(tmp_path: Path, turn: Executable) -> None:
     optimised = replace(turn.motion, animal=None, demonstration=turn.motion)
     optimised.save(tmp_path / "motion.npz")
@@ -145,7 +160,7 @@ def test_a_passage_that_does_not_repeat(a1: Robot) -> None:
     # the ends have one neighbour alone, and no dynamics
     needs, asked = demands(a1, motion), demands(a1, kinematic)
     assert needs.torque <= 1.0
-    assert needs.slide_m < 1e-6
+    assert needs.slide_m < 2e-3
     assert needs.lacking < 0.5 * asked.lacking
     found = Metrics.of(run_episodes(a1, motion, duration_s=(motion.n_samples - 1) * motion.dt))
     assert found.fell == 0.0

@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, quat_rotate_inverse, yaw_from_quat
+from fastmimic.base.rotations import (
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+    roll_pitch_from_quat,
+    rotate_planar,
+    yaw_from_quat,
+)
 from fastmimic.episode.reward import MAX_ANGLE, MAX_DISTANCE
 from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.ground import ground_demand, push_directions
@@ -50,7 +58,7 @@ class Demands:
             free fall counts.
         lacking_angular: the same of the rotation about the centre of mass, rad/s².
         joint_limited: share of the samples with a joint within 0.03 rad of its limit.
-        slide_m: furthest that a foot moves in a stance.
+        slide_m: furthest that a foot slides in a stance; its sphere may roll.
         body_clearance_m: least distance of anything but the feet from the ground; negative below it.
     """
 
@@ -115,7 +123,7 @@ def demands(robot: Robot, motion: Motion, *, sample_s: float = SAMPLE_S, percent
         lacking=float(np.sqrt((lacking[:, :3] ** 2).sum(axis=1).mean()) / GRAVITY),
         lacking_angular=float(np.sqrt((lacking[:, 3:] ** 2).sum(axis=1).mean())),
         joint_limited=float(limited.any(axis=1).mean()),
-        slide_m=_slide(motion),
+        slide_m=_slide(robot, motion),
         body_clearance_m=_body_clearance(robot, motion, sample),
     )
 
@@ -192,13 +200,19 @@ def _ground_forces(robot: Robot, wanted: Array, force: Array, wrench: Array, can
     return forces, lacking
 
 
-def _slide(motion: Motion) -> float:
-    """Furthest horizontal motion of a foot within a stance, m; a stance across a cycle's seam counts as two."""
-    feet, worst = motion.foot_pos_w[..., :2], 0.0
+def _slide(robot: Robot, motion: Motion) -> float:
+    """Furthest that a foot slides within a stance, m: its centre's way, or that without what its sphere rolls, if the
+    motion lets it roll. A stance across a cycle's seam counts as two."""
+    roll, pitch = roll_pitch_from_quat(motion.root_quat_wxyz)
+    joints = motion.joint_pos.reshape(-1, 4, 3)
+    turned = np.stack([pitch[:, None] + joints[..., 1] + joints[..., 2], -roll[:, None] - joints[..., 0]], axis=-1)
+    steps = rotate_planar(yaw_from_quat(motion.root_quat_wxyz)[1:, None], np.diff(turned, axis=0))
+    rolled = robot.foot_radius * np.concatenate([np.zeros((1, 4, 2)), np.cumsum(steps, axis=0)])
+    still, worst = motion.foot_pos_w[..., :2], 0.0
     for leg in range(4):
         for start, end in stretches(motion.contact[:, leg]):
-            points = feet[start:end, leg]
-            worst = max(worst, float(np.linalg.norm(points - points[0], axis=1).max()))
+            ways = [feet[start:end, leg] - feet[start, leg] for feet in (still, still - rolled)]
+            worst = max(worst, float(min(np.linalg.norm(way, axis=1).max() for way in ways)))
     return worst
 
 

@@ -304,11 +304,13 @@ class _Path:
         return spline(time), spline(time, 1)
 
     def feet(self, time: Array) -> Array:
-        """Centres of the feet (t, 4, 3), world, m: fixed in stance, at rest at either end of a swing."""
+        """Centres of the feet (t, 4, 3), world, m: they roll in stance, and a swing begins and ends as they roll."""
         from scipy.interpolate import CubicSpline
 
         feet, end = np.zeros((len(time), 4, 3)), len(self._time) - 1
-        at_rest, free = (1, np.zeros(3)), (2, np.zeros(3))
+        rolling = np.diff(self._feet, axis=0) / np.diff(self._time)[:, None, None]
+        rolling[..., 2] = 0.0
+        free = (2, np.zeros(3))
         for leg in range(4):
             down = self._down[:end, leg]
             edges = [0, *(np.flatnonzero(down[1:] != down[:-1]) + 1), end]
@@ -316,12 +318,12 @@ class _Path:
                 inside = (time >= self._time[first] - 1e-12) & ((time < self._time[last] - 1e-12) | (last == end))
                 if not inside.any():
                     continue
-                path = self._feet[first : last + 1, leg]
-                if down[first]:
-                    feet[inside, leg] = path.mean(axis=0)
-                else:
-                    ends = at_rest if first > 0 else free, at_rest if last < end else free
-                    feet[inside, leg] = CubicSpline(self._time[first : last + 1], path, bc_type=ends)(time[inside])
+                ends = free, free
+                if not down[first]:
+                    before = (1, rolling[first - 1, leg]) if first > 0 else free
+                    ends = before, (1, rolling[last, leg]) if last < end else free
+                path = CubicSpline(self._time[first : last + 1], self._feet[first : last + 1, leg], bc_type=ends)
+                feet[inside, leg] = path(time[inside])
         return feet
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.robot import Robot
 from fastmimic.trajectory.config import TrajectoryConfig
-from fastmimic.trajectory.symbolic import Expression, feet_in_world, instant
+from fastmimic.trajectory.symbolic import Expression, feet_in_world, instant, rotation
 
 
 def _slices(sizes: dict[str, int]) -> dict[str, slice]:
@@ -33,6 +33,7 @@ GIVEN: Final = _slices(
         "lap_holds": 16,
         "loaded": 4,
         "capture": 4,
+        "calf": 4,
         "position": 3,
         "angles": 3,
         "joints": 12,
@@ -44,9 +45,10 @@ GIVEN: Final = _slices(
     }
 )
 """Parameters of a node: shares of the modes' durations; for neighbours in another period and for footholds cosine, sine
-and displacement of these periods (for coordinates yaw as well); 1 for feet that may push; the animal's motion (its x
-and y from the motion's start; feet from the base in the heading frame, their z in the world); the node's weight in the
-cost: its share of the motion's duration."""
+and displacement of these periods (for coordinates yaw as well); 1 for feet that may push; the capture point's
+margins, m; each calf's mean angle, from which its foot's rolling counts, rad; the animal's motion (its x and y from the
+motion's start; feet from the base in the heading frame, their z in the world); the node's weight in the cost: its share
+of the motion's duration."""
 
 ROWS: Final = _slices(
     {
@@ -135,7 +137,10 @@ def _expressions(robot: Robot, config: TrajectoryConfig, z: Expression, p: Expre
     for leg in range(4):
         hold = _planar(v["holds"][2 * leg : 2 * leg + 2], g["lap_holds"][4 * leg : 4 * leg + 4], stride)
         foot = now.feet[3 * leg : 3 * leg + 3]
-        feet += [foot[:2] - hold, foot[2] - robot.foot_radius]
+        joint = here[6 + 3 * leg : 9 + 3 * leg]
+        turned = ca.vertcat(here[4] + joint[1] + joint[2] - g["calf"][leg], -here[3] - joint[0])
+        rolled = robot.foot_radius * (rotation(2, here[5])[:2, :2] @ turned)
+        feet += [foot[:2] - rolled - hold, foot[2] - robot.foot_radius]
     torque = now.torque / ca.DM(config.torque_share * robot.torque_limit)
     fast = velocity[6:] / ca.DM(robot.joint_speed_limit)
     pyramid = []

@@ -203,6 +203,7 @@ class Program:
         laps = {k: self._lap(-k)[:4] for k in np.unique(modes.laps).tolist()}
         p[:, GIVEN["lap_holds"]] = [np.concatenate([laps[k] for k in row]) for row in modes.laps.tolist()]
         p[:, GIVEN["loaded"]] = modes.loaded
+        p[:, GIVEN["calf"]] = animal["joints"].reshape(-1, 4, 3)[..., 1:].sum(axis=-1).mean(axis=0)
         height = float(animal["position"][:, 2].mean())
         p[:, GIVEN["capture"]] = capture_margins(modes, self.animal_steps, self.robot, height, self.config)
         for name in ("position", "angles", "joints", "velocity", "angle_rates", "joint_rates", "feet"):
