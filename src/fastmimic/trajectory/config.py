@@ -38,7 +38,8 @@ class TrajectoryConfig:
         0.3,
         unit="m/s",
         above=0.0,
-        about="a foot moves no faster along each axis just before it touches down and just after it lifts off",
+        about="a foot moves no faster along each axis just before it touches down and just after it lifts off,"
+        " over `node_s`",
     )
     clearance_share: float = parameter(0.8, low=0.0, about="least height of each leg's highest swing, of the animal's")
     swing_m: float = parameter(

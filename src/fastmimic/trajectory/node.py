@@ -179,7 +179,7 @@ def _expressions(robot: Robot, config: TrajectoryConfig, z: Expression, p: Expre
     foot_before, foot_here, foot_after = paths
     foot_acceleration = 2 * ((foot_after - foot_here) / dt - (foot_here - foot_before) / dt_before) / (dt_before + dt)
     sideways = -ca.sin(here[5]) * velocity[0] + ca.cos(here[5]) * velocity[1]
-    beyond = 0
+    beyond = 0  # squared distance from the margins; smooth over 1 cm, so that it begins before them
     for leg in range(4):
         side = float(np.sign(robot.hip_pos_b[leg, 1]))
         inside = side * (now.feet_level[3 * leg + 1] - sideways * ca.sqrt(here[2] / GRAVITY))

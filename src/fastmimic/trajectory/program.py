@@ -190,7 +190,7 @@ class Program:
 
     @cached_property
     def given(self) -> Array:
-        """(N, 81) parameters of the nodes."""
+        """(N, 89) parameters of the nodes."""
         modes, animal = self.modes, self.animal
         nodes = np.arange(modes.n_nodes)
         p = np.zeros((modes.n_nodes, N_GIVEN))
