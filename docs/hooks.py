@@ -26,11 +26,12 @@ def parameter_tables() -> str:
     from fastmimic.deploy.safety import SafetyLimits
     from fastmimic.estimation.config import EstimatorConfig
     from fastmimic.learning.config import PolicyConfig
+    from fastmimic.reference.regulator_config import RegulatorConfig
     from fastmimic.simulation.config import SensorConfig
 
     controller = (
         *(config.ControllerConfig, config_parts.GaitConfig, config_parts.StanceConfig, config_parts.HorizonConfig),
-        *(config_parts.SwingConfig, config_parts.LoadConfig, config_parts.RecoveryConfig),
+        *(config_parts.SwingConfig, RegulatorConfig, config_parts.LoadConfig),
     )
     header = ("parameter", "default", "unit", "range", "meaning")
     lines = []

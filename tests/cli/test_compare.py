@@ -53,7 +53,7 @@ def test_writes_tables_and_figures(run: Run, in_folder: Path) -> None:
     assert environment["settings"]["iterations"] == 3
     assert environment["motions"] == ["trot"]
     assert environment["controllers"]["raibert"]["swing"]["foothold"] == "raibert"
-    assert environment["controllers"]["mbc-dmp"]["swing"]["foothold"] == "reference"
+    assert environment["controllers"]["mbc-dmp"]["swing"]["foothold"] == "regulator"
     assert {"fastmimic", "mujoco", "python"} <= set(environment["versions"])
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from control.bodies import body
+from control.motions import gait
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.control.config import (
@@ -18,6 +19,7 @@ from fastmimic.control.config import (
     paper_config,
 )
 from fastmimic.control.config_parts import GaitConfig, StanceConfig, SwingConfig
+from fastmimic.control.controller import gains_of
 from fastmimic.robot import load_robot
 
 
@@ -61,7 +63,7 @@ def test_a_set_can_be_written_to_a_file(name: str) -> None:
         ({"stance": {"min_force": 2.0, "max_force": 1.0}}, "stance.min_force must be in"),
         ({"stance": {"acceleration_weight": (1, 1, 1, 1, 1, -1)}}, "stance.acceleration_weight must not be negative"),
         ({"swing": {"liftoff_blend_time": -0.1}}, "swing.liftoff_blend_time must not be negative"),
-        ({"stance": {"foothold_preview": -0.1}}, "stance.foothold_preview must not be negative"),
+        ({"stance": {"disturbance_time": -0.1}}, "stance.disturbance_time must not be negative"),
         ({"stance": {"friction": float("nan")}}, "stance.friction must be finite"),
         ({"stance": {"position_gain": (1, 2, 3, 4, 5, float("inf"))}}, "stance.position_gain must be finite"),
         ({"swing": {"velocity_feedback": (0.1, float("nan"))}}, "swing.velocity_feedback must be finite"),
@@ -104,17 +106,23 @@ def test_kernels_get_what_was_set() -> None:
     swing = SwingConfig(velocity_feedback=(0.04, 0.05))
     packed = pack_config(ControllerConfig(rate_hz=250.0, stance=stance, swing=swing), body(10.0))[0]
     assert packed["dt"] == 0.004
-    np.testing.assert_array_equal(packed["kp"], [1, 2, 3, 4, 5, 6])
-    np.testing.assert_array_equal(packed["kd"], [7, 8, 9, 10, 11, 12])
     assert packed["mu"] == 0.7
     np.testing.assert_array_equal(packed["velocity_feedback"], [0.04, 0.05])
 
 
 def test_every_parameter_reaches_the_kernels() -> None:
     """A setting that is accepted and ignored is worse than none."""
+    robot = load_robot("a1")
+    motion = gait(robot, (0.4, 0.0))
+
+    def kernels(config: ControllerConfig) -> bytes:
+        constant = dataclasses.replace(config, stance=dataclasses.replace(config.stance, feedback="constant"))
+        gains = [gains_of(motion, robot, each).tobytes() for each in (config, constant)]
+        return b"".join([pack_config(config, robot).tobytes(), *gains])
+
     config = default_config()
-    packed = pack_config(config, body(10.0)).tobytes()
-    for part in ("gait", "stance", "horizon", "swing"):
+    packed = kernels(config)
+    for part in ("gait", "stance", "horizon", "swing", "regulator"):
         settings = getattr(config, part)
         for field in dataclasses.fields(settings):
             value = getattr(settings, field.name)
@@ -123,6 +131,7 @@ def test_every_parameter_reaches_the_kernels() -> None:
                 "steps": 7,
                 "solve_rate_hz": 100.0,
                 "foothold": "raibert",
+                "feedback": "constant",
                 "planner": "schedule" if value == "full" else "full",
                 "adaptation": "off" if value != "off" else "full",
                 "friction_sides": 8,
@@ -136,4 +145,4 @@ def test_every_parameter_reaches_the_kernels() -> None:
                     else 1.01 * value + 1e-4
                 )
             other = dataclasses.replace(config, **{part: dataclasses.replace(settings, **{field.name: changed})})
-            assert pack_config(other, body(10.0)).tobytes() != packed, f"{part}.{field.name}"
+            assert kernels(other) != packed, f"{part}.{field.name}"

@@ -22,7 +22,7 @@ from fastmimic.control.config import ControllerConfig, default_config, paper_con
 from fastmimic.control.config_parts import SwingConfig
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
+from fastmimic.robot.kinematics import foot_positions
 from robot.mjcf import Simulated
 
 
@@ -130,38 +130,6 @@ class TestStanceLaw:
         wanted = [*rotate_planar(-0.3, linear[:2]), linear[2], *rotate_planar(-0.3, angular[:2]), angular[2]]
         np.testing.assert_allclose(found, wanted, atol=5e-4)
 
-    def test_a_foot_about_to_leave_counts_less_for_where_the_body_has_to_be(self, robot: Robot, stand: Motion) -> None:
-        """The two left feet are 2 cm beside their place; as they leave, the body goes over the right ones."""
-        config = stance_law(foothold_share=1.0, foothold_preview=0.4)
-        rig = Rig(robot, [stand], np.array([0]), config)
-        table, shift = rig.controller.tables, np.zeros((4, 3))
-        shift[[1, 3], 1] = 0.02
-        table["foot_pos"] -= shift
-        observation = on_reference(stand, np.array([0]))
-        found = []
-        for left in (np.inf, 0.1, 0.002):
-            table["remaining"] = [np.inf, left, np.inf, left]
-            rig.step(observation)
-            force = rig.controller.memory["force"][0]
-            found.append(self.body_acceleration(robot, observation[0], force)[1] / KP[1])
-        share = np.array([0.5, 0.1 / 0.502, 0.002 / 0.404])
-        share[1] = 0.1 / (0.1 + 0.402)
-        np.testing.assert_allclose(found, 0.02 * share, atol=1e-5)
-
-    @pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
-    def test_the_place_may_be_measured_from_the_standing_feet(self, robot: Robot, stand: Motion, share: float) -> None:
-        """Robot and feet are 2 cm beside their place in the world, and the trunk 1 cm ahead over the feet."""
-        rig = Rig(robot, [stand], np.array([0]), stance_law(foothold_share=share))
-        observation = on_reference(stand, np.array([0]))
-        feet = stand.foot_pos_b[0] - [0.01, 0.0, 0.0]
-        observation["joint_pos"], _ = inverse_kinematics(robot, feet[None])
-        observation["root_pos"] += [0.01, 0.02, 0.0]
-        rig.step(observation)
-        in_world, over_feet = np.array([-0.01, -0.02]), np.array([-0.01, 0.0])
-        wanted = KP[0] * (share * over_feet + (1 - share) * in_world)
-        found = self.body_acceleration(robot, observation[0], rig.controller.memory["force"][0])
-        np.testing.assert_allclose(found[:2], wanted, atol=2e-4)
-
     def test_the_wanted_acceleration_is_clipped_in_each_axis(self, robot: Robot, stand: Motion) -> None:
         limit = (0.5, 0.6, 0.7, 2.0, 2.1, 2.2)
         rig = Rig(robot, [stand], np.array([0]), stance_law(acceleration_limit=limit))
@@ -247,8 +215,8 @@ def rotation_vector(matrix: np.ndarray) -> np.ndarray:
 
 
 PLAIN_SWING = SwingConfig(
+    foothold="reference",
     velocity_feedback=(0.03, 0.04),
-    position_feedback=0.0,
     joint_stiffness=70.0,
     joint_damping=2.0,
     leg_dynamics=False,
@@ -290,15 +258,6 @@ class TestSwingLaw:
         observation["lin_vel"] += quat_rotate(observation["root_quat"], faster_b)
         target, swinging = self.targets(robot, rig, observation)
         expected = trot.foot_pos_b[self.SAMPLES] + np.array([0.03, 0.04, 0.0]) * faster_b
-        np.testing.assert_allclose(target[swinging], expected[swinging], atol=1e-9)
-
-    def test_a_share_of_the_position_error_moves_the_foot_as_well(self, robot: Robot, trot: Motion) -> None:
-        rig = self.rig(robot, trot, position_feedback=0.5)
-        observation = on_reference(trot, self.SAMPLES)
-        ahead_b = np.array([0.04, 0.02, 0.0])
-        observation["root_pos"] += quat_rotate(observation["root_quat"], ahead_b)
-        target, swinging = self.targets(robot, rig, observation)
-        expected = trot.foot_pos_b[self.SAMPLES] + 0.5 * ahead_b
         np.testing.assert_allclose(target[swinging], expected[swinging], atol=1e-9)
 
     def test_a_levelled_swing_keeps_the_feet_in_the_world_while_the_trunk_tilts(
@@ -346,12 +305,14 @@ class TestSwingLaw:
 class TestPaperConfiguration:
     def test_it_is_eq_1_to_3_as_printed(self) -> None:
         config = paper_config()
-        assert config.stance.reference_acceleration == config.stance.foothold_share == 0
+        assert config.stance.feedback == "constant"
+        assert config.stance.reference_acceleration == config.stance.disturbance_time == 0
         assert not config.stance.leg_momentum
         assert config.stance.adaptation == "paper"
         assert not config.stance.leg_dynamics
         assert not config.swing.leg_dynamics
-        assert config.swing.position_feedback == config.swing.level == 0
+        assert config.swing.foothold == "reference"
+        assert config.swing.level == 0
         assert config.swing.liftoff_blend_time == 0
 
     def test_it_commands_something_else_than_the_default(self, robot: Robot, trot: Motion) -> None:

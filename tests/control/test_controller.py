@@ -142,13 +142,15 @@ class TestFailure:
 
     @pytest.fixture
     def rig(self, robot: Robot, stand: Motion) -> Rig:
-        return Rig(robot, [stand], np.array([0, 0]), default_config())
+        config = default_config()
+        config = dataclasses.replace(config, stance=dataclasses.replace(config.stance, disturbance_time=0.0))
+        return Rig(robot, [stand], np.array([0, 0]), config)
 
     def test_the_last_torques_are_held_then_the_legs_are_damped(self, rig: Rig, robot: Robot, stand: Motion) -> None:
         observation = on_reference(stand, np.array([0, 0]))
         healthy = rig.step(observation)
         force = rig.controller.memory["force"].copy()
-        rig.controller._config["q_weight"] = np.nan
+        rig.controller._config["r_weight"] = np.nan
         for _ in range(_HOLD_STEPS):
             held = rig.step(observation)
             np.testing.assert_allclose(held["torque"], healthy["torque"], atol=1e-9)

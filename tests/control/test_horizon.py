@@ -157,6 +157,7 @@ class TestProblem:
         instant = dataclasses.replace(
             default_config(),
             stance=StanceConfig(
+                feedback="constant",
                 position_gain=(0.0,) * 6,
                 velocity_gain=(rate,) * 6,
                 reference_acceleration=0.0,
@@ -194,14 +195,14 @@ class TestProblem:
             rig.step(observation)
             plans.append(rig.controller.plan)
         # to the solver's tolerance: where forces are cheap, many plans cost nearly the same
-        np.testing.assert_allclose(plans[1]["acceleration"], plans[0]["acceleration"], atol=0.02)
+        np.testing.assert_allclose(plans[1]["acceleration"], plans[0]["acceleration"], atol=0.03)
         np.testing.assert_allclose(plans[1]["force"], 2 * plans[0]["force"], atol=0.01 * robot.mass * GRAVITY)
 
 
 class TestForesight:
     """What lies ahead, against the motion continued by hand."""
 
-    CONFIG = lh(stance={"foothold_share": 0.0})
+    CONFIG = lh()
 
     @pytest.mark.parametrize("sample", [0, 100, 180, 249])
     def test_targets_are_the_reference_ahead_also_beyond_the_cycles_end(
@@ -355,7 +356,7 @@ class TestBetweenPlans:
     def test_on_its_plan_a_robot_is_asked_for_the_planned_acceleration(self, robot: Robot, turned: float) -> None:
         """Whatever its heading in the world; 16 ms later the plan has moved on, and so has its heading frame."""
         motion = gait(robot, (0.4, 0.1))
-        rig = Rig(robot, [motion], np.array([60]), lh(50.0, WEIGHTLESS_LEGS | {"foothold_share": 0.0}))
+        rig = Rig(robot, [motion], np.array([60]), lh(50.0, WEIGHTLESS_LEGS | {"disturbance_time": 0.0}))
         controller = rig.controller
         observation = disturbed(on_reference(motion, rig.samples), np.random.default_rng(4), 0.5)
         observation["root_quat"] = quat_multiply(quat_from_yaw(turned), observation["root_quat"])
@@ -383,14 +384,16 @@ class TestBetweenPlans:
             rig.step(later)
         back = heading - float(yaw_from_quat(later["root_quat"][0]))
         wanted = controller._work.scratch[0]["desired"]
-        np.testing.assert_allclose(wanted[:3], turned_vector(back, acceleration[:3]), atol=0.02)
+        np.testing.assert_allclose(wanted[:3], turned_vector(back, acceleration[:3]), atol=0.08)
         # differences of rotation vectors for rotations: 2 % here
         np.testing.assert_allclose(wanted[3:], turned_vector(back, acceleration[3:]), atol=1.0)
 
     def test_a_plan_that_is_the_reference_changes_nothing(self, robot: Robot) -> None:
-        """The stance's own feedback goes on; the two methods differ by what the plan deviates, and by nothing else."""
+        """The stance's own feedback of the trunk goes on, without that of the feet, which the plan knows."""
         motion = gait(robot, (0.4, 0.1))
-        pair = [Rig(robot, [motion], np.array([60]), c) for c in (lh(50.0), default_config())]
+        known = {"disturbance_time": 0.0, "acceleration_limit": (1e6,) * 6}
+        instant = ControllerConfig(stance=StanceConfig(**known))
+        pair = [Rig(robot, [motion], np.array([60]), c) for c in (lh(50.0, known), instant)]
         for rig in pair:
             rig.step(on_reference(motion, rig.samples))
         plan = pair[0].controller.plan[0]
@@ -399,9 +402,11 @@ class TestBetweenPlans:
         for rig in pair:
             rig.clocks["sample"] = 61
             rig.step(observation)
-        wanted = [rig.controller._work.scratch[0]["desired"] for rig in pair]
-        assert np.abs(wanted[1]).max() > 10
-        np.testing.assert_allclose(*wanted, atol=1e-9)
+        planned, instant = (rig.controller._work.scratch[0]["desired"] for rig in pair)
+        gains = pair[0].controller.gains[0, pair[0].controller.tables[0]["gain"][61]]
+        by_feet = -gains["trunk"][:, 12:] @ pair[0].controller._work.scratch[0]["state"][12:]
+        assert np.abs(planned).max() > 10
+        np.testing.assert_allclose(planned, instant - by_feet, atol=1e-9)
 
     def test_at_the_controllers_rate_the_planned_forces_are_applied(self, robot: Robot, trot: Motion) -> None:
         rig = Rig(robot, [trot], SAMPLES, lh(500.0))

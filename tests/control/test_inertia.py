@@ -74,6 +74,7 @@ def stance(**changes: object) -> ControllerConfig:
     """Gains on turns alone, forces that cost nothing, and nothing that limits them."""
     config = dataclasses.replace(
         default_config().stance,
+        feedback="constant",
         position_gain=(0.0,) * 6,
         velocity_gain=(0.0, 0.0, 0.0, 10.0, 11.0, 12.0),
         force_weight=1e-10,

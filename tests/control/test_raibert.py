@@ -58,8 +58,10 @@ def test_only_the_swing_differs_from_the_controller_of_its_neighbour() -> None:
         config = controller_config(name)
         changed = METHODS["raibert"].configure(config)
         assert changed != config
-        swing = dataclasses.replace(changed.swing, foothold="reference")
-        stance = dataclasses.replace(changed.stance, leg_momentum=config.stance.leg_momentum)
+        swing = dataclasses.replace(changed.swing, foothold=config.swing.foothold)
+        stance = dataclasses.replace(
+            changed.stance, leg_momentum=config.stance.leg_momentum, feedback=config.stance.feedback
+        )
         assert dataclasses.replace(changed, swing=swing, stance=stance) == config
 
 
@@ -140,8 +142,9 @@ def test_nonsense_is_refused(swing: dict[str, object], message: str) -> None:
         ControllerConfig(swing=SwingConfig(**swing))  # type: ignore[arg-type]
 
 
-def test_the_default_is_the_references_foothold() -> None:
-    assert default_config().swing.foothold == paper_config().swing.foothold == "reference"
+def test_the_default_is_the_regulators_foothold() -> None:
+    assert default_config().swing.foothold == "regulator"
+    assert paper_config().swing.foothold == "reference"
 
 
 def config_dt(config: ControllerConfig) -> float:

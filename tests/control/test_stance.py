@@ -53,8 +53,10 @@ class Stance:
             self.inverse_inertia,
             self.arms,
             np.asarray(desired, float),
+            np.diag(self.stance.acceleration_weight),
             self.memory[0],
             self.qp[0],
+            np.zeros((12, 6)),
             np.zeros((12, 6)),
         )
 

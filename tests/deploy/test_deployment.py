@@ -8,7 +8,6 @@ import pytest
 from deploy.rig import Rig, once
 from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.control.config import default_config
-from fastmimic.control.config_parts import RecoveryConfig
 from fastmimic.deploy.computer import VirtualClock
 from fastmimic.deploy.deployment import Deployment, figures, score_log
 from fastmimic.deploy.log import DeploymentLog
@@ -156,23 +155,6 @@ def test_a_stitched_motion_is_done_once(a1: Robot, trot: Motion) -> None:
     assert stitched.n_samples - trot.n_samples <= steps <= stitched.n_samples
     speed = np.abs(np.diff(feet, axis=0)).max() * 500.0
     assert speed < 1.2 * a1.joint_speed_limit.min()
-
-
-def test_the_reference_yields_to_a_robot_that_was_pushed(trotting: Rig) -> None:
-    config = dataclasses.replace(
-        default_config(), recovery=RecoveryConfig(enabled=True, start_error=0.02, end_error=0.01)
-    )
-    moved = {}
-    for name, chosen in (("on", config), ("off", default_config())):
-        rig = Rig(trotting.robot, trotting.sequence)
-        done = rig.run(cycles=2, config=chosen)
-        assert done.outcome.stopped_by is StopReason.CYCLES
-        rows = done.log.rows[done.log.rows["in_motion"]]
-        moved[name] = len(np.unique(rows["origin"][:, 0]))
-    assert moved["on"] > 10 * moved["off"], "its origin moves while the robot's speed is off"
-    slow = dataclasses.replace(config, recovery=dataclasses.replace(config.recovery, phase_rate=0.5))
-    with pytest.raises(ConfigError, match=r"recovery\.phase_rate is 0\.5"):
-        trotting.run(config=slow)
 
 
 def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:

@@ -206,7 +206,7 @@ def test_a_period_that_takes_too_long_is_a_miss(stands: Rig) -> None:
 
 def test_forces_that_cannot_be_computed(stands: Rig) -> None:
     def spoil(machine: StateMachine) -> None:
-        machine.controller._config["q_weight"] = np.nan  # type: ignore[attr-defined]
+        machine.controller._config["r_weight"] = np.nan  # type: ignore[attr-defined]
 
     done = stands.run(watch=once(following, spoil))
     assert_stopped(stands, done, StopReason.QP_FAILURE, "6 times in a row; 5 are allowed")

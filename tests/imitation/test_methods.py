@@ -46,7 +46,8 @@ def differences(a: object, b: object, prefix: str = "") -> set[str]:
 @pytest.mark.parametrize("config", sorted(CONFIGS))
 def test_each_method_changes_only_what_its_name_claims(config: str) -> None:
     base = controller_config(config)
-    raibert = {"swing.foothold"} | ({"stance.leg_momentum"} if base.stance.leg_momentum else set())
+    own = {"stance.leg_momentum": base.stance.leg_momentum, "stance.feedback": base.stance.feedback == "regulator"}
+    raibert = {"swing.foothold", *(name for name, differs in own.items() if differs)}
     claims = {"raibert": raibert, "lh": {"stance.forces"}, "lh-dmp": {"stance.forces"}}
     for name, method in METHODS.items():
         if name == "rl":

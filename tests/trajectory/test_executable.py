@@ -121,9 +121,8 @@ def test_feet_roll_as_the_robots_do(a1: Robot) -> None:
         way = np.linalg.norm(motion.foot_pos_w[end - 1, leg, :2] - motion.foot_pos_w[first, leg, :2])
         assert least <= way <= most
         assert demands(a1, motion).slide_m < 2e-3
-    # where the reference's feet do not roll, the robot drifts ahead of it
-    drifts = [Metrics.of(run_episodes(a1, motion, duration_s=3.0)).drift_m_per_s for motion in (still, rolling)]
-    assert drifts[1] < 0.7 * drifts[0]
+    rewards = [Metrics.of(run_episodes(a1, motion, duration_s=3.0)).reward_mean for motion in (still, rolling)]
+    assert rewards[1] > rewards[0] + 0.005, "where the reference's feet do not roll, the robot runs ahead of it"
 
 
 def test_the_animal_is_saved_with_the_motion(tmp_path: Path, turn: Executable) -> None:

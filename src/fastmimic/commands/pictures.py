@@ -350,7 +350,7 @@ class Play:
             executor.submit(warm_up, name)  # while this process loads
             with slow_start():
                 motions = load_motions(sources, robot)
-                library = MotionSet(robot, motions, executor=executor, source=name)
+                library = MotionSet(robot, motions, executor=executor, source=name, regulator=config.regulator)
                 session = LiveSession(robot, library, method=self.method, config=config)
             try:
                 with PlayPage(session, f"{robot.name}, live", self.port) as page:

@@ -26,10 +26,10 @@ from fastmimic.control.config_parts import (
     GaitConfig,
     HorizonConfig,
     LoadConfig,
-    RecoveryConfig,
     StanceConfig,
     SwingConfig,
 )
+from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.robot import Robot
 from fastmimic.robot.robot import combined, joint_ratio, length_ratio, mass_ratio
 
@@ -50,9 +50,9 @@ class ControllerConfig:
     stance: StanceConfig = dataclasses.field(default_factory=StanceConfig)
     horizon: HorizonConfig = dataclasses.field(default_factory=HorizonConfig)
     swing: SwingConfig = dataclasses.field(default_factory=SwingConfig)
+    regulator: RegulatorConfig = dataclasses.field(default_factory=RegulatorConfig)
     robot: str = ""  # the only robot that the set is for; empty for all
     load: LoadConfig = dataclasses.field(default_factory=LoadConfig)
-    recovery: RecoveryConfig = dataclasses.field(default_factory=RecoveryConfig)
 
     def __post_init__(self) -> None:
         where = f"controller configuration '{self.name}': "
@@ -91,7 +91,7 @@ class ControllerConfig:
 
 def _rules(config: ControllerConfig) -> tuple[tuple[bool, str], ...]:
     """(ok, message) of each rule for several values together; the horizon's rates matter only where it is used."""
-    gait, stance, horizon, recovery = config.gait, config.stance, config.horizon, config.recovery
+    gait, stance, horizon = config.gait, config.stance, config.horizon
     rate_hz, used, ratio = config.rate_hz, stance.forces == "horizon", config.rate_hz / horizon.solve_rate_hz
     return (
         (gait.release_threshold <= gait.contact_threshold, "gait.release_threshold must be in [0, contact_threshold]"),
@@ -109,7 +109,6 @@ def _rules(config: ControllerConfig) -> tuple[tuple[bool, str], ...]:
             any(w > 0 for w in (*horizon.position_weight, *horizon.velocity_weight)),
             "horizon.position_weight and velocity_weight must not all be 0",
         ),
-        (recovery.end_error <= recovery.start_error, "recovery.end_error must not be above recovery.start_error"),
     )
 
 
@@ -123,17 +122,14 @@ def paper_config() -> ControllerConfig:
     return ControllerConfig(
         name="paper",
         stance=StanceConfig(
-            position_gain=(40.0, 40.0, 300.0, 600.0, 600.0, 600.0),
-            velocity_gain=(20.0, 20.0, 35.0, 75.0, 75.0, 75.0),
-            foothold_share=0.0,
+            feedback="constant",
+            disturbance_time=0.0,
             reference_acceleration=0.0,
             leg_momentum=False,
             adaptation="paper",
             leg_dynamics=False,
         ),
-        swing=SwingConfig(
-            velocity_feedback=(0.03, 0.03), position_feedback=0.0, leg_dynamics=False, level=0.0, liftoff_blend_time=0.0
-        ),
+        swing=SwingConfig(foothold="reference", leg_dynamics=False, level=0.0, liftoff_blend_time=0.0),
     )
 
 
@@ -169,12 +165,11 @@ def read_config(path: str | Path) -> ControllerConfig:
     return config
 
 
-_PACKED: Final = (ControllerConfig, GaitConfig, StanceConfig, HorizonConfig, SwingConfig, RecoveryConfig)
+_PACKED: Final = (ControllerConfig, GaitConfig, StanceConfig, HorizonConfig, SwingConfig)
 _RECORD: Final = record_dtype(
     [
         ("dt", "f8"),
         ("horizon_interval", "i8"),
-        ("recovery_resync", "f8"),
         *(field for part in _PACKED for field in record_fields(part)),
     ]
 )
@@ -189,11 +184,10 @@ def pack_config(config: ControllerConfig, robot: Robot) -> NDArray[Any]:
         "length": length_ratio(robot),
     }
     record = np.zeros(1, _RECORD)
-    for part in (config, config.gait, config.stance, config.horizon, config.swing, config.recovery):
+    for part in (config, config.gait, config.stance, config.horizon, config.swing):
         pack(part, record, scales)
     record["dt"] = 1.0 / config.rate_hz
     record["horizon_interval"] = round(config.rate_hz / config.horizon.solve_rate_hz)
-    record["recovery_resync"] = record["dt"] / max(config.recovery.resync_time, 1.0 / config.rate_hz)
     return record
 
 

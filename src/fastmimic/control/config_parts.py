@@ -50,18 +50,20 @@ class StanceConfig:
         key="horizon",
         about="instant: QP over the present forces; horizon: model predictive control (HorizonConfig)",
     )
-    position_gain: Vector6 = parameter((150.0, 150.0, 300.0, 600.0, 600.0, 600.0), unit="1/s²", key="kp", about="k_p")
-    velocity_gain: Vector6 = parameter((25.0, 25.0, 35.0, 75.0, 75.0, 75.0), unit="1/s", key="kd", about="k_d")
-    foothold_share: float = parameter(
-        1.0,
-        about="share of the x and y position error that is measured from the standing feet, the rest in the world;"
-        " 0 in the paper",
+    feedback: Literal["regulator", "constant"] = parameter(
+        "regulator",
+        choices=("regulator", "constant"),
+        key="",
+        about="regulator: gains along the motion (RegulatorConfig); constant: those below, as in the paper",
     )
-    foothold_preview: float = parameter(
-        0.6,
+    position_gain: Vector6 = parameter((40.0, 40.0, 300.0, 600.0, 600.0, 600.0), unit="1/s²", key="", about="k_p")
+    velocity_gain: Vector6 = parameter((20.0, 20.0, 35.0, 75.0, 75.0, 75.0), unit="1/s", key="", about="k_d")
+    acceleration_weight: Vector6 = parameter((1.0, 1.0, 1.0, 1.0, 1.0, 1.0), key="", about="diagonal of Q")
+    disturbance_time: float = parameter(
+        0.5,
         unit="s",
-        about="remaining scheduled stance from which a foot counts in full there: before a foot leaves the ground the"
-        " body has to be over those that stay",
+        about="time constant with which the acceleration that the model does not explain is estimated, such as a"
+        " payload's, and made up for; 0 for never",
     )
     reference_acceleration: float = parameter(
         1.0, about="factor on the reference's own acceleration in the desired one; 0 in the paper"
@@ -76,7 +78,6 @@ class StanceConfig:
         unit="m/s² and rad/s²",
         about="bound on each component of the desired acceleration",
     )
-    acceleration_weight: Vector6 = parameter((1.0, 1.0, 1.0, 1.0, 1.0, 1.0), key="q_weight", about="diagonal of Q")
     force_weight: float = parameter(
         1e-4, unit="1/N²", above=0.0, key="r_weight", scale="force_weight", about="diagonal of R for an A1"
     )
@@ -152,15 +153,16 @@ class HorizonConfig:
 class SwingConfig:
     """Feet in the air (paper, eq. 3)."""
 
-    velocity_feedback: tuple[float, float] = parameter(
-        (0.02, 0.07),
-        unit="s",
-        low=None,
-        about="K in x and y. In x the standing feet can correct the body's velocity; in y, on two feet, only the next"
-        " step can",
+    foothold: Literal["regulator", "reference", "raibert"] = parameter(
+        "regulator",
+        choices=("reference", "raibert", "regulator"),
+        key="foothold",
+        about="regulator: the reference's foot, shifted as the regulator asks for; reference: shifted by K, as in the"
+        " paper; raibert: a straight path at constant speed to the Raibert foothold 0.5 T_s v − K (v̄ − v) from under"
+        " the hip, independent of the animal (Kang et al. 2021; paper, §IV-B)",
     )
-    position_feedback: float = parameter(
-        0.15, low=None, about="the same for the base's position error, a fraction of it; 0 in the paper"
+    velocity_feedback: tuple[float, float] = parameter(
+        (0.03, 0.03), unit="s", low=None, about="K in x and y (paper, eq. 3)"
     )
     joint_stiffness: float = parameter(120.0, unit="N·m/rad", key="swing_kp", scale="joint", about="for an A1")
     joint_damping: float = parameter(3.5, unit="N·m·s/rad", key="swing_kd", scale="joint", about="for an A1")
@@ -174,13 +176,6 @@ class SwingConfig:
     )
     liftoff_blend_time: float = parameter(
         0.03, unit="s", key="blend_time", about="time over which the foot's offset from the reference at lift-off fades"
-    )
-    foothold: Literal["reference", "raibert"] = parameter(
-        "reference",
-        choices=("reference", "raibert"),
-        key="raibert",
-        about="reference: the reference's foot; raibert: a straight path at constant speed to the Raibert foothold"
-        " 0.5 T_s v − K (v̄ − v) from under the hip, independent of the animal (Kang et al. 2021; paper, §IV-B)",
     )
     swing_time: float = parameter(
         0.2,
@@ -205,37 +200,3 @@ class LoadConfig:
 
     mass: float = parameter(0.0, unit="kg", about="on the trunk")
     position: Vector3 = parameter((0.0, 0.0, 0.0), unit="m", low=None, about="of its centre, body frame")
-
-
-@documented
-@dataclass(frozen=True)
-class RecoveryConfig:
-    """Push recovery: the controller's reference is re-synchronised to the robot. Nothing is computed when disabled.
-    Recovery starts where the controller sees the horizontal velocity off by `start_error` and ends below `end_error`.
-    The reward is still computed with the demonstration's own clock."""
-
-    enabled: bool = parameter(False, key="", about="whether there is push recovery")
-    start_error: float = parameter(0.35, unit="m/s", key="recovery_start", about="velocity error at which it starts")
-    end_error: float = parameter(0.15, unit="m/s", key="recovery_end", about="velocity error below which it ends")
-    resync_time: float = parameter(
-        0.02,
-        unit="s",
-        key="",
-        about="time constant with which the reference's x and y move to the robot's meanwhile; 0 for at once",
-    )
-    phase_rate: float = parameter(
-        1.0, high=2.0, key="recovery_rate", about="rate of the reference's clock meanwhile: 1 continues, 0 waits"
-    )
-    catch_up: float = parameter(
-        0.1,
-        below=1.0,
-        key="recovery_catch_up",
-        about="share by which the clock then runs faster or slower until it is in step again",
-    )
-    foothold_feedback: tuple[float, float] = parameter(
-        (0.0, 0.0),
-        unit="s",
-        low=None,
-        key="recovery_feedback",
-        about="added to the swing feet's velocity feedback in x and y meanwhile",
-    )

@@ -11,6 +11,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.vectors import copy, heading_vector, times, transposed_times
 from fastmimic.control.config import ControllerConfig, default_config, loaded_robot, pack_config
+from fastmimic.control.config_parts import StanceConfig
 from fastmimic.control.gait import plan_leg
 from fastmimic.control.horizon import HORIZON_CONSTRAINTS, HORIZON_VARIABLES, PLAN, plan_forces, track_plan
 from fastmimic.control.horizon_preview import FORESIGHT
@@ -26,8 +27,15 @@ from fastmimic.control.joint_commands import (
 )
 from fastmimic.control.native import make_workspace, seconds_now
 from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, stance_forces
-from fastmimic.control.tracking import compare_to_reference, desired_motion
+from fastmimic.control.tracking import (
+    body_frame,
+    compare_to_reference,
+    estimate_disturbance,
+    expect_acceleration,
+    regulate,
+)
 from fastmimic.motion.motion import Motion
+from fastmimic.reference.regulator import constant_gains, motion_gains
 from fastmimic.reference.table import stack_tables
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, MEMORY, pack_model
@@ -36,6 +44,7 @@ SCRATCH: Final = record_dtype(
     [
         ("rotation", "f8", (3, 3)),  # body → heading frame
         ("reference_rotation", "f8", (3, 3)),  # reference's body → robot's heading frame
+        ("heading", "f8", (2,)),  # cos and sin of the robot's
         ("turn", "f8", (2,)),  # cos and sin from the robot's heading to that of the reference's origin
         ("com", "f8", (3,)),  # body frame
         ("inertia", "f8", (3, 3)),  # heading frame
@@ -51,13 +60,16 @@ SCRATCH: Final = record_dtype(
         ("ref_ang_acc", "f8", (3,)),
         ("leg_acc", "f8", (3,)),  # that the reference's legs take
         # reference minus robot, heading frame
-        ("error", "f8", (3,)),  # of the position; x and y then relative to the feet
+        ("error", "f8", (3,)),  # of the position
         ("angle_error", "f8", (3,)),
         ("lin_vel_error", "f8", (3,)),
         ("ang_vel_error", "f8", (3,)),
-        ("shift", "f8", (2,)),  # of the reference to where the standing feet are
+        ("state", "f8", (28,)),  # of the regulator: robot minus reference
+        ("change", "f8", (3,)),
+        ("vector", "f8", (3,)),
+        ("momentum", "f8", (6,)),  # of the legs: acceleration that the reference's take
+        ("column", "f8", (6,)),
         # the same in the body frame, for the legs
-        ("position_error", "f8", (3,)),
         ("velocity_error", "f8", (3,)),
         ("lin_vel_b", "f8", (3,)),
         ("ang_vel_b", "f8", (3,)),
@@ -66,6 +78,7 @@ SCRATCH: Final = record_dtype(
         # stance
         ("desired", "f8", (6,)),  # acceleration that the forces have to give, heading frame
         ("columns", "f8", (12, 6)),
+        ("weighted", "f8", (12, 6)),
         ("gravity_acc", "f8", (3,)),  # desired linear acceleration minus gravity, heading frame
         ("gravity_acc_b", "f8", (3,)),
         # turning over the standing feet: angular acceleration beyond the reference's, and its moment
@@ -81,7 +94,6 @@ SCRATCH: Final = record_dtype(
         ("foot_target", "f8", (3,)),  # body frame
         ("joint_acc", "f8", (12,)),
         ("torque", "f8", (3,)),
-        ("recovering", "f8"),  # 1 after a push, else 0
     ]
 )
 """Work memory of the control law, one record per thread, so that it allocates nothing. The suffix _b is for the body
@@ -103,6 +115,7 @@ def control_step(
     configs: Any,
     models: Any,
     tables: Any,
+    gains: Any,
     clocks: Any,
     observations: Any,
     memories: Any,
@@ -113,26 +126,29 @@ def control_step(
     scratches: Any,
     foresights: Any,
 ) -> None:
-    """Computes the commands of all robots; robot i follows table min(i, k − 1) of (k, samples) at its clock. The
-    records are (n,), those of the configuration, the model and the work memory (1,). The arguments are flat because a
-    call with tuples of arrays takes 2 µs longer."""
+    """Computes the commands of all robots; robot i follows table min(i, k − 1) of (k, samples) at its clock, with gains
+    (1 or k, g). The records are (n,), those of the configuration, the model and the work memory (1,). The arguments are
+    flat because a call with tuples of arrays takes 2 µs longer."""
     config, model, scratch = configs[0], models[0], scratches[0]
     for i in range(observations.shape[0]):
         table = tables[min(i, tables.shape[0] - 1)]
         clock, obs, memory, command = clocks[i], observations[i], memories[i], commands[i]
         ref = table[clock.sample]
-        scratch.recovering = float(clock.recovering)
+        gain = gains[min(i, gains.shape[0] - 1), min(ref.gain, gains.shape[1] - 1)]
         compare_to_reference(model, ref, clock, obs, scratch)
-        desired_motion(config, ref, memory, scratch)
+        body_frame(ref, scratch)
+        estimate_disturbance(config, obs, memory, scratch)
         height_error = scratch.error[2]
         for leg in range(4):
             if plan_leg(config, memory, leg, ref.contact[leg] == 1, obs.foot_force[leg, 2]):
                 lift_off(config, ref, memory, scratch, leg, height_error)
+        regulate(config, ref, gain, obs, memory, scratch)
         planned = False
         if foresights is not None:
             foresight, plan_qp = foresights[0], plan_qps[0]
-            planned = _plan_ahead(config, model, table, clock, obs, memory, scratch, plans[i], foresight, plan_qp)
-        solved = _forces(config, model, ref, obs, memory, planned, scratch, qps[0])
+            planned = _plan_ahead(config, model, table, clock, obs, memory, scratch, plans[i], gain, foresight, plan_qp)
+        solved = _forces(config, model, ref, gain, obs, memory, planned, scratch, qps[0])
+        expect_acceleration(model, memory, scratch)
         for leg in range(4):
             if memory.stance[leg] == 1:
                 stance_leg(config, model, obs, memory, command, scratch, leg, solved)
@@ -145,7 +161,9 @@ def control_step(
 
 
 @inlined
-def _forces(config: Any, model: Any, ref: Any, obs: Any, memory: Any, planned: bool, scratch: Any, qp: Any) -> bool:
+def _forces(
+    config: Any, model: Any, ref: Any, gain: Any, obs: Any, memory: Any, planned: bool, scratch: Any, qp: Any
+) -> bool:
     """Stance forces, and the base acceleration for the legs' own dynamics; False if the stance QP failed."""
     desired, gravity_acc = scratch.desired, scratch.gravity_acc
     for k in range(6):
@@ -160,7 +178,18 @@ def _forces(config: Any, model: Any, ref: Any, obs: Any, memory: Any, planned: b
     if planned and config.horizon_interval == 1:
         return True
     return bool(
-        stance_forces(config, model.mass, scratch.inverse_inertia, scratch.arms, desired, memory, qp, scratch.columns)
+        stance_forces(
+            config,
+            model.mass,
+            scratch.inverse_inertia,
+            scratch.arms,
+            desired,
+            gain.weight,
+            memory,
+            qp,
+            scratch.columns,
+            scratch.weighted,
+        )
     )
 
 
@@ -194,6 +223,7 @@ def _plan_ahead(
     memory: Any,
     scratch: Any,
     plan: Any,
+    gain: Any,
     foresight: Any,
     qp: Any,
 ) -> bool:
@@ -207,7 +237,7 @@ def _plan_ahead(
         memory.solve_time = seconds_now(foresight.time) - began
     if plan.valid == 0:
         return False
-    track_plan(config, obs, plan, foresight, scratch.desired)
+    track_plan(config, obs, plan, gain, scratch.state, foresight, scratch.desired)
     if config.horizon_interval == 1:
         for leg in range(4):
             copy(plan.force[0, leg], memory.force[leg])
@@ -221,10 +251,26 @@ def _add_leg_momentum(config: Any, ref: Any, scratch: Any) -> None:
     c, s, leg_acc = scratch.turn[0], scratch.turn[1], scratch.leg_acc
     heading_vector(c, -s, ref.leg_lin_acc, leg_acc)
     for k in range(3):
-        scratch.desired[k] += config.leg_momentum * leg_acc[k]
+        scratch.momentum[k] = config.leg_momentum * leg_acc[k]
     heading_vector(c, -s, ref.leg_ang_acc, leg_acc)
     for k in range(3):
-        scratch.desired[3 + k] += config.leg_momentum * leg_acc[k]
+        scratch.momentum[3 + k] = config.leg_momentum * leg_acc[k]
+    for r in range(6):
+        scratch.desired[r] += scratch.momentum[r]
+
+
+def constant_gains_of(stance: StanceConfig) -> NDArray[Any]:
+    """The paper's feedback, (1,) of `GAINS`."""
+    return constant_gains(
+        np.array(stance.position_gain), np.array(stance.velocity_gain), np.array(stance.acceleration_weight)
+    )
+
+
+def gains_of(motion: Motion, robot: Robot, config: ControllerConfig) -> NDArray[Any]:
+    """The feedback (g,) of `GAINS` along a motion's demonstration, or the paper's constant one (1,)."""
+    if config.stance.feedback == "constant":
+        return constant_gains_of(config.stance)
+    return motion_gains(motion, robot, config.regulator)
 
 
 class Controller:
@@ -248,6 +294,7 @@ class Controller:
                     f" {self.config.rate_hz:g} Hz; retarget the clip with that rate"
                 )
         self.tables = stack_tables(motions, robot)
+        self.gains = np.stack([gains_of(motion, robot, self.config) for motion in motions])
         self.memory = np.zeros(n, MEMORY)
         self.command = np.zeros(n, COMMAND)
         self.plan = np.zeros(n, PLAN)
@@ -272,6 +319,6 @@ class Controller:
     def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
         """Commands (n,) of `COMMAND` for the next control step; overwritten by the next call. `observation` is (n,) of
         `OBSERVATION`, `clocks` (n,) of `CLOCK`."""
-        robots = self.tables, clocks, observation, self.memory, self.command, self.plan
+        robots = self.tables, self.gains, clocks, observation, self.memory, self.command, self.plan
         control_step(self._config, self._model, *robots, *self._work)
         return self.command

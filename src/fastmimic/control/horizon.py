@@ -181,22 +181,28 @@ def plan_forces(
 
 
 @kernel
-def track_plan(config: Any, obs: Any, plan: Any, ahead: Any, desired: Array) -> None:
+def track_plan(config: Any, obs: Any, plan: Any, gain: Any, deviation: Array, ahead: Any, desired: Array) -> None:
     """Moves the stance's feedback `desired` (6,), ẍ_des in the heading frame, from the reference to the plan. Only the
-    plan's deviation from the reference enters: the reference's course within a step of the horizon, and the feet that
-    the position is measured from, stay those of the stance."""
+    plan's deviation from the reference enters, in place of the feet's; the reference's course within a step of the
+    horizon stays. `deviation` (28,) is the regulator's state."""
     h = config.horizon_step_s
     t = plan.age * config.dt
     j = min(int(t / h), config.horizon_steps - 1)
     t -= j * h
     state, reference, a = plan.state[j], plan.reference[j], plan.acceleration[j]
-    change = ahead.change
+    change, apart = ahead.change, ahead.apart
     for r in range(6):
         mean = (plan.reference[j + 1, 6 + r] - reference[6 + r]) / h
         velocity = state[6 + r] - reference[6 + r]
-        change[r] = config.kd[r] * (velocity + t * (a[r] - mean))
-        change[r] += config.kp[r] * (state[r] - reference[r] + t * (velocity + 0.5 * t * (a[r] - mean)))
-        change[r] += a[r] - config.reference_acceleration * mean
+        apart[r] = state[r] - reference[r] + t * (velocity + 0.5 * t * (a[r] - mean))
+        apart[6 + r] = velocity + t * (a[r] - mean)
+        change[r] = a[r] - config.reference_acceleration * mean
+    for r in range(6):
+        for k in range(12):
+            change[r] += gain.trunk[r, k] * apart[k]
+    for r in range(6):
+        for k in range(12, 28):  # the plan knows where the feet are
+            desired[r] += gain.trunk[r, k] * deviation[k]
     turn = plan.heading - heading_of(obs.root_quat)
     heading_vector(np.cos(turn), -np.sin(turn), change[0:3], ahead.vector)
     for r in range(3):

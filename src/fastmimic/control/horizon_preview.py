@@ -9,6 +9,7 @@ from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.vectors import copy, heading_vector, quat_to_matrix, rotation_error, times, turn_rows
 from fastmimic.control.config_parts import MAX_HORIZON_STEPS
+from fastmimic.control.joint_commands import REGULATED
 from fastmimic.control.stance import force_column
 
 _N: Final = MAX_HORIZON_STEPS
@@ -32,6 +33,7 @@ FORESIGHT: Final = record_dtype(
         ("com", "f8", (3,)),  # centre of mass from the root
         ("vector", "f8", (3,)),
         ("change", "f8", (6,)),  # of ẍ_des
+        ("apart", "f8", (12,)),  # of the plan from the reference
         ("time", "i8", (2,)),
     ]
 )
@@ -164,8 +166,6 @@ def _targets(config: Any, table: Any, clock: Any, obs: Any, scratch: Any, headin
         heading_vector(ct, -st, ref.ang_vel, target[9:12])
         if _beyond(table, clock, steps) > 0:  # height and tilt stay
             target[8], target[9], target[10] = 0.0, 0.0, 0.0
-        target[0] += scratch.shift[0]
-        target[1] += scratch.shift[1]
         if j == config.horizon_steps:
             return
         # gravity, and what the legs take in the middle of the step
@@ -183,17 +183,18 @@ def _targets(config: Any, table: Any, clock: Any, obs: Any, scratch: Any, headin
 
 @inlined
 def _landings(config: Any, memory: Any, scratch: Any, offset: Array) -> None:
-    """Offset (4, 3) of the next footholds from the reference's by the swing feedback, heading frame."""
+    """Offset (4, 3) of the next footholds from the reference's, heading frame."""
     rotation = scratch.rotation
     for leg in range(4):
         for r in range(3):
             offset[leg, r] = 0.0
+            if memory.stance[leg] == 1 or r == 2:
+                continue
+            if config.foothold == REGULATED:
+                offset[leg, r] = memory.foot_shift[leg, r]
+                continue
             for q in range(2):
-                if memory.stance[leg] == 0:
-                    feedback = config.velocity_feedback[q] * scratch.velocity_error[q]
-                    feedback += config.position_feedback * scratch.position_error[q]
-                    offset[leg, r] -= rotation[r, q] * feedback
-        offset[leg, 2] = 0.0
+                offset[leg, r] -= rotation[r, q] * config.velocity_feedback[q] * scratch.velocity_error[q]
 
 
 @kernel

@@ -12,6 +12,7 @@ from fastmimic.robot.dynamics import cross, leg_inverse_dynamics
 from fastmimic.robot.kinematics import leg_inverse, leg_jacobian
 
 DAMPING_AFTER_FAILURE: Final = 5.0  # N·m·s/rad where nothing better can be computed
+RAIBERT, REGULATED = 1, 2  # kinds of footholds, in the order of `SwingConfig.foothold`'s choices
 DRY_FRICTION_FROM: Final = 0.5  # rad/s; below it friction is compensated in part, so that torques do not jump
 
 
@@ -80,7 +81,7 @@ def swing_target(
 def lift_off(config: Any, ref: Any, memory: Any, scratch: Any, leg: int, height_error: float) -> None:
     """Stores where a foot leaves the ground, body frame: its offset from the reference, or the start of its path."""
     foot, target = scratch.feet[leg], scratch.foot_target
-    if config.raibert == 1:
+    if config.foothold == RAIBERT:
         rotation = scratch.rotation
         for k in range(3):
             level = rotation[k, 0] * foot[0] + rotation[k, 1] * foot[1] + rotation[k, 2] * foot[2]
@@ -90,6 +91,14 @@ def lift_off(config: Any, ref: Any, memory: Any, scratch: Any, leg: int, height_
     swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
     for k in range(3):
         memory.liftoff_offset[leg, k] = foot[k] - target[k]
+    if config.foothold == REGULATED:  # x and y are the regulator's
+        for a in range(2):
+            memory.foot_shift[leg, a], memory.foot_shift_rate[leg, a] = 0.0, 0.0
+            for k in range(3):
+                memory.foot_shift[leg, a] += scratch.rotation[a, k] * (foot[k] - target[k])
+        for k in range(3):
+            for a in range(2):
+                memory.liftoff_offset[leg, k] -= scratch.rotation[a, k] * memory.foot_shift[leg, a]
 
 
 @inlined
@@ -142,20 +151,23 @@ def raibert_leg(
 def swing_leg(
     config: Any, model: Any, obs: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int, height_error: float
 ) -> None:
-    """Paper, eq. 3: reference foot minus K (v̄ − v), and a share of the position error, by inverse kinematics."""
+    """The reference's foot, shifted by the regulator or by −K (v̄ − v) (paper, eq. 3), by inverse kinematics."""
     for j in range(3 * leg, 3 * leg + 3):
         command.stiffness[j] = config.swing_kp
         command.damping[j] = config.swing_kd
         command.torque[j] = 0.0
-    if config.raibert == 1:
+    if config.foothold == RAIBERT:
         raibert_leg(config, model, ref, memory, command, scratch, leg, height_error)
         return
     target = scratch.foot_target
     swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
-    for k in range(2):
-        gain = config.velocity_feedback[k] + scratch.recovering * config.recovery_feedback[k]
-        target[k] -= gain * scratch.velocity_error[k]
-        target[k] -= config.position_feedback * scratch.position_error[k]
+    if config.foothold == REGULATED:
+        for k in range(3):
+            for a in range(2):
+                target[k] += scratch.rotation[a, k] * memory.foot_shift[leg, a]
+    else:
+        for k in range(2):
+            target[k] -= config.velocity_feedback[k] * scratch.velocity_error[k]
     if memory.since_switch[leg] < config.blend_time:
         left = 1.0 - memory.since_switch[leg] / config.blend_time
         fade = left * left * (3.0 - 2.0 * left)

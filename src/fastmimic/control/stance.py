@@ -74,7 +74,16 @@ def friction_rows(config: Any, k: int, qp: Any) -> int:
 
 @kernel
 def stance_forces(
-    config: Any, mass: float, inverse_inertia: Array, arms: Array, desired: Array, memory: Any, qp: Any, columns: Array
+    config: Any,
+    mass: float,
+    inverse_inertia: Array,
+    arms: Array,
+    desired: Array,
+    weight: Array,
+    memory: Any,
+    qp: Any,
+    columns: Array,
+    weighted: Array,
 ) -> bool:
     """Solves for the forces of the standing legs, into `memory.force`; False if the solver failed.
 
@@ -84,7 +93,7 @@ def stance_forces(
     The variables are the z forces of the k standing legs, then their x and y forces, so that the bounds on f_z are
     DAQP's simple bounds. After a failure the last forces are held for a few steps and then dropped. In the heading
     frame: `inverse_inertia` (3, 3) of the whole robot, `arms` (4, 3) from the centre of mass to the feet in m,
-    `desired` (6,) ẍ_des; `columns` (12, 6) is scratch.
+    `desired` (6,) ẍ_des, `weight` (6, 6) Q; `columns` and `weighted` (12, 6) are scratch.
     """
     k = memory.stance[0] + memory.stance[1] + memory.stance[2] + memory.stance[3]
     if k == 0:
@@ -102,13 +111,15 @@ def stance_forces(
     for i in range(n):
         gradient = 0.0
         for r in range(6):
-            target = desired[r] + (GRAVITY if r == 2 else 0.0)
-            gradient -= columns[i, r] * config.q_weight[r] * target
+            weighted[i, r] = 0.0
+            for c in range(6):
+                weighted[i, r] += weight[r, c] * columns[i, c]
+            gradient -= weighted[i, r] * (desired[r] + (GRAVITY if r == 2 else 0.0))
         qp.gradient[i] = gradient
         for j in range(i + 1):
             h = config.r_weight if i == j else 0.0
             for r in range(6):
-                h += columns[i, r] * config.q_weight[r] * columns[j, r]
+                h += weighted[i, r] * columns[j, r]
             qp.hessian[i * n + j] = h
             qp.hessian[j * n + i] = h
     for i in range(k):

@@ -1,15 +1,19 @@
 """Errors between robot and reference, and the acceleration that should reduce them (paper, eq. 1)."""
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined
 from fastmimic.base.vectors import heading_vector, quat_to_matrix, rotation_error, transposed_times, turn_rows
-from fastmimic.control.stance import invert_symmetric_3x3
+from fastmimic.control.stance import force_column, invert_symmetric_3x3
 from fastmimic.robot.dynamics import leg_mass_moment
 from fastmimic.robot.kinematics import leg_forward
+
+MOST_DISTURBANCE: Final = (3.0, 10.0)  # m/s², rad/s²
+LATE: Final = 0.9  # a foot that should have landed keeps this share of its shift's speed each step
 
 
 @inlined
@@ -52,6 +56,7 @@ def compare_to_reference(model: Any, ref: Any, clock: Any, obs: Any, scratch: An
     quat_to_matrix(obs.root_quat, rotation)
     yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
     c, s = np.cos(yaw), np.sin(yaw)
+    scratch.heading[0], scratch.heading[1] = c, s
     turn_rows(c, -s, rotation)
     quat_to_matrix(ref.root_quat, reference_rotation)
     turn = clock.origin[2] - yaw
@@ -79,54 +84,91 @@ def compare_to_reference(model: Any, ref: Any, clock: Any, obs: Any, scratch: An
 
 
 @inlined
-def _desired_acceleration(
-    config: Any, error: Array, velocity_error: Array, feedforward: Array, out: Array, at: int
-) -> None:
-    """k_p e + k_d ė + feed-forward, into out[at:at + 3]."""
-    for i in range(3):
-        a = config.kp[at + i] * error[i] + config.kd[at + i] * velocity_error[i]
-        out[at + i] = a + config.reference_acceleration * feedforward[i]
-
-
-@inlined
-def _relative_to_feet(
-    config: Any, ref: Any, rotation: Array, reference_rotation: Array, feet: Array, memory: Any, error: Array
-) -> None:
-    """Mixes the x and y position error, heading frame, with that relative to the standing feet. Balance depends on the
-    feet: the body belongs over the actual feet as it is over the reference's, wherever they landed. Feet about to lift
-    off fade out."""
-    ex = ey = total = 0.0
-    for leg in range(4):
-        if memory.stance[leg] == 0 or ref.contact[leg] == 0:
-            continue
-        weight = min(ref.remaining[leg], config.foothold_preview + config.dt)
-        for k in range(3):
-            ex += weight * (rotation[0, k] * feet[leg, k] - reference_rotation[0, k] * ref.foot_pos[leg, k])
-            ey += weight * (rotation[1, k] * feet[leg, k] - reference_rotation[1, k] * ref.foot_pos[leg, k])
-        total += weight
-    if total > 0:
-        error[0] += config.foothold_share * (ex / total - error[0])
-        error[1] += config.foothold_share * (ey / total - error[1])
-
-
-@inlined
-def desired_motion(config: Any, ref: Any, memory: Any, scratch: Any) -> None:
-    """ẍ_des for the standing legs; errors and velocities in the body frame for all legs."""
-    rotation, reference_rotation, error = scratch.rotation, scratch.reference_rotation, scratch.error
+def body_frame(ref: Any, scratch: Any) -> None:
+    """Velocities and their errors in the body frame, for the legs."""
+    rotation, reference_rotation = scratch.rotation, scratch.reference_rotation
     transposed_times(rotation, scratch.lin_vel, scratch.lin_vel_b)
     transposed_times(rotation, scratch.ang_vel, scratch.ang_vel_b)
     transposed_times(reference_rotation, scratch.ref_lin_vel, scratch.ref_lin_vel_b)
     transposed_times(reference_rotation, scratch.ref_ang_vel, scratch.ref_ang_vel_b)
-    transposed_times(rotation, error, scratch.position_error)
     transposed_times(rotation, scratch.lin_vel_error, scratch.velocity_error)
     scratch.joint_acc = ref.joint_acc
 
-    scratch.shift[0], scratch.shift[1] = -error[0], -error[1]
-    _relative_to_feet(config, ref, rotation, reference_rotation, scratch.feet, memory, error)
-    scratch.shift[0] += error[0]
-    scratch.shift[1] += error[1]
+
+@inlined
+def estimate_disturbance(config: Any, obs: Any, memory: Any, scratch: Any) -> None:
+    """Follows the acceleration that the last step's forces do not explain, slowly: a payload, a slope, wrong masses."""
+    if config.disturbance_time == 0.0:
+        return
+    share = min(config.dt / config.disturbance_time, 1.0)
+    for at in range(0, 6, 3):
+        now, change = (obs.lin_vel if at == 0 else obs.ang_vel), scratch.change
+        for k in range(3):
+            scratch.vector[k] = (now[k] - memory.velocity[at + k]) / config.dt
+            memory.velocity[at + k] = now[k]
+        heading_vector(scratch.heading[0], scratch.heading[1], scratch.vector, change)
+        if memory.began == 0:
+            continue
+        most = MOST_DISTURBANCE[at // 3]
+        for k in range(3):
+            d = memory.disturbance[at + k]
+            d += share * (change[k] - memory.expected[at + k] - d)
+            memory.disturbance[at + k] = min(max(d, -most), most)
+    memory.began = 1
+
+
+@inlined
+def expect_acceleration(model: Any, memory: Any, scratch: Any) -> None:
+    """The trunk's acceleration by this step's forces, for `estimate_disturbance`."""
+    expected, column = memory.expected, scratch.column
+    for r in range(6):
+        expected[r] = -scratch.momentum[r]
+    expected[2] -= GRAVITY
+    for leg in range(4):
+        if memory.stance[leg] == 0:
+            continue
+        for axis in range(3):
+            force_column(scratch.inverse_inertia, scratch.arms[leg], axis, model.mass, column)
+            for r in range(6):
+                expected[r] += column[r] * memory.force[leg, axis]
+
+
+@inlined
+def regulate(config: Any, ref: Any, gain: Any, obs: Any, memory: Any, scratch: Any) -> None:
+    """ẍ_des for the standing legs, and where the others' feet are to be (`fastmimic.reference.regulator`)."""
+    state, rotation, reference_rotation = scratch.state, scratch.rotation, scratch.reference_rotation
+    shift, rate = memory.foot_shift, memory.foot_shift_rate
+    for k in range(3):
+        state[k] = -scratch.error[k]
+        state[3 + k] = -scratch.angle_error[k]
+        state[6 + k] = -scratch.lin_vel_error[k]
+        state[9 + k] = -scratch.ang_vel_error[k]
+    for leg in range(4):
+        for a in range(2):
+            if memory.stance[leg] == 1:
+                shift[leg, a], rate[leg, a] = 0.0, 0.0
+                for k in range(3):
+                    shift[leg, a] += rotation[a, k] * scratch.feet[leg, k]
+                    shift[leg, a] -= reference_rotation[a, k] * ref.foot_pos[leg, k]
+            state[12 + 2 * leg + a] = shift[leg, a] + state[a]
+            state[20 + 2 * leg + a] = rate[leg, a]
     c, s = scratch.turn[0], scratch.turn[1]
     heading_vector(c, -s, ref.lin_acc, scratch.ref_lin_acc)
-    _desired_acceleration(config, error, scratch.lin_vel_error, scratch.ref_lin_acc, scratch.desired, 0)
     heading_vector(c, -s, ref.ang_acc, scratch.ref_ang_acc)
-    _desired_acceleration(config, scratch.angle_error, scratch.ang_vel_error, scratch.ref_ang_acc, scratch.desired, 3)
+    for r in range(6):
+        forward = scratch.ref_lin_acc[r] if r < 3 else scratch.ref_ang_acc[r - 3]
+        scratch.desired[r] = config.reference_acceleration * forward - memory.disturbance[r]
+        for k in range(28):
+            scratch.desired[r] -= gain.trunk[r, k] * state[k]
+    turned = config.dt * scratch.ang_vel[2]
+    for leg in range(4):
+        if memory.stance[leg] == 1:
+            continue
+        for a in range(2):
+            if ref.contact[leg] == 1:
+                rate[leg, a] *= LATE  # should have landed
+            for k in range(28):
+                rate[leg, a] -= config.dt * gain.feet[2 * leg + a, k] * state[k]
+            shift[leg, a] += config.dt * (rate[leg, a] - state[6 + a])
+        x, y = shift[leg, 0], shift[leg, 1]
+        shift[leg, 0], shift[leg, 1] = x + turned * y, y - turned * x

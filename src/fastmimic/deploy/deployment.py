@@ -71,10 +71,6 @@ class DeployOptions:
         learned = self.policy is not None
         method, config = controller_for(motion, "rl" if learned and self.method is None else self.method, self.config)
         check_controller(method, learned)
-        if config.recovery.enabled and config.recovery.phase_rate != 1.0:
-            raise ConfigError(
-                f"recovery.phase_rate is {config.recovery.phase_rate:g}; a deployment needs 1: its reference keeps pace"
-            )
         if config.stance.forces == "horizon":
             rate = config.rate_hz if self.solve_rate_hz is None else self.solve_rate_hz
             config = dataclasses.replace(config, horizon=dataclasses.replace(config.horizon, solve_rate_hz=rate))

@@ -16,6 +16,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
+from fastmimic.control.controller import constant_gains_of, gains_of
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import CourseTransition, course_of
 from fastmimic.reference.motion_set import MotionSet
@@ -25,7 +26,6 @@ from fastmimic.reference.table import (
     CLOCK,
     SAMPLE,
     advance_clocks,
-    advance_recovering,
     make_clocks,
     place_clocks,
     reference_table,
@@ -48,6 +48,7 @@ class SequencePart:
     first: int  # sample
     last: int  # sample; in a cyclic motion it may be below `first`
     clock: NDArray[Any]  # (1,) of `CLOCK`, at the table's start
+    gains: NDArray[Any]  # (1, g) of `GAINS`, those of the table's samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +66,7 @@ class _CourseSlice(NamedTuple):
     """Rows `first` to `last`, exclusive, of a cyclic course; `last` may be beyond its end."""
 
     course: NDArray[Any]
+    gains: NDArray[Any]
     first: int
     last: int
 
@@ -74,9 +76,8 @@ class Follower:
     `steps` counts those in the motion itself; `leaving` says whether it ends at its next last sample, `done` whether
     blending out has ended."""
 
-    def __init__(self, sequence: MotionSequence, recovery: NDArray[Any] | None = None) -> None:
-        """`recovery` is the packed configuration of a controller with push recovery."""
-        self.sequence, self._recovery = sequence, recovery
+    def __init__(self, sequence: MotionSequence) -> None:
+        self.sequence = sequence
         self.begin(np.zeros(3))
 
     def begin(self, pose: Array) -> None:
@@ -97,10 +98,7 @@ class Follower:
         way, part = self.sequence, self.part
         if part is way.main:
             self.steps += 1
-        if self._recovery is not None and part is way.main:
-            advance_recovering(self._recovery, self.clock, part.table, observation)
-        else:
-            advance_clocks(self.clock, part.table, observation["root_pos"])
+        advance_clocks(self.clock, part.table, observation["root_pos"])
         sample = int(self.clock["sample"][0])
         if part is way.blend_out:
             self.done = sample >= part.last
@@ -125,7 +123,7 @@ def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> Mot
     if motion.contact.all():
         return _standing(robot, motion, config)
     start, end = f"{motion.name} (start)", f"{motion.name} (end)"
-    library = MotionSet(robot, {start: first, end: last}, config.rate_hz)
+    library = MotionSet(robot, {start: first, end: last}, config.rate_hz, regulator=config.regulator)
     ahead = config.samples_ahead
     hold = max(1, round(STAND_S * config.rate_hz))
     stand = library.entry(STAND)
@@ -134,9 +132,10 @@ def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> Mot
     whole = course_of(motion, robot)
     arrive = (hops[-1][1].arrive + first_shift) % first.n_samples
     blend_in = _slices(library, STAND, hops, 0, hold)
-    blend_in.append(_CourseSlice(whole, arrive, arrive + ahead))
-    table, at = _table(robot, blend_in, config.rate_hz)
-    into = _blending("into", motion, table, at[-1])
+    own = gains_of(motion, robot, config)
+    blend_in.append(_CourseSlice(whole, own, arrive, arrive + ahead))
+    table, gains, at = _table(robot, blend_in, config)
+    into = _blending("into", motion, table, gains, at[-1])
 
     hops = _way(library, end, STAND)
     n = last.n_samples
@@ -144,11 +143,12 @@ def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> Mot
     begins = (hops[0][1].leave - ahead) % n if motion.cycle is not None else (motion.n_samples - 1 - last_shift) % n
     ends = begins if motion.cycle is not None else motion.n_samples - 1
     blend_out = _slices(library, end, hops, begins, 0)
-    blend_out.append(_CourseSlice(stand.course, hops[-1][1].arrive, hops[-1][1].arrive + hold + ahead))
-    table, at = _table(robot, blend_out, config.rate_hz)
-    out = _blending("out of", motion, table, at[-1] + hold)
+    blend_out.append(_CourseSlice(stand.course, stand.gains, hops[-1][1].arrive, hops[-1][1].arrive + hold + ahead))
+    table, gains, at = _table(robot, blend_out, config)
+    out = _blending("out of", motion, table, gains, at[-1] + hold)
 
-    main = SequencePart(motion.name, reference_table(motion, robot)[None], arrive, ends, make_clocks(motion, 1))
+    clock = make_clocks(motion, 1)
+    main = SequencePart(motion.name, reference_table(motion, robot)[None], arrive, ends, clock, own[None])
     return MotionSequence(motion, into, main, out, np.array(stand.motion.joint_pos[0]))
 
 
@@ -163,9 +163,11 @@ def _standing(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionS
             " the robot cannot reach it without a step"
         )
     course = course_of(stand, robot)
-    table, _ = _table(robot, [_CourseSlice(course, 0, hold + config.samples_ahead)], config.rate_hz)
-    into, out = _blending("into", motion, table, hold), _blending("out of", motion, table, hold)
-    main = SequencePart(motion.name, reference_table(motion, robot)[None], 0, 0, make_clocks(motion, 1))
+    gains = gains_of(stand, robot, config)
+    table, gains, _ = _table(robot, [_CourseSlice(course, gains, 0, hold + config.samples_ahead)], config)
+    into, out = _blending("into", motion, table, gains, hold), _blending("out of", motion, table, gains, hold)
+    clock, own = make_clocks(motion, 1), gains_of(motion, robot, config)
+    main = SequencePart(motion.name, reference_table(motion, robot)[None], 0, 0, clock, own[None])
     return MotionSequence(motion, into, main, out, stand.joint_pos[0].copy())
 
 
@@ -208,26 +210,29 @@ def _slices(
     """The slices of `hops`, from row `first` of the first motion, which lasts at least `hold` rows."""
     found, name, row, least = [], start, first, hold
     for following, transition in hops:
-        course = library.entry(name).course
-        n = len(course)
+        entry = library.entry(name)
+        n = len(entry.course)
         last = row + (transition.leave - row) % n
         last += n if last == row else 0
         last += n * math.ceil(max(0, least - (last - row)) / n)
-        found.append(_CourseSlice(course, row, last))
-        found.append(_CourseSlice(transition.course, transition.first, transition.last))
+        found.append(_CourseSlice(entry.course, entry.gains, row, last))
+        found.append(_CourseSlice(transition.course, transition.gains, transition.first, transition.last))
         name, row, least = following, transition.arrive, 0
     return found
 
 
-def _table(robot: Robot, slices: list[_CourseSlice], rate_hz: float) -> tuple[NDArray[Any], list[int]]:
-    """Consecutive slices as a table (t,) of `SAMPLE` from the heading frame of row 0, and each slice's first sample."""
-    stream, place, row = Stream(robot, rate_hz), make_place(), np.zeros(1, SAMPLE)
+def _table(
+    robot: Robot, slices: list[_CourseSlice], config: ControllerConfig
+) -> tuple[NDArray[Any], NDArray[Any], list[int]]:
+    """Consecutive slices as a table (t,) of `SAMPLE` from the heading frame of row 0, with its gains (g,) of `GAINS`,
+    and each slice's first sample."""
+    stream, place, row = Stream(robot, config.rate_hz), make_place(), np.zeros(1, SAMPLE)
     modulation = np.zeros(1, MODULATION)
     modulation["speed"] = modulation["lift"] = 1.0
     rows: list[Any] = []
     poses: list[Array] = []
     begins: list[int] = []
-    pose = np.zeros(3)
+    pose, known = np.zeros(3), 0
     for piece, following in pairwise([*slices, slices[-1]]):
         course = piece.course
         n = len(course)
@@ -239,18 +244,21 @@ def _table(robot: Robot, slices: list[_CourseSlice], rate_hz: float) -> tuple[ND
             place["exit"] = at + piece.last - i if piece is not following else -1
             place["entry"] = following.first % len(following.course)
             stream.fill(course, following.course, place, modulation, row)
-            row["sync"] = course["sync"][at]
+            row["sync"], row["gain"] = course["sync"][at], course["gain"][at] + known
             rows.append(row[0].copy())
             poses.append(pose.copy())
             pose[:2] += rotate_planar(float(pose[2]), course["step"][at])
             pose[2] += course["turn"][at]
+        known += len(piece.gains)
     table, where = np.array(rows, SAMPLE), np.array(poses)
     table["root_pos"][:, :2] = where[:, :2]
     table["root_quat"] = quat_multiply(quat_from_yaw(where[:, 2]), table["root_quat"])
     for name in _VECTORS:
         table[name][:, :2] = rotate_planar(where[:, 2], table[name][:, :2])
-    return table, begins
+    if config.stance.feedback == "constant":
+        return table, constant_gains_of(config.stance), begins
+    return table, np.concatenate([piece.gains for piece in slices]), begins
 
 
-def _blending(way: str, motion: Motion, table: NDArray[Any], last: int) -> SequencePart:
-    return SequencePart(f"blending {way} {motion.name}", table[None], 0, last, np.zeros(1, CLOCK))
+def _blending(way: str, motion: Motion, table: NDArray[Any], gains: NDArray[Any], last: int) -> SequencePart:
+    return SequencePart(f"blending {way} {motion.name}", table[None], 0, last, np.zeros(1, CLOCK), gains[None])

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import yaw_from_quat
-from fastmimic.control.config import ControllerConfig, pack_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.control.controller import Controller
 from fastmimic.deploy.safety import Guard, StopReason, Violation
 from fastmimic.deploy.sequence import Follower, MotionSequence
@@ -72,8 +72,7 @@ class StateMachine:
         self._failed = self.controller.memory["failed_in_a_row"]
         self.estimator = Estimator(robot, 1, config.rate_hz, estimator)
         self.observation = self.estimator.observation
-        recovers = config.recovery.enabled and policy is None
-        self.follower = Follower(sequence, pack_config(config, robot) if recovers else None)
+        self.follower = Follower(sequence)
         self._path, _ = rising_path(robot, sequence.stand)
         self._stiffness, self._damping = standing_gains(robot)
         self._command = np.zeros(1, COMMAND)
@@ -228,7 +227,7 @@ class StateMachine:
         follower = self.follower
         chosen = self._own if follower.in_motion else self._model_based
         begins = follower.part is self.sequence.blend_in
-        chosen.tables = follower.part.table
+        chosen.tables, self._model_based.gains = follower.part.table, follower.part.gains
         if chosen is not self.controller or begins:
             self.controller, self._failed = chosen, chosen.memory["failed_in_a_row"]
             chosen.reset(follower.clock["sample"])

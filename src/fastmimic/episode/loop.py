@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_rotate, quat_rotate_inverse, rotate_planar, yaw_from_quat
-from fastmimic.control.config import ControllerConfig, default_config, loaded_robot, pack_config
+from fastmimic.control.config import ControllerConfig, default_config, loaded_robot
 from fastmimic.control.controller import Controller
 from fastmimic.episode.observer import Observer
 from fastmimic.episode.plan import Start, episode_steps, nominal_start, perturbed_start, start_room
@@ -21,7 +21,6 @@ from fastmimic.estimation.estimator import START
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import (
     advance_clocks,
-    advance_recovering,
     make_clocks,
     place_clocks,
     reference_table,
@@ -106,7 +105,6 @@ class ClosedLoop:
             # in the frame of the executable motion, which the clocks synchronise
             animal = reference_table(dataclasses.replace(demonstration.animal, demonstration=demonstration), robot)
             self._animal_scorer = Scorer(robot, animal, n, config, config.rate_hz)
-        self._resync = pack_config(config, robot) if config.recovery.enabled else None
         self._seen: NDArray[Any] = self.simulation.observation
         self._truth: NDArray[Any] = self.simulation.observation
         self._followed = self.clocks  # the controller's own clocks
@@ -178,8 +176,6 @@ class ClosedLoop:
         self._followed = self.clocks
         if self.observer is not None:
             self._seen, self._followed = self._first_look(self.observer, start)
-        elif self._resync is not None:
-            self._followed = self.clocks.copy()  # the reward keeps its own
 
     def control(self) -> NDArray[Any]:
         """The controller's commands (n,) of `COMMAND` for the next control step."""
@@ -190,11 +186,9 @@ class ClosedLoop:
         controller, observer = self.controller, self.observer
         if observer is None:
             self._seen = self._truth = self.simulation.step(commands)
-            if self._resync is not None:
-                advance_recovering(self._resync, self._followed, controller.tables, self._truth)
         else:
             self._truth = self.simulation.step(observer.to_motors(commands))
-            self._seen = observer.look(self._truth, controller.memory["stance"], controller.tables, self._resync)
+            self._seen = observer.look(self._truth, controller.memory["stance"], controller.tables)
 
     def score(self) -> None:
         """Scores the robots' true states against the demonstration, synchronised to the truth."""

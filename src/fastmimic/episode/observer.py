@@ -10,7 +10,7 @@ from fastmimic.base.arrays import Array, Records
 from fastmimic.base.jit import floats, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.estimation.estimator import Estimator
-from fastmimic.reference.table import advance_clocks, advance_recovering
+from fastmimic.reference.table import advance_clocks
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, episode_generator, make_world
 from fastmimic.simulation.sensors import Sensors
@@ -92,17 +92,11 @@ class Observer:
         self._motors = self.sensors.to_motors(commands)
         return self._motors
 
-    def look(
-        self, truth: Records, planned: NDArray[np.int64], tables: Records, recovery: Records | None = None
-    ) -> Records:
-        """The observation after a control step, with the controller's clocks advanced; arguments as for `reset`.
-        `recovery` is the packed configuration of a controller with push recovery."""
+    def look(self, truth: Records, planned: NDArray[np.int64], tables: Records) -> Records:
+        """The observation after a control step, with the controller's clocks advanced; arguments as for `reset`."""
         assert self._motors is not None
         told = self.estimator.step(self.sensors.measure(truth, self._motors), planned)
-        if recovery is None:
-            advance_clocks(self.clocks, tables, told["root_pos"])
-        else:
-            advance_recovering(recovery, self.clocks, tables, told)
+        advance_clocks(self.clocks, tables, told["root_pos"])
         return told
 
     def compare(self, truth: Records, tallies: Records) -> None:

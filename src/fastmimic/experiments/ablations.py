@@ -44,10 +44,12 @@ _ABLATIONS = (
     Ablation("paper-adaptation", "eq. 2 as printed, without the turning of the body", _stance(adaptation="paper")),
     Ablation("full-adaptation", "eq. 2 with the turning of the body", _stance(adaptation="full")),
     Ablation(
-        "no-swing-feedback",
-        "feet follow the reference, whatever the velocity (K = 0 in eq. 3)",
-        _swing(velocity_feedback=(0.0, 0.0), position_feedback=0.0),
+        "constant-gains",
+        "the paper's k_p, k_d and K (eq. 1 and 3) in place of the regulator",
+        lambda config: _swing(foothold="reference")(_stance(feedback="constant")(config)),
     ),
+    Ablation("paper-footholds", "footholds shifted by K alone (eq. 3)", _swing(foothold="reference")),
+    Ablation("no-disturbance-estimate", "what the model does not explain is left", _stance(disturbance_time=0.0)),
     Ablation("no-state-machine", "legs switch by the schedule alone", _with("gait", planner="schedule")),
     Ablation(
         "raw-retargeting",
@@ -62,7 +64,6 @@ _ABLATIONS = (
         lambda config: _swing(leg_dynamics=False)(_stance(leg_dynamics=False)(config)),
     ),
     Ablation("no-reference-acceleration", "feedback alone accelerates the body", _stance(reference_acceleration=0.0)),
-    Ablation("world-footholds", "position errors in the world, wherever the feet landed", _stance(foothold_share=0.0)),
     Ablation("10-basis-functions", "DMPs of 10 basis functions", n_basis=10),
     Ablation("25-basis-functions", "DMPs of 25 basis functions", n_basis=25),
 )

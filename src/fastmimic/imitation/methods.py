@@ -84,8 +84,8 @@ class Method:
 
 
 def _raibert(config: ControllerConfig) -> ControllerConfig:
-    # the robot's legs do not receive the animal's ground reaction forces
-    stance = dataclasses.replace(config.stance, leg_momentum=False)
+    # the robot's legs do not receive the animal's ground reaction forces; the regulator would count on its footholds
+    stance = dataclasses.replace(config.stance, leg_momentum=False, feedback="constant")
     return dataclasses.replace(config, stance=stance, swing=dataclasses.replace(config.swing, foothold="raibert"))
 
 

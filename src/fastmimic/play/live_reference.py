@@ -113,6 +113,11 @@ class LiveReference:
         """Fills rows of `SAMPLE` with the reference from now on; if `scored`, the demonstration, modulated alike."""
         self._stream.fill(*self._courses(scored), self.place, self._modulation, rows)
 
+    @property
+    def gains(self) -> NDArray[Any]:
+        """The gains (g,) of `GAINS` that the present rows name."""
+        return self._transition.gains if self._transition is not None else self._entry.gains
+
     def advance(self, base_xy: Array) -> None:
         """Advances by a control step that ended with the base at (2,), world, m."""
         self._stream.advance(*self._courses(), self.place, self._modulation, base_xy)

@@ -125,7 +125,11 @@ class LiveSession:
         self._given = controller_config(config) if isinstance(config, str) else config
         self.rate_hz = self._given.rate_hz
         self.dt = 1.0 / self.rate_hz
-        self.library = motions if isinstance(motions, MotionSet) else MotionSet(robot, motions, self.rate_hz)
+        self.library = (
+            motions
+            if isinstance(motions, MotionSet)
+            else MotionSet(robot, motions, self.rate_hz, regulator=self._given.regulator)
+        )
         self.simulation = MujocoSimulation(robot, 1, control_rate_hz=self.rate_hz)
         self.world = LiveWorld(self.simulation)
         name = start if start is not None else STAND
@@ -279,6 +283,8 @@ class LiveSession:
         began = time.perf_counter()
         self._fill()
         self._clock["origin"] = self.reference.place["pose"]
+        if self.controller.config.stance.feedback == "regulator":
+            self.controller.gains = self.reference.gains[None]
         commands = self.controller.step(self.simulation.observation, self._clock)
         self._control_s.append(time.perf_counter() - began)
         observation = self.simulation.step(commands)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
-from fastmimic.base.jit import floats, record_dtype
+from fastmimic.base.jit import floats, integers, record_dtype
 from fastmimic.base.rotations import (
     quat_from_yaw,
     quat_multiply,
@@ -23,6 +23,8 @@ from fastmimic.base.rotations import (
 )
 from fastmimic.motion.contacts import stances_of
 from fastmimic.motion.motion import Motion
+from fastmimic.reference.regulator import motion_gains
+from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.reference.table import reference_table
 from fastmimic.retargeting.track import steps
 from fastmimic.robot import Robot
@@ -36,7 +38,7 @@ COURSE: Final = record_dtype(
         *floats(leg_lin_acc=3, leg_ang_acc=3, foot=(4, 3), lift=4),
         ("contact", "i8", 4),
         *floats(remaining=4, since_middle=4, travel=3),
-        ("sync", "i8"),
+        *integers(sync=(), gain=()),
     ]
 )
 """One sample, heading frame of the root, SI units: `step` and `turn` of the root to the next sample; `tilt` heading →
@@ -67,7 +69,7 @@ def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
         [since_middle(motion.contact[:, leg], motion.rate_hz, periodic) for leg in range(4)], axis=-1
     )
     course["travel"] = _travel(motion)
-    course["sync"] = table["sync"]
+    course["sync"], course["gain"] = table["sync"], table["gain"]
     return course
 
 
@@ -117,7 +119,8 @@ class CourseTransition:
     """A transition between two cyclic motions: it leaves one before row `leave` ≥ 1 and enters the other at `arrive`.
 
     `course` (t,) of `COURSE` is for the controller, with `_MARGIN` rows of the motions at either end, `demonstration`
-    for the score. Rows [first, last) are the transition itself. `measured` is as in a stitched motion's record.
+    for the score. Rows [first, last) are the transition itself. `measured` is as in a stitched motion's record. `gains`
+    (g,) of `GAINS` are those that the rows name.
     """
 
     course: NDArray[Any]
@@ -127,6 +130,7 @@ class CourseTransition:
     leave: int
     arrive: int
     measured: dict[str, Any]
+    gains: NDArray[Any]
 
     @property
     def sound(self) -> bool:
@@ -139,7 +143,9 @@ class CourseTransition:
         )
 
 
-def make_course_transition(robot: Robot, before: Motion, after: Motion) -> CourseTransition | None:
+def make_course_transition(
+    robot: Robot, before: Motion, after: Motion, regulator: RegulatorConfig
+) -> CourseTransition | None:
     """The transition between two cyclic motions, optimised or not; None if stitching finds none. It joins their
     demonstrations. An optimised motion's difference from its own is blended with the same weights."""
     try:
@@ -165,12 +171,16 @@ def make_course_transition(robot: Robot, before: Motion, after: Motion) -> Cours
             share = feet[i][..., None] if name == "foot" else trunk[i]
             change = (own[name] - target[name])[at]
             course[name] += (share if change.ndim in (1, 3) else share[:, None]) * change
+    course, demonstration = course[rows], demonstration[rows]
+    used = slice(int(course["gain"][0]), int(course["gain"][-1]) + 1)
+    course["gain"] -= used.start
     return CourseTransition(
-        course=course[rows],
-        demonstration=demonstration[rows],
+        course=course,
+        demonstration=demonstration,
         first=start - int(rows[0]),
         last=end - int(rows[0]),
         leave=(start - 1) % before.n_samples + 1,
         arrive=(end - second.shift) % after.n_samples,
         measured=stitched.provenance.stitched.transitions[0],
+        gains=motion_gains(stitched, robot, regulator)[used],
     )

@@ -13,6 +13,8 @@ from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import CourseTransition, course_of, make_course_transition
 from fastmimic.reference.modulation import Limits, Tempo, limits_of, make_tempo
+from fastmimic.reference.regulator import motion_gains
+from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.reference.standing import STAND, standing
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
@@ -24,13 +26,15 @@ IN_PLACE: Final = "in-place"
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A motion of the set; `course` and `demonstration` (t,) of `COURSE` are for the controller and the score."""
+    """A motion of the set; `course` and `demonstration` (t,) of `COURSE` are for the controller and the score, `gains`
+    (g,) of `GAINS` are those that the course names."""
 
     name: str
     motion: Motion
     course: NDArray[Any]
     demonstration: NDArray[Any]
     limits: Limits
+    gains: NDArray[Any]
 
     @property
     def stands(self) -> bool:
@@ -42,7 +46,7 @@ class MotionSet:
     """Motions by name. Getting up ends in "stand", and motions without a direct transition pass through "in-place";
     both are always there. Raises `MotionError` for a motion that does not repeat, or is for another robot or rate. The
     processes of `executor` make transitions in the background, and load the robot from `source`, a file or by default
-    the robot's name; without it they are made when they are needed."""
+    the robot's name; without it they are made when they are needed. `regulator` is the controller's."""
 
     def __init__(
         self,
@@ -52,8 +56,10 @@ class MotionSet:
         *,
         executor: Executor | None = None,
         source: str | None = None,
+        regulator: RegulatorConfig | None = None,
     ) -> None:
         self.robot = robot
+        self._regulator = regulator if regulator is not None else RegulatorConfig()
         self._executor, self._source = executor, source if source is not None else robot.name
         self._transitions: dict[tuple[str, str], Future[CourseTransition | None]] = {}
         self.tempos: dict[str, Future[Tempo]] = {}
@@ -61,9 +67,9 @@ class MotionSet:
         self.entries: dict[str, Entry] = {}
         for name, make in ((STAND, standing), (IN_PLACE, in_place)):
             if name not in motions:
-                self.entries[name] = _entry(name, make(robot), robot, rate_hz)
+                self.entries[name] = _entry(name, make(robot), robot, rate_hz, self._regulator)
         for name, motion in motions.items():
-            self.entries[name] = _entry(name, motion, robot, rate_hz)
+            self.entries[name] = _entry(name, motion, robot, rate_hz, self._regulator)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -127,7 +133,7 @@ class MotionSet:
         key = (before, after)
         if key not in self._transitions or _broke(self._transitions[key]):
             a, b = self.entry(before).motion, self.entry(after).motion
-            self._transitions[key] = self._made(make_course_transition, a, b)
+            self._transitions[key] = self._made(make_course_transition, a, b, self._regulator)
         return self._transitions[key]
 
     def _made(self, make: Callable[..., _Result], *given: Any) -> "Future[_Result]":
@@ -142,7 +148,7 @@ class MotionSet:
         return future
 
 
-def _entry(name: str, motion: Motion, robot: Robot, rate_hz: float) -> Entry:
+def _entry(name: str, motion: Motion, robot: Robot, rate_hz: float, regulator: RegulatorConfig) -> Entry:
     if motion.cycle is None:
         raise MotionError(f"motion '{name}' does not repeat; only cyclic motions can be played")
     if abs(motion.rate_hz - rate_hz) > 1e-9:
@@ -150,7 +156,8 @@ def _entry(name: str, motion: Motion, robot: Robot, rate_hz: float) -> Entry:
     motion.check_robot(robot.name)
     course = course_of(motion, robot)
     demonstration = course if motion.demonstration is None else course_of(motion.demonstration, robot)
-    return Entry(name, motion, course, demonstration, limits_of(course, motion.joint_vel, robot))
+    gains = motion_gains(motion, robot, regulator)
+    return Entry(name, motion, course, demonstration, limits_of(course, motion.joint_vel, robot), gains)
 
 
 def in_place(robot: Robot) -> Motion:

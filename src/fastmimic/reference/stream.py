@@ -227,6 +227,7 @@ def _sample(
         out.leg_lin_acc[k] = speed * speed * (b.leg_lin_acc[k] + u * (c.leg_lin_acc[k] - b.leg_lin_acc[k]))
         out.leg_ang_acc[k] = speed * speed * (b.leg_ang_acc[k] + u * (c.leg_ang_acc[k] - b.leg_ang_acc[k]))
         out.lin_acc[k] += modulation.speed_rate / speed * out.lin_vel[k]
+    out.gain = b.gain
     out.ang_vel[2] += turn
     out.lin_acc[0] -= turn * out.lin_vel[1]
     out.lin_acc[1] += turn * out.lin_vel[0]

@@ -36,25 +36,24 @@ SAMPLE: Final = record_dtype(
         *floats(joint_pos=12, joint_vel=12, joint_acc=12, foot_pos=(4, 3)),
         ("contact", "i8", 4),
         *floats(remaining=4, leg_lin_acc=3, leg_ang_acc=3),
-        ("sync", "i8"),
+        *integers(sync=(), gain=()),
     ]
 )
 """One sample of a reference, in the heading frame of the period's first sample. `remaining` is the time until a
 standing foot lifts off, s, 0 in swing. `leg_lin_acc` and `leg_ang_acc` are the accelerations that the ground must give
-beyond those of the body (`ground_acceleration`). `sync` is 1 where a cycle starts."""
+beyond those of the body (`ground_acceleration`). `sync` is 1 where a cycle starts; `gain` is
+the row of the regulator's gains, one for each `GAIN_SAMPLES` samples."""
+
+GAIN_SAMPLES: Final = 4
 
 CLOCK: Final = record_dtype(
     [
         *integers(sample=(), cycle=(), repeats=()),
         *floats(origin=3, cycle_step=3, jump=()),
-        ("recovering", "i8"),
-        *floats(lag=(), fraction=()),
     ]
 )
 """A robot's progress in its reference: sample, period, whether the motion repeats, (x, y, yaw) of the period's origin,
-one period's displacement, and the distance by which synchronisation has moved the origin so far, m. After a push
-(`advance_recovering`): whether the robot is in recovery, the clock's lead over the demonstration, samples, and
-the fraction of the next sample."""
+one period's displacement, and the distance by which synchronisation has moved the origin so far, m."""
 
 
 def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
@@ -84,6 +83,7 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
         table["leg_lin_acc"] = turned_about_z(linear, -yaw0) - table["lin_acc"]
         table["leg_ang_acc"] = turned_about_z(angular, -yaw0) - table["ang_acc"]
     table["sync"][origin.cycle_starts] = 1
+    table["gain"] = np.arange(motion.n_samples) // GAIN_SAMPLES
     return table
 
 
@@ -160,7 +160,7 @@ def make_clocks(motion: Motion, n: int) -> NDArray[Any]:
 def place_clocks(clocks: NDArray[Any], sample: NDArray[np.int64], table: NDArray[Any], pose: Array) -> None:
     """Sets clocks (n,) to samples (n,) with the reference root there at `pose` (n, 3): x, y, yaw, world, m and rad."""
     clocks["sample"] = sample
-    for name in ("cycle", "jump", "recovering", "lag", "fraction"):
+    for name in ("cycle", "jump"):
         clocks[name] = 0
     root = table["root_pos"][sample]
     yaw = pose[:, 2] - yaw_from_quat(table["root_quat"][sample])
@@ -196,50 +196,6 @@ def advance_clocks(clocks: Any, tables: Any, root_xy: Array) -> None:
     for i in range(clocks.shape[0]):
         k = min(i, tables.shape[0] - 1)
         advance_clock(clocks[i], tables.shape[1], root_xy[i, 0], root_xy[i, 1], tables[k])
-
-
-@inlined
-def _advance_recovering(config: Any, clock: Any, table: Any, obs: Any) -> None:
-    """One control step of a clock that is re-synchronised after a push (`RecoveryConfig`). While the robot's velocity
-    differs from the reference, the reference's origin moves to the robot, so that swing feet are placed for balance.
-    The clock may run slower or faster, and then returns to the demonstration's time."""
-    ref = table[clock.sample]
-    c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
-    error = np.hypot(
-        c * ref.lin_vel[0] - s * ref.lin_vel[1] - obs.lin_vel[0],
-        s * ref.lin_vel[0] + c * ref.lin_vel[1] - obs.lin_vel[1],
-    )
-    clock.recovering = 1 if error > (config.recovery_end if clock.recovering == 1 else config.recovery_start) else 0
-    rate = 1.0
-    if clock.recovering == 1:
-        rate = config.recovery_rate
-    elif clock.lag > 0.5:
-        rate = 1.0 - config.recovery_catch_up
-    elif clock.lag < -0.5:
-        rate = 1.0 + config.recovery_catch_up
-    clock.fraction += rate
-    clock.lag += rate - 1.0
-    while clock.fraction >= 1.0 - 1e-9:
-        clock.fraction -= 1.0
-        advance_clock(clock, table.shape[0], obs.root_pos[0], obs.root_pos[1], table)
-    if clock.recovering == 1:
-        root = table[clock.sample].root_pos
-        c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
-        x = obs.root_pos[0] - (clock.origin[0] + c * root[0] - s * root[1])
-        y = obs.root_pos[1] - (clock.origin[1] + s * root[0] + c * root[1])
-        clock.origin[0] += config.recovery_resync * x
-        clock.origin[1] += config.recovery_resync * y
-        clock.jump += config.recovery_resync * np.hypot(x, y)
-
-
-@kernel
-def advance_recovering(config: Any, clocks: Any, tables: Any, observations: Any) -> None:
-    """One control step of the clocks (n,) of `CLOCK`; same as `advance_clocks` for robots that are not in recovery.
-    `config` (1,) is the packed controller configuration, `observations` (n,) the controllers' input (`OBSERVATION`);
-    robot i follows table min(i, k − 1) of `tables` (k, t) of `SAMPLE`."""
-    for i in range(clocks.shape[0]):
-        table = tables[min(i, tables.shape[0] - 1)]
-        _advance_recovering(config[0], clocks[i], table, observations[i])
 
 
 def stack_tables(motions: Sequence[Motion], robot: Robot) -> NDArray[Any]:
