@@ -31,7 +31,7 @@ def test_sets_are_found_by_name_and_know_it(name: str) -> None:
 def test_an_unknown_set_is_refused_with_the_names_there_are() -> None:
     with pytest.raises(
         ConfigError,
-        match=r"unknown configuration 'defualt'; there are default, robust, paper, or a file .* did you mean 'default'",
+        match=r"unknown configuration 'defualt'; there are default, paper, or a file .* did you mean 'default'",
     ):
         controller_config("defualt")
 
@@ -134,7 +134,7 @@ def test_every_parameter_reaches_the_kernels() -> None:
                 "feedback": "constant",
                 "planner": "schedule" if value == "full" else "full",
                 "adaptation": "off" if value != "off" else "full",
-                "friction_sides": 8,
+                "friction_sides": 4,
             }.get(field.name)
             if changed is None:
                 changed = (

@@ -28,6 +28,7 @@ STANCE = StanceConfig(
     acceleration_weight=(1.0, 2.0, 3.0, 10.0, 5.0, 1.0),
     force_weight=1e-4,
     friction=0.5,
+    friction_sides=4,
     min_force=0.05,
     max_force=1.5,
 )

@@ -126,6 +126,7 @@ def paper_config() -> ControllerConfig:
             disturbance_time=0.0,
             reference_acceleration=0.0,
             leg_momentum=False,
+            friction_sides=4,
             adaptation="paper",
             leg_dynamics=False,
         ),
@@ -133,13 +134,7 @@ def paper_config() -> ControllerConfig:
     )
 
 
-def robust_config() -> ControllerConfig:
-    """The full controller for a robot that differs from its model: the trunk turns over the standing feet, and forces
-    stay within the friction in every direction. With a correct model its reward is within 0.005 of the default's."""
-    return ControllerConfig(name="robust", stance=StanceConfig(standing_inertia=True, friction_sides=8))
-
-
-CONFIGS: Final = {"default": default_config, "robust": robust_config, "paper": paper_config}
+CONFIGS: Final = {"default": default_config, "paper": paper_config}
 
 
 def controller_config(name: str) -> ControllerConfig:

@@ -83,15 +83,10 @@ class StanceConfig:
     )
     friction: float = parameter(0.6, above=0.0, key="mu", about="friction coefficient μ that the controller assumes")
     friction_sides: int = parameter(
-        4,
+        8,
         choices=(4, 8),
         about="sides of the pyramid in place of each foot's friction cone; the edges of 4 reach √2 times as far as"
         " the sides, those of 8 reach 1.08 times as far",
-    )
-    standing_inertia: bool = parameter(
-        False,
-        about="an angular acceleration beyond the reference's gets the moment that it takes while the standing feet"
-        " stay (`fastmimic.control.inertia`), not that of a rigid body",
     )
     min_force: float = parameter(0.02, unit="weights", scale="weight", about="least force of each standing foot")
     max_force: float = parameter(3.0, unit="weights", scale="weight", about="greatest force of each standing foot")

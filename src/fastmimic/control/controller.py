@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import inlined, kernel, record_dtype
-from fastmimic.base.vectors import copy, heading_vector, times, transposed_times
+from fastmimic.base.vectors import copy, heading_vector, transposed_times
 from fastmimic.control.config import ControllerConfig, default_config, loaded_robot, pack_config
 from fastmimic.control.config_parts import StanceConfig
 from fastmimic.control.gait import plan_leg
 from fastmimic.control.horizon import HORIZON_CONSTRAINTS, HORIZON_VARIABLES, PLAN, plan_forces, track_plan
 from fastmimic.control.horizon_preview import FORESIGHT
-from fastmimic.control.inertia import WORK as INERTIA_WORK
-from fastmimic.control.inertia import add_standing_leg
 from fastmimic.control.joint_commands import (
     add_leg_dynamics,
     clip_command,
@@ -81,13 +79,6 @@ SCRATCH: Final = record_dtype(
         ("weighted", "f8", (12, 6)),
         ("gravity_acc", "f8", (3,)),  # desired linear acceleration minus gravity, heading frame
         ("gravity_acc_b", "f8", (3,)),
-        # turning over the standing feet: angular acceleration beyond the reference's, and its moment
-        ("beyond", "f8", (3,)),
-        ("beyond_b", "f8", (3,)),
-        ("moment", "f8", (3,)),
-        ("moment_b", "f8", (3,)),
-        ("held_inertia", "f8", (3, 3)),  # of the trunk with the standing feet held, body frame
-        ("held", INERTIA_WORK),
         # legs
         ("jacobian", "f8", (3, 3)),
         ("force_b", "f8", (3,)),
@@ -172,8 +163,6 @@ def _forces(
     for k in range(3):
         gravity_acc[k] = desired[k] + (GRAVITY if k == 2 else 0.0)
     transposed_times(scratch.rotation, gravity_acc, scratch.gravity_acc_b)
-    if config.standing_inertia == 1:
-        _turn_over_standing_feet(config, model, obs, memory, scratch)
     _add_leg_momentum(config, ref, scratch)
     if planned and config.horizon_interval == 1:
         return True
@@ -191,26 +180,6 @@ def _forces(
             scratch.weighted,
         )
     )
-
-
-@kernel
-def _turn_over_standing_feet(config: Any, model: Any, obs: Any, memory: Any, scratch: Any) -> None:
-    """Scales the desired angular acceleration beyond the reference's to the inertia with the standing feet held.
-    `leg_momentum` covers the reference's own."""
-    held_inertia, desired, rotation = scratch.held_inertia, scratch.desired, scratch.rotation
-    scratch.held_inertia = model.inertia
-    for leg in range(4):
-        if memory.stance[leg] == 1:
-            q = obs.joint_pos[3 * leg : 3 * leg + 3]
-            add_standing_leg(model, leg, q, scratch.feet[leg], scratch.com, scratch.held, held_inertia)
-    for k in range(3):
-        scratch.beyond[k] = desired[3 + k] - config.reference_acceleration * scratch.ref_ang_acc[k]
-    transposed_times(rotation, scratch.beyond, scratch.beyond_b)
-    times(held_inertia, scratch.beyond_b, scratch.moment_b)
-    times(rotation, scratch.moment_b, scratch.moment)
-    times(scratch.inverse_inertia, scratch.moment, scratch.beyond)
-    for k in range(3):
-        desired[3 + k] = config.reference_acceleration * scratch.ref_ang_acc[k] + scratch.beyond[k]
 
 
 @kernel

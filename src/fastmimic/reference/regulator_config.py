@@ -18,7 +18,7 @@ class RegulatorConfig:
     turning_weight: Vector3 = parameter((0.4, 0.4, 0.4), unit="s²/rad²", about="of its angular velocity")
     foothold_weight: float = parameter(30.0, unit="1/m²", about="of a foot's place relative to the trunk")
     landing_weight: float = parameter(0.02, unit="s³/m²", about="of the speed at which a shifted foot lands")
-    linear_cost: float = parameter(2.5e-3, unit="s⁴/m²", above=0.0, about="of the trunk's changed acceleration")
+    linear_cost: float = parameter(5e-3, unit="s⁴/m²", above=0.0, about="of the trunk's changed acceleration")
     angular_cost: float = parameter(5e-5, unit="s⁴/rad²", above=0.0, about="of its changed angular acceleration")
     force_cost: float = parameter(
         1.8, above=0.0, about="of changed forces, in weights; it makes footholds do what forces might not be able to"
