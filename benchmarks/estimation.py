@@ -2,7 +2,7 @@
 
     python benchmarks/estimation.py [--motions trot pace …] [--episodes 32] [--duration 10] [--write]
     python benchmarks/estimation.py --errors dog:trot [--write]
-    python benchmarks/estimation.py --figure dog:trot docs/images/estimation.png
+    python benchmarks/estimation.py --figure dog:trot estimation.png
 
 Each motion runs with the truth and with sensors (`fastmimic evaluate --observe sensors`), from its start and from
 perturbed starts; sensors, estimator and controller are the defaults. `--errors` leaves out one sort of error after the

@@ -59,8 +59,8 @@ class TestFriction:
         assert identify(make_log(1.5), robot).stance_friction(config) == config.stance.friction
 
     def test_of_a_simulated_floor(self, data_folder: Path, robot: Robot) -> None:
-        found = [self._on_a_floor(robot, 0.5, seed).value for seed in range(3)]  # one alone scatters by 0.05
-        assert np.median([value for value in found if value is not None]) == pytest.approx(0.5, abs=0.08)
+        found = [self._on_a_floor(robot, 0.4, seed).value for seed in range(3)]  # one alone scatters by 0.05
+        assert np.median([value for value in found if value is not None]) == pytest.approx(0.4, abs=0.08)
 
     def test_of_a_floor_that_does_not_slip(self, data_folder: Path, robot: Robot) -> None:
         found = self._on_a_floor(robot, 1.0, 0)
