@@ -99,6 +99,26 @@ def test_more_margins_while_the_robot_falls(a1: Robot, pace: Motion) -> None:
     assert "falls all the same from 12 %" in text
 
 
+def test_what_came_of_running_it_is_kept_for_this_packages_own_check(
+    a1: Robot, pace: Motion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    asked: list[Motion] = []
+
+    def share(robot: Robot, motion: Motion) -> float:
+        asked.append(motion)
+        return 0.0
+
+    share.__module__ = "fastmimic.episode.loop"
+    for _ in range(2):
+        assert nearest_executable(a1, pace, falls=share).figures.fell == 0.0
+    assert len(asked) == 1
+    share.__module__ = "somebody.elses"
+    for _ in range(2):
+        nearest_executable(a1, pace, falls=share)
+    assert len(asked) == 3
+
+
 def test_a_problem_is_solved_once(a1: Robot, pace: Motion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     solved: list[object] = []

@@ -25,8 +25,8 @@ from fastmimic.identification.forces import GroundForces, ground_forces
 from fastmimic.robot import Robot
 
 FRICTION_MARGIN: Final = 0.85
-"""Share of the identified coefficient that the controller assumes, as its friction pyramid's edges reach √2 times as
-far as its sides: about the best for side-steps on floors of 0.4 to 0.6."""
+"""Share of the identified coefficient that the controller assumes: its friction pyramid's corners reach 1.08 times as
+far as its sides, and the coefficient is an estimate."""
 
 SLIDING_SPEED: Final = 0.15  # m/s; five times the estimator's velocity error
 OPPOSED: Final = 0.9  # least cosine between the force along the ground and the direction from which the foot slides

@@ -25,6 +25,7 @@ from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.contact_modes import ContactModes, interpolated
 from fastmimic.trajectory.node import METRES, ROWS
 from fastmimic.trajectory.program import Program, Solution, displacement
+from fastmimic.trajectory.solved import keep, outcome_key, remembered
 
 _RETRIES: Final[tuple[dict[str, float], ...]] = (
     {"contact_m_per_s": 0.5},
@@ -117,7 +118,7 @@ def nearest_executable(
     best = _within_limits(robot, animal, config, {})
     if falls is None or animal.cycle is None:
         return best
-    fell = falls(robot, best.motion)
+    fell = _share_of_falls(falls, robot, best.motion)
     for margins in _STEADIER:
         if fell == 0:
             break
@@ -125,9 +126,22 @@ def nearest_executable(
             other = _within_limits(robot, animal, config, margins)
         except MotionError:
             continue
-        if (share := falls(robot, other.motion)) < fell:
+        if (share := _share_of_falls(falls, robot, other.motion)) < fell:
             best, fell = other, share
     return replace(best, figures=replace(best.figures, fell=fell))
+
+
+def _share_of_falls(falls: Callable[[Robot, Motion], float], robot: Robot, motion: Motion) -> float:
+    """`falls`, run once for each motion if it is this package's own: another's may change."""
+    if not falls.__module__.startswith("fastmimic."):
+        return falls(robot, motion)
+    names = ("root_pos_w", "root_quat_wxyz", "joint_pos", "joint_vel", "root_lin_vel_w", "root_ang_vel_w", "contact")
+    given = [np.ascontiguousarray(getattr(motion, name)) for name in names]
+    key = outcome_key(repr((falls.__qualname__, robot, motion.rate_hz, motion.cycle)).encode(), *given)
+    if (found := remembered(key)) is None:
+        found = {"fell": np.array(falls(robot, motion))}
+        keep(key, found)
+    return float(found["fell"])
 
 
 def _within_limits(robot: Robot, animal: Motion, config: TrajectoryConfig, margins: dict[str, float]) -> Executable:

@@ -1,4 +1,4 @@
-"""Solutions that were found before: equal problems have equal solutions, so that a motion is made executable once."""
+"""Solutions that were found before, and what came of running them: a motion is made executable once."""
 
 from functools import cache
 from pathlib import Path
@@ -11,13 +11,18 @@ from fastmimic.base.arrays import Array, fingerprint
 from fastmimic.base.errors import FastMimicError
 from fastmimic.base.files import read_arrays, replace_file
 
-MOST: Final = 500
-"""Solutions that are kept, about 50 kB each; the oldest go."""
+MOST: Final = 1000
+"""Files that are kept, a solution's of about 50 kB; the oldest go."""
 
 
 def problem_key(*parts: bytes | NDArray[Any]) -> str:
     """Of everything that the solution depends on, this code and the solver's version included."""
     return fingerprint(_code(), *parts)
+
+
+def outcome_key(*parts: bytes | NDArray[Any]) -> str:
+    """Of everything that a simulation depends on, all code of this package and the simulator's version included."""
+    return fingerprint(_package(), *parts)
 
 
 def remembered(key: str) -> dict[str, Array] | None:
@@ -53,3 +58,11 @@ def _code() -> bytes:
 
     files = sorted(Path(__file__).parent.glob("*.py"))
     return casadi.__version__.encode() + b"".join(path.read_bytes() for path in files)
+
+
+@cache
+def _package() -> bytes:
+    import mujoco
+
+    files = sorted(Path(__file__).parents[1].glob("**/*.py"))
+    return mujoco.__version__.encode() + b"".join(path.read_bytes() for path in files)
