@@ -33,7 +33,7 @@ from fastmimic.control.tracking import (
     regulate,
 )
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.regulator import constant_gains, motion_gains
+from fastmimic.reference.regulator import STATES, constant_gains, motion_gains
 from fastmimic.reference.table import stack_tables
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, MEMORY, pack_model
@@ -62,7 +62,7 @@ SCRATCH: Final = record_dtype(
         ("angle_error", "f8", (3,)),
         ("lin_vel_error", "f8", (3,)),
         ("ang_vel_error", "f8", (3,)),
-        ("state", "f8", (28,)),  # of the regulator: robot minus reference
+        ("state", "f8", (STATES,)),  # of the regulator: robot minus reference
         ("change", "f8", (3,)),
         ("vector", "f8", (3,)),
         ("momentum", "f8", (6,)),  # of the legs: acceleration that the reference's take

@@ -27,6 +27,7 @@ from fastmimic.control.config_parts import MAX_HORIZON_STEPS
 from fastmimic.control.horizon_preview import foresee, heading_of
 from fastmimic.control.native import OPTIMAL, solve_qp
 from fastmimic.control.stance import friction_rows
+from fastmimic.reference.regulator import FEET, STATES
 
 _N: Final = MAX_HORIZON_STEPS
 HORIZON_VARIABLES: Final = 12 * _N
@@ -198,10 +199,10 @@ def track_plan(config: Any, obs: Any, plan: Any, gain: Any, deviation: Array, ah
         apart[6 + r] = velocity + t * (a[r] - mean)
         change[r] = a[r] - config.reference_acceleration * mean
     for r in range(6):
-        for k in range(12):
+        for k in range(FEET):
             change[r] += gain.trunk[r, k] * apart[k]
     for r in range(6):
-        for k in range(12, 28):  # the plan knows where the feet are
+        for k in range(FEET, STATES):  # the plan knows where the feet are
             desired[r] += gain.trunk[r, k] * deviation[k]
     turn = plan.heading - heading_of(obs.root_quat)
     heading_vector(np.cos(turn), -np.sin(turn), change[0:3], ahead.vector)

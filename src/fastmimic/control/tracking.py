@@ -9,6 +9,7 @@ from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined
 from fastmimic.base.vectors import heading_vector, quat_to_matrix, rotation_error, transposed_times, turn_rows
 from fastmimic.control.stance import force_column, invert_symmetric_3x3
+from fastmimic.reference.regulator import FEET, RATES, STATES
 from fastmimic.robot.dynamics import leg_mass_moment
 from fastmimic.robot.kinematics import leg_forward
 
@@ -150,15 +151,15 @@ def regulate(config: Any, ref: Any, gain: Any, obs: Any, memory: Any, scratch: A
                 for k in range(3):
                     shift[leg, a] += rotation[a, k] * scratch.feet[leg, k]
                     shift[leg, a] -= reference_rotation[a, k] * ref.foot_pos[leg, k]
-            state[12 + 2 * leg + a] = shift[leg, a] + state[a]
-            state[20 + 2 * leg + a] = rate[leg, a]
+            state[FEET + 2 * leg + a] = shift[leg, a] + state[a]
+            state[RATES + 2 * leg + a] = rate[leg, a]
     c, s = scratch.turn[0], scratch.turn[1]
     heading_vector(c, -s, ref.lin_acc, scratch.ref_lin_acc)
     heading_vector(c, -s, ref.ang_acc, scratch.ref_ang_acc)
     for r in range(6):
         forward = scratch.ref_lin_acc[r] if r < 3 else scratch.ref_ang_acc[r - 3]
         scratch.desired[r] = config.reference_acceleration * forward - memory.disturbance[r]
-        for k in range(28):
+        for k in range(STATES):
             scratch.desired[r] -= gain.trunk[r, k] * state[k]
     turned = config.dt * scratch.ang_vel[2]
     for leg in range(4):
@@ -167,7 +168,7 @@ def regulate(config: Any, ref: Any, gain: Any, obs: Any, memory: Any, scratch: A
         for a in range(2):
             if ref.contact[leg] == 1:
                 rate[leg, a] *= LATE  # should have landed
-            for k in range(28):
+            for k in range(STATES):
                 rate[leg, a] -= config.dt * gain.feet[2 * leg + a, k] * state[k]
             shift[leg, a] += config.dt * (rate[leg, a] - state[6 + a])
         x, y = shift[leg, 0], shift[leg, 1]

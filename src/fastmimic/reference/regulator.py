@@ -31,7 +31,8 @@ from fastmimic.robot import Robot
 from fastmimic.robot.robot import mass_ratio
 
 STATES: Final = 28  # of the trunk: position, rotation, their velocities; of the feet: x and y of four, their velocities
-_FEET, _RATES = 12, 20  # where the places and velocities of the feet begin
+_FOOT: Final = np.arange(8)  # x and y of each
+FEET, RATES = 12, 20  # where the places and the velocities of the feet begin
 _LOOK_S: Final = 3.0  # a cycle is followed for at least so long, until its gains repeat
 _LEAST_LOAD: Final = 0.1  # what a foot counts at least
 _END: Final = 0.3  # share of the cost at the end of a motion that does not repeat, s
@@ -45,7 +46,8 @@ _known: Final[WeakKeyDictionary[Motion, dict[tuple[Any, ...], NDArray[Any]]]] = 
 
 def motion_gains(motion: Motion, robot: Robot, config: RegulatorConfig) -> NDArray[Any]:
     """`regulator_gains` (g,) of a motion's demonstration, computed once."""
-    known, key = _known.setdefault(motion.target, {}), (robot.content, robot.mass, config)
+    known = _known.setdefault(motion.target, {})
+    key = robot.content, robot.mass, robot.com_b.tobytes(), robot.inertia_b.tobytes(), config
     if key not in known:
         turn = None if motion.target.cycle is None else float(motion.target.cycle[2])
         known[key] = regulator_gains(reference_table(motion.target, robot), robot, config, motion.dt, turn)
@@ -72,13 +74,14 @@ def regulator_gains(
             gain = np.linalg.solve(model.cost[k] + b.T @ ahead, ahead.T @ a)
             closed = a - b @ gain
             if last:
-                by_trunk = model.turned[k] @ _by_trunk(h)
+                by_trunk = _turns(model.turn[k : k + 1])[0] @ _by_trunk(h)
                 weight = linear + by_trunk.T @ value @ by_trunk / h
                 then = a - b[:, 12:] @ gain[12:]
                 gains[k]["trunk"] = np.linalg.solve(weight, by_trunk.T @ value @ then / h)
                 gains[k]["weight"], gains[k]["feet"] = weight / config.linear_cost, gain[12:]
-            value = h * end + model.landing[k] + closed.T @ value @ closed + gain.T @ model.cost[k] @ gain
+            value = h * end + closed.T @ value @ closed + gain.T @ model.cost[k] @ gain
             value = 0.5 * (value + value.T)
+            value[RATES + _FOOT, RATES + _FOOT] += model.landing[k]
     return gains
 
 
@@ -92,10 +95,10 @@ def constant_gains(position: Array, velocity: Array, weight: Array) -> NDArray[A
 
 def _state_cost(config: RegulatorConfig) -> Array:
     weights = (config.position_weight, config.rotation_weight, config.velocity_weight, config.turning_weight)
-    cost = np.diag(np.concatenate([*weights, np.full(STATES - _FEET, 1e-9)]))
+    cost = np.diag(np.concatenate([*weights, np.full(STATES - FEET, 1e-9)]))
     for foot in range(8):
         apart = np.zeros(STATES)
-        apart[_FEET + foot], apart[foot % 2] = 1.0, -1.0
+        apart[FEET + foot], apart[foot % 2] = 1.0, -1.0
         cost += config.foothold_weight * np.outer(apart, apart)
     return cost
 
@@ -115,7 +118,7 @@ def _cross(v: Array) -> Array:
 class _Model:
     """The linear model at n nodes: x⁺ = state (n, 28, 28) x + control (n, 28, 20) u, with the changes u of the four
     feet's forces (12), in N, and of their accelerations (8); `step` (n,) in s, `cost` (n, 20, 20) of u, `landing` (n,
-    28, 28) of the state, `turned` (n, 28, 28) from a node's heading frame to the next one's."""
+    8) of the feet's velocities, `turn` (n,) from the next node's heading to this one's, rad."""
 
     def __init__(
         self, table: NDArray[Any], robot: Robot, config: RegulatorConfig, dt: float, turn: float | None
@@ -160,7 +163,7 @@ class _Model:
             by_feet[:, 3:, part] = -swings * (inverse @ _cross(half[:, leg]))[..., :2]
             moment = inverse @ force[:, leg]
             drift[:, 3:, :3] += moment
-            drift[:, 3:, _FEET + 2 * leg : _FEET + 2 * leg + 2] -= moment[..., :2]
+            drift[:, 3:, FEET + 2 * leg : FEET + 2 * leg + 2] -= moment[..., :2]
 
         a = np.tile(np.eye(STATES), (n, 1, 1))
         a[:, 6:12] += h * drift
@@ -169,16 +172,14 @@ class _Model:
         by_trunk = np.stack([_by_trunk(step) for step in self.step])
         b = by_trunk @ np.concatenate([by_force, by_feet], axis=2)
         moves, lands = np.repeat(~stands, 2, axis=1), np.repeat(~stands & after, 2, axis=1)
-        foot = np.arange(8)
-        a[:, _FEET + foot, _RATES + foot] = self.step[:, None] * moves
-        a[:, _RATES + foot, _RATES + foot] = moves & ~lands
-        b[:, _FEET + foot, 12 + foot] = self.step[:, None] ** 2 * moves
-        b[:, _RATES + foot, 12 + foot] = self.step[:, None] * (moves & ~lands)
-        self.turned = _turns(yaw - following)
-        self.state, self.control = self.turned @ a, self.turned @ b
+        a[:, FEET + _FOOT, RATES + _FOOT] = self.step[:, None] * moves
+        a[:, RATES + _FOOT, RATES + _FOOT] = moves & ~lands
+        b[:, FEET + _FOOT, 12 + _FOOT] = self.step[:, None] ** 2 * moves
+        b[:, RATES + _FOOT, 12 + _FOOT] = self.step[:, None] * (moves & ~lands)
+        self.turn = yaw - following
+        self.state, self.control = _turns(self.turn) @ a, _turns(self.turn) @ b
 
-        self.landing = np.zeros((n, STATES, STATES))
-        self.landing[:, _RATES + foot, _RATES + foot] = config.landing_weight * lands
+        self.landing = config.landing_weight * lands
         acceleration = np.diag([config.linear_cost] * 3 + [config.angular_cost] * 3)
         each = config.force_cost / (robot.mass * GRAVITY) ** 2 / np.repeat(load, 3, axis=1) ** 2
         self.cost = np.zeros((n, 20, 20))
@@ -191,7 +192,7 @@ def _turns(angle: Array) -> Array:
     """Matrices (n, 28, 28) that turn the state by angles (n,) about z."""
     out = np.tile(np.eye(STATES), (len(angle), 1, 1))
     c, s = np.cos(angle), np.sin(angle)
-    for at in (0, 3, 6, 9, *range(_FEET, STATES, 2)):
+    for at in (0, 3, 6, 9, *range(FEET, STATES, 2)):
         out[:, at, at], out[:, at, at + 1], out[:, at + 1, at], out[:, at + 1, at + 1] = c, -s, s, c
     return out
 
