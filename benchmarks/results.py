@@ -23,6 +23,7 @@ from marked import put
 import fastmimic as fm
 from fastmimic.base.files import replace_file
 from fastmimic.base.rotations import turned_about_z, yaw_from_quat
+from fastmimic.control.controller import gains_of
 from fastmimic.episode.loop import ClosedLoop
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.plan import nominal_start
@@ -88,6 +89,7 @@ def against_unbalanced(motion: fm.Motion, robot: fm.Robot) -> float:
     for name in ("leg_lin_acc", "leg_ang_acc"):
         table[name] = turned_about_z(own[name], turn)
     loop = ClosedLoop(robot, animal, 1)
+    loop.controller.gains = gains_of(motion, robot, loop.controller.config)[None]  # type: ignore[attr-defined]
     return float(loop.run(table[None], nominal_start(1), round(DURATION_S * loop.controller.config.rate_hz)).reward[0])
 
 

@@ -12,7 +12,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_rotate, quat_rotate_inverse, rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig, default_config, loaded_robot
-from fastmimic.control.controller import Controller
+from fastmimic.control.controller import Controller, gains_of
 from fastmimic.episode.observer import Observer
 from fastmimic.episode.plan import Start, episode_steps, nominal_start, perturbed_start, start_room
 from fastmimic.episode.reward import Scorer, demonstration_in_world
@@ -226,7 +226,11 @@ class ClosedLoop:
                     raise ConfigError(
                         f"reference '{motion.name}' has {motion.rate_hz:g} samples a second; expected {rate:g}"
                     )
-            tables = stack_tables(references, loaded_robot(self.robot, self.controller.config.load))
+            robot = loaded_robot(self.robot, self.controller.config.load)
+            tables = stack_tables(references, robot)
+            if isinstance(self.controller, Controller):
+                gains = [gains_of(motion, robot, self.controller.config) for motion in references]
+                self.controller.gains = np.stack(gains[:1] if all(each is gains[0] for each in gains) else gains)
         if len(tables) not in (1, self.n):
             raise ConfigError(f"{self.n} robots need 1 or {self.n} references, found {len(tables)}")
         if tables.shape[1] != len(self.table):
