@@ -28,7 +28,6 @@ from fastmimic.optimize.parameters import FEET_AND_TRUNK
 from fastmimic.optimize.problem import ImitationProblem
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.motion_dmp import foot_table
-from fastmimic.reference.table import remaining_stance
 
 Array = NDArray[np.float64]
 
@@ -108,7 +107,6 @@ def warped(problem: ImitationProblem, table: NDArray[Any], leg: int, warp: Calla
         course = table["foot_pos"][:, leg, axis]
         result["foot_pos"][:, leg, axis] = np.interp(at % n, np.arange(n + 1), np.append(course, course[0]))
     result["contact"][:, leg] = table["contact"][np.round(at).astype(int) % n, leg]
-    result["remaining"] = remaining_stance(result["contact"] > 0, 1 / rate_hz, periodic=True)
     feet = foot_table(problem.robot, result["foot_pos"][None], rate_hz)
     result["foot_pos"], result["joint_pos"], velocity = feet.foot_pos_b[0], feet.joint_pos[0], feet.joint_vel[0]
     result["joint_vel"] = velocity

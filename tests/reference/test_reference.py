@@ -209,30 +209,6 @@ def test_references_of_one_batch_have_one_period(robot: Robot) -> None:
         stack_tables([gait(robot), gait(robot, n_samples=200)], robot)
 
 
-class TestStanceAhead:
-    def test_it_counts_down_to_the_lift_off_across_the_wrap(self, motion: Motion, table: np.ndarray) -> None:
-        contact, n = motion.contact, motion.n_samples
-        for leg in range(4):
-            for sample in range(0, n, 7):
-                steps = 0
-                while contact[(sample + steps) % n, leg]:
-                    steps += 1
-                assert table["remaining"][sample, leg] == pytest.approx(steps * motion.dt)
-
-    def test_a_foot_that_never_lifts_off_stands_for_ever(self, motion: Motion, robot: Robot) -> None:
-        for cycle in (motion.cycle, None):
-            standing = dataclasses.replace(motion, contact=np.ones_like(motion.contact), cycle=cycle)
-            assert np.all(np.isinf(reference_table(standing, robot)["remaining"]))
-
-    def test_a_motion_that_ends_stands_at_its_end(self, motion: Motion, robot: Robot) -> None:
-        contact = np.zeros_like(motion.contact)
-        contact[-5:] = True
-        ending = dataclasses.replace(motion, contact=contact, cycle=None)
-        remaining = reference_table(ending, robot)["remaining"]
-        assert np.all(remaining[:-5] == 0)
-        assert np.all(np.isinf(remaining[-5:]))
-
-
 class TestGroundAcceleration:
     """What the ground gives, as acceleration of a body with the robot's mass and inertia."""
 

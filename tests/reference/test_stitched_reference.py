@@ -68,7 +68,7 @@ class TestDynamics:
     def test_outside_the_transition_the_legs_take_what_they_take_in_the_cycles(
         self, stitched: Motion, table: np.ndarray, robot: Robot
     ) -> None:
-        """The forces of their momentum, and how long each foot goes on standing."""
+        """The forces of their momentum."""
         rebuilt = Layout.of(stitched).segments[1].rebuilt
         assert rebuilt is not None
         for segment in Layout.of(stitched).segments:
@@ -78,7 +78,6 @@ class TestDynamics:
             t = t[t < stitched.n_samples - 300]
             at = (t - segment.shift) % len(cycle)
             assert len(t) > 50
-            np.testing.assert_allclose(table["remaining"][t], cycle["remaining"][at])
             turn = yaw_from_quat(table["root_quat"])[t] - yaw_from_quat(cycle["root_quat"])[at]
             for name in ("leg_lin_acc", "leg_ang_acc", "lin_acc", "ang_acc"):
                 expected = np.array(cycle[name][at])

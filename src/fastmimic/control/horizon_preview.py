@@ -104,8 +104,7 @@ def _turned(c: float, s: float, m: Array, out: Array) -> None:
 @kernel
 def foresee(config: Any, model: Any, table: Any, clock: Any, obs: Any, memory: Any, scratch: Any, ahead: Any) -> None:
     """Fills `ahead` with what the reference wants and the feet allow in the coming steps. Reads from `scratch`:
-    rotation, reference_rotation, feet, arms, inverse_inertia, position_error, velocity_error, the velocities, and
-    `shift`, the reference's displacement to where the standing feet are."""
+    rotation, reference_rotation, feet, arms, inverse_inertia, velocity_error and the velocities."""
     rotation, arms = scratch.rotation, scratch.arms
     for r in range(3):
         ahead.free[0, r], ahead.free[0, 3 + r] = 0.0, 0.0

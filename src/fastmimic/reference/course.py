@@ -37,13 +37,14 @@ COURSE: Final = record_dtype(
         *floats(step=2, turn=(), root_z=(), tilt=4, lin_vel=3, ang_vel=3, lin_acc=3, ang_acc=3),
         *floats(leg_lin_acc=3, leg_ang_acc=3, foot=(4, 3), lift=4),
         ("contact", "i8", 4),
-        *floats(remaining=4, since_middle=4, travel=3),
+        *floats(since_middle=4, travel=3),
         *integers(sync=(), gain=()),
     ]
 )
 """One sample, heading frame of the root, SI units: `step` and `turn` of the root to the next sample; `tilt` heading →
 body; velocities and accelerations, also those of the legs (`SAMPLE`); `foot` from the root on the ground, z of its
-centre; `lift` of the foot above its foothold; `since_middle` of that function; `travel`, mean over a stride."""
+centre; `lift` of the foot above its foothold; `since_middle` of that function, `gain` of `SAMPLE`; `travel`, mean over
+a stride."""
 
 _STRIDE_S: Final = 0.5  # averaging time of the velocity of a motion that does not repeat
 
@@ -64,7 +65,7 @@ def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
     target = motion.target  # the swing height multiplies the demonstration's heights
     raised = np.maximum(target.foot_pos_w[..., 2] - robot.foot_radius, 0.0)
     course["lift"] = np.where(target.contact, 0.0, raised)
-    course["contact"], course["remaining"] = table["contact"], table["remaining"]
+    course["contact"] = table["contact"]
     course["since_middle"] = np.stack(
         [since_middle(motion.contact[:, leg], motion.rate_hz, periodic) for leg in range(4)], axis=-1
     )

@@ -74,7 +74,6 @@ _RATES: Final = {
     "leg_lin_acc": 2,
     "leg_ang_acc": 2,
 }
-_TIMES: Final = ("remaining", "since_middle")
 _BLENDED: Final = ("step", "turn", "root_z", "tilt", *_RATES, "foot", "lift")
 
 
@@ -108,8 +107,7 @@ def make_tempo(robot: Robot, motion: Motion, speeds: tuple[float, ...]) -> Tempo
         course = course_of(at_speed(robot, motion, speed), robot)
         for name, power in _RATES.items():
             course[name] /= speed**power
-        for name in _TIMES:
-            course[name] *= speed
+        course["since_middle"] *= speed
         found[speed] = course
     order = tuple(sorted(found))
     return Tempo(order, tuple(found[speed] for speed in order))

@@ -233,7 +233,6 @@ def _sample(
     out.lin_acc[1] += turn * out.lin_vel[0]
     for leg in range(4):
         out.contact[leg] = b.contact[leg]
-        out.remaining[leg] = max(b.remaining[leg] - u * dt, 0.0) / speed if b.contact[leg] == 1 else 0.0
     for k in range(3):
         if k != 1 and not neighbours:
             continue

@@ -35,14 +35,13 @@ SAMPLE: Final = record_dtype(
         *floats(root_pos=3, root_quat=4, lin_vel=3, ang_vel=3, lin_acc=3, ang_acc=3),
         *floats(joint_pos=12, joint_vel=12, joint_acc=12, foot_pos=(4, 3)),
         ("contact", "i8", 4),
-        *floats(remaining=4, leg_lin_acc=3, leg_ang_acc=3),
+        *floats(leg_lin_acc=3, leg_ang_acc=3),
         *integers(sync=(), gain=()),
     ]
 )
-"""One sample of a reference, in the heading frame of the period's first sample. `remaining` is the time until a
-standing foot lifts off, s, 0 in swing. `leg_lin_acc` and `leg_ang_acc` are the accelerations that the ground must give
-beyond those of the body (`ground_acceleration`). `sync` is 1 where a cycle starts; `gain` is
-the row of the regulator's gains, one for each `GAIN_SAMPLES` samples."""
+"""One sample of a reference, in the heading frame of the period's first sample. `leg_lin_acc` and `leg_ang_acc` are the
+accelerations that the ground must give beyond those of the body (`ground_acceleration`). `sync` is 1 where a cycle
+starts; `gain` is the row of the regulator's gains, one for each `GAIN_SAMPLES` samples."""
 
 GAIN_SAMPLES: Final = 4
 
@@ -72,7 +71,6 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
     table["joint_acc"] = _difference(motion.joint_vel, dt, 0.0 if periodic else None)
     table["foot_pos"] = motion.foot_pos_b
     table["contact"] = motion.contact
-    table["remaining"] = remaining_stance(motion.contact, dt, periodic)
     if motion.demonstration is not None:
         # of the demonstration: a modulation moves the feet little, and search and saved motion must agree
         demonstration = reference_table(motion.demonstration, robot)
@@ -126,15 +124,6 @@ def ground_acceleration(motion: Motion, robot: Robot) -> tuple[Array, Array]:
     moment_b = quat_rotate_inverse(level, demand.wrench[:, 3:])
     angular = quat_rotate(level, np.asarray(np.linalg.solve(robot.inertia_b, moment_b.T).T, dtype=np.float64))
     return turned_about_z(linear, yaw), turned_about_z(angular, yaw)
-
-
-def remaining_stance(contact: NDArray[np.bool_], dt: float, periodic: bool) -> Array:
-    """Time (t, 4) until each foot lifts off by the schedule, s: 0 in swing, infinite if it never does."""
-    n = len(contact)
-    wide = np.concatenate([contact, contact if periodic else np.ones_like(contact)])
-    swing = np.where(wide, np.inf, np.arange(len(wide))[:, None])
-    next_swing = np.minimum.accumulate(swing[::-1], axis=0)[::-1]
-    return np.asarray(dt * (next_swing[:n] - np.arange(n)[:, None]))
 
 
 def _difference(v: Array, dt: float, turn: float | None) -> Array:
