@@ -133,12 +133,12 @@ def control_step(
         for leg in range(4):
             if plan_leg(config, memory, leg, ref.contact[leg] == 1, obs.foot_force[leg, 2]):
                 lift_off(config, ref, memory, scratch, leg, height_error)
-        regulate(config, ref, gain, obs, memory, scratch)
+        regulate(config, ref, gain, memory, scratch)
         planned = False
         if foresights is not None:
             foresight, plan_qp = foresights[0], plan_qps[0]
             planned = _plan_ahead(config, model, table, clock, obs, memory, scratch, plans[i], gain, foresight, plan_qp)
-        solved = _forces(config, model, ref, gain, obs, memory, planned, scratch, qps[0])
+        solved = _forces(config, model, ref, gain, memory, planned, scratch, qps[0])
         expect_acceleration(model, memory, scratch)
         for leg in range(4):
             if memory.stance[leg] == 1:
@@ -152,9 +152,7 @@ def control_step(
 
 
 @inlined
-def _forces(
-    config: Any, model: Any, ref: Any, gain: Any, obs: Any, memory: Any, planned: bool, scratch: Any, qp: Any
-) -> bool:
+def _forces(config: Any, model: Any, ref: Any, gain: Any, memory: Any, planned: bool, scratch: Any, qp: Any) -> bool:
     """Stance forces, and the base acceleration for the legs' own dynamics; False if the stance QP failed."""
     desired, gravity_acc = scratch.desired, scratch.gravity_acc
     for k in range(6):

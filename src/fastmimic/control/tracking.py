@@ -135,7 +135,7 @@ def expect_acceleration(model: Any, memory: Any, scratch: Any) -> None:
 
 
 @inlined
-def regulate(config: Any, ref: Any, gain: Any, obs: Any, memory: Any, scratch: Any) -> None:
+def regulate(config: Any, ref: Any, gain: Any, memory: Any, scratch: Any) -> None:
     """ẍ_des for the standing legs, and where the others' feet are to be (`fastmimic.reference.regulator`)."""
     state, rotation, reference_rotation = scratch.state, scratch.rotation, scratch.reference_rotation
     shift, rate = memory.foot_shift, memory.foot_shift_rate
