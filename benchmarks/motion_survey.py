@@ -7,11 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from fastmimic.base.errors import ClipError
+from fastmimic.base.errors import ClipError, MotionError
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import data_folder
 from fastmimic.clips.formats import read_clip
 from fastmimic.episode.feasibility import Demands, Fall, Reason, demands, describe_fall, reasons
+from fastmimic.episode.loop import share_of_falls
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.retargeting.track import extract, pose_mismatch
@@ -41,6 +42,7 @@ class Surveyed:
         needs: what the demonstration asks.
         fall: the first episode that fell; None without.
         reasons: which limits are exceeded; without a fall, those of the demonstration alone.
+        refused: why there is no executable motion; the figures are then those of the kinematic one.
     """
 
     name: str
@@ -56,11 +58,12 @@ class Surveyed:
     needs: Demands
     fall: Fall | None
     reasons: tuple[Reason, ...]
+    refused: str | None = None
 
     @property
     def tracked(self) -> bool:
-        """Whether no episode ended in a fall."""
-        return not any(self.fell)
+        """Whether there is a motion that the robot can execute, and no episode ended in a fall."""
+        return self.refused is None and not any(self.fell)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON types."""
@@ -122,9 +125,14 @@ def survey(
         seed: of the perturbations.
 
     Raises:
-        FastMimicError: the clip cannot be retargeted, or there is no such method.
+        FastMimicError: the clip cannot be read as a motion, or there is no such method.
     """
-    motion, report = retarget(clip, robot)
+    refused = None
+    try:
+        motion, report = retarget(clip, robot, falls=share_of_falls)
+    except MotionError as error:
+        refused = str(error)
+        motion, report = retarget(clip, robot, executable=False)
     run: dict[str, Any] = {"episodes": episodes, "seed": seed, "method": method}
     rollout = evaluate(motion, robot, duration_s=duration_s, **run).rollout
     needs, fall = demands(robot, motion), None
@@ -148,6 +156,7 @@ def survey(
         needs=needs,
         fall=fall,
         reasons=reasons(needs, fall),
+        refused=refused,
     )
 
 
@@ -157,7 +166,7 @@ def summary(rows: Sequence[Surveyed]) -> str:
     lines = [f"tracked: {_of(rows)}; of those that take steps: {_of(stepping)}"]
     fallen = [row for row in rows if not row.tracked]
     if fallen:
-        kinds = [row.reasons[0].kind for row in fallen]
+        kinds = ["refused" if row.refused else row.reasons[0].kind for row in fallen]
         counts = ", ".join(f"{kind} {kinds.count(kind)}" for kind in dict.fromkeys(kinds))
         lines.append(f"first reason of the falls: {counts}")
     return "\n".join(lines)

@@ -54,7 +54,7 @@ def tried(robot: Robot, library: MotionSet, name: str, asked: dict[str, float], 
 
 
 def widened(library: MotionSet, speed: float) -> None:
-    """Lets all motions be modulated further than they may, balanced for a speed."""
+    """Lets all motions be modulated further than they may, executable at a speed."""
     limits = replace(WIDE, speed=(min(speed, 1.0), max(speed, 1.0)))
     library.tempos.clear()
     for name, entry in library.entries.items():

@@ -70,7 +70,7 @@ def main() -> None:
         "| --- | --- |" + " --- |" * (len(args.speeds) + 1),
     ]
     for name in args.motions:
-        motion, _ = find_motion(name).retarget(robot, executable=True)
+        motion, _ = find_motion(name).retarget(robot)
         for variant in VARIANTS:
             config, cells, back = config_of(variant), [], []
             for speed in args.speeds:

@@ -68,7 +68,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     """The rows as Markdown."""
     lines = [
         "| segments | s | reward before | own optima | optimised together | by segment | fell before / own / after"
-        f" | perturbed: reward, fell of {EPISODES} | transitions: joint speed, slip |",
+        f" | perturbed: reward, fell of {EPISODES} | transitions: joint speed, torque |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in rows:
@@ -76,7 +76,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         own = m["individual_optima"]
         fell = " / ".join("yes" if f else "no" for f in (m["fell"]["before"], own["fell"], m["fell"]["after"]))
         by_segment = ", ".join(f"{s['reward']['after']:.3f}" for s in m["segments"])
-        passing = ", ".join(f"{t['joint_speed_share']:.0%} {1e3 * t['slip_m']:.1f} mm" for t in m["transitions"])
+        passing = ", ".join(f"{t['joint_speed_share']:.0%}, {t['torque_share']:.0%}" for t in m["transitions"])
         lines.append(
             f"| `{row['combo']}` | {m['duration_s']:.1f} | {m['reward']['before']:.3f} | {own['reward']:.3f}"
             f" | **{m['reward']['after']:.3f}** | {by_segment} | {fell}"

@@ -67,7 +67,7 @@ def clips() -> tuple[tuple[str, Clip], ...]:
 def motions() -> tuple[tuple[Robot, Motion], ...]:
     """The tuning motions, made executable."""
     robots = {name: load_robot(name) for name in ("a1", "go2")}
-    return tuple((robots[name], retarget(clip, robots[name], executable=True)[0]) for name, clip in clips())
+    return tuple((robots[name], retarget(clip, robots[name])[0]) for name, clip in clips())
 
 
 def moved(u: np.ndarray) -> RegulatorConfig:

@@ -15,6 +15,7 @@ from cli.running import TINY, Run
 from clips.sample_files import csv_text, keypoint_text, take_text
 from fastmimic.clips.catalogue import RECORDED, open_clip
 from fastmimic.clips.data import Dataset
+from fastmimic.clips.jump import JUMPS
 from fastmimic.clips.synthesis import GAITS
 from fastmimic.control.config import controller_config
 from fastmimic.imitation.methods import METHODS, made_with
@@ -122,7 +123,7 @@ def test_retarget_writes_a_motion_that_the_other_verbs_take(run: Run, in_folder:
 
 def test_options_reach_the_clip(run: Run, in_folder: Path) -> None:
     (in_folder / "clip.txt").write_text(keypoint_text(40))
-    options = ("--frames", "4:36", "--fps", "50", "--up", "y", "--scale", "0.7")
+    options = ("--frames", "4:36", "--fps", "50", "--up", "y", "--scale", "0.7", "--no-executable")  # it only glides
     done = run("retarget", "clip.txt", *options, "--out", "o.npz")
     assert done.status == 0, done.err
     meta = Motion.load(in_folder / "o.npz").provenance.as_dict()
@@ -133,7 +134,9 @@ def test_options_reach_the_clip(run: Run, in_folder: Path) -> None:
 
 def test_inspect_says_what_a_clip_is(run: Run, in_folder: Path) -> None:
     (in_folder / "clip.dat").write_text(keypoint_text(40))
-    lines = run("inspect", "clip.dat").out.splitlines()
+    done = run("inspect", "clip.dat")
+    lines = done.out.splitlines()
+    assert any(line.startswith("NOT EXECUTABLE no motion of a1 near 'clip' keeps the limits: ") for line in lines)
     assert lines[0] == "format     dog keypoints, 81 columns of text"
     assert lines[1] == "frames     40 at 60 Hz, 0.667 s"
     assert any(line.startswith("assumed    y is up") for line in lines)
@@ -171,7 +174,7 @@ def test_inspect_draws(run: Run, in_folder: Path) -> None:
 def test_motions_lists_every_name(run: Run) -> None:
     done = run("motions")
     rows = {line.split()[0]: line for line in done.out.splitlines()[1:]}
-    assert set(rows) == {*GAITS, *RECORDED}
+    assert set(rows) == {*GAITS, *JUMPS, *RECORDED}
     assert " yes " in rows["trot"]
     assert " no " in rows["dog:pace"]
     assert "'fastmimic data fetch'" in done.err

@@ -29,7 +29,7 @@ def test_cycles_follow_one_another_without_a_step(turn: Motion) -> None:
     feet_w = track.root_pos_w[:, None] + quat_rotate(track.root_quat_wxyz[:, None], feet)
     moved = np.linalg.norm(np.diff(feet_w[..., :2], axis=0), axis=-1)
     stands = contact[1:] & contact[:-1]
-    assert moved[stands].max() < 1e-4  # a cycle closes within 1 mm; a foot in swing moves 5 mm a sample
+    assert moved[stands].max() < 3e-4  # it rolls, and a cycle closes within 1 mm; in swing it moves 5 mm a sample
     assert moved[n - 1][stands[n - 1]].size > 0  # some foot stands across the wrap
 
 

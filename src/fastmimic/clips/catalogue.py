@@ -11,7 +11,8 @@ from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, data_folder, dataset_of, find_file
 from fastmimic.clips.formats import ReadOptions, read_clip, suffixes, with_scale
 from fastmimic.clips.formats.points import PointMap
-from fastmimic.clips.synthesis import GAITS, GaitSpec, generate
+from fastmimic.clips.jump import JUMPS, jump
+from fastmimic.clips.synthesis import GAITS, GaitSpec, built_in, generate
 from fastmimic.robot.robot import Robot
 
 BUILT_IN_LICENCE: Final = "that of fastmimic"
@@ -74,7 +75,7 @@ class MotionRow:
 
 def motion_names() -> tuple[str, ...]:
     """All names that `open_clip` knows."""
-    return (*GAITS, *RECORDED)
+    return (*GAITS, *JUMPS, *RECORDED)
 
 
 def describe(folder: str | Path | None = None) -> list[MotionRow]:
@@ -83,6 +84,7 @@ def describe(folder: str | Path | None = None) -> list[MotionRow]:
     rows = [
         MotionRow(name, spec.about, _speed(spec), "built in", BUILT_IN_LICENCE, True) for name, spec in GAITS.items()
     ]
+    rows += [MotionRow(name, spec.about, "–", "built in", BUILT_IN_LICENCE, True) for name, spec in JUMPS.items()]
     for name, motion in RECORDED.items():
         fetched = find_file(motion.dataset, motion.file, folder) is not None
         licence = licences[motion.dataset]
@@ -122,9 +124,11 @@ def open_clip(
     gait_options = {"speed": speed, "yaw_rate": yaw_rate, "duty": duty}
     if name in motion_names() and point_map is not None:
         raise ClipError(f"a point map cannot be given for '{name}': its points are known")
-    if name in GAITS:
+    if name in GAITS or name in JUMPS:
         _refuse(name, "it is generated, not read from a file", {"frame rate": fps, "vertical axis": up})
-        clip = generate(name, **gait_options)
+        if name in JUMPS:
+            _refuse(name, f"only the built-in gaits can be varied ({', '.join(GAITS)})", gait_options)
+        clip = generate(name, **gait_options) if name in GAITS else jump(JUMPS[name], built_in(name))
         clip = _cut(name, clip if scale is None else with_scale(clip, scale), frames)
     else:
         _refuse(name, f"only the built-in gaits can be varied ({', '.join(GAITS)})", gait_options)

@@ -27,13 +27,13 @@ RATE_HZ: Final = 120.0
 ROBOT_SCALE: Final = 0.825  # speeds and lifts are given at the A1's size; the animal is larger by the published scale
 
 # A dog, m: means over the public recordings (points against the middle of the neck–pelvis line).
-_ROOT_HEIGHT: Final = 0.443
-_SPINE: Final = np.array([0.265, 0.0, 0.025])
-_HIP: Final = np.stack(
+ROOT_HEIGHT: Final = 0.443
+SPINE: Final = np.array([0.265, 0.0, 0.025])
+HIP: Final = np.stack(
     [np.where(FRONT, 0.176, -0.255), np.where(LEFT, 0.045, -0.045), np.where(FRONT, -0.045, -0.07)], axis=-1
 )
-_TOE_MARKER_HEIGHT: Final = 0.015
-_SIDE: Final = np.where(LEFT, 1.0, -1.0)
+TOE_MARKER_HEIGHT: Final = 0.015
+SIDE: Final = np.where(LEFT, 1.0, -1.0)
 
 
 @dataclass(frozen=True)
@@ -116,6 +116,54 @@ GAITS: Final[dict[str, GaitSpec]] = {
     ),
     "backward-trot": replace(_TROT, about="trot backwards", speed=-0.6, duty=0.56, lift=0.06, bob=0.006),
     "spin": GaitSpec("turn to the left on the spot", yaw_rate=2.0, duty=0.56, half_width=0.06, bob=0.005, yaw=0.0),
+    "canter": GaitSpec(
+        "canter: a hind leg, the other one with the front leg across, then the last",
+        speed=2.0,
+        period=0.46,
+        duty=0.36,
+        phase=(0.26, 0.46, 0.0, 0.26),
+        lift=0.07,
+        bob=0.015,
+        bob_harmonic=1,
+        pitch=0.08,
+        yaw=0.0,
+    ),
+    "gallop": GaitSpec(
+        "gallop: hind legs one after the other, then front legs, then none",
+        speed=2.2,
+        period=0.4,
+        duty=0.3,
+        phase=(0.4, 0.51, 0.11, 0.0),
+        lift=0.07,
+        bob=0.01,
+        bob_harmonic=1,
+        pitch=0.08,
+        yaw=0.0,
+    ),
+    "pronk": GaitSpec(
+        "pronk: all legs together, off the ground for half of the time",
+        speed=0.6,
+        period=0.44,
+        duty=0.5,
+        phase=(0.0, 0.0, 0.0, 0.0),
+        lift=0.07,
+        bob=0.03,
+        bob_harmonic=1,
+        pitch=0.0,
+        yaw=0.0,
+    ),
+    "hop-turn": GaitSpec(
+        "hops on all legs, turning to the left",
+        yaw_rate=1.5,
+        period=0.44,
+        duty=0.5,
+        phase=(0.0, 0.0, 0.0, 0.0),
+        lift=0.05,
+        bob=0.03,
+        bob_harmonic=1,
+        pitch=0.0,
+        yaw=0.0,
+    ),
 }
 """The built-in gaits by name."""
 
@@ -146,15 +194,19 @@ def generate(name: str, **changes: float | None) -> Clip:
     """One cycle of a built-in gait as an animal's keypoints; for the arguments and errors see `gait`."""
     spec = gait(name, **changes)
     given = {what: value for what, value in changes.items() if value is not None}
-    meta: dict[str, object] = {
+    return keypoints(spec, built_in(name, given))
+
+
+def built_in(name: str, parameters: dict[str, float] | None = None) -> dict[str, object]:
+    """The `meta` of a clip that is made by formula."""
+    return {
         "name": name,
         "source": "built in",
         "format": "built-in",
-        "parameters": given,
+        "parameters": parameters or {},
         "assumed": [],
         "licence": "no recording: made by formula, free to use",
     }
-    return keypoints(spec, meta)
 
 
 def keypoints(spec: GaitSpec, meta: dict[str, object] | None = None) -> Clip:
@@ -165,8 +217,8 @@ def keypoints(spec: GaitSpec, meta: dict[str, object] | None = None) -> Clip:
     animal = 1.0 / ROBOT_SCALE
     twist = np.array([spec.speed * animal * period, spec.lateral_speed * animal * period, spec.yaw_rate * period])
     position, quat = _trunk(spec, share, twist, animal)
-    points = [position + quat_rotate(quat, -_SPINE), position + quat_rotate(quat, _SPINE)]
-    points += [position + quat_rotate(quat, hip) for hip in _HIP]
+    points = [position + quat_rotate(quat, -SPINE), position + quat_rotate(quat, SPINE)]
+    points += [position + quat_rotate(quat, hip) for hip in HIP]
     points += [_toe(spec, leg, share, twist, animal) for leg in range(4)]
     return Clip(points_w=np.stack(points, axis=1), rate_hz=RATE_HZ, is_cycle=True, meta=dict(meta or {}))
 
@@ -178,7 +230,7 @@ def _trunk(spec: GaitSpec, share: Array, twist: Array, animal: float) -> tuple[A
     front = 2 * np.pi * spec.bob_harmonic * (share - _middle_of_stance(spec, left=False))
     sway = spec.sway * animal * np.cos(left)
     xy = xy + rotate_planar(heading, np.stack([np.zeros_like(sway), sway], axis=-1))
-    z = _ROOT_HEIGHT - spec.bob * animal * np.cos(front)  # lowest in the middle of a stance
+    z = ROOT_HEIGHT - spec.bob * animal * np.cos(front)  # lowest in the middle of a stance
     zero = np.zeros_like(share)
     yaw = quat_from_yaw(heading + spec.yaw * np.sin(left))
     pitch = quat_from_rotvec(np.stack([zero, spec.pitch * np.cos(front - 0.6), zero], axis=-1))
@@ -198,20 +250,20 @@ def _toe(spec: GaitSpec, leg: int, share: Array, twist: Array, animal: float) ->
     middle = step + spec.phase[leg] + spec.duty / 2
     here, there = (_foothold(spec, leg, at, twist, animal) for at in (middle, middle + 1.0))
     u = np.clip((since - spec.duty) / (1.0 - spec.duty), 0.0, 1.0)
-    xy = here + _forward(u)[:, None] * (there - here)
+    xy = here + forward_in_swing(u)[:, None] * (there - here)
     lift = spec.lift * animal * (1.0 if FRONT[leg] else spec.hind_lift)
-    z = _TOE_MARKER_HEIGHT + lift * _arc(u, 0.42 if FRONT[leg] else 0.5)
+    z = TOE_MARKER_HEIGHT + lift * arc(u, 0.42 if FRONT[leg] else 0.5)
     return np.concatenate([xy, z[:, None]], axis=1)
 
 
 def _foothold(spec: GaitSpec, leg: int, middle: Array, twist: Array, animal: float) -> Array:
     """Foothold (t, 2): under the hip at mid-stance (t,), at the gait's half width."""
     xy, heading = planar_exp(twist, middle)
-    under = np.array([_HIP[leg, 0], _SIDE[leg] * spec.half_width * animal])
+    under = np.array([HIP[leg, 0], SIDE[leg] * spec.half_width * animal])
     return xy + rotate_planar(heading, np.broadcast_to(under, xy.shape))
 
 
-def _forward(u: Array) -> Array:
+def forward_in_swing(u: Array) -> Array:
     """Progress of a swing from rest to rest with continuous acceleration: quick start, slight overshoot."""
     ramp = 0.15
     start, end = np.minimum(u / ramp, 1.0), np.minimum((1.0 - u) / ramp, 1.0)
@@ -225,7 +277,7 @@ def _forward(u: Array) -> Array:
     return travelled / (1.0 - ramp) + reach_back
 
 
-def _arc(u: Array, top: float) -> Array:
+def arc(u: Array, top: float) -> Array:
     """Height of a swing, 1 at share `top` of its time; position, velocity and acceleration vanish at both ends."""
     rise = 3.0 * top / (1.0 - top)
     peak = top**rise * (1 - top) ** 3.0

@@ -8,7 +8,7 @@ import numpy as np
 from tyro.conf import Positional
 
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
-from fastmimic.base.errors import ConfigError, did_you_mean, unknown
+from fastmimic.base.errors import ConfigError, MotionError, did_you_mean, unknown
 from fastmimic.clips.catalogue import describe, open_clip
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, data_folder, fetch, list_datasets
@@ -149,10 +149,15 @@ class Inspect:
         robot = opt.choose_robot(self.robot, source)
         if source.motion is not None:
             return robot, source.load(robot, **overrides), ["format     FastMimic robot motion"]
-        executable = bool(overrides.pop("executable", False))
+        executable = bool(overrides.pop("executable", True))
         clip = source.open_clip(robot, **overrides)
-        motion, report = find_motion(clip).retarget(robot, executable=executable)
-        return robot, motion, [*_describe_clip(clip), f"retargeted to {robot.name}:", *report.lines()]
+        refused = []
+        try:
+            motion, report = find_motion(clip).retarget(robot, executable=executable)
+        except MotionError as error:
+            motion, report = find_motion(clip).retarget(robot, executable=False)
+            refused = [f"NOT EXECUTABLE {error}; all else is said of the kinematic motion"]
+        return robot, motion, [*_describe_clip(clip), f"retargeted to {robot.name}:", *report.lines(), *refused]
 
 
 def describe_motion(motion: Motion, robot: Robot) -> list[str]:
@@ -304,7 +309,7 @@ def _segment_row(segment: "Segment", rate_hz: float) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Retarget:
-    """Turns an animal's clip into a consistent robot motion without optimising it, and prints what changed."""
+    """Turns an animal's clip into a motion that the robot can execute, and prints what changed."""
 
     clip: Annotated[Positional[str], opt.option("CLIP")]
     """A clip file, or a name from 'fastmimic motions'."""

@@ -141,16 +141,17 @@ class ClipOptions(ClipFileOptions):
     """Built-in gaits: yaw rate, positive to the left."""
     duty: Annotated[float | None, option("SHARE")] = None
     """Built-in gaits: duty factor, the stance share of the period."""
-    executable: Flag = False
-    """Make the motion executable by optimal control: the nearest to the animal's within the robot's limits."""
+    no_executable: Flag = False
+    """Stop at the kinematic motion: feet and trunk as the animal's, whether or not the robot can execute it."""
 
     def overrides(self) -> dict[str, Any]:
         """The options that were given, as the Python functions take them."""
         frames = None if self.frames is None else parse_frames(self.frames)
-        found = super().overrides() | {
+        found = super().overrides()
+        found |= {
             "frames": frames,
             "discrete": self.discrete or None,
-            "executable": self.executable or None,
+            "executable": False if found.pop("no_executable") else None,
         }
         return {name: value for name, value in found.items() if value is not None}
 

@@ -64,9 +64,10 @@ class LiveReference:
             target = self._following.name
         if target is not None:
             return replace(limits.within(self._library.entry(target).limits), speed=(1.0, 1.0))
-        if self._modulation["speed"][0] == self.wanted["speed"] == 1.0 or self._library.tempo(self._entry.name) is None:
+        if self._modulation["speed"][0] == self.wanted["speed"] == 1.0:
             return replace(limits, speed=(1.0, 1.0))
-        return limits
+        tempo = self._library.tempo(self._entry.name)
+        return replace(limits, speed=(1.0, 1.0) if tempo is None else (tempo.speeds[0], tempo.speeds[-1]))
 
     @property
     def modulation(self) -> dict[str, float]:
@@ -131,7 +132,7 @@ class LiveReference:
             now: Entry | CourseTransition = self._transition
             after = self._following
         else:
-            now, after = self._balanced, self._armed[1] if self._armed is not None else None
+            now, after = self._at_speed, self._armed[1] if self._armed is not None else None
         if scored:
             return now.demonstration, None if after is None else after.demonstration
         return now.course, None if after is None else after.course
@@ -156,14 +157,14 @@ class LiveReference:
             self._pace(speed)
 
     def _pace(self, speed: float) -> None:
-        """Takes the motion as balanced for a speed."""
+        """Takes the motion as it is at a speed."""
         entry = self._entry
         tempo = self._library.tempo(entry.name) if speed != 1.0 else None
-        self._paced, self._balanced = speed, entry
+        self._paced, self._at_speed = speed, entry
         if tempo is not None:
             target = tempo.at(speed)
             own = target if entry.course is entry.demonstration else tempo.changed(speed, entry.course)
-            self._balanced = replace(entry, course=own, demonstration=target)
+            self._at_speed = replace(entry, course=own, demonstration=target)
 
     def _route(self) -> None:
         """Looks for a path to the goal; starts it when both motions allow the modulation."""
@@ -185,7 +186,7 @@ class LiveReference:
             self.place["exit"] = -1
 
     def _enter(self, entry: Entry) -> None:
-        self._entry, self._balanced, self._paced = entry, entry, 1.0
+        self._entry, self._at_speed, self._paced = entry, entry, 1.0
 
     def _arrived(self) -> None:
         """Handles the start or end of a transition."""

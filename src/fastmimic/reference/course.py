@@ -109,9 +109,6 @@ def since_middle(contact: NDArray[np.bool_], rate_hz: float, periodic: bool) -> 
 
 
 _MARGIN: Final = 4  # rows of the motions before and after a transition, for interpolation
-_JOINT_SPEED_SHARE: Final = 1.15
-_SLIP_M: Final = 0.02
-_UNREACHABLE: Final = 0.02  # share of the transition's samples with a foot out of reach
 _MODULATED: Final = ("root_z", "lin_vel", "ang_vel", "foot")
 
 
@@ -120,8 +117,7 @@ class CourseTransition:
     """A transition between two cyclic motions: it leaves one before row `leave` ≥ 1 and enters the other at `arrive`.
 
     `course` (t,) of `COURSE` is for the controller, with `_MARGIN` rows of the motions at either end, `demonstration`
-    for the score. Rows [first, last) are the transition itself. `measured` is as in a stitched motion's record. `gains`
-    (g,) of `GAINS` are those that the rows name.
+    for the score. Rows [first, last) are the transition itself. `gains` (g,) of `GAINS` are those that the rows name.
     """
 
     course: NDArray[Any]
@@ -130,24 +126,13 @@ class CourseTransition:
     last: int
     leave: int
     arrive: int
-    measured: dict[str, Any]
     gains: NDArray[Any]
-
-    @property
-    def sound(self) -> bool:
-        """Whether a robot can run it: feet in reach without slip, joints within their speeds."""
-        m, rows = self.measured, self.last - self.first
-        return bool(
-            m["joint_speed_share"] <= _JOINT_SPEED_SHARE
-            and m["slip_m"] <= _SLIP_M
-            and m["unreachable"] <= _UNREACHABLE * rows
-        )
 
 
 def make_course_transition(
     robot: Robot, before: Motion, after: Motion, regulator: RegulatorConfig
 ) -> CourseTransition | None:
-    """The transition between two cyclic motions, optimised or not; None if stitching finds none. It joins their
+    """The transition between two cyclic motions, optimised or not; None if no executable one joins them. It joins their
     demonstrations. An optimised motion's difference from its own is blended with the same weights."""
     try:
         stitched = stitch_motions(
@@ -182,6 +167,5 @@ def make_course_transition(
         last=end - int(rows[0]),
         leave=(start - 1) % before.n_samples + 1,
         arrive=(end - second.shift) % after.n_samples,
-        measured=stitched.provenance.stitched.transitions[0],
         gains=motion_gains(stitched, robot, regulator)[used],
     )

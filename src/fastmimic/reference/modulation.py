@@ -1,28 +1,27 @@
 """The modulation of a running motion: its limits, and the motion at other speeds.
 
 One rule gives the limits of all motions. With its constants the motions stayed upright in `benchmarks/play.py`, with a
-margin; see docs/viewer.md. At another speed a motion has the same poses in another time. Accelerations grow with the
-square of the speed and the weight does not. The cycle is therefore balanced, as in retargeting, for some speeds, and
-interpolated between them.
+margin; see docs/viewer.md. At another speed a motion has the same contacts in another time. Accelerations grow with the
+square of the speed and the weight does not. The cycle is therefore made executable for some speeds, and interpolated
+between them.
 """
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.errors import MotionError
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import course_of
-from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.fit import Consistency
-from fastmimic.retargeting.pose import solve_pose
-from fastmimic.retargeting.track import TrunkTrack
 from fastmimic.robot import Robot
+from fastmimic.trajectory.config import TrajectoryConfig
+from fastmimic.trajectory.executable import nearest_executable
 
 SPEED: Final = (0.9, 1.25)  # factors on the phase's rate
-JOINT_SPEED_SHARE: Final = 1.1  # largest share of the joints' speed limit in a faster or higher reference
+JOINT_SPEED_SHARE: Final = 1.1  # largest share of the joints' speed limit in a higher reference
 TURN: Final = 1.0  # largest added turn rate, rad/s
 TURN_ACCELERATION: Final = 0.6  # largest added centripetal acceleration, at the highest speed, m/s²
 TURN_ANGLE: Final = 0.3  # largest turn of the body over a foot from mid-stance to lift-off, rad
@@ -52,7 +51,7 @@ class Limits:
 
 def limits_of(course: NDArray[Any], joint_vel: NDArray[np.float64], robot: Robot) -> Limits:
     """Limits of a cyclic motion from its `COURSE` (t,) and joint velocities (t, 12), rad/s. The joints' speeds limit
-    speed and swing height. The turn of a foot under the body and the centripetal acceleration limit the turn rate. A
+    the swing height. The turn of a foot under the body and the centripetal acceleration limit the turn rate. A
     motion in which a foot never lifts off is not modulated."""
     if course["contact"].all(axis=0).any():
         return Limits()
@@ -60,9 +59,8 @@ def limits_of(course: NDArray[Any], joint_vel: NDArray[np.float64], robot: Robot
     room = max(1.0, JOINT_SPEED_SHARE / max(used, 1e-9))
     travel = float(np.hypot(*course["travel"].T).max())
     arc = float(np.abs(course["since_middle"]).max())
-    fastest = min(SPEED[1], room)
-    turn = min(TURN, TURN_ANGLE / max(arc, 1e-9), TURN_ACCELERATION / max(fastest * travel, 1e-9))
-    return Limits((SPEED[0], fastest), (-turn, turn), (LIFT[0], min(LIFT[1], room)))
+    turn = min(TURN, TURN_ANGLE / max(arc, 1e-9), TURN_ACCELERATION / max(SPEED[1] * travel, 1e-9))
+    return Limits(SPEED, (-turn, turn), (LIFT[0], min(LIFT[1], room)))
 
 
 _RATES: Final = {
@@ -101,10 +99,14 @@ class Tempo:
 
 
 def make_tempo(robot: Robot, motion: Motion, speeds: tuple[float, ...]) -> Tempo:
-    """Balances a cyclic demonstration, not an optimised motion, for `speeds` other than 1."""
+    """Makes a cyclic demonstration, not an optimised motion, executable at `speeds` other than 1. A speed at which no
+    motion keeps the limits is left out."""
     found = {1.0: course_of(motion, robot)}
     for speed in speeds:
-        course = course_of(at_speed(robot, motion, speed), robot)
+        try:
+            course = course_of(at_speed(robot, motion, speed), robot)
+        except MotionError:
+            continue
         for name, power in _RATES.items():
             course[name] /= speed**power
         course["since_middle"] *= speed
@@ -114,14 +116,13 @@ def make_tempo(robot: Robot, motion: Motion, speeds: tuple[float, ...]) -> Tempo
 
 
 def at_speed(robot: Robot, motion: Motion, speed: float) -> Motion:
-    """The cycle `speed` times as fast, in as many samples, with its trunk balanced for that speed. The foot paths stay.
-    The motion's rate is no longer the robot's."""
-    config = RetargetConfig().for_robot(robot)
-    feet_w = motion.foot_pos_w
-    consistency = Consistency(robot, TrunkTrack.of(motion), motion.contact, motion.rate_hz * speed, config)
-    balanced = consistency.balanced_over(feet_w)
-    pose = solve_pose(robot, balanced, feet_w, float(balanced.root_z.mean()), config)
-    return consistency.motion(pose, balanced)
+    """The executable motion nearest to a cycle that is `speed` times as fast, in as many samples; its rate is no longer
+    the robot's. Raises `MotionError` if there is none."""
+    rates = {
+        name: speed * getattr(motion, name) for name in ("rate_hz", "joint_vel", "root_lin_vel_w", "root_ang_vel_w")
+    }
+    config = TrajectoryConfig(keep_time=True, keep_speed=True)
+    return nearest_executable(robot, replace(motion, **rates), config).motion
 
 
 def _moved(course: NDArray[Any], a: NDArray[Any], b: NDArray[Any], share: float) -> NDArray[Any]:

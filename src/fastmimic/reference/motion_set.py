@@ -91,7 +91,7 @@ class MotionSet:
             if not direct.done():
                 return None
             transition = direct.result()
-            if transition is not None and (transition.sound or near):
+            if transition is not None:
                 return goal, transition
         if not near:
             around = self._future(now, IN_PLACE)

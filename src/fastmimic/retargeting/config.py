@@ -6,7 +6,6 @@ from typing import Any, TypeVar
 
 from fastmimic.base.configuration import documented, parameter, parameters
 from fastmimic.motion.contacts import ContactConfig
-from fastmimic.retargeting.balance import BalanceConfig
 from fastmimic.retargeting.contact_schedule import ContactScheduleConfig
 from fastmimic.retargeting.feet import SwingPathConfig
 from fastmimic.robot import Robot
@@ -51,7 +50,6 @@ class RetargetConfig:
     reach_margin_rad: float = parameter(
         0.1, unit="rad", about="distance from the limits of knees and abduction joints when footholds are chosen"
     )
-    speed_share: float = parameter(0.95, about="share of the joint speed limit that the reference may use")
     straight_yaw_deg: float = parameter(10.0, unit="deg", about="a straight gait turns less than this in a cycle")
     straight_travel_deg: float = parameter(
         15.0,
@@ -83,7 +81,6 @@ class RetargetConfig:
     contact: ContactConfig = field(default_factory=ContactConfig)
     schedule: ContactScheduleConfig = field(default_factory=ContactScheduleConfig)
     swing: SwingPathConfig = field(default_factory=SwingPathConfig)
-    balance: BalanceConfig = field(default_factory=BalanceConfig)
     consistent: bool = parameter(
         True,
         about="False keeps feet, contacts, heading and trunk as scaled and closed, as in the published retargeting:"

@@ -1,6 +1,6 @@
 """Foot paths that stand still in stance and follow the animal's swings in between."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from fastmimic.retargeting.track import TrunkTrack, WorldPath
 
 _DEGREE = 3
 _AT_REST = 3  # coefficients of a cubic B-spline that fix position, velocity and acceleration at an end
-_VERTICAL_SHARE = 100.0  # stiffness added to the vertical motion for each unit of evenness
 _FLAT = 0.1  # a swing with less than this share of its clearance gets a plain sin² shape
 _CLEARANCE_ROUNDS = 4
 
@@ -26,9 +25,6 @@ class SwingPathConfig:
     )
     stiffness: float = parameter(
         1.0, about="weight of the third differences against the distance from the animal's path"
-    )
-    evenness: float = parameter(
-        0.0, about="weight of the horizontal first differences: a steady speed instead of the animal's own timing"
     )
     min_clearance_m: float = parameter(0.02, unit="m", scale="length", about="least height of every swing")
     linger_s: float = parameter(
@@ -47,7 +43,6 @@ def plant_feet(
     ground_z: float,
     rate_hz: float,
     config: SwingPathConfig,
-    evenness: Array | None = None,
 ) -> Array:
     """Consistent foot paths (n, 4, 3), world, m: fixed in stance, the animal's path between footholds in swing.
 
@@ -59,13 +54,11 @@ def plant_feet(
         holds: from `footholds`.
         highest: largest height of a foot, m.
         ground_z: height of a standing foot's centre, m.
-        evenness: of each leg's swings, in place of the configured one.
     """
     feet = np.empty_like(raw_w)
     for leg in range(4):
-        leg_config = config if evenness is None else replace(config, evenness=float(evenness[leg]))
         path = WorldPath(raw_w[:, leg], track)
-        feet[:, leg] = _plant(path, stances[leg], holds[leg], highest, rate_hz, leg_config)
+        feet[:, leg] = _plant(path, stances[leg], holds[leg], highest, rate_hz, config)
     feet[..., 2] += ground_z
     return feet
 
@@ -105,26 +98,20 @@ def _swing(
     end = last if last is not None else start
     target = raw + (1 - blend) * start + blend * end
     rest = before is not None, after is not None
-    horizontal = _SwingSpline(m, rate_hz, config.knot_s, config.stiffness, config.evenness, rest)
-    smoother = config.stiffness * (1 + _VERTICAL_SHARE * config.evenness)
-    vertical = _SwingSpline(m, rate_hz, config.knot_s, smoother, 0.0, rest)
+    spline = _SwingSpline(m, rate_hz, config.knot_s, config.stiffness, rest)
     shape = np.maximum(target[:, 2], 0.0)
     if shape.max() < _FLAT * clearance:
         shape = np.sin(np.pi * share) ** 2
     for _ in range(_CLEARANCE_ROUNDS):  # the spline flattens the top, so aim higher
-        z = vertical.fit(shape, lower=0.0)
+        z = spline.fit(shape, lower=0.0)
         shape = shape * (clearance / max(z.max(), 1e-6))
-    return np.stack(
-        [horizontal.fit(target[:, 0]), horizontal.fit(target[:, 1]), vertical.fit(shape, lower=0.0)], axis=1
-    )
+    return np.stack([spline.fit(target[:, 0]), spline.fit(target[:, 1]), spline.fit(shape, lower=0.0)], axis=1)
 
 
 class _SwingSpline:
     """Penalised cubic B-splines on the samples of one swing, at rest at its ends."""
 
-    def __init__(
-        self, m: int, rate_hz: float, knot_s: float, stiffness: float, evenness: float, rest: tuple[bool, bool]
-    ) -> None:
+    def __init__(self, m: int, rate_hz: float, knot_s: float, stiffness: float, rest: tuple[bool, bool]) -> None:
         from scipy.interpolate import BSpline
 
         pieces = max(6, round((m - 1) / rate_hz / knot_s))
@@ -132,8 +119,7 @@ class _SwingSpline:
         self._basis = BSpline.design_matrix(np.linspace(0, 1, m), knots, _DEGREE).toarray()
         k = pieces + _DEGREE
         roughness = np.sqrt(stiffness * m / pieces) * np.diff(np.eye(k), n=3, axis=0)
-        unevenness = np.sqrt(evenness * m / pieces) * np.diff(np.eye(k), n=1, axis=0)
-        self._matrix = np.concatenate([self._basis, roughness, unevenness])
+        self._matrix = np.concatenate([self._basis, roughness])
         self._first = np.arange(k) < (_AT_REST if rest[0] else 0)
         self._last = np.arange(k) >= k - (_AT_REST if rest[1] else 0)
 

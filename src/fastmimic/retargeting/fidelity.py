@@ -28,7 +28,6 @@ def make_report(work: Retargeting, fitted: Fitted) -> RetargetReport:
     motion, track, pose = fitted.motion, fitted.track, fitted.pose
     n = motion.n_samples
     planted = np.linalg.norm((motion.foot_pos_w - fitted.raw_w)[..., :2], axis=-1)
-    change = trunk_change(work.track, track)
     report = RetargetReport(
         before=_animal_figures(work, fitted),
         after=_robot_figures(work, fitted),
@@ -40,8 +39,6 @@ def make_report(work: Retargeting, fitted: Fitted) -> RetargetReport:
         support_share=_listed(np.bincount(motion.contact.sum(axis=1), minlength=5) / n),
         foot_path_rms_m=_listed(np.sqrt((planted**2).mean(axis=0))),
         foot_offset_m=_listed(work.offset[[1, 3]].T.ravel()),
-        trunk_change_m=_listed(change[:3]),
-        trunk_change_deg=_listed(np.degrees(change[3:])),
         base_height_m=float(motion.root_pos_w[:, 2].mean()),
         lowered_m=pose.lowered_m - work.raised,
         unreachable=_listed(pose.unreachable.sum(axis=0)),
@@ -49,7 +46,6 @@ def make_report(work: Retargeting, fitted: Fitted) -> RetargetReport:
         samples=n,
         joint_speed_peak=_listed(np.abs(motion.joint_vel).reshape(n, 4, 3).max(axis=(0, 1))),
         joint_speed_limit=_listed(work.robot.joint_speed_limit.reshape(4, 3).min(axis=0)),
-        smoothed_legs=fitted.smoothed,
         heading_aligned_deg=float(np.degrees(work.aligned)),
     )
     return with_bounds(report, work.config.turning_radius_m)
@@ -163,11 +159,3 @@ def mean_speed(velocity_xy: Array, heading: Array) -> float:
     """Length of the mean velocity (t, 2) as seen from the trunk with `heading` (t,), m/s: unlike the path's length it
     does not grow with sway, and unlike the end-to-end distance it does not shrink in a turn."""
     return float(np.linalg.norm(rotate_planar(-heading, velocity_xy).mean(axis=0)))
-
-
-def trunk_change(animal: TrunkTrack, robot: TrunkTrack) -> Array:
-    """RMS change (6,) of the trunk's path about its mean: x, y, z in the heading frame, m; roll, pitch, yaw, rad."""
-    planar = rotate_planar(-animal.heading, robot.root_xy - animal.root_xy)
-    turned = (robot.heading - animal.heading)[:, None]
-    change = np.concatenate([planar, (robot.root_z - animal.root_z)[:, None], robot.tilt - animal.tilt, turned], axis=1)
-    return np.asarray(change.std(axis=0))

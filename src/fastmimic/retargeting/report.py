@@ -12,7 +12,7 @@ from fastmimic.trajectory.executable import ExecutableFigures
 Floats = tuple[float, ...]
 Ints = tuple[int, ...]
 
-_ANGLES: Final = ("roll", "pitch", "yaw")
+_JOINT_SPEED: Final = "joint speed, share of the limit"
 MAX_SPEED_CHANGE: Final = 0.03
 SLOW_M_PER_S: Final = 0.4  # the change of a slower animal's speed is a share of this
 MAX_YAW_CHANGE_DEG: Final = 2.0
@@ -72,13 +72,11 @@ class RetargetReport:
         support_share: share of the time with 0, 1, 2, 3 and 4 feet on the ground.
         foot_path_rms_m: change of each foot's path in the world by planting.
         foot_offset_m: constant shift of the feet against the hips: front and rear along x, front and rear outwards.
-        trunk_change_m, trunk_change_deg: RMS change by balancing of x, y, z and of roll, pitch, yaw about their means.
         base_height_m, lowered_m: mean height of the base; its lowering for reach, negative if raised for folded knees.
         unreachable: samples in which a leg could not reach, of `samples`.
         joint_limited: samples in which a joint was held at its limit, for abduction, hip and knee.
         samples: of the motion.
         joint_speed_peak, joint_speed_limit: abduction, hip, knee, rad/s.
-        smoothed_legs: number of times each leg's swings were made more even to keep joint speeds.
         heading_aligned_deg: angle by which the trunk was turned into the direction of travel.
         bounds: see `with_bounds`.
         executable: of the optimal control problem, if the motion was made executable; the rest is about the kinematic
@@ -95,8 +93,6 @@ class RetargetReport:
     support_share: Floats
     foot_path_rms_m: Floats
     foot_offset_m: Floats
-    trunk_change_m: Floats
-    trunk_change_deg: Floats
     base_height_m: float
     lowered_m: float
     unreachable: Ints
@@ -104,7 +100,6 @@ class RetargetReport:
     samples: int
     joint_speed_peak: Floats
     joint_speed_limit: Floats
-    smoothed_legs: Ints
     heading_aligned_deg: float
     bounds: tuple[Bound, ...] = ()
     executable: ExecutableFigures | None = None
@@ -126,8 +121,6 @@ class RetargetReport:
         distance = f"{1e3 * before.closure_m:.1f} → {1e3 * after.closure_m:.2f} mm"
         angle = f"{before.closure_deg:.2f} → {after.closure_deg:.3f}°"
         support = [f"{feet} feet {100 * share:.0f} %" for feet, share in enumerate(self.support_share) if share > 0]
-        change = [f"{a} {1e3 * v:.0f} mm" for a, v in zip("xyz", self.trunk_change_m, strict=True)]
-        change += [f"{a} {v:.1f}°" for a, v in zip(_ANGLES, self.trunk_change_deg, strict=True)]
         clamps = f"reach {sum(self.unreachable)}, joint limits {sum(self.joint_limited)} of {self.samples} samples"
         moved = f"lowered {1e3 * self.lowered_m:.0f} mm for reach"
         if self.lowered_m < 0:
@@ -141,7 +134,6 @@ class RetargetReport:
             _row("swing clearance, mm", before.clearance_m, after.clearance_m, 1e3, 0),
             _row("foot path RMS, mm", None, self.foot_path_rms_m, 1e3, 0),
             f"support: {', '.join(support)}",
-            f"trunk changed by {', '.join(change)} RMS",
             f"base height {self.base_height_m:.3f} m ({moved})",
             f"joint speeds {speeds} rad/s; clamps: {clamps}",
             *map(_bound_line, self.bounds),
@@ -167,15 +159,20 @@ def with_bounds(report: RetargetReport, turning_radius_m: float) -> RetargetRepo
         _at_most("slip in stance, m", max(after.slip_m), MAX_SLIP_M, held),
         _at_most("cycle closure, m", after.closure_m, MAX_CLOSURE_M, held),
         _at_most("cycle closure, deg", after.closure_deg, MAX_CLOSURE_DEG, ""),
-        _at_most("speed change, share", speed, MAX_SPEED_CHANGE, "the path was smoothed and balanced"),
+        _at_most("speed change, share", speed, MAX_SPEED_CHANGE, "the path was smoothed"),
         _at_most("yaw change, deg", yaw, MAX_YAW_CHANGE_DEG, ""),
         Bound("swing clearance, share of the animal's", clearance, MIN_CLEARANCE_SHARE, not low, held if low else ""),
         _at_most("duty change", duty, MAX_DUTY_CHANGE, ", ".join(report.changes.reasons())),
-        _at_most(
-            "joint speed, share of the limit", joint_speed, 1.0, "the animal's legs move faster than the motors can"
-        ),
+        _at_most(_JOINT_SPEED, joint_speed, 1.0, "the animal's legs move faster than the motors can"),
     ]
     return replace(report, bounds=tuple(found))
+
+
+def with_executable(report: RetargetReport, figures: ExecutableFigures) -> RetargetReport:
+    """Adds what made the motion executable; the joints' speeds are then those of that motion."""
+    speed = _at_most(_JOINT_SPEED, figures.peak["joint speed"], 1.0, "")
+    bounds = tuple(speed if bound.name == _JOINT_SPEED else bound for bound in report.bounds)
+    return replace(report, bounds=bounds, executable=figures)
 
 
 def _at_most(name: str, value: float, limit: float, reason: str) -> Bound:

@@ -1,11 +1,13 @@
 """Retargeting: an animal's clip becomes a consistent reference motion of a robot.
 
-After Peng et al. 2020 (section IV), then made consistent, by one rule for every clip. The steps are in these modules:
+After Peng et al. 2020 (section IV): the kinematic motion, in which the robot's feet and trunk move as the animal's.
+From it optimal control (`fastmimic.trajectory`) makes the nearest motion that the robot can execute, by one rule for
+every clip. The steps are in these modules:
 
     track              keypoints → trunk and toe targets at the robot's size → a continuous motion, closed if a cycle
     contact_schedule   the detected contacts (`motion.contacts`) as a clean schedule
     reach, feet        footholds within reach, and smooth swings between them
-    fit                the trunk as the standing feet can carry it (`balance`), joints within their limits (`pose`)
+    fit, pose          the trunk's height, and joints within their ranges
     steps              calls all of the above on one clip; without a cycle, the trunk no lower than folded legs allow
     fidelity, report   what changed
 """
@@ -22,7 +24,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import Provenance
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.fidelity import make_report
-from fastmimic.retargeting.report import RetargetReport
+from fastmimic.retargeting.report import RetargetReport, with_executable
 from fastmimic.retargeting.steps import DOG_SCALE, Retargeting, whether_cycle
 from fastmimic.retargeting.track import extract
 from fastmimic.robot import Robot
@@ -42,7 +44,7 @@ def retarget(
     scale: float | None = None,
     cycle: bool | None = None,
     config: RetargetConfig | None = None,
-    executable: bool = False,
+    executable: bool = True,
     falls: Callable[[Robot, Motion], float] | None = None,
 ) -> tuple[Motion, RetargetReport]:
     """Turns an animal's clip into a reference motion of a robot; returns it with a report of the changes.
@@ -53,8 +55,9 @@ def retarget(
         scale: animal's to robot's size; if None the clip's own or the ratio of leg lengths (0.825 for a dog on the A1).
         cycle: whether the clip is one period; if None what the clip says, else whether it closes.
         config: settings at the A1's size, `RetargetConfig()` if None.
-        executable: whether the motion is the nearest one that the robot can execute, by optimal control, in place of
-            one with a balanced trunk; its `animal` is the kinematic motion.
+        executable: whether the motion is the nearest one that the robot can execute; its `animal` is then the
+            kinematic motion. A robot's own motion, and one that is not made consistent (`RetargetConfig`), stay as they
+            are.
         falls: share of perturbed starts from which a robot falls with a motion; see `nearest_executable`.
 
     The motion's `provenance` holds the report as well. Raises `ConfigError` unless rate and scale are positive, and
@@ -63,8 +66,6 @@ def retarget(
     _check(clip, rate_hz, scale)
     scale = choose_scale(clip, robot) if scale is None else float(scale)
     config = config or RetargetConfig()
-    if executable:
-        config = replace(config, balance=replace(config.balance, rounds=0))
     work = Retargeting(clip, robot, rate_hz, scale, cycle, config.for_robot(robot))
     work.align_heading()
     work.fit_posture()
@@ -83,10 +84,10 @@ def retarget(
         held_s=work.held / clip.rate_hz if work.held else None,
     )
     motion = replace(fitted.motion, provenance=provenance)
-    if not executable:
+    if not executable or work.own_body or not config.consistent:
         return motion, report
     found = nearest_executable(robot, motion, falls=falls)
-    report = replace(report, executable=found.figures)
+    report = with_executable(report, found.figures)
     return replace(found.motion, provenance=replace(provenance, retarget=report.as_dict())), report
 
 

@@ -197,11 +197,11 @@ def _is_own_body(clip: Clip, robot: Robot, scale: float) -> bool:
 
 
 def _for_own_body(config: RetargetConfig) -> RetargetConfig:
-    """Settings for a robot's own motion: it keeps its height and balance, and its feet are known exactly."""
+    """Settings for a robot's own motion: it keeps its height, and its feet are known exactly."""
     contact = replace(
         config.contact, enter=_EXACT_FEET * config.contact.enter, leave=_EXACT_FEET * config.contact.leave
     )
-    return replace(config, contact=contact, balance=replace(config.balance, rounds=0), max_raising_m=0.0)
+    return replace(config, contact=contact, max_raising_m=0.0)
 
 
 def within_folded_legs(source: ScaledClip, robot: Robot, lowered_m: float, config: RetargetConfig) -> ScaledClip:

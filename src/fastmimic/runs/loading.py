@@ -54,7 +54,7 @@ class MotionSource:
             raise ConfigError(f"{self.name}: already a robot motion; a clip is needed")
         return self.clip if isinstance(self.clip, Clip) else open_clip(self.clip, robot=robot, **overrides)
 
-    def retarget(self, robot: Robot, *, executable: bool = False, **overrides: Any) -> "tuple[Motion, RetargetReport]":
+    def retarget(self, robot: Robot, *, executable: bool = True, **overrides: Any) -> "tuple[Motion, RetargetReport]":
         """The clip's motion for a robot, and what changed; raises as `open_clip` and `retarget` do."""
         from fastmimic.episode.loop import share_of_falls  # loads the compiler
         from fastmimic.retargeting.retarget import retarget
@@ -64,7 +64,7 @@ class MotionSource:
 
     def load(self, robot: Robot, **overrides: Any) -> Motion:
         """The motion for a robot; see `load_motion`."""
-        given = {k: v for k, v in overrides.items() if v is not None and v is not False}
+        given = {k: v for k, v in overrides.items() if v is not None and (k, v) != ("discrete", False)}
         if self.motion is None:
             return self.retarget(robot, **given)[0]
         if given:

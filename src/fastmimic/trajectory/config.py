@@ -60,6 +60,9 @@ class TrajectoryConfig:
     )
     duration_weight: float = parameter(3000.0, low=0.0, about="cost of a changed duration, 1/s²")
     stride_weight: float = parameter(30.0, low=0.0, about="cost of a changed distance a cycle, of the squared share")
+    end_weight: float = parameter(
+        0.1, low=0.0, about="cost of the squared difference from the animal's velocities at the ends of a passage, s²"
+    )
     force_weight: float = parameter(3e-2, low=0.0, about="cost of squared forces")
     force_rate_weight: float = parameter(1.3e-5, low=0.0, about="cost of the forces' squared rates, s²")
     vertical_weight: float = parameter(
@@ -69,5 +72,5 @@ class TrajectoryConfig:
     angular_acceleration_weight: float = parameter(1e-6, low=0.0, about="the same of roll, pitch and yaw, s⁴/rad²")
     joint_acceleration_weight: float = parameter(3e-7, low=0.0, about="the same of the joints, s⁴/rad²")
     foot_acceleration_weight: float = parameter(5e-6, low=0.0, about="the same of the feet, s⁴/m²")
-    iterations: int = parameter(300, low=1, about="most iterations of the solver")
+    iterations: int = parameter(150, low=1, about="most iterations of the solver")
     tolerance: float = parameter(1e-4, above=0.0, about="of the solver, on the scaled optimality conditions")

@@ -25,11 +25,12 @@ from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.contact_modes import ContactModes, interpolated
 from fastmimic.trajectory.node import METRES, ROWS
 from fastmimic.trajectory.program import Program, Solution, displacement
-from fastmimic.trajectory.solved import keep, outcome_key, remembered
+from fastmimic.trajectory.solved import Remembered
 
 _RETRIES: Final[tuple[dict[str, float], ...]] = (
     {"contact_m_per_s": 0.5},
-    {"contact_m_per_s": 0.5, "friction": 0.5, "torque_share": 0.95},
+    {"contact_m_per_s": 0.5, "clearance_share": 0.3},
+    {"contact_m_per_s": 0.5, "clearance_share": 0.3, "friction": 0.5, "torque_share": 0.95},
 )
 """Margins that a problem without a solution gives up, in this order."""
 _STEADIER: Final[tuple[dict[str, float], ...]] = (
@@ -37,7 +38,6 @@ _STEADIER: Final[tuple[dict[str, float], ...]] = (
     {"capture_weight": 1000.0, "capture_m": 0.03, "loading": 3.0},
 )
 """Margins that a cycle gets instead, one after another, while the robot falls with it."""
-_AT_LIMIT: Final = 1e-3
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def nearest_executable(
     motion that falls least is returned. Raises `MotionError` if no motion keeps the limits; the message says which.
     """
     config = config or TrajectoryConfig()
-    best = _within_limits(robot, animal, config, {})
+    best = _within_limits(Program(robot, animal, config), {})
     if falls is None or animal.cycle is None:
         return best
     fell = _share_of_falls(falls, robot, best.motion)
@@ -123,7 +123,7 @@ def nearest_executable(
         if fell == 0:
             break
         try:
-            other = _within_limits(robot, animal, config, margins)
+            other = _within_limits(Program(robot, animal, config), margins)
         except MotionError:
             continue
         if (share := _share_of_falls(falls, robot, other.motion)) < fell:
@@ -136,48 +136,39 @@ def _share_of_falls(falls: Callable[[Robot, Motion], float], robot: Robot, motio
     if not falls.__module__.startswith("fastmimic."):
         return falls(robot, motion)
     names = ("root_pos_w", "root_quat_wxyz", "joint_pos", "joint_vel", "root_lin_vel_w", "root_ang_vel_w", "contact")
-    given = [np.ascontiguousarray(getattr(motion, name)) for name in names]
-    key = outcome_key(repr((falls.__qualname__, robot, motion.rate_hz, motion.cycle)).encode(), *given)
-    if (found := remembered(key)) is None:
+    given = [*(getattr(motion, name) for name in names), np.zeros(3) if motion.cycle is None else motion.cycle]
+    known = Remembered(repr((falls.__qualname__, robot, motion.rate_hz)), given, outcome=True)
+    if (found := known.read()) is None:
         found = {"fell": np.array(falls(robot, motion))}
-        keep(key, found)
+        known.keep(found)
     return float(found["fell"])
 
 
-def _within_limits(robot: Robot, animal: Motion, config: TrajectoryConfig, margins: dict[str, float]) -> Executable:
+def executable_between(robot: Robot, guess: Motion, config: TrajectoryConfig | None = None) -> Executable:
+    """The motion nearest to `guess` that joins the two executable motions of which its first and last samples are
+    parts, in the same time. `guess` does not repeat. Raises `MotionError` as `nearest_executable` does."""
+    config = replace(config or TrajectoryConfig(), keep_time=True, keep_speed=True)
+    return _within_limits(Program(robot, guess, config, joins=True), {})
+
+
+def _within_limits(problem: Program, margins: dict[str, float]) -> Executable:
+    """Of a problem with these margins; those of `_RETRIES` are given up while it has no solution."""
     for given_up in ({}, *_RETRIES):
         changed = {**margins, **given_up}
-        program = Program(robot, animal, replace(config, **changed))  # type: ignore[arg-type]
+        program = replace(problem, config=replace(problem.config, **changed))  # type: ignore[arg-type]
         solution = program.solve()
         if solution.converged:
             return Executable(sampled(program, solution), _figures(program, solution, changed), solution)
     raise MotionError(
-        f"no motion of {robot.name} near '{animal.name}' keeps the limits: {_worst(program, solution)}"
+        f"no motion of {program.robot.name} near '{program.motion.name}' keeps the limits: {_worst(program, solution)}"
         f" ({solution.status} after {solution.iterations} iterations)"
     )
 
 
 def _figures(program: Program, solution: Solution, margins: dict[str, float]) -> ExecutableFigures:
-    config, modes, animal = program.config, program.modes, program.animal
-    low, high = program.bounds_of_rows()
-    rows = solution.rows
-    at_limit = (np.minimum(rows - low, high - rows) < _AT_LIMIT) & (low < high)
-    shares = {
-        "torque": (config.torque_share * np.abs(rows[:, ROWS["torque"]]), ("torque",)),
-        "torque at speed": (
-            0.5 * np.maximum(rows[:, ROWS["driving"]], rows[:, ROWS["braking"]]),
-            ("driving", "braking"),
-        ),
-        "joint speed": (np.abs(rows[:, ROWS["speed"]]), ("speed",)),
-    }
-    peak = {name: float(values[modes.moves].max()) for name, (values, _) in shares.items()}
-    active = {
-        name: float(np.mean(np.any([at_limit[:, ROWS[row]].any(axis=1) for row in names], axis=0)))
-        for name, (_, names) in shares.items()
-    }
-    force = solution.force[modes.loaded & modes.moves[:, None]]
-    peak["friction"] = float((np.abs(force[:, :2]).max(axis=1) / force[:, 2]).max()) if len(force) else 0.0
-    active["friction"] = float(np.mean(at_limit[:, ROWS["friction"]].any(axis=1)))
+    animal = program.animal
+    peak = {name: peak for name, (peak, _) in solution.use.items()}
+    active = {name: active for name, (_, active) in solution.use.items()}
     wanted = np.column_stack([solution.stride * animal["position"][:, :2], animal["position"][:, 2:], animal["angles"]])
     change = np.sqrt(np.mean((solution.coordinates[:, :6] - wanted) ** 2, axis=0))
     period = program.motion.period_s, float(solution.time[-1])
@@ -212,7 +203,8 @@ _LIMITS = {
 def _worst(program: Program, solution: Solution) -> str:
     """The limit that is exceeded most, by how much and when."""
     low, high = program.bounds_of_rows()
-    excess = np.maximum(low - solution.rows, solution.rows - high)
+    rows = program.rows(solution.variables)
+    excess = np.maximum(low - rows, rows - high)
     node, row = np.unravel_index(int(np.argmax(excess)), excess.shape)
     name = next(name for name, part in ROWS.items() if part.start <= row < part.stop)
     amount = float(excess[node, row])

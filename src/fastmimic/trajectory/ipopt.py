@@ -4,7 +4,7 @@ The exact derivatives of one node (`node`) are put together to sparse ones of th
 the number of nodes. CasADi alone would find the same by colouring, in much longer time.
 """
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.node import N_ROWS, N_VARIABLES, NodeFunctions
+
+_DIVERGED: Final = 1e5
 
 
 def make_solver(
@@ -69,6 +71,7 @@ def make_solver(
     entries = functions.hessian.map(nodes)(z, known, ca.repmat(factor, 1, nodes), shared)
     hessian = ca.MX(pattern, ca.DM(gather.tocsc()) @ ca.vec(entries) + factor * ca.DM(constant))
 
+    watch = _diverging(n, len(selected))
     options = {
         "grad_f": ca.Function("nlp_grad_f", [w, empty], [cost, gradient], ["x", "p"], ["f", "grad_f_x"]),
         "jac_g": ca.Function("nlp_jac_g", [w, empty], [rows, jacobian], ["x", "p"], ["g", "jac_g_x"]),
@@ -91,9 +94,39 @@ def make_solver(
         "ipopt.mu_strategy": "adaptive",
         "ipopt.nlp_scaling_method": "none",  # the rows are shares of their limits; 30 % fewer iterations than with it
         "ipopt.fixed_variable_treatment": "make_parameter",
+        "iteration_callback": watch,
     }
     solver = ca.nlpsol("nearest", "ipopt", {"x": w, "f": cost, "g": rows}, options)
+    solver.watch = watch  # the solver itself does not keep it alive
     return solver, (low[selected], high[selected])
+
+
+def _diverging(n: int, constraints: int) -> Any:
+    """Stops the solver where the multipliers of the constraints grow without bound: no solution is near. It would go on
+    for minutes. Of a hundred problems with a solution none had one above 2000."""
+    import casadi as ca
+
+    sizes = {"f": (1, 1), "x": (n, 1), "lam_x": (n, 1), "g": (constraints, 1), "lam_g": (constraints, 1)}
+
+    class Diverging(ca.Callback):
+        def __init__(self) -> None:
+            ca.Callback.__init__(self)
+            self.construct("diverging", {})
+
+        def get_n_in(self) -> int:
+            return int(ca.nlpsol_n_out())
+
+        def get_n_out(self) -> int:
+            return 1
+
+        def get_sparsity_in(self, i: int) -> Any:
+            return ca.Sparsity.dense(*sizes.get(ca.nlpsol_out(i), (0, 0)))
+
+        def eval(self, answer: list[Any]) -> list[Any]:
+            multipliers = answer[ca.nlpsol_out().index("lam_g")]
+            return [int(np.abs(multipliers.full()).max(initial=0.0) > _DIVERGED)]
+
+    return Diverging()
 
 
 def _accumulation(place: NDArray[np.int_], n: int) -> Any:

@@ -6,7 +6,7 @@ constraints and cost depend on three neighbouring nodes alone.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.contact_modes import ContactModes, runs_of
+from fastmimic.trajectory.costs import quadratic_costs
 from fastmimic.trajectory.ipopt import make_solver
 from fastmimic.trajectory.margins import capture_margins, heaviest
 from fastmimic.trajectory.node import (
@@ -37,11 +38,14 @@ from fastmimic.trajectory.node import (
     NodeFunctions,
     node_functions,
 )
-from fastmimic.trajectory.solved import keep, problem_key, remembered
+from fastmimic.trajectory.solved import Remembered
 
 _SHORTEST_STEP_S = 0.0025
 _LONGEST_STEP_S = 0.012
 _MOST_DIFFERENCE = 0.6  # of the distance that a cycle covers
+LIMITS: Final = ("torque", "torque at speed", "joint speed", "friction")
+_AT_LIMIT = 1e-3
+_JOINED = [0, 1, -2, -1]  # nodes that keep their coordinates where a motion joins others
 
 
 def displacement(motion: Motion) -> tuple[Array, float]:
@@ -66,7 +70,7 @@ class Solution:
         converged, status: whether the solver's tolerances were met, and IPOPT's words.
         iterations: of the solver.
         violation: largest violation of a scaled constraint.
-        rows: (N, 89) constraint rows.
+        use: of each limit its greatest use, share of the robot's own, and the share of the time at it (`LIMITS`).
         cost: of the whole.
         variables: of the program, to start another one from.
     """
@@ -81,18 +85,20 @@ class Solution:
     status: str
     iterations: int
     violation: float
-    rows: Array
+    use: dict[str, tuple[float, float]]
     cost: float
     variables: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """The problem of one motion: the nearest one that the robot can execute."""
+    """The problem of one motion: the nearest one that the robot can execute. `joins`: its ends are parts of other
+    motions, so that two nodes at either end keep their coordinates."""
 
     robot: Robot
     motion: Motion
     config: TrajectoryConfig
+    joins: bool = False
 
     @cached_property
     def modes(self) -> ContactModes:
@@ -110,17 +116,17 @@ class Program:
     @property
     def n(self) -> int:
         """Number of variables."""
-        return self._at["stride"] + 1
+        return self.at["stride"] + 1
 
     @cached_property
-    def _at(self) -> dict[str, int]:
+    def at(self) -> dict[str, int]:
         """First index of the variables: coordinates and forces node by node, durations, footholds, stride."""
         modes = self.modes
         sizes = {
             "coordinates": 18 * modes.n_nodes,
             "force": 12 * modes.n_nodes,
             "durations": len(modes.steps),
-            "holds": 2 * len(modes.footholds),
+            "holds": 2 * max(1, len(modes.footholds)),  # one that nothing uses, if no foot ever stands
             "stride": 1,
         }
         ends = np.cumsum([0, *sizes.values()]).tolist()
@@ -129,7 +135,7 @@ class Program:
     @cached_property
     def index(self) -> NDArray[np.int_]:
         """(N, 77) variables of the program that are those of each node."""
-        modes, at = self.modes, self._at
+        modes, at = self.modes, self.at
         index = np.zeros((modes.n_nodes, N_VARIABLES), dtype=int)
         for name, node in (("before", modes.before), ("here", np.arange(modes.n_nodes)), ("after", modes.after)):
             index[:, VARIABLES[name]] = 18 * node[:, None] + np.arange(18)
@@ -241,11 +247,20 @@ class Program:
             low[stands, foot] = high[stands, foot] = 0.0
             pyramid = slice(ROWS["friction"].start + 4 * leg, ROWS["friction"].start + 4 * leg + 4)
             low[modes.loaded[:, leg] & moves, pyramid] = 0.0
+        if self.joins:  # what is given there has the feet of its samples, not those of the nodes between them
+            kept, inner = _JOINED, _JOINED[1:3]
+            heights = [ROWS["feet"].start + 3 * leg + 2 for leg in range(4)]
+            planar = [j for j in range(ROWS["feet"].start, ROWS["feet"].stop) if j not in heights]
+            standing = np.repeat(modes.stands[inner], 2, axis=1)
+            for bound, none in ((low, -np.inf), (high, np.inf)):
+                foothold = np.where(standing, bound[np.ix_(inner, planar)], none)
+                bound[kept, ROWS["feet"]] = bound[kept, ROWS["knees"]] = none
+                bound[np.ix_(inner, planar)] = foothold
         return low, high
 
     def bounds_of_variables(self) -> tuple[Array, Array]:
         """Lower and upper bounds (n,) of the variables."""
-        robot, config, modes, at = self.robot, self.config, self.modes, self._at
+        robot, config, modes, at = self.robot, self.config, self.modes, self.at
         low, high = np.full(self.n, -np.inf), np.full(self.n, np.inf)
         place = at["coordinates"] + 18 * np.arange(modes.n_nodes)[:, None]
         for j in (3, 4):
@@ -253,6 +268,9 @@ class Program:
         joints = place + 6 + np.arange(12)
         low[joints] = robot.joint_lower + config.joint_margin_rad
         high[joints] = robot.joint_upper - config.joint_margin_rad
+        if self.joins:
+            for bound in (low, high):
+                bound[place[_JOINED] + np.arange(18)] = self.coordinates()[_JOINED]
         force_low, force_high = np.zeros((2, modes.n_nodes, 4, 3))
         pushes = modes.loaded & modes.moves[:, None]
         force_low[pushes] = -config.most_force, -config.most_force, config.least_force
@@ -283,30 +301,32 @@ class Program:
 
     def start(self) -> Array:
         """The animal's motion as the first guess (n,), the weight shared by the standing feet."""
-        modes, at, animal = self.modes, self._at, self.animal
+        modes, at, animal = self.modes, self.at, self.animal
         low, high = self.bounds_of_variables()
         w = np.zeros(self.n)
-        coordinates = np.hstack([animal["position"], animal["angles"], animal["joints"]])
-        w[: at["force"]] = coordinates.ravel()
+        w[: at["force"]] = self.coordinates().ravel()
         force = np.zeros((modes.n_nodes, 4, 3))
         force[..., 2] = modes.loaded / np.maximum(1, modes.loaded.sum(axis=1, keepdims=True))
         w[at["force"] : at["durations"]] = force.ravel()
         w[at["durations"] : at["holds"]] = self.animal_durations
         feet = animal["feet_w"].reshape(-1, 4, 3)
         holds = np.array([feet[hold.node, hold.leg, :2] for hold in modes.footholds])
-        w[at["holds"] : at["stride"]] = holds.ravel()
+        w[at["holds"] : at["holds"] + holds.size] = holds.ravel()
         w[at["stride"]] = 1.0
         return np.clip(w, low, high)
+
+    def coordinates(self) -> Array:
+        """(N, 18) of the animal's motion at the nodes."""
+        return np.hstack([self.animal[name] for name in ("position", "angles", "joints")])
 
     def solve(self, start: Array | None = None) -> Solution:
         """Solves the problem from a first guess (n,), by default `start()`."""
         found = self._solved(self.start() if start is None else start)
         w = found["variables"]
-        modes, at = self.modes, self._at
+        modes, at = self.modes, self.at
         durations = w[at["durations"] : at["holds"]]
         steps = np.repeat(durations / modes.steps, modes.steps)
         n = modes.n_nodes
-        all_rows = np.array(self.functions.rows.map(n)(w[self.index].T, self.given.T)).T
         return Solution(
             coordinates=w[: at["force"]].reshape(n, 18),
             force=w[at["force"] : at["durations"]].reshape(n, 4, 3),
@@ -318,23 +338,25 @@ class Program:
             status=str(found["status"]),
             iterations=int(found["iterations"]),
             violation=float(found["violation"]),
-            rows=all_rows,
+            use=dict(zip(LIMITS, map(tuple, found["use"].tolist()), strict=True)),
             cost=float(found["cost"]),
             variables=w,
         )
 
     def _solved(self, start: Array) -> dict[str, Array]:
         """The solver's answer, or what it answered to the same problem before."""
-        bounds, rows, (smooth, wanted) = self.bounds_of_variables(), self.bounds_of_rows(), self._quadratic()
+        bounds, rows, (smooth, wanted) = self.bounds_of_variables(), self.bounds_of_rows(), quadratic_costs(self)
         parts = (self.given, *bounds, *rows, smooth.data, wanted, start)
-        key = problem_key(repr((self.config, self.robot)).encode(), self.index, *map(np.ascontiguousarray, parts))
-        if (found := remembered(key)) is not None:
+        known = Remembered(repr((self.config, self.robot)), [self.index, *parts])
+        if (found := known.read()) is not None:
             return found
         solver, (low, high) = make_solver(self.functions, self.index, self.given, rows, (smooth, wanted), self.config)
         answer = solver(x0=start, lbx=bounds[0], ubx=bounds[1], lbg=low, ubg=high)
         stats, g = solver.stats(), np.array(answer["g"]).ravel()
+        w = np.array(answer["x"]).ravel()
         found = {
-            "variables": np.array(answer["x"]).ravel(),
+            "variables": w,
+            "use": self._use(w),
             "cost": np.array(float(answer["f"])),
             "converged": np.array(bool(stats["success"])),
             "status": np.array(str(stats["return_status"])),
@@ -342,34 +364,29 @@ class Program:
             "violation": np.array(max(0.0, float((low - g).max(initial=0.0)), float((g - high).max(initial=0.0)))),
         }
         if stats["success"]:
-            keep(key, found)
+            known.keep(found)
         return found
 
-    def _quadratic(self) -> tuple[Any, Array]:
-        """Sparse E and e of the cost |E w − e|² of changed durations, and of forces that differ between nodes."""
-        import scipy.sparse as sp
+    def rows(self, variables: Array) -> Array:
+        """(N, 89) constraint rows for variables (n,)."""
+        return np.array(self.functions.rows.map(self.modes.n_nodes)(variables[self.index].T, self.given.T)).T
 
-        modes, config, at = self.modes, self.config, self._at
-        count = len(modes.steps)
-        root = np.sqrt(config.duration_weight)
-        durations = sp.csr_matrix(
-            (np.full(count, root), (np.arange(count), at["durations"] + np.arange(count))), (count, self.n)
-        )
-        moves = modes.moves & modes.moves[modes.after]
-        follows = modes.stands & modes.stands[modes.after] & moves[:, None]
-        node, leg = np.nonzero(follows)
-        here = at["force"] + (12 * node + 3 * leg)[:, None] + np.arange(3)
-        there = at["force"] + (12 * modes.after[node] + 3 * leg)[:, None] + np.arange(3)
-        k = here.size
-        step = np.repeat(self.animal_steps[node], 3)
-        rate = np.sqrt(config.force_rate_weight / step / self.animal_durations.sum())
-        values = np.concatenate([rate, -rate])
-        rates = sp.csr_matrix(
-            (values, (np.tile(np.arange(k), 2), np.concatenate([here.ravel(), there.ravel()]))), (k, self.n)
-        )
-        stride = sp.csr_matrix(([np.sqrt(config.stride_weight)], ([0], [at["stride"]])), (1, self.n))
-        wanted = np.concatenate([root * self.animal_durations, np.zeros(k), [np.sqrt(config.stride_weight)]])
-        return sp.vstack([durations, rates, stride]).tocsr(), wanted
+    def _use(self, variables: Array) -> Array:
+        """(4, 2) of `LIMITS`: the greatest use, share of the robot's own, and the share of the time at the limit with
+        its margin. Friction is the coefficient."""
+        modes, rows, (low, high) = self.modes, self.rows(variables), self.bounds_of_rows()
+        at_limit = (np.minimum(rows - low, high - rows) < _AT_LIMIT) & (low < high)
+        force = variables[self.at["force"] : self.at["durations"]].reshape(-1, 4, 3)
+        loaded = np.where(modes.loaded & modes.moves[:, None], force[..., 2], np.inf)
+        values = {
+            ("torque",): self.config.torque_share * np.abs(rows[:, ROWS["torque"]]),
+            ("driving", "braking"): 0.5 * np.maximum(rows[:, ROWS["driving"]], rows[:, ROWS["braking"]]),
+            ("speed",): np.abs(rows[:, ROWS["speed"]]),
+            ("friction",): np.abs(force[..., :2]).max(axis=-1) / loaded,
+        }
+        peak = [value[modes.moves].max() for value in values.values()]
+        active = [np.any([at_limit[:, ROWS[row]].any(axis=1) for row in names], axis=0).mean() for names in values]
+        return np.column_stack([peak, active])
 
 
 def _turned(velocity: Array, yaw: float) -> Array:

@@ -1,4 +1,8 @@
-"""Solutions that were found before, and what came of running them: a motion is made executable once."""
+"""Solutions that were found before, and what came of running them: a motion is made executable once.
+
+Those of the built-in motions come with the package (`benchmarks/keep_solutions.py` makes the file); others are kept in
+the user's cache folder.
+"""
 
 from functools import cache
 from pathlib import Path
@@ -12,38 +16,69 @@ from fastmimic.base.errors import FastMimicError
 from fastmimic.base.files import read_arrays, replace_file
 
 MOST: Final = 1000
-"""Files that are kept, a solution's of about 50 kB; the oldest go."""
+"""Files that are kept, a solution's of about 20 kB; the oldest go."""
+PACKAGED: Final = Path(__file__).with_name("solutions.npz")
+_DECIMALS: Final = 5
+"""To which the numbers of a problem in the package are rounded: another machine's differ in the last digits."""
 
 
-def problem_key(*parts: bytes | NDArray[Any]) -> str:
-    """Of everything that the solution depends on, this code and the solver's version included."""
-    return fingerprint(_code(), *parts)
+class Remembered:
+    """What is known of one question: a problem of optimal control, or what came of running a motion.
+
+    `said` and `arrays` are all that the answer depends on but for the code: that of this folder, and of the solver; for
+    an outcome that of the whole package, and of the simulator.
+    """
+
+    def __init__(self, said: str, arrays: list[NDArray[Any]], *, outcome: bool = False) -> None:
+        given = [np.ascontiguousarray(array) for array in arrays]
+        rounded = [np.round(array.astype(float), _DECIMALS) + 0.0 for array in given]
+        self._key = fingerprint(_package() if outcome else _solver(), said.encode(), *given)
+        self._general = fingerprint(_folder_code(), said.encode(), *rounded)
+
+    def read(self) -> dict[str, Array] | None:
+        """The answer; None if there is none yet, or its file is damaged."""
+        path = _folder() / f"{self._key}.npz"
+        try:
+            if path.is_file():
+                return read_arrays(path, FastMimicError, "a solution")
+        except FastMimicError:
+            pass
+        return _packaged().get(self._general)
+
+    def keep(self, answer: dict[str, Array]) -> None:
+        """Keeps the answer; nothing happens where the user's cache folder cannot be written."""
+        if recorded is not None:
+            recorded[self._general] = answer
+        folder = _folder()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            replace_file(folder / f"{self._key}.npz", lambda stream: np.savez(stream, **answer))  # type: ignore[arg-type]
+            for path in sorted(folder.glob("*.npz"), key=lambda path: path.stat().st_mtime)[:-MOST]:
+                path.unlink(missing_ok=True)
+        except OSError:
+            pass
 
 
-def outcome_key(*parts: bytes | NDArray[Any]) -> str:
-    """Of everything that a simulation depends on, all code of this package and the simulator's version included."""
-    return fingerprint(_package(), *parts)
+recorded: dict[str, dict[str, Array]] | None = None
+"""Where a process records what it keeps, for the package."""
 
 
-def remembered(key: str) -> dict[str, Array] | None:
-    """The arrays kept under a key; None if there are none, or if their file is damaged."""
-    path = _folder() / f"{key}.npz"
-    try:
-        return read_arrays(path, FastMimicError, "a solution") if path.is_file() else None
-    except FastMimicError:
-        return None
+def write_recorded(path: Path) -> None:
+    """Writes what was recorded to a file such as `PACKAGED`."""
+    arrays = {
+        f"{key} {name}": array for key, known in sorted((recorded or {}).items()) for name, array in known.items()
+    }
+    replace_file(path, lambda stream: np.savez_compressed(stream, **arrays))  # type: ignore[arg-type]
 
 
-def keep(key: str, arrays: dict[str, Array]) -> None:
-    """Keeps arrays under a key; nothing happens where the user's cache folder cannot be written."""
-    folder = _folder()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        replace_file(folder / f"{key}.npz", lambda stream: np.savez(stream, **arrays))  # type: ignore[arg-type]
-        for path in sorted(folder.glob("*.npz"), key=lambda path: path.stat().st_mtime)[:-MOST]:
-            path.unlink(missing_ok=True)
-    except OSError:
-        pass
+@cache
+def _packaged() -> dict[str, dict[str, Array]]:
+    found: dict[str, dict[str, Array]] = {}
+    if PACKAGED.is_file():
+        for name, array in read_arrays(PACKAGED, FastMimicError, "a solution").items():
+            key, part = name.split(" ")
+            found.setdefault(key, {})[part] = array
+    return found
 
 
 def _folder() -> Path:
@@ -53,16 +88,20 @@ def _folder() -> Path:
 
 
 @cache
-def _code() -> bytes:
-    import casadi
+def _folder_code() -> bytes:
+    return b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
 
-    files = sorted(Path(__file__).parent.glob("*.py"))
-    return casadi.__version__.encode() + b"".join(path.read_bytes() for path in files)
+
+@cache
+def _solver() -> bytes:
+    from importlib.metadata import version
+
+    return version("casadi").encode() + _folder_code()
 
 
 @cache
 def _package() -> bytes:
-    import mujoco
+    from importlib.metadata import version
 
     files = sorted(Path(__file__).parents[1].glob("**/*.py"))
-    return mujoco.__version__.encode() + b"".join(path.read_bytes() for path in files)
+    return version("mujoco").encode() + b"".join(path.read_bytes() for path in files)
