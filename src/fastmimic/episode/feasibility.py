@@ -74,6 +74,18 @@ class Demands:
     body_clearance_m: float
 
 
+@dataclass(frozen=True, eq=False)
+class LimitUse:
+    """How much of each limit a motion uses at k instants, (k,) each, as in `Demands`; `friction` is NaN without a foot
+    on the ground, `lacking` (k, 6) is the acceleration that the standing feet cannot give, m/s² and rad/s²."""
+
+    joint_speed: Array
+    torque: Array
+    torque_at_speed: Array
+    friction: Array
+    lacking: Array
+
+
 @dataclass(frozen=True)
 class Fall:
     """An episode's early end: the bodies other than feet on the ground, by name; 'touched the ground', 'tipped over',
@@ -96,9 +108,8 @@ class Reason:
     text: str
 
 
-def demands(robot: Robot, motion: Motion, *, sample_s: float = SAMPLE_S, percentile: float = HIGH) -> Demands:
-    """What a motion asks of a robot, whether or not the robot can, at instants `sample_s` apart."""
-    sample = np.arange(0, motion.n_samples, max(1, round(sample_s * motion.rate_hz)))
+def use_of_limits(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> LimitUse:
+    """What a motion uses of each limit at its samples (k,), whether or not the robot can."""
     demand = ground_demand(robot, motion, sample)
     force, lacking = _ground_forces(robot, demand.wrench, *push_directions(demand, GROUND_FRICTION))
     quat = motion.root_quat_wxyz[sample]
@@ -106,19 +117,31 @@ def demands(robot: Robot, motion: Motion, *, sample_s: float = SAMPLE_S, percent
     force_b = quat_rotate_inverse(tilt[:, None], force)
     jacobian = foot_jacobians(robot, motion.joint_pos[sample])
     torque = demand.joint_torque - np.einsum("tlij,tli->tlj", jacobian, force_b).reshape(-1, 12)
-    share = (np.abs(torque) / robot.torque_limit).max(axis=1)
     driving = torque / robot.torque_limit * np.sign(motion.joint_vel[sample])
-    at_speed = 0.5 * (driving + 2 * np.abs(motion.joint_vel[sample]) / robot.joint_speed_limit).max(axis=1)
-    standing = demand.stands.any(axis=1)
-    total = demand.wrench[standing, :3]
+    speed = np.abs(motion.joint_vel[sample]) / robot.joint_speed_limit
+    total = demand.wrench[:, :3]
     ratio = np.linalg.norm(total[:, :2], axis=1) / np.maximum(total[:, 2], 0.1 * robot.mass * GRAVITY)
+    return LimitUse(
+        joint_speed=speed.max(axis=1),
+        torque=(np.abs(torque) / robot.torque_limit).max(axis=1),
+        torque_at_speed=0.5 * (driving + 2 * speed).max(axis=1),
+        friction=np.where(demand.stands.any(axis=1), ratio, np.nan),
+        lacking=lacking,
+    )
+
+
+def demands(robot: Robot, motion: Motion, *, sample_s: float = SAMPLE_S, percentile: float = HIGH) -> Demands:
+    """What a motion asks of a robot, whether or not the robot can, at instants `sample_s` apart."""
+    sample = np.arange(0, motion.n_samples, max(1, round(sample_s * motion.rate_hz)))
+    use = use_of_limits(robot, motion, sample)
+    friction, lacking = use.friction[np.isfinite(use.friction)], use.lacking
     q, margin = motion.joint_pos, 0.03
     limited = (q < robot.joint_lower + margin) | (q > robot.joint_upper - margin)
     return Demands(
         joint_speed=float((np.abs(motion.joint_vel) / robot.joint_speed_limit).max()),
-        torque=float(np.percentile(share, percentile)),
-        torque_at_speed=float(np.percentile(at_speed, percentile)),
-        friction=float(np.percentile(ratio, percentile)) if standing.any() else 0.0,
+        torque=float(np.percentile(use.torque, percentile)),
+        torque_at_speed=float(np.percentile(use.torque_at_speed, percentile)),
+        friction=float(np.percentile(friction, percentile)) if len(friction) else 0.0,
         flight=float(np.mean(~motion.contact.any(axis=1))),
         lacking=float(np.sqrt((lacking[:, :3] ** 2).sum(axis=1).mean()) / GRAVITY),
         lacking_angular=float(np.sqrt((lacking[:, 3:] ** 2).sum(axis=1).mean())),

@@ -47,7 +47,7 @@ def new_figure(width: float, height: float, title: str, below: float | None = No
     below the panels, these have fixed margins: the figure is then drawn once in place of three times to find them."""
     figure = Figure(figsize=(width, height), layout="constrained" if below is None else None, facecolor="white")
     FigureCanvasAgg(figure)
-    y = 0.98 if below is None else 1.0 - 0.09 / height
+    y = None if below is None else 1.0 - 0.09 / height  # given one, a constrained layout leaves it no room
     figure.suptitle(title, x=0.012, y=y, ha="left", va="top", fontsize=13, fontweight="bold", color=INK)
     if below is not None:
         figure.subplots_adjust(0.75 / width, below / height, 1.0 - 0.12 / width, 1.0 - 0.62 / height, 0.25, 0.2)

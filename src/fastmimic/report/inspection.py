@@ -1,6 +1,6 @@
 """The pictures of a motion and of a take: gait, trunk, joints against their limits; segments, feet, speed, heading."""
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,10 +13,12 @@ from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.rotations import matrix_from_quat
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.segment import DISCRETE, STAND, TURN, Segment, SegmentConfig, take_of
+from fastmimic.episode.feasibility import SAMPLE_S, use_of_limits
 from fastmimic.motion.motion import Motion
 from fastmimic.render import figure_style as style
 from fastmimic.render.figure_style import AFTER, BEFORE, INK, LEG_LINES, LIMIT, MUTED, STANCE
 from fastmimic.robot import Robot
+from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
 
 _GAIT_COLORS: Final = {
     "walk": "#56b4e9",
@@ -30,32 +32,72 @@ _GAIT_COLORS: Final = {
     DISCRETE: "#ffffff",
 }
 
+_AT_LIMIT: Final = 0.9
+_ANIMAL: Final[dict[str, Any]] = {"color": MUTED, "linewidth": 1.0, "alpha": 0.55}
+
 
 def motion_figure(motion: Motion, robot: Robot) -> Figure:
-    """A motion's gait, trunk and joints with the robot's limits, over its samples (one cycle if it is periodic)."""
-    figure = style.new_figure(15.0, 7.6, _heading(motion, robot))
-    grid = figure.subplots(3, 3, sharex=True)
+    """A motion's gait, trunk and joints with the robot's limits, over its samples (one cycle if it is periodic), and
+    its use of the limits. Behind an executable motion is the animal's."""
+    figure = style.new_figure(15.0, 9.8, _heading(motion, robot))
+    angles_at, speeds_at = (tuple(f"{what} {joint}" for joint in JOINTS_PER_LEG) for what in ("angle", "speed"))
+    left = ("gait", "height", "tilt")
+    rows = [list(row) for row in zip(left, angles_at, speeds_at, strict=True)]
+    panels = figure.subplot_mosaic([*rows, ["use", "use", "use"]], sharex=True)
+    animal = motion.target.animal
     time = np.arange(motion.n_samples, dtype=np.float64) / motion.rate_hz
-    _draw_gait(grid[0, 0], time, motion.dt, motion.contact)
-    grid[1, 0].plot(time, motion.root_pos_w[:, 2], **AFTER._asdict())
-    style.tidy(grid[1, 0], "base height above the ground", ylabel="m")
-    _widen(grid[1, 0], 0.04)
-    _draw_tilt(grid[2, 0], time, motion.root_quat_wxyz)
+    _draw_gait(panels["gait"], time, motion.dt, motion.contact)
+    if animal is not None:
+        panels["height"].plot(time, animal.root_pos_w[:, 2], **_ANIMAL, label="the animal's")
+    panels["height"].plot(time, motion.root_pos_w[:, 2], **AFTER._asdict())
+    style.tidy(
+        panels["height"],
+        "base height above the ground" + ("" if animal is None else " (grey: the animal's)"),
+        ylabel="m",
+    )
+    _widen(panels["height"], 0.04)
+    _draw_tilt(panels["tilt"], time, motion.root_quat_wxyz)
     lower, upper, speed = (
         np.asarray(a).reshape(4, 3) for a in (robot.joint_lower, robot.joint_upper, robot.joint_speed_limit)
     )
     angles, rates = (a.reshape(-1, 4, 3) for a in (motion.joint_pos, motion.joint_vel))
     for joint, name in enumerate(JOINTS_PER_LEG):
-        _draw_joint(grid[joint, 1], time, angles[:, :, joint], lower[0, joint], upper[0, joint])
-        style.tidy(grid[joint, 1], f"{name} angle", ylabel="rad")
-        _draw_joint(grid[joint, 2], time, rates[:, :, joint], -speed[0, joint], speed[0, joint])
+        if animal is not None:
+            for axes, values in (
+                (panels[angles_at[joint]], animal.joint_pos),
+                (panels[speeds_at[joint]], animal.joint_vel),
+            ):
+                axes.plot(time, values[:, joint::3], **_ANIMAL)
+        _draw_joint(panels[angles_at[joint]], time, angles[:, :, joint], lower[0, joint], upper[0, joint])
+        style.tidy(panels[angles_at[joint]], f"{name} angle", ylabel="rad")
+        _draw_joint(panels[speeds_at[joint]], time, rates[:, :, joint], -speed[0, joint], speed[0, joint])
         share = 100 * np.max(np.abs(rates[:, :, joint]) / speed[:, joint])
-        style.tidy(grid[joint, 2], f"{name} speed: peak is {share:.0f} % of the limit", ylabel="rad/s")
-    for axes in grid[2]:
-        axes.set_xlabel("time (s)", fontsize=9, color=MUTED)
-        axes.set_xlim(0, motion.period_s)
-    style.legend_below(figure, grid[0, 1])
+        style.tidy(panels[speeds_at[joint]], f"{name} speed: peak is {share:.0f} % of the limit", ylabel="rad/s")
+    panels["gait"].set_xlim(0, motion.period_s)
+    _draw_use(panels["use"], motion, robot)
+    panels["use"].set_xlabel("time (s)", fontsize=9, color=MUTED)
+    style.legend_below(figure, panels[angles_at[0]])
     return figure
+
+
+def _draw_use(axes: Axes, motion: Motion, robot: Robot) -> None:
+    """The share of each limit that is used, and bands where one is reached."""
+    sample = np.arange(0, motion.n_samples, max(1, round(SAMPLE_S * motion.rate_hz)))
+    time, found = sample / motion.rate_hz, use_of_limits(robot, motion, sample)
+    shares = {
+        "torque": found.torque,
+        "torque at speed": found.torque_at_speed,
+        "joint speed": found.joint_speed,
+        f"friction of {GROUND_FRICTION:g}": found.friction / GROUND_FRICTION,
+    }
+    for (name, share), line in zip(shares.items(), LEG_LINES, strict=True):
+        axes.plot(time, share, **line._asdict(), label=name)
+        for first, end in stretches(share > _AT_LIMIT):
+            axes.axvspan(time[first], time[end - 1] + SAMPLE_S, color=line.color, alpha=0.12, linewidth=0)
+    axes.axhline(1.0, color=LIMIT, linestyle="dashdot", linewidth=1.2)
+    axes.set_ylim(0.0, max(1.1, 1.05 * max(float(np.nanmax(share, initial=0.0)) for share in shares.values())))
+    style.tidy(axes, f"share of each limit, of the joint nearest to it; a band: more than {_AT_LIMIT:.0%}")
+    axes.legend(loc="upper right", ncols=4, fontsize=8, frameon=False)
 
 
 def _heading(motion: Motion, robot: Robot) -> str:
