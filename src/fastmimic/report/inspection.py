@@ -42,8 +42,8 @@ def motion_figure(motion: Motion, robot: Robot) -> Figure:
     figure = style.new_figure(15.0, 9.8, _heading(motion, robot))
     angles_at, speeds_at = (tuple(f"{what} {joint}" for joint in JOINTS_PER_LEG) for what in ("angle", "speed"))
     left = ("gait", "height", "tilt")
-    rows = [list(row) for row in zip(left, angles_at, speeds_at, strict=True)]
-    panels = figure.subplot_mosaic([*rows, ["use", "use", "use"]], sharex=True)
+    rows: list[Any] = [list(row) for row in zip(left, angles_at, speeds_at, strict=True)]
+    panels: dict[str, Axes] = figure.subplot_mosaic([*rows, ["use", "use", "use"]], sharex=True)
     animal = motion.target.animal
     time = np.arange(motion.n_samples, dtype=np.float64) / motion.rate_hz
     _draw_gait(panels["gait"], time, motion.dt, motion.contact)

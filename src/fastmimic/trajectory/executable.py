@@ -2,8 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -285,52 +284,44 @@ def aligned(animal: Motion, modes: ContactModes, solution: Solution, time: Array
 
 
 class _Path:
-    """The solution as functions of time; a cycle's with the periods before and after it."""
+    """The solution as functions of time; a cycle's with the periods before and after it.
+
+    Halfway between two nodes a path has their mean and the speed from one to the other; in between it is cubic. Where
+    nodes are evenly spaced it is a quadratic spline with the problem's own accelerations, so that it keeps the limits
+    that the nodes keep.
+    """
 
     def __init__(self, program: Program, solution: Solution) -> None:
-        modes, q = program.modes, solution.coordinates
-        self._time, self._q, self._periodic = solution.time, q, modes.periodic
-        self._down = modes.contact[modes.mode]  # (N, 4) feet in stance after each node
+        modes, q, time = program.modes, solution.coordinates, solution.time
         if modes.periodic:
             step, turn = solution.stride * program.displacement[0], program.displacement[1]
             before, after = q.copy(), q.copy()
             before[:, :2], before[:, 5] = rotate_planar(-turn, q[:, :2] - step), q[:, 5] - turn
             after[:, :2], after[:, 5] = rotate_planar(turn, q[:, :2]) + step, q[:, 5] + turn
-            time, period = solution.time[:-1], solution.time[-1]
-            self._time = np.concatenate([time - period, time, time + period])
-            self._q, self._down = np.concatenate([before, q, after]), np.tile(self._down, (3, 1))
-        turned = trunk_quaternion(self._q[:, 5], self._q[:, 3:5])
-        self._feet = self._q[:, None, :3] + quat_rotate(turned[:, None], foot_positions(program.robot, self._q[:, 6:]))
+            time, period = time[:-1], time[-1]
+            q, time = np.concatenate([before, q, after]), np.concatenate([time - period, time, time + period])
+        turned = trunk_quaternion(q[:, 5], q[:, 3:5])
+        feet = q[:, None, :3] + quat_rotate(turned[:, None], foot_positions(program.robot, q[:, 6:]))
+        self._root, self._feet = _smooth(time, q[:, :6]), _smooth(time, feet)
 
     def root(self, time: Array) -> tuple[Array, Array]:
         """Position, roll, pitch, yaw (t, 6) and their rates."""
-        from scipy.interpolate import CubicSpline
-
-        spline = CubicSpline(self._time, self._q[:, :6])
-        return spline(time), spline(time, 1)
+        return self._root(time), self._root(time, 1)
 
     def feet(self, time: Array) -> Array:
-        """Centres of the feet (t, 4, 3), world, m: they roll in stance, and a swing begins and ends as they roll."""
-        from scipy.interpolate import CubicSpline
+        """Centres of the feet (t, 4, 3), world, m."""
+        return np.asarray(self._feet(time))
 
-        feet, end = np.zeros((len(time), 4, 3)), len(self._time) - 1
-        rolling = np.diff(self._feet, axis=0) / np.diff(self._time)[:, None, None]
-        rolling[..., 2] = 0.0
-        free = (2, np.zeros(3))
-        for leg in range(4):
-            down = self._down[:end, leg]
-            edges = [0, *(np.flatnonzero(down[1:] != down[:-1]) + 1), end]
-            for first, last in pairwise(edges):
-                inside = (time >= self._time[first] - 1e-12) & ((time < self._time[last] - 1e-12) | (last == end))
-                if not inside.any():
-                    continue
-                ends = free, free
-                if not down[first]:
-                    before = (1, rolling[first - 1, leg]) if first > 0 else free
-                    ends = before, (1, rolling[last, leg]) if last < end else free
-                path = CubicSpline(self._time[first : last + 1], self._feet[first : last + 1, leg], bc_type=ends)
-                feet[inside, leg] = path(time[inside])
-        return feet
+
+def _smooth(time: Array, values: Array) -> Any:
+    """A path near values (n, …) at the nodes' times (n,); it begins and ends at the first and last of them."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    steps = np.diff(time).reshape(-1, *[1] * (values.ndim - 1))
+    slopes = np.diff(values, axis=0) / steps
+    at = np.concatenate([time[:1], 0.5 * (time[1:] + time[:-1]), time[-1:]])
+    through = np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])
+    return CubicHermiteSpline(at, through, np.concatenate([slopes[:1], slopes, slopes[-1:]]))
 
 
 def _angular_velocity(root: Array, rates: Array) -> Array:
