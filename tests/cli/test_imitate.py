@@ -119,7 +119,10 @@ def test_the_table_shows_the_figures_of_the_metrics(first: tuple[Path, Outcome])
     printed = first[1].out.splitlines()
     reward = metrics(first[0])["reward"]
     assert printed[1].split() == ["before", "after"]
-    assert printed[2].split() == ["reward", f"{reward['before']:.3f}", f"{reward['after']:.3f}"]
+    animal = metrics(first[0])["reward_animal"]
+    against = ["reward", "against", "the", "animal", f"{animal['before']:.3f}", f"{animal['after']:.3f}"]
+    assert printed[2].split() == against
+    assert printed[3].split() == ["reward", f"{reward['before']:.3f}", f"{reward['after']:.3f}"]
 
 
 def test_config_holds_the_arguments_and_the_controller(run: Run, in_folder: Path) -> None:

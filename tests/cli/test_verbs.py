@@ -88,8 +88,9 @@ def test_evaluate_of_several_episodes_depends_on_the_seed_alone(run: Run) -> Non
 def test_evaluate_in_words(run: Run) -> None:
     lines = run("evaluate", "trot", "--duration", "0.6", "--episodes", "2").out.splitlines()
     assert lines[0] == "trot on a1 with mbc, 2 episodes of 0.6 s"
-    assert lines[1].startswith("reward ")
-    assert "±" in lines[1]
+    assert lines[1].startswith("reward against the animal ")
+    assert lines[2].startswith("reward ")
+    assert "±" in lines[2]
 
 
 def test_evaluate_by_sensors_says_how_far_the_estimate_is_off(run: Run) -> None:

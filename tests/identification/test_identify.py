@@ -69,7 +69,7 @@ class TestFriction:
 
     def _on_a_floor(self, robot: Robot, floor: float, seed: int) -> Friction:
         conditions = Conditions("mujoco", "sensors", seed, (Disturbance("friction", (floor,)),))
-        log = evaluate("anim:side-steps", duration_s=15.0, conditions=conditions, log=True).run_log()
+        log = evaluate("dog:trot", duration_s=8.0, conditions=conditions, log=True).run_log()
         return identify(log, robot).friction
 
 

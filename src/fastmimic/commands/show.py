@@ -35,7 +35,7 @@ def figure_rows(
     animal = figures.get("reward_animal")
     against = [] if animal is None else [("reward against the animal", number(animal))]
     others = [(label, number(figures[name], digits, scale)) for label, name, digits, scale in _FIGURES]
-    return [("reward", reward), *against, *components, ("fell", fell), clearance, *others]
+    return [*against, ("reward", reward), *components, ("fell", fell), clearance, *others]
 
 
 def put_comparison(result: "Imitation") -> None:

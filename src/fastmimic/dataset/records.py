@@ -37,6 +37,7 @@ _IDENTITY: Final = {
 MJCF, `robot_digest` that of the robot's description, `reason` that of a failure."""
 
 _REWARDS: Final = (
+    *("reward_animal", "reward_animal_before", "reward_animal_perturbed"),
     *("reward_mean", "reward_mean_before", "reward_mean_perturbed", "reward_std_perturbed"),
     *("reward_mean_robots", "reward_worst_robots", "reward_mean_second_simulator"),
 )

@@ -21,9 +21,9 @@ Row = dict[str, Any]
 
 EVALUATION_S: Final = 10.0
 PERTURBED_EPISODES: Final = 8
-_BEFORE: Final = ("reward_mean", "fell", "foot_z_rmse_m", "foot_x_rmse_m")
+_BEFORE: Final = ("reward_animal", "reward_mean", "fell", "foot_z_rmse_m", "foot_x_rmse_m")
 _NOMINAL: Final = (*_BEFORE, "drift_m_per_s", "mean_clearance_m", "early_contacts_per_s", "stance_slip_m")
-_PERTURBED: Final = ("reward_mean", "reward_std", "fell")
+_PERTURBED: Final = ("reward_animal", "reward_mean", "reward_std", "fell")
 _EVALUATION_SEED: Final = 20230617  # of the perturbed starts of every run; no optimisation uses it
 
 

@@ -15,6 +15,7 @@ from fastmimic.imitation.methods import METHODS, RL, method_named
 
 COLUMNS: Final = (
     *("motion", "method", "variant", "seed", "reward_mean", "reward_mean_perturbed", "reward_std_perturbed"),
+    *("reward_animal", "reward_animal_perturbed", "reward_animal_before"),
     *("reward_mean_before", "fell", "fell_perturbed", "fell_before", "drift_m_per_s", "mean_clearance_m"),
     *("swing_clearance_least_share", "early_contacts_per_s", "stance_slip_m"),
     *("style_distance", "style_distance_realised"),

@@ -21,6 +21,7 @@ from fastmimic.runs.work_folder import ENVIRONMENT, RESULTS_CSV, TABLE
 
 _TEXT: Final = ("motion", "method", "variant", "robot", "config", "parameters", "digest")
 _EACH: Final = (  # column of results.csv, heading, digits, scale
+    ("reward_animal", "against the animal", 4, 1.0),
     ("reward_mean", "reward", 4, 1.0),
     ("reward_mean_perturbed", "perturbed starts", 4, 1.0),
     ("reward_mean_before", "before", 4, 1.0),
