@@ -177,13 +177,15 @@ class _Stderr(logging.Handler):
     """One line for each record, on what is stderr at that time."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        _say(f"{record.levelname.lower()}: {record.getMessage()}")
+        kind = "" if record.levelno == logging.INFO else f"{record.levelname.lower()}: "
+        _say(f"{kind}{record.getMessage()}")
 
 
 def _log_to_stderr() -> None:
     logger = logging.getLogger("fastmimic")
     if not logger.handlers:
-        logger.addHandler(_Stderr(logging.WARNING))
+        logger.addHandler(_Stderr(logging.INFO))
+        logger.setLevel(logging.INFO)  # of long work
 
 
 def _say(text: str) -> None:

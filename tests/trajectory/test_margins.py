@@ -10,7 +10,7 @@ from fastmimic.clips.synthesis import generate
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot
-from fastmimic.trajectory import program as program_module
+from fastmimic.trajectory import solve as solve_module
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.executable import nearest_executable
 from fastmimic.trajectory.margins import heaviest
@@ -122,8 +122,8 @@ def test_a_problem_is_solved_once(a1: Robot, pace: Motion, tmp_path: Path, monke
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr("fastmimic.trajectory.solved._packaged", dict)  # as if it were not in the package
     solved: list[object] = []
-    make_solver = program_module.make_solver
-    monkeypatch.setattr(program_module, "make_solver", lambda *given: solved.append(given) or make_solver(*given))
+    make_solver = solve_module.make_solver
+    monkeypatch.setattr(solve_module, "make_solver", lambda *given: solved.append(given) or make_solver(*given))
     first = Program(a1, pace, TrajectoryConfig()).solve()
     again = Program(a1, pace, TrajectoryConfig()).solve()
     assert len(solved) == 1

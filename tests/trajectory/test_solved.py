@@ -24,7 +24,7 @@ def no_solver(*_: object) -> None:
 
 @pytest.mark.parametrize("robot", ["a1", "go1", "go2"])
 def test_the_package_has_the_built_in_motions(robot: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fastmimic.trajectory.program.make_solver", no_solver)
+    monkeypatch.setattr("fastmimic.trajectory.solve.make_solver", no_solver)
     for name in (*GAITS, *JUMPS):
         motion, report = find_motion(name).retarget(load_robot(robot))
         assert motion.animal is not None

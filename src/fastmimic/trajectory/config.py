@@ -72,5 +72,7 @@ class TrajectoryConfig:
     angular_acceleration_weight: float = parameter(1e-6, low=0.0, about="the same of roll, pitch and yaw, s⁴/rad²")
     joint_acceleration_weight: float = parameter(3e-7, low=0.0, about="the same of the joints, s⁴/rad²")
     foot_acceleration_weight: float = parameter(5e-6, low=0.0, about="the same of the feet, s⁴/m²")
+    window_s: float = parameter(4.0, unit="s", above=0.0, about="longest part of a passage that is solved at once")
+    overlap_s: float = parameter(1.0, unit="s", above=0.0, about="of these parts; what follows changes their ends")
     iterations: int = parameter(150, low=1, about="most iterations of the solver")
     tolerance: float = parameter(1e-4, above=0.0, about="of the solver, on the scaled optimality conditions")

@@ -32,11 +32,12 @@ _RETRIES: Final[tuple[dict[str, float], ...]] = (
     {"contact_m_per_s": 0.5, "clearance_share": 0.3, "friction": 0.5, "torque_share": 0.95},
 )
 """Margins that a problem without a solution gives up, in this order."""
+_CHECKED_S: Final = 5.0
 _STEADIER: Final[tuple[dict[str, float], ...]] = (
     {"capture_weight": 1000.0, "acceleration_weight": 3e-3, "capture_m": 0.06},
     {"capture_weight": 1000.0, "capture_m": 0.03, "loading": 3.0},
 )
-"""Margins that a cycle gets instead, one after another, while the robot falls with it."""
+"""Margins that a motion gets instead, one after another, while the robot falls with it."""
 
 
 @dataclass(frozen=True)
@@ -110,12 +111,13 @@ def nearest_executable(
     """The motion nearest to `animal` that the robot can execute.
 
     `animal` is a kinematic motion of the robot: feet and trunk as the animal's, contacts clean. `falls` gives the share
-    of perturbed starts from which a robot falls with a motion. While a cycle falls, more margins are tried, and the
-    motion that falls least is returned. Raises `MotionError` if no motion keeps the limits; the message says which.
+    of perturbed starts from which a robot falls with a motion. While it falls, more margins are tried, and the motion
+    that falls least is returned; a passage longer than 5 s is not tried. Raises `MotionError` if no motion keeps the
+    limits; the message says which.
     """
     config = config or TrajectoryConfig()
     best = _within_limits(Program(robot, animal, config), {})
-    if falls is None or animal.cycle is None:
+    if falls is None or (animal.cycle is None and animal.period_s > _CHECKED_S):
         return best
     fell = _share_of_falls(falls, robot, best.motion)
     for margins in _STEADIER:

@@ -6,7 +6,6 @@ constraints and cost depend on three neighbouring nodes alone.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +23,6 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.contact_modes import ContactModes, runs_of
-from fastmimic.trajectory.costs import quadratic_costs
-from fastmimic.trajectory.ipopt import make_solver
 from fastmimic.trajectory.margins import capture_margins, heaviest
 from fastmimic.trajectory.node import (
     GIVEN,
@@ -38,13 +35,11 @@ from fastmimic.trajectory.node import (
     NodeFunctions,
     node_functions,
 )
-from fastmimic.trajectory.solved import Remembered
+from fastmimic.trajectory.solve import LIMITS, answered
 
 _SHORTEST_STEP_S = 0.0025
 _LONGEST_STEP_S = 0.012
 _MOST_DIFFERENCE = 0.6  # of the distance that a cycle covers
-LIMITS: Final = ("torque", "torque at speed", "joint speed", "friction")
-_AT_LIMIT = 1e-3
 _JOINED = [0, 1, -2, -1]  # nodes that keep their coordinates where a motion joins others
 
 
@@ -321,7 +316,7 @@ class Program:
 
     def solve(self, start: Array | None = None) -> Solution:
         """Solves the problem from a first guess (n,), by default `start()`."""
-        found = self._solved(self.start() if start is None else start)
+        found = answered(self, self.start() if start is None else start)
         w = found["variables"]
         modes, at = self.modes, self.at
         durations = w[at["durations"] : at["holds"]]
@@ -343,50 +338,9 @@ class Program:
             variables=w,
         )
 
-    def _solved(self, start: Array) -> dict[str, Array]:
-        """The solver's answer, or what it answered to the same problem before."""
-        bounds, rows, (smooth, wanted) = self.bounds_of_variables(), self.bounds_of_rows(), quadratic_costs(self)
-        parts = (self.given, *bounds, *rows, smooth.data, wanted, start)
-        known = Remembered(repr((self.config, self.robot)), [self.index, *parts])
-        if (found := known.read()) is not None:
-            return found
-        solver, (low, high) = make_solver(self.functions, self.index, self.given, rows, (smooth, wanted), self.config)
-        answer = solver(x0=start, lbx=bounds[0], ubx=bounds[1], lbg=low, ubg=high)
-        stats, g = solver.stats(), np.array(answer["g"]).ravel()
-        w = np.array(answer["x"]).ravel()
-        found = {
-            "variables": w,
-            "use": self._use(w),
-            "cost": np.array(float(answer["f"])),
-            "converged": np.array(bool(stats["success"])),
-            "status": np.array(str(stats["return_status"])),
-            "iterations": np.array(int(stats["iter_count"])),
-            "violation": np.array(max(0.0, float((low - g).max(initial=0.0)), float((g - high).max(initial=0.0)))),
-        }
-        if stats["success"]:
-            known.keep(found)
-        return found
-
     def rows(self, variables: Array) -> Array:
         """(N, 89) constraint rows for variables (n,)."""
         return np.array(self.functions.rows.map(self.modes.n_nodes)(variables[self.index].T, self.given.T)).T
-
-    def _use(self, variables: Array) -> Array:
-        """(4, 2) of `LIMITS`: the greatest use, share of the robot's own, and the share of the time at the limit with
-        its margin. Friction is the coefficient."""
-        modes, rows, (low, high) = self.modes, self.rows(variables), self.bounds_of_rows()
-        at_limit = (np.minimum(rows - low, high - rows) < _AT_LIMIT) & (low < high)
-        force = variables[self.at["force"] : self.at["durations"]].reshape(-1, 4, 3)
-        loaded = np.where(modes.loaded & modes.moves[:, None], force[..., 2], np.inf)
-        values = {
-            ("torque",): self.config.torque_share * np.abs(rows[:, ROWS["torque"]]),
-            ("driving", "braking"): 0.5 * np.maximum(rows[:, ROWS["driving"]], rows[:, ROWS["braking"]]),
-            ("speed",): np.abs(rows[:, ROWS["speed"]]),
-            ("friction",): np.abs(force[..., :2]).max(axis=-1) / loaded,
-        }
-        peak = [value[modes.moves].max() for value in values.values()]
-        active = [np.any([at_limit[:, ROWS[row]].any(axis=1) for row in names], axis=0).mean() for names in values]
-        return np.column_stack([peak, active])
 
 
 def _turned(velocity: Array, yaw: float) -> Array:

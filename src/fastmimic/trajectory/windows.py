@@ -1,0 +1,62 @@
+"""Windows of a long motion that does not repeat, solved one after the other, so that time and memory grow linearly."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.arrays import Array
+from fastmimic.trajectory.config import TrajectoryConfig
+from fastmimic.trajectory.contact_modes import ContactModes
+from fastmimic.trajectory.node import ROWS
+
+if TYPE_CHECKING:
+    from fastmimic.trajectory.program import Program
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Nodes (k,) that are solved together, from `begins_s` to `ends_s` of the animal's time. All before the first of
+    them has been solved; it is its last node that is held."""
+
+    nodes: NDArray[np.int_]
+    begins_s: float
+    ends_s: float
+
+    def held(self, problem: "Program", found: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Bounds of all variables (n,) and of all rows (N, 89), with what is solved held at `found` (n,); the stride,
+        which belongs to the whole, is the animal's."""
+        modes, at = problem.modes, problem.at
+        (low, high), (least, most) = problem.bounds_of_variables(), problem.bounds_of_rows()
+        low[at["stride"]] = high[at["stride"]] = 1.0
+        first = int(self.nodes[0])
+        if first == 0:
+            return (low, high), (least, most)
+        standing = np.unique(modes.foothold[: first + 1])
+        holds = at["holds"] + 2 * standing[standing >= 0][:, None] + np.arange(2)
+        solved = np.concatenate(
+            [
+                np.arange(18 * (first + 1)),
+                at["force"] + np.arange(12 * first),
+                at["durations"] + np.arange(modes.mode[first] + 1),
+                holds.ravel(),
+            ]
+        )
+        low[solved] = high[solved] = found[solved]
+        for name in ("feet", "knees"):  # of the node that is held
+            least[first, ROWS[name]], most[first, ROWS[name]] = -np.inf, np.inf
+        return (low, high), (least, most)
+
+
+def windows_of(modes: ContactModes, step_s: Array, config: TrajectoryConfig) -> list[Window]:
+    """Windows of `window_s`, each of which begins `overlap_s` before the end of the one before; one for a cycle, or
+    where the rest is not much longer. `step_s` (N,) are the intervals after the nodes."""
+    time, n = np.cumsum(step_s) - step_s, modes.n_nodes
+    found, first = list[Window](), 0
+    while True:
+        end = int(np.searchsorted(time, time[first] + config.window_s))
+        if modes.periodic or time[-1] - time[min(end, n - 1)] < config.overlap_s:
+            return [*found, Window(np.arange(first, n), float(time[first]), float(time[-1]))]
+        found.append(Window(np.arange(first, end), float(time[first]), float(time[end])))
+        first = int(np.searchsorted(time, time[end] - config.overlap_s))

@@ -1,0 +1,58 @@
+"""A long passage is solved in windows: each goes on where the one before is held, and the whole keeps every limit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fastmimic.clips.synthesis import generate
+from fastmimic.motion.motion import Motion
+from fastmimic.retargeting.retarget import retarget
+from fastmimic.robot import Robot
+from fastmimic.trajectory.config import TrajectoryConfig
+from fastmimic.trajectory.executable import nearest_executable
+from fastmimic.trajectory.program import Program
+from fastmimic.trajectory.windows import windows_of
+
+SHORT = TrajectoryConfig(window_s=0.5, overlap_s=0.2)
+
+
+@pytest.fixture(scope="module")
+def passage(a1: Robot) -> Motion:
+    """Two cycles of a trot, done once."""
+    clip = generate("trot")
+    step = np.array([*(clip.points_w[-1] - clip.points_w[-2]).mean(axis=0)[:2], 0.0])
+    again = clip.points_w + (clip.points_w[-1] - clip.points_w[0]).mean(axis=0) * np.array([1.0, 1.0, 0.0]) + step
+    return retarget(replace(clip, points_w=np.concatenate([clip.points_w, again])), a1, cycle=False, executable=False)[
+        0
+    ]
+
+
+def test_windows_overlap_and_cover_the_whole(a1: Robot, passage: Motion) -> None:
+    program = Program(a1, passage, SHORT)
+    windows = windows_of(program.modes, program.animal_steps, SHORT)
+    assert len(windows) >= 3
+    nodes = np.concatenate([window.nodes for window in windows])
+    np.testing.assert_array_equal(np.unique(nodes), np.arange(program.modes.n_nodes))
+    for before, after in zip(windows, windows[1:], strict=False):
+        shared = before.ends_s - after.begins_s
+        assert 0.15 < shared < 0.25
+        assert before.nodes[0] < after.nodes[0] <= before.nodes[-1] < after.nodes[-1]
+    assert len(windows_of(program.modes, program.animal_steps, TrajectoryConfig())) == 1
+    cycle = Program(a1, retarget(generate("walk"), a1, executable=False)[0], SHORT)
+    assert len(windows_of(cycle.modes, cycle.animal_steps, SHORT)) == 1
+
+
+def test_the_whole_keeps_every_limit_and_is_near_that_of_one_piece(a1: Robot, passage: Motion) -> None:
+    program = Program(a1, passage, SHORT)
+    solution = program.solve()
+    assert solution.converged
+    low, high = program.bounds_of_rows()
+    rows = program.rows(solution.variables)
+    assert np.nanmax(np.maximum(low - rows, rows - high)) < 1e-4
+    whole = nearest_executable(a1, passage, replace(SHORT, window_s=10.0)).motion
+    parts = nearest_executable(a1, passage, SHORT).motion
+    n = min(whole.n_samples, parts.n_samples)
+    assert abs(whole.n_samples - parts.n_samples) <= 3
+    assert np.abs(whole.root_pos_w[:n] - parts.root_pos_w[:n]).max() < 0.02
+    assert np.sqrt(np.mean((whole.joint_pos[:n] - parts.joint_pos[:n]) ** 2)) < 0.05
