@@ -14,7 +14,7 @@ from fastmimic.trajectory.executable import nearest_executable
 from fastmimic.trajectory.program import Program
 from fastmimic.trajectory.windows import windows_of
 
-SHORT = TrajectoryConfig(window_s=0.5, overlap_s=0.2)
+SHORT = TrajectoryConfig(window_s=0.4, overlap_s=0.15)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def test_windows_overlap_and_cover_the_whole(a1: Robot, passage: Motion) -> None
     np.testing.assert_array_equal(np.unique(nodes), np.arange(program.modes.n_nodes))
     for before, after in zip(windows, windows[1:], strict=False):
         shared = before.ends_s - after.begins_s
-        assert 0.15 < shared < 0.25
+        assert 0.1 < shared < 0.2
         assert before.nodes[0] < after.nodes[0] <= before.nodes[-1] < after.nodes[-1]
     assert len(windows_of(program.modes, program.animal_steps, TrajectoryConfig())) == 1
     cycle = Program(a1, retarget(generate("walk"), a1, executable=False)[0], SHORT)
