@@ -30,7 +30,7 @@ from fastmimic.episode.feasibility import demands, describe_fall, reasons
 from fastmimic.primitive import MotionDmp, RhythmicDmp
 from fastmimic.primitive.coordinates import FEET, phases, to_coordinates
 from fastmimic.primitive.discrete import MAX_S
-from fastmimic.retargeting.retarget import retarget
+from fastmimic.runs.loading import find_motion
 
 TAKES = ("dog_walk00", "dog_walk03", "dog_walk09", "dog_run00", "dog_turn00")
 TURN = "dog_walk09:2404:2450"
@@ -74,7 +74,7 @@ def run(piece: str, robot: fm.Robot, iterations: int, population: int, seed: int
     print(f"{piece} …", file=sys.stderr, flush=True)
     name, first, end = piece.split(":")
     clip = open_clip(take(name), robot=robot, frames=(int(first), int(end)), discrete=True)
-    motion, report = retarget(clip, robot)
+    motion, report = find_motion(clip).retarget(robot)
     result = fm.imitate(motion, robot, iterations=iterations, population=population, seed=seed)
     before, after = (fm.evaluate(m, robot, episodes=EPISODES, seed=seed, log=True) for m in (motion, result.motion))
     fell = np.flatnonzero(after.rollout.fell)
