@@ -20,7 +20,7 @@ from fastmimic.trajectory import solved
 def main() -> None:
     os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp()  # no solution is remembered from before
     solved.PACKAGED.unlink(missing_ok=True)
-    solved.recorded = {}
+    solved.recorded = []
     for robot in map(load_robot, ROBOT_NAMES):
         for name in (*GAITS, *JUMPS):
             _, report = find_motion(name).retarget(robot)

@@ -1,6 +1,7 @@
 """A long passage is solved in windows: each goes on where the one before is held, and the whole keeps every limit."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ def test_windows_overlap_and_cover_the_whole(a1: Robot, passage: Motion) -> None
     assert len(windows) >= 3
     nodes = np.concatenate([window.nodes for window in windows])
     np.testing.assert_array_equal(np.unique(nodes), np.arange(program.modes.n_nodes))
-    for before, after in zip(windows, windows[1:], strict=False):
+    for before, after in pairwise(windows):
         shared = before.ends_s - after.begins_s
         assert 0.1 < shared < 0.2
         assert before.nodes[0] < after.nodes[0] <= before.nodes[-1] < after.nodes[-1]
