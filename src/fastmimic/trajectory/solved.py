@@ -17,7 +17,7 @@ from fastmimic.base.files import read_arrays, replace_file
 
 MOST: Final = 1000
 """Files that are kept, a solution's of about 20 kB; the oldest go."""
-PACKAGED: Final = Path(__file__).with_name("solutions.npz")
+PACKAGED = Path(__file__).with_name("solutions.npz")
 _NEAR: Final = 1e-6
 """Most that a problem's probe differs from the package's: another machine's numbers differ in the last digits."""
 _CHUNKS: Final = 64
