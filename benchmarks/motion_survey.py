@@ -32,7 +32,8 @@ class Surveyed:
 
     Attributes:
         name: of the motion.
-        speed_m_per_s, yaw_rad_per_s, period_s: of the retargeted motion.
+        speed_m_per_s, yaw_rad_per_s: the animal's at the robot's size.
+        period_s: of the motion.
         steps: whether any foot is lifted.
         mismatch: how badly the cut closed, see `pose_mismatch`.
         reward: of each episode, the nominal one first.

@@ -73,6 +73,18 @@ class GaitSpec:
 
 
 _TROT = GaitSpec("trot: diagonal legs together", speed=1.25, duty=0.52, lift=0.07, bob=0.009, roll=0.02, sway=0.002)
+_PRONK = GaitSpec(
+    "pronk: all legs together, off the ground for half of the time",
+    speed=0.6,
+    period=0.44,
+    duty=0.5,
+    phase=(0.0, 0.0, 0.0, 0.0),
+    lift=0.07,
+    bob=0.03,
+    bob_harmonic=1,
+    pitch=0.0,
+    yaw=0.0,
+)
 GAITS: Final[dict[str, GaitSpec]] = {
     "trot": _TROT,
     "pace": GaitSpec(
@@ -140,30 +152,8 @@ GAITS: Final[dict[str, GaitSpec]] = {
         pitch=0.08,
         yaw=0.0,
     ),
-    "pronk": GaitSpec(
-        "pronk: all legs together, off the ground for half of the time",
-        speed=0.6,
-        period=0.44,
-        duty=0.5,
-        phase=(0.0, 0.0, 0.0, 0.0),
-        lift=0.07,
-        bob=0.03,
-        bob_harmonic=1,
-        pitch=0.0,
-        yaw=0.0,
-    ),
-    "hop-turn": GaitSpec(
-        "hops on all legs, turning to the left",
-        yaw_rate=1.5,
-        period=0.44,
-        duty=0.5,
-        phase=(0.0, 0.0, 0.0, 0.0),
-        lift=0.05,
-        bob=0.03,
-        bob_harmonic=1,
-        pitch=0.0,
-        yaw=0.0,
-    ),
+    "pronk": _PRONK,
+    "hop-turn": replace(_PRONK, about="hops on all legs, turning to the left", speed=0.0, yaw_rate=1.5, lift=0.05),
 }
 """The built-in gaits by name."""
 
