@@ -56,6 +56,14 @@ POINT_NAMES: Final = (
 )  # `hip` is the shoulder of a front leg
 
 
+def not_in_clip(frames: tuple[int, int], n_frames: int) -> ClipError:
+    """The error for frames (first, end) that a clip does not have."""
+    return ClipError(
+        f"frames {frames[0]}:{frames[1]} are not in this clip of {n_frames} frames"
+        f" (0-based, end exclusive: 0:{n_frames} is all of it)"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Clip:
     """Keypoints of an animal (or of another robot) in the world, z up, metres.
@@ -127,10 +135,7 @@ class Clip:
     def cut(self, start: int, end: int) -> "Clip":
         """Frames [start, end), 0-based; raises `ClipError` if they are not in the clip."""
         if not 0 <= start < end <= self.n_frames:
-            raise ClipError(
-                f"frames {start}:{end} are not in this clip of {self.n_frames} frames"
-                f" (0-based, end exclusive: 0:{self.n_frames} is all of it)"
-            )
+            raise not_in_clip((start, end), self.n_frames)
         quat = None if self.root_quat_wxyz is None else self.root_quat_wxyz[start:end]
         return replace(
             self,

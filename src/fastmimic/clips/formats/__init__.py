@@ -45,7 +45,7 @@ def read_clip(path: str | Path, options: ReadOptions | None = None) -> Clip:
         meta: dict[str, Any] = {"name": Path(path).stem, "source": Path(path).name, "format": form.name}
         clip = replace(clip, meta={"licence": None, "assumed": []} | meta | clip.meta)
         clip = clip if options.scale is None else with_scale(clip, options.scale)
-        return clip if options.frames is None else clip.cut(*options.frames)
+        return clip if options.frames is None or "frames" in form.takes else clip.cut(*options.frames)
     except ClipError as error:
         raise ClipError(f"{path}: {error}") from None
 

@@ -12,6 +12,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip, Skeleton
 from fastmimic.clips.formats.format import Format
+from fastmimic.clips.formats.gaps import Part
 from fastmimic.clips.formats.points import PointMap, choose, clip_of
 from fastmimic.clips.formats.text_table import Row, is_number, to_array
 
@@ -32,7 +33,14 @@ class _Joint:
     first: int = 0
 
 
-def parse(text: str, *, fps: float | None = None, up: str | None = None, point_map: PointMap | None = None) -> Clip:
+def parse(
+    text: str,
+    *,
+    fps: float | None = None,
+    up: str | None = None,
+    point_map: PointMap | None = None,
+    frames: Part | None = None,
+) -> Clip:
     """Reads the text of a BVH file; without `point_map` the ten points are those of AI4Animation's dog. Options as in
     `ReadOptions`; without `up`, the axis along which the hips are above the toes. Raises `ClipError`: malformed (says
     which line), no such joints, or not an upright, right-handed animal."""
@@ -49,7 +57,8 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None, point_m
     assumed = [] if title is None else [f"joints are those of {title}"]
     bones = tuple((joint.parent, i) for i, joint in enumerate(joints) if joint.parent >= 0)
     skeleton = Skeleton(len(joints), bones, (_RADIUS,) * len(bones))
-    return clip_of(_positions(joints, values), chosen, hz, up=up, assumed=assumed, skeleton=skeleton)
+    positions = _positions(joints, values)
+    return clip_of(positions, chosen, hz, up=up, assumed=assumed, skeleton=skeleton, frames=frames)
 
 
 def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
@@ -157,5 +166,5 @@ FORMAT: Final = Format(
     suffixes=(".bvh",),
     detect=lambda content: content.start.startswith(KEYWORD),
     parse=parse,
-    takes=("fps", "up", "point_map"),
+    takes=("fps", "up", "point_map", "frames"),
 )

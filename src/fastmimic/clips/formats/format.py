@@ -116,7 +116,8 @@ class Format:
         detect: whether a file is of this format.
         parse: the clip of a text (of the bytes, if `binary`), called with the options named in `takes`. Raises
             `ClipError` with the position in the file.
-        takes: those of `ReadOptions` that `parse` has parameters for: "fps", "up", "point_map", "robot".
+        takes: those of `ReadOptions` that `parse` has parameters for: "fps", "up", "point_map", "robot", "frames" (a
+            format whose takes may have gaps; of others the clip is cut).
     """
 
     name: str

@@ -3,7 +3,8 @@
 - Dog motion capture: 81 columns, 27 points × (x, y, z) in metres. Peng et al. (2020) distribute the dog motions of
   Zhang et al. (2018) like this: y up, right-handed, 60 frames a second.
 - Points by name: a header with three columns a point, NAME_x (or `NAME.x`, `NAME:X`, `NAME x`), NAME_y, NAME_z, as
-  tracking programs export them, also from C3D. A column `time` gives the frame rate; `frame` is ignored.
+  tracking programs export them, also from C3D; an empty field or NaN is a gap. A column `time` gives the frame rate;
+  `frame` is ignored.
 """
 
 import re
@@ -15,6 +16,7 @@ import numpy as np
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import DOG, POINT_NAMES, Clip
 from fastmimic.clips.formats.format import Content, Format
+from fastmimic.clips.formats.gaps import Part
 from fastmimic.clips.formats.points import PointMap, choose, clip_of
 from fastmimic.clips.formats.text_table import read_table, to_array
 
@@ -40,7 +42,7 @@ _TIMES: Final = ("time", "time_s", "t")
 _UNEVEN: Final = 0.02  # share of a frame's duration
 
 
-def parse(text: str, *, fps: float | None = None, up: str | None = None) -> Clip:
+def parse(text: str, *, fps: float | None = None, up: str | None = None, frames: Part | None = None) -> Clip:
     """Reads the text of a keypoint file; `fps` is 60 if None, and `up` the axis along which the hips are above the
     toes. Raises `ClipError`: malformed (says which line and column), or not an upright, right-handed animal."""
     rows = read_table(text).rows
@@ -48,7 +50,7 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None) -> Clip
     rate = DEFAULT_RATE_HZ if fps is None else float(fps)
     chosen = [_POINT_INDEX[name] for name in POINT_NAMES]
     assumed = [] if fps is not None else [f"{rate:g} frames a second: the file does not say"]
-    return clip_of(values.reshape(-1, 27, 3), chosen, rate, up=up, assumed=assumed, skeleton=DOG)
+    return clip_of(values.reshape(-1, 27, 3), chosen, rate, up=up, assumed=assumed, skeleton=DOG, frames=frames)
 
 
 def _column_name(column: int) -> str:
@@ -61,12 +63,17 @@ FORMAT: Final = Format(
     suffixes=(".txt",),
     detect=lambda content: COLUMNS in content.columns,
     parse=parse,
-    takes=("fps", "up"),
+    takes=("fps", "up", "frames"),
 )
 
 
 def parse_named(
-    text: str, *, fps: float | None = None, up: str | None = None, point_map: PointMap | None = None
+    text: str,
+    *,
+    fps: float | None = None,
+    up: str | None = None,
+    point_map: PointMap | None = None,
+    frames: Part | None = None,
 ) -> Clip:
     """Reads the text of such a table; `fps` is from the column `time` if None. Without `point_map` the ten points are
     those of the common names, or of AI4Animation's dog; without `up`, the hips are above the toes. Raises `ClipError`:
@@ -74,13 +81,14 @@ def parse_named(
     table = read_table(text)
     assert table.header is not None
     header = [name.strip().strip('"') for name in table.header]
-    values = to_array(table.rows, len(header), lambda column: header[column], "keypoints by name")
     points = _named_points(header)
+    gaps = {column for columns in points.values() for column in columns}
+    values = to_array(table.rows, len(header), lambda column: header[column], "keypoints by name", gaps=gaps)
     chosen, title = choose(list(points), point_map)
     assumed = [] if title is None else [f"points are named as {title}"]
     hz = _rate(header, values) if fps is None else float(fps)
     body = np.stack([values[:, columns] for columns in points.values()], axis=1)
-    return clip_of(body, chosen, hz, up=up, assumed=assumed)
+    return clip_of(body, chosen, hz, up=up, assumed=assumed, frames=frames)
 
 
 def _named_points(header: Sequence[str]) -> dict[str, list[int]]:
@@ -115,5 +123,5 @@ NAMED_FORMAT: Final = Format(
     suffixes=(".csv",),
     detect=_detect_named,
     parse=parse_named,
-    takes=("fps", "up", "point_map"),
+    takes=("fps", "up", "point_map", "frames"),
 )

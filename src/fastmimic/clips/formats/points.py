@@ -4,7 +4,7 @@ object that names a file's point for each of the ten of `POINT_NAMES`."""
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.rotations import quat_continuous, quat_rotate
-from fastmimic.clips.clip import KEYPOINTS, POINT_NAMES, Clip, Skeleton
+from fastmimic.clips.clip import POINT_NAMES, Clip, Skeleton
+from fastmimic.clips.formats.gaps import Part, mend, part_for
 from fastmimic.clips.formats.text_table import check_rate
 
 PointMap = Mapping[str, str]
@@ -87,26 +88,43 @@ def clip_of(
     up: str | None,
     assumed: Sequence[str],
     skeleton: Skeleton | None = None,
+    confidence: Array | None = None,
+    frames: Part | None = None,
 ) -> Clip:
     """A clip of all points `body` (t, k, 3) of a file, in its axes and unit, with `chosen` (10,) indices of the ten and
     the assumptions so far. `up` is 'y' or 'z'; if None, the axis along which the hips are above the toes. `skeleton` is
-    between the k points; only the ten are kept if None. Raises `ClipError` for an impossible frame rate, or if it is
-    not an upright, right-handed animal."""
+    between the k points; only the ten are kept if None. Points may be missing (NaN, or a `confidence` (t, k) too low):
+    short gaps are filled; of longer ones, the clip is the part with `frames` (first, end), or the longest, and lists
+    all in `meta["parts"]`. Raises `ClipError` for an impossible frame rate, frames that hold a gap, or if it is not an
+    upright, right-handed animal."""
     check_rate(rate_hz)
-    notes = list(assumed)
-    points = body[:, list(chosen)]
+    mended = mend(body[:, list(chosen)], rate_hz, None if confidence is None else confidence[:, list(chosen)])
+    notes = [*assumed, *mended.notes]
+    seen = mended.points[np.isfinite(mended.points).all(axis=(1, 2))]
     if up is None:
-        vector = _toe_to_hip(points)
+        vector = _toe_to_hip(seen)
         up = "y" if vector[1] >= vector[2] else "z"
         notes.append(f"{up} is up: the hips lie above the toes along it")
-    factor, unit = _unit(points)
-    points = factor * np.ascontiguousarray(points[..., _TO_Z_UP[up]])
-    _check_upright(points, up)
-    _check_right_handed(points)
-    height = float(np.mean(points[:, 2:6, 2] - points[:, 6:10, 2]))
+    factor, unit = _unit(seen)
+
+    def in_world(points: Array) -> Array:
+        return factor * np.ascontiguousarray(points[..., _TO_Z_UP[up]])
+
+    seen = in_world(seen)
+    _check_upright(seen, up)
+    _check_right_handed(seen)
+    height = float(np.mean(seen[:, 2:6, 2] - seen[:, 6:10, 2]))
     notes.append(f"coordinates are in {unit}: hips {height:.2f} m above the toes on average")
-    whole = None if skeleton is None else factor * np.ascontiguousarray(body[..., _TO_Z_UP[up]])
-    return Clip(points_w=points, rate_hz=rate_hz, meta={"assumed": notes}, body_w=whole, skeleton=skeleton or KEYPOINTS)
+    (first, end), left_out = part_for(mended.parts, frames, len(body))
+    meta: dict[str, Any] = {"assumed": notes + left_out}
+    if left_out or frames is not None:
+        meta |= {"frames": [first, end], "parts": [list(part) for part in mended.parts]}
+    points = in_world(mended.points)[first:end]
+    if skeleton is None:
+        return Clip(points_w=points, rate_hz=rate_hz, meta=meta)
+    drawn = in_world(body)[first:end]
+    drawn[:, list(chosen)] = points
+    return Clip(points_w=points, rate_hz=rate_hz, meta=meta, body_w=drawn, skeleton=skeleton)
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -1,6 +1,6 @@
 """Tables of numbers as text: one frame a line, separated by commas, semicolons or white space."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -72,15 +72,19 @@ def to_array(
     column_name: Callable[[int], str],
     what: str,
     largest: float | Sequence[float] = LARGEST,
+    gaps: Collection[int] = (),
 ) -> NDArray[np.float64]:
     """The values of all rows, (rows, columns). `column_name` gives the name of a 0-based column and `what` the format,
-    for messages; `largest` is the magnitude allowed, in all columns or in each. Raises `ClipError`, with line and
-    column: wrong number of columns, or a value that is not a finite, sensible number; and for too few rows."""
+    for messages; `largest` is the magnitude allowed, in all columns or in each; in the columns `gaps`, a value may be
+    NaN or empty. Raises `ClipError`, with line and column: wrong number of columns, or a value that is not a finite,
+    sensible number; and for too few rows."""
     values = np.empty((len(rows), columns))
     for i, (number, fields) in enumerate(rows):
         if len(fields) != columns:
             last = "; the last line: the file may be truncated" if i == len(rows) - 1 and i > 0 else ""
             raise ClipError(f"line {number} has {len(fields)} columns; expected {columns} ({what}){last}")
+        if gaps:
+            fields = ["nan" if c in gaps and not field.strip() else field for c, field in enumerate(fields)]
         try:
             if "_" in "".join(fields):  # Python reads 1_0 as ten
                 raise ValueError
@@ -90,7 +94,8 @@ def to_array(
             raise ClipError(
                 f"line {number}, column {bad + 1} ({column_name(bad)}): '{fields[bad].strip()[:20]}' is not a number"
             ) from None
-    wrong = ~(np.isfinite(values) & (np.abs(values) <= largest))
+    wrong = ~(np.abs(values) <= largest)
+    wrong[:, list(gaps)] &= ~np.isnan(values[:, list(gaps)])
     if np.any(wrong):
         i, c = np.argwhere(wrong)[0]
         value = values[i, c]

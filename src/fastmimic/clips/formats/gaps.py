@@ -1,0 +1,146 @@
+"""Gaps and outliers in the paths of tracked points. Short ones are filled from their neighbours, long ones split the
+take into whole parts. All frames are those of the file, 0-based, end exclusive."""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.arrays import Array, stretches
+from fastmimic.base.errors import ClipError
+from fastmimic.clips.clip import KEYPOINTS, POINT_NAMES, not_in_clip
+
+LONGEST_S: Final = 0.2  # of a gap that is filled
+LEAST_CONFIDENCE: Final = 0.6  # below, DeepLabCut does not draw a point either (`pcutoff`)
+SHORTEST_PART_S: Final = 0.5  # two of the shortest cycles that `fastmimic.clips.segment` finds
+
+_AROUND_S: Final = 0.04  # on both sides of a frame, for a limb's usual length there
+_JUMP: Final = 0.2  # largest difference from it, as a share of a leg's length; 0.14 in a running dog at 30 Hz
+_STRETCH: Final = 0.3  # largest excess over the limb's length in the take, likewise; 0.11 in a dog that turns
+_STRAIGHT: Final = 90  # percentile of a limb's length in the take; a sitting dog's median is a folded leg
+
+Part = tuple[int, int]
+
+
+class Mended(NamedTuple):
+    """Points (t, 10, 3), NaN where a long gap is; the whole parts, at least one; and sentences on what was done."""
+
+    points: Array
+    parts: list[Part]
+    notes: list[str]
+
+
+def mend(points: Array, rate_hz: float, confidence: Array | None = None) -> Mended:
+    """Fills the short gaps of the ten points (t, 10, 3), in any unit; a gap is NaN, `confidence` (t, 10) below 0.6, or
+    a point from which the limbs have an impossible length. Raises `ClipError`: no part is whole."""
+    missing = ~np.isfinite(points).all(axis=2)
+    doubtful = np.zeros_like(missing) if confidence is None else ~missing & ~(confidence >= LEAST_CONFIDENCE)
+    _check_present(missing | doubtful)
+    points = np.where((missing | doubtful)[..., None], np.nan, points)
+    astray = outliers(points, rate_hz)
+    absent = missing | doubtful | astray
+    filled = _short(absent, rate_hz)
+    for k in np.flatnonzero(absent.any(axis=0)):
+        points[:, k] = _filled(points[:, k], absent[:, k], filled[:, k])
+    whole = np.asarray(np.all(filled | ~absent, axis=1))
+    parts = [(a, b) for a, b in stretches(whole) if b - a >= min(SHORTEST_PART_S * rate_hz, len(whole))]
+    if not parts:
+        raise ClipError(
+            f"no {SHORTEST_PART_S:g} s without a gap of more than {LONGEST_S:g} s: {_counts(absent & ~filled)}"
+        )
+    causes = {
+        "missing": missing & filled,
+        f"with a confidence below {LEAST_CONFIDENCE:g}": doubtful & filled,
+        "out of its limbs' reach": astray & filled,
+    }
+    said = ", ".join(f"{int(which.sum())} {cause}" for cause, which in causes.items() if which.any())
+    notes = [f"gaps of up to {LONGEST_S:g} s are filled: {_counts(filled)} ({said})"] if filled.any() else []
+    return Mended(points, parts, notes)
+
+
+def part_for(parts: Sequence[Part], frames: Part | None, n_frames: int) -> tuple[Part, list[str]]:
+    """The `frames` (first, end), or the longest part, and a sentence on what is left out. Raises `ClipError`: frames
+    that are not in the take, or hold a long gap."""
+    listed = ", ".join(f"{first}:{end}" for first, end in parts)
+    if frames is not None:
+        first, end = frames
+        if not 0 <= first < end <= n_frames:
+            raise not_in_clip(frames, n_frames)
+        if not any(a <= first and end <= b for a, b in parts):
+            raise ClipError(f"frames {first}:{end} hold a gap of more than {LONGEST_S:g} s; whole parts are {listed}")
+        return frames, []
+    first, end = max(parts, key=lambda part: part[1] - part[0])
+    if (first, end) == (0, n_frames):
+        return (first, end), []
+    left_out = [f"{a}:{b}" for a, b in ((0, first), (end, n_frames)) if b > a]
+    return (first, end), [
+        f"this is the longest part without long gaps, frames {first}:{end}; {' and '.join(left_out)} are left out"
+        f" (all parts: {listed})"
+    ]
+
+
+def outliers(points: Array, rate_hz: float) -> NDArray[np.bool_]:
+    """Which of the ten points (t, 10, 3) are where their limbs cannot reach, (t, 10): a limb differs from its median
+    length around that frame, or is longer than nearly always. The fault is that of the end with most wrong limbs."""
+    from scipy.ndimage import median_filter
+
+    ends = np.array(KEYPOINTS.bones)
+    lengths = np.linalg.norm(points[:, ends[:, 0]] - points[:, ends[:, 1]], axis=2)
+    known = np.isfinite(lengths)
+    if not known.any(axis=0).all():
+        return np.zeros(points.shape[:2], dtype=bool)
+    typical = np.nanpercentile(lengths, _STRAIGHT, axis=0)
+    leg = float(np.median(typical[-4:]))
+    t = np.arange(len(lengths))
+    joined = np.stack([np.interp(t, t[on], x[on]) for on, x in zip(known.T, lengths.T, strict=True)], axis=1)
+    usual = median_filter(joined, (2 * max(2, round(_AROUND_S * rate_hz)) + 1, 1), mode="nearest")
+    wrong = known & ((np.abs(joined - usual) > _JUMP * leg) | (joined - typical > _STRETCH * leg))
+    found = np.zeros(points.shape[:2], dtype=bool)
+    for frame in np.flatnonzero(wrong.any(axis=1)):
+        found[frame] = _at_fault(wrong[frame], ends)
+    return found
+
+
+def _at_fault(wrong: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """The points (10,) that explain the wrong limbs (k,), those with the largest share of wrong limbs first."""
+    found = np.zeros(len(POINT_NAMES), dtype=bool)
+    limbs = np.bincount(ends.ravel(), minlength=len(found))
+    while wrong.any():
+        count = np.bincount(ends[wrong].ravel(), minlength=len(found))
+        worst = int(np.argmax(count / limbs + 1e-3 * count))
+        found[worst] = True
+        wrong = wrong & (ends != worst).all(axis=1)
+    return found
+
+
+def _check_present(absent: NDArray[np.bool_]) -> None:
+    for name, column in zip(POINT_NAMES, absent.T, strict=True):
+        if (~column).sum() < 2:
+            raise ClipError(f"the point for {name} is missing in all frames; name another one (--point-map)")
+
+
+def _short(absent: NDArray[np.bool_], rate_hz: float) -> NDArray[np.bool_]:
+    """Which of the gaps (t, 10) are short and lie between two frames with the point."""
+    short = np.zeros_like(absent)
+    for k, column in enumerate(absent.T):
+        for first, end in stretches(column):
+            short[first:end, k] = first > 0 and end < len(column) and end - first <= LONGEST_S * rate_hz
+    return short
+
+
+def _filled(path: Array, absent: NDArray[np.bool_], filled: NDArray[np.bool_]) -> Array:
+    """A path (t, 3) with a curve through its neighbours where `filled`, and NaN elsewhere where `absent`."""
+    from scipy.interpolate import PchipInterpolator
+
+    path = np.where(absent[:, None], np.nan, path)
+    known = np.flatnonzero(~absent)
+    path[filled] = PchipInterpolator(known, path[known])(np.flatnonzero(filled))
+    return path
+
+
+def _counts(which: NDArray[np.bool_]) -> str:
+    """`FR_toe 8 frames, neck 4`."""
+    counts = {name: int(n) for name, n in zip(POINT_NAMES, which.sum(axis=0), strict=True) if n}
+    words = [f"{name} {n}" for name, n in sorted(counts.items(), key=lambda item: -item[1])]
+    return ", ".join([f"{words[0]} frames", *words[1:]]) if words else ""

@@ -1,0 +1,142 @@
+"""Imperfect tracks: short gaps and outliers are filled and said, long gaps split the take."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fastmimic.base.errors import ClipError
+from fastmimic.clips.catalogue import open_clip
+from fastmimic.clips.clip import POINT_NAMES
+from fastmimic.clips.formats import ReadOptions, read_clip
+from fastmimic.clips.formats.gaps import mend, outliers
+from fastmimic.clips.synthesis import GAITS, generate
+
+RATE = 120.0
+TOE = POINT_NAMES.index("FR_toe")
+
+
+def walk(cycles: int = 3) -> np.ndarray:
+    clip = generate("walk")
+    step = (clip.points_w[-1] - clip.points_w[0])[:2].mean(axis=0) * clip.n_frames / (clip.n_frames - 1)
+    return np.concatenate([clip.points_w + k * step for k in range(cycles)])
+
+
+def table_text(points: np.ndarray) -> str:
+    """A table by name; a point that is NaN is empty."""
+    header = ",".join(["time", *(f"{name}_{axis}" for name in POINT_NAMES for axis in "xyz")])
+    rows = [
+        ",".join([f"{i / RATE:.6f}", *("" if np.isnan(v) else f"{v:.7f}" for v in frame.ravel())])
+        for i, frame in enumerate(points)
+    ]
+    return "\n".join([header, *rows]) + "\n"
+
+
+def test_a_whole_take_is_left_as_it_is() -> None:
+    points = walk()
+    mended = mend(points, RATE)
+    np.testing.assert_array_equal(mended.points, points)
+    assert (mended.parts, mended.notes) == ([(0, len(points))], [])
+
+
+@pytest.mark.parametrize("name", sorted(GAITS))
+def test_no_gait_has_outliers(name: str) -> None:
+    assert not outliers(generate(name).points_w, RATE).any()
+
+
+def test_no_frame_of_the_recorded_dogs_is_an_outlier(data_folder: Path) -> None:
+    for path in sorted((data_folder / "dog_keypoints").glob("dog_*.txt")):
+        clip = read_clip(path)
+        for every in (1, 2):
+            assert not outliers(clip.points_w[::every], clip.rate_hz / every).any(), path.name
+
+
+def test_a_short_gap_is_filled_close_to_the_path_and_said(tmp_path: Path) -> None:
+    whole = walk()
+    points = whole.copy()
+    points[100:112, TOE] = np.nan  # 0.1 s
+    points[150:155, POINT_NAMES.index("neck")] = np.nan
+    (tmp_path / "points.csv").write_text(table_text(points))
+    clip = read_clip(tmp_path / "points.csv")
+    assert np.abs(clip.points_w - whole).max() < 0.02
+    (said,) = (sentence for sentence in clip.meta["assumed"] if "filled" in sentence)
+    assert said == "gaps of up to 0.2 s are filled: FR_toe 12 frames, neck 5 (17 missing)"
+
+
+@pytest.mark.parametrize(("point", "frames"), [("FR_toe", 3), ("neck", 1), ("RL_hip", 2), ("pelvis", 2)])
+def test_a_point_that_jumps_is_found_and_filled(point: str, frames: int) -> None:
+    whole, k = walk(), POINT_NAMES.index(point)
+    points = whole.copy()
+    points[60 : 60 + frames, k] += [0.3, 0.2, 0.25]
+    found = outliers(points, RATE)
+    assert found[60 : 60 + frames, k].all()
+    assert found.sum() == frames
+    mended = mend(points, RATE)
+    assert np.abs(mended.points - whole).max() < 0.01
+    assert mended.notes == [
+        f"gaps of up to 0.2 s are filled: {point} {frames} frames ({frames} out of its limbs' reach)"
+    ]
+
+
+def test_low_confidence_is_a_gap() -> None:
+    points, confidence = walk(), np.ones((288, 10))
+    confidence[50:60, TOE] = 0.3
+    points[50:60, TOE] += 0.02
+    mended = mend(points, RATE, confidence)
+    assert np.abs(mended.points - walk()).max() < 0.01
+    assert "10 with a confidence below 0.6" in mended.notes[0]
+
+
+@pytest.fixture
+def split(tmp_path: Path) -> Path:
+    """A walk of which a toe is missing for half a second, twice."""
+    points = walk(6)
+    points[80:140, TOE] = np.nan
+    points[400:460, TOE] = np.nan
+    path = tmp_path / "points.csv"
+    path.write_text(table_text(points))
+    return path
+
+
+def test_of_a_take_with_a_long_gap_the_longest_part_is_read(split: Path) -> None:
+    clip = read_clip(split)
+    np.testing.assert_allclose(clip.points_w, walk(6)[140:400], atol=1e-6)
+    assert clip.meta["parts"] == [[0, 80], [140, 400], [460, 576]]
+    assert clip.meta["frames"] == [140, 400]
+    assert any("0:140 and 400:576 are left out" in sentence for sentence in clip.meta["assumed"])
+
+
+def test_frames_choose_another_part_and_a_gap_within_them_is_refused(split: Path) -> None:
+    clip = open_clip(split, frames=(470, 560))
+    np.testing.assert_allclose(clip.points_w, walk(6)[470:560], atol=1e-6)
+    with pytest.raises(ClipError, match=r"frames 100:200 hold a gap .* whole parts are 0:80, 140:400, 460:576"):
+        read_clip(split, ReadOptions(frames=(100, 200)))
+    with pytest.raises(ClipError, match=r"frames 500:900 are not in this clip of 576 frames"):
+        read_clip(split, ReadOptions(frames=(500, 900)))
+
+
+def test_a_point_that_is_never_there_is_named() -> None:
+    points = walk()
+    points[:, TOE] = np.nan
+    with pytest.raises(ClipError, match="the point for FR_toe is missing in all frames"):
+        mend(points, RATE)
+    points = walk()
+    points[::50, TOE] = np.nan
+    for first in range(0, len(points), 60):
+        points[first : first + 30, TOE] = np.nan
+    with pytest.raises(ClipError, match=r"no 0\.5 s without a gap of more than 0\.2 s: FR_toe"):
+        mend(points, RATE)
+
+
+def test_a_word_is_no_gap_and_neither_is_a_frame_without_time(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    lines = table_text(walk(1)).splitlines()
+    times = [*lines[:4], "," + lines[4].split(",", 1)[1], *lines[5:]]
+    path.write_text("\n".join(times))
+    with pytest.raises(ClipError, match=r"line 5, column 1 \(time\): '' is not a number"):
+        read_clip(path)
+    fields = lines[4].split(",")
+    fields[3:6] = ["", "lost", ""]
+    path.write_text("\n".join([*lines[:4], ",".join(fields), *lines[5:]]))
+    with pytest.raises(ClipError, match=r"line 5, column 5 \(neck_x\): 'lost' is not a number"):
+        read_clip(path)
