@@ -17,7 +17,7 @@ from fastmimic.dataset import BuildRequest, DatasetSource, MotionDataset, build_
 from fastmimic.dataset.build import Built
 from fastmimic.dataset.excerpts import survey
 from fastmimic.dataset.jobs import Job, give_up, perform, robot_digest
-from fastmimic.dataset.records import COLUMNS, load_record
+from fastmimic.dataset.records import COLUMNS, load_record, read_record
 from fastmimic.dataset.repair import check, mend, rerun
 from fastmimic.executors import make_executor
 from fastmimic.imitation.evaluate import evaluate
@@ -209,6 +209,16 @@ def test_a_damaged_recipe_is_written_anew_by_the_next_build_like_it(text: str, m
         build_dataset(replace(of("trot"), recipe=replace(RECIPE, iterations=5)), mine, HERE)
     assert build_dataset(of("trot", "pace"), mine, HERE).done == 0
     assert check(MotionDataset.open(mine)).sound
+
+
+def test_a_record_of_before_a_column_is_read_with_none_in_it(mine: Path) -> None:
+    path = next((mine / "records").iterdir())
+    record = json.loads(path.read_text())
+    assert record.pop("success") == 1.0
+    path.write_text(json.dumps(record))
+    assert (read_record(path) or {})["success"] is None
+    path.write_text(json.dumps(record | {"of_another_version": 1}))
+    assert read_record(path) is None
 
 
 def test_a_record_of_another_kind_is_none(mine: Path) -> None:

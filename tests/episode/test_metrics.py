@@ -5,6 +5,7 @@ import pytest
 
 from fastmimic.episode.metrics import Metrics, mean_of_known, rms
 from fastmimic.episode.rollout import Rollout
+from fastmimic.episode.tracking_errors import TRACKING_ERRORS
 
 
 def rollout(**changes: object) -> Rollout:
@@ -22,6 +23,7 @@ def rollout(**changes: object) -> Rollout:
         "early_contacts": np.array([1.0, 3.0]),
         "foot_rmse": np.full((2, 4, 3), 0.01),
         "qp_failures": np.array([0, 2]),
+        "tracking": np.array([(True, 2.0, *[0.1] * 5), (False, *[np.nan] * 6)], TRACKING_ERRORS),
     }
     return Rollout(**{**values, **changes})  # type: ignore[arg-type]
 
@@ -39,6 +41,7 @@ def test_figures_are_over_all_episodes() -> None:
     assert found.mean_clearance_m == pytest.approx((0.06 + 0.06 + 0.04) / 3)
     assert found.foot_x_rmse_m == pytest.approx(0.01)
     assert found.qp_failures == 2
+    assert (found.success, found.mpjpe_mm) == (0.5, 2.0)  # the second had no step
 
 
 def test_the_dictionary_is_json_with_none_for_what_there_is_not() -> None:

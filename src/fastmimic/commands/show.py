@@ -19,6 +19,13 @@ _FIGURES: Final = (  # label, name in metrics.json, digits, scale
     ("stance slip, mm", "stance_slip_m", 1, 1e3),
     ("foot z rmse, mm", "foot_z_rmse_m", 1, 1e3),
     ("foot x rmse, mm", "foot_x_rmse_m", 1, 1e3),
+    ("success, %", "success", 0, 100.0),
+    ("mpjpe, mm", "mpjpe_mm", 1, 1.0),
+    ("  relative to the root, mm", "mpbpe_root_mm", 1, 1.0),
+    ("root position error, mm", "root_position_error_m", 1, 1e3),
+    ("root heading error, mrad", "root_heading_error_rad", 1, 1e3),
+    ("joint velocity error, rad/s", "joint_velocity_error_rad_s", 2, 1.0),
+    ("acceleration distance, m/s²", "acceleration_distance_m_s2", 2, 1.0),
 )
 
 

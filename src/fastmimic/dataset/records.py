@@ -45,6 +45,7 @@ _FALLS: Final = ("fell", "fell_before", "fell_perturbed", "fell_robots", "fell_s
 _MEASURES: Final = (
     *("style_distance", "style_distance_realised"),
     *("mean_clearance_m", "swing_clearance_least_share", "early_contacts_per_s", "stance_slip_m", "drift_m_per_s"),
+    *("success", "success_perturbed", "mpjpe_mm", "mpbpe_root_mm"),
     *("joint_speed_share", "torque_share", "friction_needed", "flight_share"),
 )
 _PACKAGES: Final = ("fastmimic", "python", "mujoco", "daqp", "cma", "numba", "numpy")
@@ -110,13 +111,14 @@ def load_record(folder: Path, identity: str) -> Record | None:
 
 
 def read_record(path: Path) -> Record | None:
-    """The record in a file; None if there is none."""
+    """The record in a file; None if there is none. Columns that came after it are None."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    if not isinstance(found, dict) or found.keys() != COLUMNS.keys() or found["id"] != path.stem:
+    if not isinstance(found, dict) or not found.keys() <= COLUMNS.keys() or found.get("id") != path.stem:
         return None
+    found = empty() | found
     whole = all(value is None or isinstance(value, _KINDS[COLUMNS[name]]) for name, value in found.items())
     return found if whole and all(found[name] is not None for name in _NEEDED) else None
 

@@ -10,8 +10,12 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.text import plain
 from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.episode.rollout import Rollout
+from fastmimic.episode.tracking_errors import TRACKING_ERRORS
 from fastmimic.motion.contacts import swing_tops
 from fastmimic.motion.motion import Motion
+
+TRACKED: Final = tuple(TRACKING_ERRORS.names or ())
+"""The field's measures of motion tracking, by their names in `Metrics`."""
 
 _LEAST_AMPLITUDE: Final = 1e-4  # m; a foot that moves less has no path of its own
 
@@ -29,6 +33,8 @@ class Metrics:
         stance_slip_m: mean path that a loaded foot slides in a stance.
         foot_x_rmse_m, foot_z_rmse_m: against the demonstration, body frame.
         qp_failures: steps in which the stance QP failed, in all episodes.
+        success, mpjpe_mm, … acceleration_distance_m_s2: the field's measures of motion tracking (`TRACKING_ERRORS`),
+            means over the episodes; `success` is the share of them in [0, 1].
         reward_animal: mean reward against the animal's motion, for a motion that was made executable.
         estimate: errors of the state estimate by name, root mean squares over the episodes, but of the drift the mean
             over those that travelled. None if the controller was told the true state.
@@ -48,6 +54,13 @@ class Metrics:
     foot_x_rmse_m: float
     foot_z_rmse_m: float
     qp_failures: int
+    success: float
+    mpjpe_mm: float
+    mpbpe_root_mm: float
+    root_position_error_m: float
+    root_heading_error_rad: float
+    joint_velocity_error_rad_s: float
+    acceleration_distance_m_s2: float
     reward_animal: float | None = None
     estimate: dict[str, float] | None = None
 
@@ -70,6 +83,7 @@ class Metrics:
             foot_x_rmse_m=rms(r.foot_rmse[..., 0]),
             foot_z_rmse_m=rms(r.foot_rmse[..., 2]),
             qp_failures=int(r.qp_failures.sum()),
+            **{name: mean_of_known(r.tracking[name].astype(float)) for name in TRACKED},
             reward_animal=None if np.isnan(r.reward_animal).any() else float(r.reward_animal.mean()),
             estimate=None
             if r.estimation is None

@@ -20,6 +20,7 @@ from fastmimic.base.registry import Registry
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.base.vectors import quat_to_matrix, turn_rows
 from fastmimic.control.config import ControllerConfig
+from fastmimic.episode.tracking_errors import TRACKING_SUMS, count_tracking
 from fastmimic.reference.table import world_root
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import leg_forward
@@ -100,6 +101,7 @@ TALLY: Final = record_dtype(
         ("jump", "f8"),  # sum of the distances hidden by the synchronisation until the fall, m
         ("early_touchdowns", "i8"),  # until the fall
         ("qp_failures", "i8"),  # until the fall
+        *TRACKING_SUMS,
     ]
 )  # running sums of one robot's episode
 
@@ -168,6 +170,7 @@ def _score_robot(context: ScoringContext, ref: Any, clock: Any, obs: Any, tally:
     if not valid or not upright or obs.other_contact > 0.5:
         tally.fallen = 1
         return
+    count_tracking(context.geometry, context.dt, ref, clock, obs, tally, context.work, (x, y, z, angle))
     feet = _score_feet(context, ref, obs, tally, rotation, reference)
     tally.reward[0] = np.exp(-5.0 * pose)
     tally.reward[1] = np.exp(-0.1 * velocity)

@@ -11,6 +11,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.episode.observer import EstimationErrors
 from fastmimic.episode.reward import REWARD_TERMS, Counted, reward_weights
 from fastmimic.episode.run_log import RunLog
+from fastmimic.episode.tracking_errors import tracking_errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +69,7 @@ class Rollout:
         early_contacts: (n,) early touch-downs per second.
         foot_rmse: (n, 4, 3) against the demonstration, body frame, until the fall, m.
         qp_failures: (n,) steps at which the stance QP failed, until the fall.
+        tracking: (n,) of `TRACKING_ERRORS`, the field's measures of motion tracking.
         log: the whole course, if requested.
         parts: results of each part of divided episodes; a robot that fell does so in one of them.
         estimation: errors of the estimate over whole episodes, with sensors only.
@@ -85,6 +87,7 @@ class Rollout:
     early_contacts: Array
     foot_rmse: Array
     qp_failures: NDArray[np.int64]
+    tracking: NDArray[Any]
     log: Log | None = None
     parts: "tuple[Rollout, ...]" = ()
     estimation: EstimationErrors | None = None
@@ -126,6 +129,7 @@ def summarised(counted: Counted, steps: int, rate_hz: float) -> Rollout:
         early_contacts=t["early_touchdowns"] / (lived / rate_hz),
         foot_rmse=np.sqrt(t["foot_error_sq"] / lived[:, None, None]),
         qp_failures=t["qp_failures"].copy(),
+        tracking=tracking_errors(t),
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.text import plain
 from fastmimic.episode.loop import MakeController, run_episodes
-from fastmimic.episode.metrics import Metrics, style_distance, swing_clearance
+from fastmimic.episode.metrics import TRACKED, Metrics, style_distance, swing_clearance
 from fastmimic.episode.plan import episode_duration, perturbed_start, start_room
 from fastmimic.episode.rollout import Rollout
 from fastmimic.imitation.imitate import Imitation
@@ -22,8 +22,9 @@ Row = dict[str, Any]
 EVALUATION_S: Final = 10.0
 PERTURBED_EPISODES: Final = 8
 _BEFORE: Final = ("reward_animal", "reward_mean", "fell", "foot_z_rmse_m", "foot_x_rmse_m")
-_NOMINAL: Final = (*_BEFORE, "drift_m_per_s", "mean_clearance_m", "early_contacts_per_s", "stance_slip_m")
-_PERTURBED: Final = ("reward_animal", "reward_mean", "reward_std", "fell")
+_STEPS: Final = ("drift_m_per_s", "mean_clearance_m", "early_contacts_per_s", "stance_slip_m")
+_NOMINAL: Final = (*_BEFORE, *_STEPS, *TRACKED)
+_PERTURBED: Final = ("reward_animal", "reward_mean", "reward_std", "fell", "success", "mpjpe_mm")
 _EVALUATION_SEED: Final = 20230617  # of the perturbed starts of every run; no optimisation uses it
 
 

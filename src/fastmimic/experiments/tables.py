@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.text import NONE, markdown_table, number
+from fastmimic.episode.metrics import TRACKED
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.experiments.ablations import ABLATED, ablation_named
@@ -18,6 +19,7 @@ COLUMNS: Final = (
     *("reward_animal", "reward_animal_perturbed", "reward_animal_before"),
     *("reward_mean_before", "fell", "fell_perturbed", "fell_before", "drift_m_per_s", "mean_clearance_m"),
     *("swing_clearance_least_share", "early_contacts_per_s", "stance_slip_m"),
+    *(*TRACKED, "success_perturbed", "mpjpe_mm_perturbed"),
     *("style_distance", "style_distance_realised"),
     *("foot_z_rmse_m_before", "foot_z_rmse_m", "foot_x_rmse_m_before", "foot_x_rmse_m"),
     *(f"components_{name}" for name in REWARD_TERMS),
@@ -48,7 +50,7 @@ class Summary:
 
     def values(self, column: str) -> list[float]:
         """The seeds' existing values."""
-        return [float(row[column]) for row in self.rows if row[column] is not None]
+        return [float(row[column]) for row in self.rows if row.get(column) is not None]
 
     def mean(self, column: str) -> float | None:
         """Mean over the seeds; None if there is no value."""
@@ -81,7 +83,16 @@ def comparison_table(rows: Sequence[Row], expected: int) -> str:
     variant."""
     header = (
         *("motion", "method", "reward", "perturbed starts", "fell, nominal", "fell, perturbed"),
-        *("least clearance", "style distance", "realised", "drift, m/s", "early contacts, 1/s", "slip, mm"),
+        *(
+            "success, perturbed",
+            "mpjpe, mm",
+            "least clearance",
+            "style distance",
+            "realised",
+            "drift, m/s",
+            "early contacts, 1/s",
+            "slip, mm",
+        ),
         *("wall time, s", "processor time, s", "episodes"),
     )
     body = [_line(summary) for summary in summaries(rows)]
@@ -116,7 +127,8 @@ def ablation_table(rows: Sequence[Row], expected: int) -> str:
 def _line(s: Summary) -> list[str]:
     return [
         *(f"`{s.motion}`", s.label, f"**{spread(s, 'reward_mean')}**", _spread_of_episodes(s), _count(s, "fell")),
-        *(_percent(s.mean("fell_perturbed")), _percent(s.mean(_CLEARANCE))),
+        *(_percent(s.mean("fell_perturbed")), _percent(s.mean("success_perturbed")), number(s.mean("mpjpe_mm"), 1)),
+        _percent(s.mean(_CLEARANCE)),
         *(number(s.mean(name), 2) for name in ("style_distance", "style_distance_realised", "drift_m_per_s")),
         *(number(s.mean("early_contacts_per_s"), 1), number(s.mean("stance_slip_m"), 1, 1e3)),
         *(number(s.mean("wall_s"), 1), number(s.mean("cpu_s"), 1), number(s.mean("evaluations"), 0)),
@@ -154,7 +166,9 @@ def _caption(rows: Sequence[Row]) -> str:
         f"*Reward*: one episode of {all_of('evaluation_s')} s from the motion's start, scored against the retargeted"
         f" motion.{search} *Perturbed starts*: mean ± standard deviation over {all_of('perturbed_episodes')} episodes"
         f" from random phases with joints ± {JOINT_NOISE:g} rad and base velocity ± {VELOCITY_NOISE:g} m/s, the same"
-        " ones for every run. *Least clearance*: smallest share of the demonstration's swing clearance that a leg"
+        " ones for every run. *Success*: share of them without a fall and never more than 0.5 m or 1 rad from the"
+        " reference. *Mpjpe*: mean distance of trunk, hips, knees and feet from it."
+        " *Least clearance*: smallest share of the demonstration's swing clearance that a leg"
         " realises, mean over the seeds. *Style distance*: of the optimised reference from the retargeted one, 0 if"
         " they are the same and 1 if the feet are not lifted; *realised*: of what the robot's feet did until a fall."
         " *Wall time* and *processor time*: of one run in one process, optimisation and evaluation."

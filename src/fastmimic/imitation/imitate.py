@@ -15,7 +15,7 @@ from fastmimic.base.text import plain
 from fastmimic.clips.clip import Clip
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import MakeController, run_episodes
-from fastmimic.episode.metrics import Metrics, swing_clearance
+from fastmimic.episode.metrics import TRACKED, Metrics, swing_clearance
 from fastmimic.episode.plan import nominal_start
 from fastmimic.episode.rollout import Rollout
 from fastmimic.imitation.methods import check_controller, made_with, method_named
@@ -30,7 +30,8 @@ from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
 
-_BEFORE_AND_AFTER: Final = ("early_contacts_per_s", "stance_slip_m", "foot_z_rmse_m", "foot_x_rmse_m", "qp_failures")
+_FEET: Final = ("early_contacts_per_s", "stance_slip_m", "foot_z_rmse_m", "foot_x_rmse_m")
+_BEFORE_AND_AFTER: Final = (*_FEET, "qp_failures", *TRACKED)
 
 
 @dataclass(frozen=True, eq=False)
