@@ -45,9 +45,16 @@ def read_clip(path: str | Path, options: ReadOptions | None = None) -> Clip:
         meta: dict[str, Any] = {"name": Path(path).stem, "source": Path(path).name, "format": form.name}
         clip = replace(clip, meta={"licence": None, "assumed": []} | meta | clip.meta)
         clip = clip if options.scale is None else with_scale(clip, options.scale)
-        return clip if options.frames is None or "frames" in form.takes else clip.cut(*options.frames)
+        return clip if options.frames is None else _cut(clip, *options.frames)
     except ClipError as error:
         raise ClipError(f"{path}: {error}") from None
+
+
+def _cut(clip: Clip, first: int, end: int) -> Clip:
+    """Frames [first, end) of the file; the clip may be a part of it."""
+    start = clip.meta.get("frames", [0])[0]
+    cut = clip.cut(first - start, end - start)
+    return replace(cut, meta=cut.meta | {"frames": [first, end]})
 
 
 def with_scale(clip: Clip, scale: float) -> Clip:

@@ -60,16 +60,17 @@ def mend(points: Array, rate_hz: float, confidence: Array | None = None) -> Mend
 
 
 def part_for(parts: Sequence[Part], frames: Part | None, n_frames: int) -> tuple[Part, list[str]]:
-    """The `frames` (first, end), or the longest part, and a sentence on what is left out. Raises `ClipError`: frames
-    that are not in the take, or hold a long gap."""
+    """The part with `frames` (first, end), or the longest part and a sentence on what is left out. Raises `ClipError`:
+    frames that are not in the take, or hold a long gap."""
     listed = ", ".join(f"{first}:{end}" for first, end in parts)
     if frames is not None:
         first, end = frames
         if not 0 <= first < end <= n_frames:
             raise not_in_clip(frames, n_frames)
-        if not any(a <= first and end <= b for a, b in parts):
+        part = next((part for part in parts if part[0] <= first and end <= part[1]), None)
+        if part is None:
             raise ClipError(f"frames {first}:{end} hold a gap of more than {LONGEST_S:g} s; whole parts are {listed}")
-        return frames, []
+        return part, []
     first, end = max(parts, key=lambda part: part[1] - part[0])
     if (first, end) == (0, n_frames):
         return (first, end), []

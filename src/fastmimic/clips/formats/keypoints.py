@@ -2,9 +2,9 @@
 
 - Dog motion capture: 81 columns, 27 points × (x, y, z) in metres. Peng et al. (2020) distribute the dog motions of
   Zhang et al. (2018) like this: y up, right-handed, 60 frames a second.
-- Points by name: a header with three columns a point, NAME_x (or `NAME.x`, `NAME:X`, `NAME x`), NAME_y, NAME_z, as
-  tracking programs export them, also from C3D; an empty field or NaN is a gap. A column `time` gives the frame rate;
-  `frame` is ignored.
+- Points by name: a header with three columns a point, NAME_x (or `NAME.x`, `NAME:X`, `NAME x`, `NameX`), NAME_y and
+  NAME_z, as tracking programs export them, also from C3D; an empty field or NaN is a gap. A column `time` gives the
+  frame rate; `frame` is ignored.
 """
 
 import re
@@ -37,9 +37,10 @@ _POINT_INDEX: Final = {
 }
 """Indices among the 27 points; left and right follow from the points' positions (up × forward)."""
 
-_COLUMN: Final = re.compile(r"(.+?)[\s._:/\-]([xyz])", re.IGNORECASE)
+_COLUMN: Final = re.compile(r"(.+?)(?:[\s._:/\-]([xyzXYZ])|(?<=[a-zA-Z])([XYZ]))")
 _TIMES: Final = ("time", "time_s", "t")
-_UNEVEN: Final = 0.02  # share of a frame's duration
+_UNEVEN: Final = 0.25  # share of a frame's duration: times may be rounded to milliseconds
+_FEWEST: Final = 6  # points: the spine's two and four feet
 
 
 def parse(text: str, *, fps: float | None = None, up: str | None = None, frames: Part | None = None) -> Clip:
@@ -97,16 +98,17 @@ def _named_points(header: Sequence[str]) -> dict[str, list[int]]:
     for column, name in enumerate(header):
         match = _COLUMN.fullmatch(name.strip().strip('"'))
         if match is not None:
-            found.setdefault(match[1].strip(), {})[match[2].lower()] = column
+            found.setdefault(match[1].strip(), {})[(match[2] or match[3]).lower()] = column
     return {name: [axes[a] for a in "xyz"] for name, axes in found.items() if len(axes) == 3}
 
 
 def _rate(header: Sequence[str], values: np.ndarray) -> float:
     for column, name in enumerate(header):
         if name.lower() in _TIMES:
-            steps = np.diff(values[:, column])
-            step = float(np.median(steps))
-            if not step > 0 or np.abs(steps - step).max() > _UNEVEN * step:
+            times = values[:, column]
+            step = float(times[-1] - times[0]) / (len(times) - 1)
+            off = np.abs(times - times[0] - step * np.arange(len(times)))
+            if not step > 0 or off.max() > _UNEVEN * step:
                 raise ClipError(f"the column '{name}' does not rise by equal steps; give the frame rate (--fps)")
             return 1.0 / step
     raise ClipError("there is no column 'time'; give the frame rate (--fps)")
@@ -114,12 +116,12 @@ def _rate(header: Sequence[str], values: np.ndarray) -> float:
 
 def _detect_named(content: Content) -> bool:
     header = content.table.header
-    return header is not None and len(_named_points(header)) >= len(POINT_NAMES)
+    return header is not None and len(_named_points(header)) >= _FEWEST
 
 
 NAMED_FORMAT: Final = Format(
     name="points",
-    about="keypoints by name, a header with NAME_x, NAME_y, NAME_z of ten points",
+    about="keypoints by name, a header with NAME_x, NAME_y, NAME_z of ten points, or of six without hips",
     suffixes=(".csv",),
     detect=_detect_named,
     parse=parse_named,

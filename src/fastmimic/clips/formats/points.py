@@ -3,6 +3,7 @@ object that names a file's point for each of the ten of `POINT_NAMES`."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,6 +15,7 @@ from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.rotations import quat_continuous, quat_rotate
 from fastmimic.clips.clip import POINT_NAMES, Clip, Skeleton
 from fastmimic.clips.formats.gaps import Part, mend, part_for
+from fastmimic.clips.formats.inferred_hips import with_hips
 from fastmimic.clips.formats.text_table import check_rate
 
 PointMap = Mapping[str, str]
@@ -33,8 +35,24 @@ AI4ANIMATION_DOG: Final[PointMap] = {
 """The dog of Zhang et al. (2018); `.end` is a joint's end site."""
 _EXAMPLE: Final = json.dumps(AI4ANIMATION_DOG)
 OWN_NAMES: Final[PointMap] = {name: name for name in POINT_NAMES}
-BUILT_IN: Final = {"AI4Animation's dog": AI4ANIMATION_DOG, "the common names": OWN_NAMES}
-"""Default maps, tried in this order."""
+HIP_NAMES: Final = POINT_NAMES[2:6]
+_WITHOUT_HIPS: Final[PointMap] = {name: name for name in POINT_NAMES if name not in HIP_NAMES}
+VIENNA_HORSE: Final[PointMap] = {
+    "pelvis": "Sacrum",
+    "neck": "Withers",
+    "FR_toe": "HFR",
+    "FL_toe": "HFL",
+    "RR_toe": "HHR",
+    "RL_toe": "HHL",
+}
+"""The horses of the Vienna Horse Data Collection: hoof, front or hind, left or right."""
+BUILT_IN: Final = {
+    "AI4Animation's dog": AI4ANIMATION_DOG,
+    "the common names": OWN_NAMES,
+    "the common names, without hips": _WITHOUT_HIPS,
+    "Vienna's horses": VIENNA_HORSE,
+}
+"""Default maps, tried in this order. Without hips, these are inferred (`inferred_hips`)."""
 
 _TO_Z_UP: Final = {"y": (2, 0, 1), "z": (0, 1, 2)}
 NORM_TOLERANCE: Final = 2e-3  # rounding to three decimals changes a unit quaternion's norm by up to 1e-3
@@ -44,7 +62,8 @@ _UNITS: Final = ((300.0, 1e-3, "millimetres"), (3.0, 1e-2, "centimetres"))
 
 
 def read_point_map(path: str | Path) -> dict[str, str]:
-    """Reads a point map. Raises `ClipError`: not a JSON object that gives each of the ten points a name."""
+    """Reads a point map, which may leave out all four hips. Raises `ClipError`: not a JSON object that gives each of
+    the ten points a name."""
     try:
         found = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -54,6 +73,8 @@ def read_point_map(path: str | Path) -> dict[str, str]:
         raise ClipError(f"{path}: a point map is a JSON object of names, such as {_EXAMPLE}")
     unknown = sorted(found.keys() - set(POINT_NAMES))
     missing = [name for name in POINT_NAMES if name not in found]
+    if missing == list(HIP_NAMES):
+        missing = []
     if unknown or missing:
         words = [f"does not know '{unknown[0]}'{did_you_mean(unknown[0], POINT_NAMES)}"] if unknown else []
         words += [f"lacks {', '.join(missing)}"] if missing else []
@@ -61,13 +82,13 @@ def read_point_map(path: str | Path) -> dict[str, str]:
     return found
 
 
-def choose(names: Sequence[str], given: PointMap | None) -> tuple[list[int], str | None]:
-    """Indices (10,) of the ten points among a file's `names`, and the name of the built-in map that fits. Raises
-    `ClipError`: no map fits; the message lists the names."""
+def choose(names: Sequence[str], given: PointMap | None) -> tuple[list[int | None], str | None]:
+    """Indices (10,) of the ten points among a file's `names`, None for hips that it does not have, and the name of the
+    built-in map that fits. Raises `ClipError`: no map fits; the message lists the names."""
     maps = BUILT_IN if given is None else {"": given}
     for title, points in maps.items():
         if all(source in names for source in points.values()):
-            return [names.index(points[name]) for name in POINT_NAMES], title or None
+            return [names.index(points[name]) if name in points else None for name in POINT_NAMES], title or None
     if given is not None:
         lost = next(source for source in given.values() if source not in names)
         raise ClipError(
@@ -82,7 +103,7 @@ def choose(names: Sequence[str], given: PointMap | None) -> tuple[list[int], str
 
 def clip_of(
     body: Array,
-    chosen: Sequence[int],
+    chosen: Sequence[int | None],
     rate_hz: float,
     *,
     up: str | None,
@@ -91,14 +112,15 @@ def clip_of(
     confidence: Array | None = None,
     frames: Part | None = None,
 ) -> Clip:
-    """A clip of all points `body` (t, k, 3) of a file, in its axes and unit, with `chosen` (10,) indices of the ten and
-    the assumptions so far. `up` is 'y' or 'z'; if None, the axis along which the hips are above the toes. `skeleton` is
-    between the k points; only the ten are kept if None. Points may be missing (NaN, or a `confidence` (t, k) too low):
-    short gaps are filled; of longer ones, the clip is the part with `frames` (first, end), or the longest, and lists
-    all in `meta["parts"]`. Raises `ClipError` for an impossible frame rate, frames that hold a gap, or if it is not an
-    upright, right-handed animal."""
+    """A clip of all points `body` (t, k, 3) of a file, in its axes and unit, with `chosen` (10,) indices of the ten,
+    None for hips that are to be inferred, and the assumptions so far. `up` is 'y' or 'z'; if None, the axis along which
+    the hips are above the toes. `skeleton` is between the k points; only the ten are kept if None. Points may be
+    missing (NaN, or a `confidence` (t, k) too low): short gaps are filled; of longer ones, the clip is the part that holds
+    `frames` (first, end), or the longest, and lists all in `meta["parts"]`. Raises `ClipError` for an impossible frame
+    rate, frames that hold a gap, or if it is not an upright, right-handed animal."""
     check_rate(rate_hz)
-    mended = mend(body[:, list(chosen)], rate_hz, None if confidence is None else confidence[:, list(chosen)])
+    places, known = _places(chosen)
+    mended = mend(body[:, places], rate_hz, None if confidence is None else confidence[:, places])
     notes = [*assumed, *mended.notes]
     seen = mended.points[np.isfinite(mended.points).all(axis=(1, 2))]
     if up is None:
@@ -112,19 +134,31 @@ def clip_of(
 
     seen = in_world(seen)
     _check_upright(seen, up)
-    _check_right_handed(seen)
+    _check_right_handed(seen if all(known) else with_hips(seen)[0])
     height = float(np.mean(seen[:, 2:6, 2] - seen[:, 6:10, 2]))
-    notes.append(f"coordinates are in {unit}: hips {height:.2f} m above the toes on average")
     (first, end), left_out = part_for(mended.parts, frames, len(body))
+    points, legs = in_world(mended.points)[first:end], None
+    if not all(known):
+        points, legs, inferred = with_hips(points)
+        notes.append(inferred)
+        height = float(np.mean(points[:, 2:6, 2] - points[:, 6:10, 2]))
+    notes.append(f"coordinates are in {unit}: hips {height:.2f} m above the toes on average")
     meta: dict[str, Any] = {"assumed": notes + left_out}
     if left_out or frames is not None:
         meta |= {"frames": [first, end], "parts": [list(part) for part in mended.parts]}
-    points = in_world(mended.points)[first:end]
+    clip = Clip(points_w=points, rate_hz=rate_hz, leg_length_m=legs, meta=meta)
     if skeleton is None:
-        return Clip(points_w=points, rate_hz=rate_hz, meta=meta)
+        return clip
     drawn = in_world(body)[first:end]
-    drawn[:, list(chosen)] = points
-    return Clip(points_w=points, rate_hz=rate_hz, meta=meta, body_w=drawn, skeleton=skeleton)
+    drawn[:, np.array(places)[known]] = points[:, known]
+    return replace(clip, body_w=drawn, skeleton=skeleton)
+
+
+def _places(chosen: Sequence[int | None]) -> tuple[list[int], list[bool]]:
+    """Indices (10,) in which the spine stands in for hips that are not in the file, and which are in it."""
+    stand_in = {2: chosen[1], 3: chosen[1], 4: chosen[0], 5: chosen[0]}
+    places = [stand_in[i] if place is None else place for i, place in enumerate(chosen)]
+    return [int(place) for place in places if place is not None], [place is not None for place in chosen]
 
 
 def _listed(names: Sequence[str]) -> str:
