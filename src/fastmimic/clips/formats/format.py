@@ -117,7 +117,7 @@ class Format:
         parse: the clip of a text (of the bytes, if `binary`), called with the options named in `takes`. Raises
             `ClipError` with the position in the file.
         takes: those of `ReadOptions` that `parse` has parameters for: "fps", "up", "point_map", "robot", "frames" (a
-            format whose takes may have gaps; of others the clip is cut).
+            format whose takes may have gaps: to choose the part that is cut).
     """
 
     name: str
