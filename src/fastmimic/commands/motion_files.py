@@ -14,7 +14,7 @@ from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, data_folder, fetch, list_datasets
 from fastmimic.clips.formats import FORMATS
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import note, put, put_json, put_table
+from fastmimic.commands.console import note, put, put_json, put_table, slow_start
 from fastmimic.commands.show import note_origin, provenance
 from fastmimic.imitation.methods import controller_for
 from fastmimic.motion.export import EXPORTS, export_motion
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from fastmimic.clips.segment import Segment
 
 FIGURES: Final = (".png", ".pdf", ".svg")
+LEROBOT: Final = "lerobot"  # the format of executed runs
 ExportFormat = Annotated[str, opt.option("NAME", lambda: f"Format: {', '.join(EXPORTS)}.")]
 _SEGMENT: Final = ("frames", "gait", "footfall", "period", "best cycle", "confidence", "speed, m/s", "yaw, rad/s")
 ACTIONS: Final = ("list", "fetch")
@@ -335,26 +336,34 @@ class Retarget:
 class Export:
     """Writes a robot motion in a format that other trainers read.
 
-    mjlab: .npz of joints and bodies as mjlab and BeyondMimic track them. deepmimic: JSON text, 19 numbers a frame. csv:
-    the same numbers, one line a frame. An optimised motion is written as optimised.
+    mjlab: .npz of joints and bodies as mjlab and BeyondMimic track them. isaaclab: the same for Isaac Lab's AMP.
+    deepmimic: JSON text, 19 numbers a frame. csv: the same numbers, one line a frame. amp: JSON text, 61 numbers a
+    frame, as AMP_for_hardware reads. motion-lib: .npz of root and joints. lerobot: a folder of executed runs, states
+    with the motors' targets and torques, for LeRobot. An optimised motion is written as optimised.
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
     """A robot motion (.npz), a clip, a name from 'fastmimic motions', or the folder of a run."""
-    format: ExportFormat
+    format: Annotated[str, opt.option("NAME", lambda: f"Format: {', '.join((*EXPORTS, LEROBOT))}.")]
     out: Annotated[Path, opt.option("FILE")]
-    """File to write: .npz for mjlab, .txt or .json for deepmimic, .csv for csv."""
+    """File to write: .txt or .json for deepmimic and amp, .csv for csv, .npz for others; for lerobot a new folder."""
     rate: Annotated[float, opt.option("HZ")] = 50.0
-    """Frames per second; for a cycle, the nearest rate that divides it evenly."""
+    """Frames per second; for a cycle, the nearest rate that divides it evenly, but for lerobot."""
     duration: opt.Seconds = None
     """Length. Default: one cycle for deepmimic, which loops; else 10 s, or the whole of a non-periodic motion."""
+    episodes: int | None = None
+    """For lerobot: number of runs, of which the first is unperturbed, as in 'fastmimic evaluate'. Default: 10."""
     robot: opt.RobotChoice = None
     clip: opt.ClipReading
 
     def run(self) -> int:
+        if self.format == LEROBOT:
+            return self._runs()
         if self.format not in EXPORTS:
-            raise unknown("format", self.format, EXPORTS)
-        endings = (".txt", ".json") if self.format == "deepmimic" else (EXPORTS[self.format],)
+            raise unknown("format", self.format, (*EXPORTS, LEROBOT))
+        if self.episodes is not None:
+            raise ConfigError(f"--episodes is for the format {LEROBOT}; {self.format} has the motion itself")
+        endings = (".txt", ".json") if EXPORTS[self.format] == ".txt" else (EXPORTS[self.format],)
         out = opt.check_writable(self.out, *endings)
         opt.check_duration(self.duration)
         robot, motion = self.clip.load(self.motion, self.robot)
@@ -362,4 +371,22 @@ class Export:
         if motion.provenance.licence:
             note(f"licence of the motion: {motion.provenance.licence}")
         put(f"{frames.n} frames at {frames.fps:g} per second for {robot.name} in {out}")
+        return 0
+
+    def _runs(self) -> int:
+        """Runs the motion and writes what the robot did."""
+        from fastmimic.dataset.lerobot import check_lerobot, write_lerobot
+        from fastmimic.imitation.evaluate import evaluate
+
+        opt.check_duration(self.duration)
+        robot, motion = self.clip.load(self.motion, self.robot)
+        check_lerobot(self.out, motion.rate_hz, self.rate)
+        episodes = 10 if self.episodes is None else self.episodes
+        with slow_start():
+            rollout = evaluate(motion, robot, episodes=episodes, duration_s=self.duration, log=True).rollout
+        frames = write_lerobot(self.out, rollout, robot, f"{motion.name} on {robot.name}", self.rate)
+        if motion.provenance.licence:
+            note(f"licence of the motion: {motion.provenance.licence}")
+        fell = int(rollout.fell.sum())
+        put(f"{episodes} runs, {fell} with a fall, {frames} frames at {self.rate:g} per second in {self.out}")
         return 0

@@ -32,7 +32,7 @@ def require_pyarrow() -> Any:
     try:
         import pyarrow.parquet
     except ImportError:
-        raise LibraryError("a library's index needs Arrow: pip install 'fastmimic[library]'") from None
+        raise LibraryError("Parquet files need Arrow: pip install 'fastmimic[library]'") from None
     return pyarrow.parquet
 
 

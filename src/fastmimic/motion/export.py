@@ -6,6 +6,15 @@
 - `deepmimic`: JSON text with 19 numbers a frame (root x, y, z, quaternion x, y, z, w, joints) and the robot's name. A
   cycle loops (`Wrap`): its last frame is its first, moved by the cycle.
 - `csv`: the same 19 numbers a line below a header, after a column `time`.
+- `isaaclab`: `.npz` as the motion loader of Isaac Lab's AMP reads: `dof_positions`, `dof_velocities`, `body_positions`,
+  `body_rotations` (w, x, y, z), `body_linear_velocities`, `body_angular_velocities`, `dof_names`, `body_names`, `fps`.
+- `amp`: JSON text with 61 numbers a frame as AMP_for_hardware's loader reads: root position and quaternion (x, y, z,
+  w), joints, feet, linear and angular velocity, joint speeds, foot velocities; feet and velocities in the body frame.
+- `motion-lib`: `.npz` with `root_trans_offset`, `root_rot` (x, y, z, w), `dof`, `fps` and `dof_names`: the entries of
+  a motion library of PHC's and ASAP's family, without its pickle and its `pose_aa`, which is of their skeletons.
+
+Joints are about the common axes in `deepmimic` and `csv`, which name their robot or are read back here, and about the
+model file's own in the others.
 """
 
 import io
@@ -26,14 +35,19 @@ from fastmimic.base.rotations import (
     quat_continuous,
     quat_from_yaw,
     quat_multiply,
+    quat_rotate_inverse,
     rotate_planar,
     turned_about_z,
     yaw_from_quat,
 )
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
+from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 
-EXPORTS: Final = {"mjlab": ".npz", "deepmimic": ".txt", "csv": ".csv"}  # format -> file suffix
+EXPORTS: Final = {
+    **{"mjlab": ".npz", "deepmimic": ".txt", "csv": ".csv"},
+    **{"isaaclab": ".npz", "amp": ".txt", "motion-lib": ".npz"},
+}  # format -> file suffix
 DEFAULT_FPS: Final = 50.0
 REPEATED_S: Final = 10.0  # default duration of a cycle in a format that does not loop
 DECIMALS: Final = 6  # of numbers in text
@@ -80,12 +94,7 @@ def export_motion(
     motion.check_robot(robot.name)
     looping = form == "deepmimic" and motion.cycle is not None and duration_s is None
     frames = sample(motion, fps, duration_s, looping=looping)
-    if form == "mjlab":
-        content = _mjlab(frames, robot)
-    elif form == "csv":
-        content = _csv(frames).encode()
-    else:
-        content = _deepmimic(frames, robot.name, looping).encode()
+    content = _WRITERS[form](frames, robot) if form in _WRITERS else _deepmimic(frames, robot.name, looping).encode()
     replace_file(path, lambda file: file.write(content))
     return frames
 
@@ -145,17 +154,15 @@ def _rows(frames: Frames) -> Array:
     return np.hstack([frames.root_pos_w, frames.root_quat_wxyz[:, [1, 2, 3, 0]], frames.joint_pos])
 
 
-def _csv(frames: Frames) -> str:
+def _csv(frames: Frames, _: Robot) -> bytes:
     header = ["time", *(f"root_{axis}" for axis in "xyz"), *(f"root_q{axis}" for axis in "xyzw"), *JOINT_NAMES]
     lines = [",".join(header)]
     for i, row in enumerate(_rows(frames)):
         lines.append(",".join(f"{value:.{DECIMALS}f}" for value in (i / frames.fps, *row)))
-    return "\n".join(lines) + "\n"
+    return ("\n".join(lines) + "\n").encode()
 
 
 def _deepmimic(frames: Frames, robot: str, looping: bool) -> str:
-    rows = [", ".join(f"{value:.{DECIMALS}f}" for value in row) for row in _rows(frames)]
-    listed = ",\n".join(f"  [{row}]" for row in rows)
     head = {
         "LoopMode": "Wrap" if looping else "Clamp",
         "FrameDuration": 1 / frames.fps,
@@ -164,19 +171,74 @@ def _deepmimic(frames: Frames, robot: str, looping: bool) -> str:
         "Robot": robot,
         "Joints": list(JOINT_NAMES),
     }
+    return _framed(head, _rows(frames))
+
+
+def _framed(head: dict[str, Any], rows: Array) -> str:
+    """JSON text with a line for each frame, as DeepMimic's family has it."""
+    listed = ",\n".join(f"  [{', '.join(f'{value:.{DECIMALS}f}' for value in row)}]" for row in rows)
     said = "".join(f"{json.dumps(name)}: {json.dumps(value)},\n" for name, value in head.items())
     return f'{{\n{said}"Frames":\n[\n{listed}\n]\n}}\n'
 
 
+def _amp(frames: Frames, robot: Robot) -> bytes:
+    feet = foot_positions(robot, frames.joint_pos)
+    moving = np.einsum("tlij,tlj->tli", foot_jacobians(robot, frames.joint_pos), frames.joint_vel.reshape(-1, 4, 3))
+    velocities = [quat_rotate_inverse(frames.root_quat_wxyz, v) for v in (frames.root_lin_vel_w, frames.root_ang_vel_w)]
+    pose = [frames.root_pos_w, frames.root_quat_wxyz[:, [1, 2, 3, 0]], robot.joint_sign * frames.joint_pos]
+    speeds = [robot.joint_sign * frames.joint_vel, moving.reshape(-1, 12)]
+    head = {
+        "LoopMode": "Clamp",
+        "FrameDuration": 1 / frames.fps,
+        "EnableCycleOffsetPosition": True,
+        "EnableCycleOffsetRotation": True,
+        "MotionWeight": 1.0,
+        "Robot": robot.name,
+        "Joints": list(robot.joint_names),
+    }
+    return _framed(head, np.hstack([*pose, feet.reshape(-1, 12), *velocities, *speeds])).encode()
+
+
 def _mjlab(frames: Frames, robot: Robot) -> bytes:
     sign = robot.joint_sign
-    arrays: dict[str, Any] = {"fps": np.array([frames.fps]), "joint_pos": sign * frames.joint_pos}
-    arrays |= {"joint_vel": sign * frames.joint_vel, **body_states(frames, robot)}
-    arrays |= {"joint_names": np.array(robot.joint_names)}
-    plain = {k: v.astype(np.float32) if v.dtype == np.float64 and k != "fps" else v for k, v in arrays.items()}
+    arrays = {"joint_pos": sign * frames.joint_pos, "joint_vel": sign * frames.joint_vel, **body_states(frames, robot)}
+    return _archive(np.array([frames.fps]), arrays | {"joint_names": np.array(robot.joint_names)})
+
+
+def _isaaclab(frames: Frames, robot: Robot) -> bytes:
+    sign, states = robot.joint_sign, body_states(frames, robot)
+    arrays = {
+        "dof_names": np.array(robot.joint_names),
+        "body_names": states["body_names"],
+        "dof_positions": sign * frames.joint_pos,
+        "dof_velocities": sign * frames.joint_vel,
+        "body_positions": states["body_pos_w"],
+        "body_rotations": states["body_quat_w"],
+        "body_linear_velocities": states["body_lin_vel_w"],
+        "body_angular_velocities": states["body_ang_vel_w"],
+    }
+    return _archive(np.array(frames.fps), arrays)
+
+
+def _motion_lib(frames: Frames, robot: Robot) -> bytes:
+    arrays = {
+        "root_trans_offset": frames.root_pos_w,
+        "root_rot": frames.root_quat_wxyz[:, [1, 2, 3, 0]],
+        "dof": robot.joint_sign * frames.joint_pos,
+        "dof_names": np.array(robot.joint_names),
+    }
+    return _archive(np.array(frames.fps), arrays)
+
+
+def _archive(fps: Array, arrays: dict[str, NDArray[Any]]) -> bytes:
+    """An `.npz` with real numbers of single precision, but the rate."""
+    plain: dict[str, Any] = {k: v.astype(np.float32) if v.dtype == np.float64 else v for k, v in arrays.items()}
     out = io.BytesIO()
-    np.savez_compressed(out, **plain)
+    np.savez_compressed(out, fps=fps, **plain)
     return out.getvalue()
+
+
+_WRITERS: Final = {"mjlab": _mjlab, "csv": _csv, "isaaclab": _isaaclab, "amp": _amp, "motion-lib": _motion_lib}
 
 
 def body_states(frames: Frames, robot: Robot) -> dict[str, NDArray[Any]]:
