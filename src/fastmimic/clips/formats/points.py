@@ -116,8 +116,8 @@ def clip_of(
     None for hips that are to be inferred, and the assumptions so far. `up` is 'y' or 'z'; if None, the axis along which
     the hips are above the toes. `skeleton` is between the k points; only the ten are kept if None. Points may be
     missing (NaN, or a `confidence` (t, k) too low): short gaps are filled; of longer ones, the clip is the part with
-    `frames` (first, end) in it, or the longest, and lists all in `meta["parts"]`. Raises `ClipError` for an impossible frame
-    rate, frames that hold a gap, or if it is not an upright, right-handed animal."""
+    `frames` (first, end) in it, or the longest, and lists all in `meta["parts"]`. Raises `ClipError` for an impossible
+    frame rate, frames that hold a gap, or if it is not an upright, right-handed animal."""
     check_rate(rate_hz)
     places, known = _places(chosen)
     mended = mend(body[:, places], rate_hz, None if confidence is None else confidence[:, places])
