@@ -11,7 +11,7 @@ from fastmimic.base.errors import ClipError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import POINT_NAMES, Clip
 from fastmimic.clips.formats import ReadOptions, detect_format, read_clip
-from fastmimic.clips.formats.points import AI4ANIMATION_DOG
+from fastmimic.clips.formats.point_names import AI4ANIMATION_DOG
 from fastmimic.clips.segment import find_segments
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import load_robot

@@ -11,7 +11,7 @@ from fastmimic.base.errors import ClipError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import POINT_NAMES, Clip
 from fastmimic.clips.formats import ReadOptions, detect_format, read_clip
-from fastmimic.clips.formats.points import VIENNA_HORSE
+from fastmimic.clips.formats.point_names import VIENNA_HORSE
 
 MM = 1000.0
 MARKERS = {source: name for name, source in VIENNA_HORSE.items()}

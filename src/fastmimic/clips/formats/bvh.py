@@ -13,7 +13,8 @@ from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip, Skeleton
 from fastmimic.clips.formats.format import Format
 from fastmimic.clips.formats.gaps import Part
-from fastmimic.clips.formats.points import PointMap, choose, clip_of
+from fastmimic.clips.formats.point_names import PointMap
+from fastmimic.clips.formats.points import choose, clip_of
 from fastmimic.clips.formats.text_table import Row, is_number, to_array
 
 KEYWORD: Final = "HIERARCHY"
@@ -52,9 +53,8 @@ def parse(
     values = to_array(rows, columns, lambda column: _column_name(joints, column), "a BVH's channels")
     if declared != len(values):
         raise ClipError(f"the file says that it has {declared} frames; it has {len(values)}: it may be truncated")
-    chosen, title = choose([joint.name for joint in joints], point_map)
+    chosen, assumed = choose([joint.name for joint in joints], point_map)
     hz = 1.0 / frame_s if fps is None else float(fps)
-    assumed = [] if title is None else [f"joints are those of {title}"]
     bones = tuple((joint.parent, i) for i, joint in enumerate(joints) if joint.parent >= 0)
     skeleton = Skeleton(len(joints), bones, (_RADIUS,) * len(bones))
     positions = _positions(joints, values)

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, Final, NoReturn
 from fastmimic.base.errors import ClipError
 from fastmimic.base.registry import Registry
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats.points import PointMap
+from fastmimic.clips.formats.point_names import PointMap
 from fastmimic.clips.formats.text_table import Table, read_table
 from fastmimic.robot.robot import Robot
 

@@ -17,7 +17,8 @@ from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import DOG, POINT_NAMES, Clip
 from fastmimic.clips.formats.format import Content, Format
 from fastmimic.clips.formats.gaps import Part
-from fastmimic.clips.formats.points import PointMap, choose, clip_of
+from fastmimic.clips.formats.point_names import PointMap
+from fastmimic.clips.formats.points import choose, clip_of
 from fastmimic.clips.formats.text_table import read_table, to_array
 
 COLUMNS: Final = 81
@@ -85,8 +86,7 @@ def parse_named(
     points = _named_points(header)
     gaps = {column for columns in points.values() for column in columns}
     values = to_array(table.rows, len(header), lambda column: header[column], "keypoints by name", gaps=gaps)
-    chosen, title = choose(list(points), point_map)
-    assumed = [] if title is None else [f"points are named as {title}"]
+    chosen, assumed = choose(list(points), point_map)
     hz = _rate(header, values) if fps is None else float(fps)
     body = np.stack([values[:, columns] for columns in points.values()], axis=1)
     return clip_of(body, chosen, hz, up=up, assumed=assumed, frames=frames)

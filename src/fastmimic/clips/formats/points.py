@@ -2,7 +2,7 @@
 object that names a file's point for each of the ten of `POINT_NAMES`."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -14,51 +14,15 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.rotations import quat_continuous, quat_rotate
 from fastmimic.clips.clip import POINT_NAMES, Clip, Skeleton
+from fastmimic.clips.formats.axes import check_right_handed, find_axes
 from fastmimic.clips.formats.gaps import Part, mend, part_for
 from fastmimic.clips.formats.inferred_hips import with_hips
+from fastmimic.clips.formats.point_names import AI4ANIMATION_DOG, BUILT_IN, HIP_NAMES, UNKNOWN, PointMap, guess
 from fastmimic.clips.formats.text_table import check_rate
 
-PointMap = Mapping[str, str]
-
-AI4ANIMATION_DOG: Final[PointMap] = {
-    "pelvis": "Hips",
-    "neck": "Neck",
-    "FR_hip": "RightShoulder",
-    "FL_hip": "LeftShoulder",
-    "RR_hip": "RightUpLeg",
-    "RL_hip": "LeftUpLeg",
-    "FR_toe": "RightHand.end",
-    "FL_toe": "LeftHand.end",
-    "RR_toe": "RightFoot.end",
-    "RL_toe": "LeftFoot.end",
-}
-"""The dog of Zhang et al. (2018); `.end` is a joint's end site."""
 _EXAMPLE: Final = json.dumps(AI4ANIMATION_DOG)
-OWN_NAMES: Final[PointMap] = {name: name for name in POINT_NAMES}
-HIP_NAMES: Final = POINT_NAMES[2:6]
-_WITHOUT_HIPS: Final[PointMap] = {name: name for name in POINT_NAMES if name not in HIP_NAMES}
-VIENNA_HORSE: Final[PointMap] = {
-    "pelvis": "Sacrum",
-    "neck": "Withers",
-    "FR_toe": "HFR",
-    "FL_toe": "HFL",
-    "RR_toe": "HHR",
-    "RL_toe": "HHL",
-}
-"""The horses of the Vienna Horse Data Collection: hoof, front or hind, left or right."""
-BUILT_IN: Final = {
-    "AI4Animation's dog": AI4ANIMATION_DOG,
-    "the common names": OWN_NAMES,
-    "the common names, without hips": _WITHOUT_HIPS,
-    "Vienna's horses": VIENNA_HORSE,
-}
-"""Default maps, tried in this order. Without hips, these are inferred (`inferred_hips`)."""
 
-_TO_Z_UP: Final = {"y": (2, 0, 1), "z": (0, 1, 2)}
 NORM_TOLERANCE: Final = 2e-3  # rounding to three decimals changes a unit quaternion's norm by up to 1e-3
-_MIN_UPRIGHT: Final = 0.5  # least vertical share of the mean toe → hip vector; 0.95 in takes in which the dog also sits
-_UNITS: Final = ((300.0, 1e-3, "millimetres"), (3.0, 1e-2, "centimetres"))
-"""Units other than metres, with the least distance from toes to hips in the file's numbers (no leg is 3 m)."""
 
 
 def read_point_map(path: str | Path) -> dict[str, str]:
@@ -82,23 +46,33 @@ def read_point_map(path: str | Path) -> dict[str, str]:
     return found
 
 
-def choose(names: Sequence[str], given: PointMap | None) -> tuple[list[int | None], str | None]:
-    """Indices (10,) of the ten points among a file's `names`, None for hips that it does not have, and the name of the
-    built-in map that fits. Raises `ClipError`: no map fits; the message lists the names."""
+def choose(names: Sequence[str], given: PointMap | None) -> tuple[list[int | None], list[str]]:
+    """Indices (10,) of the ten points among a file's `names`, None for hips that it does not have, and a sentence on
+    what was assumed: a known set of names, or a guess from the words in them. Raises `ClipError`: no map fits; the
+    message has one to be completed."""
     maps = BUILT_IN if given is None else {"": given}
     for title, points in maps.items():
         if all(source in names for source in points.values()):
-            return [names.index(points[name]) if name in points else None for name in POINT_NAMES], title or None
+            return _indices(names, points), [f"points are named as {title}"] if title else []
     if given is not None:
         lost = next(source for source in given.values() if source not in names)
         raise ClipError(
             f"the point map names '{lost}', which the file does not have{did_you_mean(lost, names)};"
             f" it has {_listed(names)}"
         )
-    raise ClipError(
-        f"its points are not known by name: it has {_listed(names)}; give a point map"
-        f" (--point-map FILE.json), a JSON object such as {_EXAMPLE}"
-    )
+    guessed = guess(names)
+    known = {name: source for name, source in guessed.items() if source != UNKNOWN}
+    if guessed.keys() - known.keys() not in (set(), set(HIP_NAMES)):
+        raise ClipError(
+            f"some of the ten points are not known by name: it has {_listed(names)}; complete this point map and give"
+            f" it as --point-map FILE.json: {json.dumps(guessed)}"
+        )
+    listed = ", ".join(f"{name} {source}" for name, source in known.items())
+    return _indices(names, known), [f"points are guessed by name ({listed}); --point-map says otherwise"]
+
+
+def _indices(names: Sequence[str], points: PointMap) -> list[int | None]:
+    return [names.index(points[name]) if name in points else None for name in POINT_NAMES]
 
 
 def clip_of(
@@ -111,45 +85,39 @@ def clip_of(
     skeleton: Skeleton | None = None,
     confidence: Array | None = None,
     frames: Part | None = None,
+    unit_m: float | None = None,
+    is_level: bool = True,
 ) -> Clip:
     """A clip of all points `body` (t, k, 3) of a file, in its axes and unit, with `chosen` (10,) indices of the ten,
     None for hips that are to be inferred, and the assumptions so far. `up` is 'y' or 'z'; if None, the axis along which
-    the hips are above the toes. `skeleton` is between the k points; only the ten are kept if None. Points may be
-    missing (NaN, or a `confidence` (t, k) too low): short gaps are filled; of longer ones, the clip is the part with
-    `frames` (first, end) in it, or the longest, and lists all in `meta["parts"]`. Raises `ClipError` for an impossible
-    frame rate, frames that hold a gap, or if it is not an upright, right-handed animal."""
+    the hips are above the toes; `unit_m` and `is_level` are as in `find_axes`. `skeleton` is between the k points; only
+    the ten are kept if None. Points may be missing (NaN, or a `confidence` (t, k) too low): short gaps are filled; of
+    longer ones, the clip is the part with `frames` (first, end) in it, or the longest, and lists all in
+    `meta["parts"]`. Raises `ClipError` for an impossible frame rate, frames that hold a gap, or if it is not an
+    upright, right-handed animal."""
     check_rate(rate_hz)
     places, known = _places(chosen)
     mended = mend(body[:, places], rate_hz, None if confidence is None else confidence[:, places])
-    notes = [*assumed, *mended.notes]
     seen = mended.points[np.isfinite(mended.points).all(axis=(1, 2))]
-    if up is None:
-        vector = _toe_to_hip(seen)
-        up = "y" if vector[1] >= vector[2] else "z"
-        notes.append(f"{up} is up: the hips lie above the toes along it")
-    factor, unit = _unit(seen)
-
-    def in_world(points: Array) -> Array:
-        return factor * np.ascontiguousarray(points[..., _TO_Z_UP[up]])
-
-    seen = in_world(seen)
-    _check_upright(seen, up)
-    _check_right_handed(seen if all(known) else with_hips(seen)[0])
+    axes = find_axes(seen, rate_hz, up, unit_m, is_level)
+    seen = axes.to_world(seen)
+    check_right_handed(seen if all(known) else with_hips(seen)[0])
+    notes = [*assumed, *mended.notes, *axes.notes]
     height = float(np.mean(seen[:, 2:6, 2] - seen[:, 6:10, 2]))
     (first, end), left_out = part_for(mended.parts, frames, len(body))
-    points, legs = in_world(mended.points)[first:end], None
+    points, legs = axes.to_world(mended.points)[first:end], None
     if not all(known):
         points, legs, inferred = with_hips(points)
         notes.append(inferred)
         height = float(np.mean(points[:, 2:6, 2] - points[:, 6:10, 2]))
-    notes.append(f"coordinates are in {unit}: hips {height:.2f} m above the toes on average")
+    notes.append(f"coordinates are in {axes.unit}: hips {height:.2f} m above the toes on average")
     meta: dict[str, Any] = {"assumed": notes + left_out}
     if left_out or frames is not None:
         meta |= {"frames": [first, end], "parts": [list(part) for part in mended.parts]}
     clip = Clip(points_w=points, rate_hz=rate_hz, leg_length_m=legs, meta=meta)
     if skeleton is None:
         return clip
-    drawn = in_world(body)[first:end]
+    drawn = axes.to_world(body)[first:end]
     drawn[:, np.array(places)[known]] = points[:, known]
     return replace(clip, body_w=drawn, skeleton=skeleton)
 
@@ -164,40 +132,6 @@ def _places(chosen: Sequence[int | None]) -> tuple[list[int], list[bool]]:
 def _listed(names: Sequence[str]) -> str:
     shown = ", ".join(names[:40])
     return shown + (f" and {len(names) - 40} more" if len(names) > 40 else "")
-
-
-def _unit(points: Array) -> tuple[float, str]:
-    legs = float(np.mean(np.linalg.norm(points[:, 2:6] - points[:, 6:10], axis=-1)))
-    for least, factor, name in _UNITS:
-        if legs > least:
-            return factor, name
-    return 1.0, "metres"
-
-
-def _toe_to_hip(points: Array) -> Array:
-    """Mean vector from the toes to the hips, (3,)."""
-    return np.asarray(np.mean(points[:, 2:6] - points[:, 6:10], axis=(0, 1)))
-
-
-def _check_upright(points: Array, up: str) -> None:
-    vector = _toe_to_hip(points)
-    if not vector[2] >= _MIN_UPRIGHT * np.linalg.norm(vector) > 0:
-        raise ClipError(
-            f"the hips do not lie above the toes along {up} (mean offset {vector[2]:.3g} m of"
-            f" {np.linalg.norm(vector):.3g} m); the vertical axis must be y or z"
-        )
-
-
-def _check_right_handed(points: Array) -> None:
-    """Raises `ClipError` for a mirrored file, which would swap left and right turns."""
-    forward = points[:, 1] - points[:, 0]
-    left = np.cross([0.0, 0.0, 1.0], forward)
-    width = points[:, [3, 5]].sum(axis=1) - points[:, [2, 4]].sum(axis=1)
-    if np.mean(np.sum(left * width, axis=-1)) < 0:
-        raise ClipError(
-            "the left hips lie on the right of the spine: the coordinates are left-handed or the"
-            " points swapped; expected right-handed x, y, z"
-        )
 
 
 def unit_wxyz_from_xyzw(xyzw: NDArray[np.float64], where: Callable[[int], str]) -> NDArray[np.float64]:
