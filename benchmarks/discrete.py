@@ -73,7 +73,7 @@ def run(piece: str, robot: fm.Robot, iterations: int, population: int, seed: int
         return json.loads(file.read_text())
     print(f"{piece} …", file=sys.stderr, flush=True)
     name, first, end = piece.split(":")
-    clip = open_clip(take(name), robot=robot, frames=(int(first), int(end)), discrete=True)
+    clip = open_clip(take(name), robot=robot, frames=(int(first), int(end)), cycle=False)
     motion, report = find_motion(clip).retarget(robot)
     result = fm.imitate(motion, robot, iterations=iterations, population=population, seed=seed)
     before, after = (fm.evaluate(m, robot, episodes=EPISODES, seed=seed, log=True) for m in (motion, result.motion))

@@ -51,3 +51,10 @@ def test_a_robot_motion_is_refused(run: Run, in_folder: Path) -> None:
 def test_a_motion_that_does_not_repeat(run: Run) -> None:
     found = json.loads(run("evaluate", "trot", "--discrete", "--json").out)
     assert 0.9 < found["reward_animal"] < found["reward_mean"]
+
+
+def test_the_user_decides_whether_a_clip_repeats(run: Run) -> None:
+    asked = ("evaluate", "trot", "--frames", "0:20", "--no-executable")
+    assert "run once" in run(*asked).err  # its end does not lead back to its beginning
+    assert "per cycle" in run(*asked, "--cycle").err
+    assert "drop one of the two" in run(*asked, "--cycle", "--discrete").error

@@ -335,4 +335,4 @@ def test_a_movement_that_does_not_repeat(run: Run, in_folder: Path) -> None:
     again = run("evaluate", "once/motion.npz", "--json")
     assert json.loads(again.out)["duration_s"] == metrics(Path("once"))["duration_s"]
     refused = run("imitate", "once/motion.npz", "--discrete", *TINY).error
-    assert "discrete cannot be applied to 'trot': it is already a robot motion" in refused
+    assert "cycle cannot be applied to 'trot': it is already a robot motion" in refused

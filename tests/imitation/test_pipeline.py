@@ -75,7 +75,7 @@ class TestImitate:
 
     def test_a_motion_that_does_not_repeat_is_done_once_and_optimised(self, robot: Robot, tmp_path: Path) -> None:
         """From the clip to a saved motion that runs again: one cycle of a trot, once."""
-        once = load_motion("trot", robot, discrete=True)
+        once = load_motion("trot", robot, cycle=False)
         assert once.cycle is None
         result = imitate(once, robot, workers=1, **QUICK)
         whole = (once.n_samples - 1) / once.rate_hz
@@ -89,8 +89,8 @@ class TestImitate:
         again = evaluate(tmp_path / "once.npz", robot, episodes=3)
         assert again.rollout.duration_s == pytest.approx(whole)
         assert again.rollout.reward[0] == result.after.reward[0]
-        with pytest.raises(ConfigError, match="discrete cannot be applied to 'trot': it is already a robot motion"):
-            load_motion(tmp_path / "once.npz", robot, discrete=True)
+        with pytest.raises(ConfigError, match="cycle cannot be applied to 'trot': it is already a robot motion"):
+            load_motion(tmp_path / "once.npz", robot, cycle=False)
 
     def test_a_run_can_be_resumed(self, imitation: Imitation, motion: Motion, robot: Robot, tmp_path: Path) -> None:
         path = tmp_path / "checkpoint.npz"

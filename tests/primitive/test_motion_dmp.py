@@ -209,7 +209,7 @@ def test_a_table_of_another_shape_is_refused(dmp: MotionDmp) -> None:
 @pytest.fixture(scope="module")
 def once(robot: Robot) -> Motion:
     """Half a cycle, once: it begins in one double stance and ends in the other, elsewhere."""
-    return retarget(open_clip("walk", robot=robot, frames=(0, 20), discrete=True), robot)[0]
+    return retarget(open_clip("walk", robot=robot, frames=(0, 20), cycle=False), robot)[0]
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,7 @@ def sit(a1: Robot) -> tuple[Motion, RetargetReport]:
 @pytest.fixture(scope="module")
 def once(a1: Robot) -> tuple[Motion, RetargetReport]:
     """A cycle of a trot, once."""
-    return retarget(open_clip("trot", robot=a1, discrete=True), a1)
+    return retarget(open_clip("trot", robot=a1, cycle=False), a1)
 
 
 Retargeted = tuple[Motion, RetargetReport]
@@ -93,14 +93,14 @@ class TestOnce:
 
     def test_a_cycle_is_one_unless_it_is_asked_for_once(self, a1: Robot) -> None:
         assert retarget(open_clip("trot", robot=a1), a1)[0].cycle is not None
-        assert open_clip("trot", frames=(0, 20), discrete=True).is_cycle is False
+        assert open_clip("trot", frames=(0, 20), cycle=False).is_cycle is False
 
 
 @pytest.mark.parametrize(("take", "first", "end"), [("dog_walk09", 2404, 2450), ("dog_walk00", 35, 94)])
 def test_pieces_of_a_real_take(data_folder: Path, a1: Robot, take: str, first: int, end: int) -> None:
     """A turn on the spot; getting up from sitting."""
     file = data_folder / "dog_keypoints" / f"{take}_joint_pos.txt"
-    motion, report = retarget(open_clip(file, robot=a1, frames=(first, end), discrete=True), a1)
+    motion, report = retarget(open_clip(file, robot=a1, frames=(first, end), cycle=False), a1)
     assert max(report.after.slip_m) < 1e-3
     assert demands(a1, motion).body_clearance_m > 0
     assert motion.period_s == pytest.approx((end - first - 1) / 60, abs=0.003)

@@ -105,7 +105,7 @@ def open_clip(
     duty: float | None = None,
     folder: str | Path | None = None,
     point_map: str | Path | PointMap | None = None,
-    discrete: bool = False,
+    cycle: bool | None = None,
 ) -> Clip:
     """Opens a motion by name, or reads a file. A name takes precedence over a file of the same name (use ./NAME).
 
@@ -115,7 +115,8 @@ def open_clip(
         frames: (first, end) 0-based, end exclusive; relative to the named clip.
         speed, yaw_rate, duty: of a built-in gait, m/s, rad/s and share of stance; its own if None.
         folder: the data folder (see `data_folder`).
-        discrete: whether the clip is a movement that does not repeat, whatever its source says.
+        cycle: whether the clip is one period of a motion that repeats, whatever its source says; None for what it
+            says, or shows.
 
     The clip has `name`, `source`, `licence` and `credit` in its `meta`. Raises `ClipError` for an unknown name (lists
     the closest), data not fetched, an unreadable file, or an option that does not apply.
@@ -133,7 +134,7 @@ def open_clip(
     else:
         _refuse(name, f"only the built-in gaits can be varied ({', '.join(GAITS)})", gait_options)
         clip = _recorded(name, options, folder) if name in RECORDED else _file(name_or_path, options)
-    return replace(clip, is_cycle=False) if discrete else clip
+    return clip if cycle is None else replace(clip, is_cycle=cycle)
 
 
 def check_name(name: str) -> None:

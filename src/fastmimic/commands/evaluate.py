@@ -11,8 +11,8 @@ from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ConfigError, LogError
 from fastmimic.base.text import NONE, number
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import put, put_json, put_table, slow_start
-from fastmimic.commands.show import figure_rows, yes_no
+from fastmimic.commands.console import note, put, put_json, put_table, slow_start
+from fastmimic.commands.show import figure_rows, provenance, yes_no
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.deploy.log import DeploymentLog, is_deployment_log, load_ground_truth
 from fastmimic.episode.run_log import RunLog
@@ -98,6 +98,7 @@ class Evaluate:
         if self.json:
             put_json(figures)
             return 0
+        note(provenance(motion))
         put_figures(figures, robot.name)
         if conditions.simulator != "mujoco" or conditions.disturbances:
             put(f"in {conditions.simulator}; disturbances: {names_of(conditions.disturbances) or 'none'}")

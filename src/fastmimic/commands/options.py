@@ -131,8 +131,10 @@ class ClipOptions(ClipFileOptions):
 
     frames: Annotated[str | None, option("A:B")] = None
     """Part of the clip: first frame and end, 0-based, end exclusive."""
+    cycle: Flag = False
+    """Take the clip for one period and repeat it. Default: if its end leads back to its beginning."""
     discrete: Flag = False
-    """Treat the clip as non-periodic; run it once. Default: periodic if its end matches its beginning."""
+    """Take the clip for a passage that does not repeat, and run it once."""
     scale: Annotated[float | None, option("FACTOR")] = None
     """Scale from the animal to the robot. Default: the ratio of the leg lengths."""
     speed: Annotated[float | None, option("M/S")] = None
@@ -146,11 +148,14 @@ class ClipOptions(ClipFileOptions):
 
     def overrides(self) -> dict[str, Any]:
         """The options that were given, as the Python functions take them."""
+        if self.cycle and self.discrete:
+            raise ConfigError("a clip either repeats (--cycle) or is run once (--discrete): drop one of the two")
         frames = None if self.frames is None else parse_frames(self.frames)
         found = super().overrides()
+        once = found.pop("discrete")
         found |= {
             "frames": frames,
-            "discrete": self.discrete or None,
+            "cycle": False if once else self.cycle or None,
             "executable": False if found.pop("no_executable") else None,
         }
         return {name: value for name, value in found.items() if value is not None}

@@ -58,6 +58,9 @@ class RetargetConfig:
     )
     min_travel_m_per_s: float = parameter(0.2, unit="m/s", about="slower motions have no direction of travel")
     cycle_mismatch: float = parameter(0.6, about="a clip is a cycle if it closes better than this (`pose_mismatch`)")
+    longest_cycle_s: float = parameter(
+        4.0, unit="s", above=0.0, about="a longer clip is a passage, even if its end leads back to its beginning"
+    )
     short_s: float = parameter(1.5, unit="s", about="clips shorter than this use `short_mismatch`")
     short_mismatch: float = parameter(
         1.5, about="a short clip is a cycle if it closes better than this: such clips are usually cut out as one cycle"

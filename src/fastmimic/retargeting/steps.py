@@ -148,8 +148,11 @@ def whether_cycle(clip: Clip, source: ScaledClip, cycle: bool | None, config: Re
         return cycle, "taken as one cycle, as asked" if cycle else "not a cycle, as asked"
     if clip.is_cycle is not None:
         return clip.is_cycle, "one cycle, as the clip says" if clip.is_cycle else "not a cycle, as the clip says"
+    seconds = clip.n_frames / clip.rate_hz
+    if seconds > config.longest_cycle_s:
+        return False, f"a passage that is run once ({seconds:.1f} s; cycles are up to {config.longest_cycle_s:g} s)"
     mismatch = pose_mismatch(source)
-    short = clip.n_frames / clip.rate_hz < config.short_s
+    short = seconds < config.short_s
     limit = config.short_mismatch if short else config.cycle_mismatch
     found = f"its ends differ by {mismatch:.2f} of the spread of its poses; limit {limit:.2f} for this length"
     closes = mismatch <= limit

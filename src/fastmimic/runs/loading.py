@@ -64,7 +64,7 @@ class MotionSource:
 
     def load(self, robot: Robot, **overrides: Any) -> Motion:
         """The motion for a robot; see `load_motion`."""
-        given = {k: v for k, v in overrides.items() if v is not None and (k, v) != ("discrete", False)}
+        given = {k: v for k, v in overrides.items() if v is not None}
         if self.motion is None:
             return self.retarget(robot, **given)[0]
         if given:
@@ -109,7 +109,7 @@ def load_motion(
         source: a name of `motion_names()`, a clip file of any known format, a robot motion (`.npz`), the folder of a
             run, a `Clip` or a `Motion`. A clip is retargeted to the robot. A name precedes a file or a folder.
         robot: the robot, its name, or the path of its MJCF.
-        overrides: for clips, as in `open_clip` (`fps`, `up`, `point_map`, `scale`, `frames`, `discrete`, `speed`,
+        overrides: for clips, as in `open_clip` (`fps`, `up`, `point_map`, `scale`, `frames`, `cycle`, `speed`,
             `yaw_rate`, `duty`), and `executable` as in `retarget`.
 
     Raises `FastMimicError` if there is no such source, a file cannot be read, or an override does not apply.
