@@ -106,12 +106,13 @@ def open_clip(
     folder: str | Path | None = None,
     point_map: str | Path | PointMap | None = None,
     cycle: bool | None = None,
+    travel: str | None = None,
 ) -> Clip:
     """Opens a motion by name, or reads a file. A name takes precedence over a file of the same name (use ./NAME).
 
     Args:
         name_or_path: one of `motion_names()`, or the path of a clip.
-        robot, fps, up, scale, point_map: see `fastmimic.clips.formats.ReadOptions`.
+        robot, fps, up, scale, point_map, travel: see `fastmimic.clips.formats.ReadOptions`.
         frames: (first, end) 0-based, end exclusive; relative to the named clip.
         speed, yaw_rate, duty: of a built-in gait, m/s, rad/s and share of stance; its own if None.
         folder: the data folder (see `data_folder`).
@@ -121,12 +122,13 @@ def open_clip(
     The clip has `name`, `source`, `licence` and `credit` in its `meta`. Raises `ClipError` for an unknown name (lists
     the closest), data not fetched, an unreadable file, or an option that does not apply.
     """
-    name, options = str(name_or_path), ReadOptions(robot, fps, up, scale, frames, point_map)
+    name, options = str(name_or_path), ReadOptions(robot, fps, up, scale, frames, point_map, travel)
     gait_options = {"speed": speed, "yaw_rate": yaw_rate, "duty": duty}
     if name in motion_names() and point_map is not None:
         raise ClipError(f"a point map cannot be given for '{name}': its points are known")
     if name in GAITS or name in JUMPS:
-        _refuse(name, "it is generated, not read from a file", {"frame rate": fps, "vertical axis": up})
+        read = {"frame rate": fps, "vertical axis": up, "travel": travel}
+        _refuse(name, "it is generated, not read from a file", read)
         if name in JUMPS:
             _refuse(name, f"only the built-in gaits can be varied ({', '.join(GAITS)})", gait_options)
         clip = generate(name, **gait_options) if name in GAITS else jump(JUMPS[name], built_in(name))

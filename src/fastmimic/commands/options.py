@@ -118,6 +118,9 @@ class ClipFileOptions:
     """Vertical axis of the clip. Default: detected from the points."""
     point_map: Annotated[Path | None, option("FILE.json")] = None
     """Names of the neck, pelvis, hips and toes among a BVH's joints or a table's points."""
+    travel: Annotated[str | None, option("auto|recover|as-is")] = None
+    """The way of the trunk, from the standing feet: if it is missing, as on a treadmill (auto), always, or never.
+    Default: auto."""
 
     def overrides(self) -> dict[str, Any]:
         """The options that were given, as the Python functions take them."""

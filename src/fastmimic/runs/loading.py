@@ -109,8 +109,8 @@ def load_motion(
         source: a name of `motion_names()`, a clip file of any known format, a robot motion (`.npz`), the folder of a
             run, a `Clip` or a `Motion`. A clip is retargeted to the robot. A name precedes a file or a folder.
         robot: the robot, its name, or the path of its MJCF.
-        overrides: for clips, as in `open_clip` (`fps`, `up`, `point_map`, `scale`, `frames`, `cycle`, `speed`,
-            `yaw_rate`, `duty`), and `executable` as in `retarget`.
+        overrides: for clips, as in `open_clip` (`fps`, `up`, `point_map`, `travel`, `scale`, `frames`, `cycle`,
+            `speed`, `yaw_rate`, `duty`), and `executable` as in `retarget`.
 
     Raises `FastMimicError` if there is no such source, a file cannot be read, or an override does not apply.
     """

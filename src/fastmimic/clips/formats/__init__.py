@@ -12,6 +12,7 @@ from fastmimic.clips.formats import bvh, csv_motion, deepmimic, keypoints
 from fastmimic.clips.formats.format import FORMATS, ROBOT_MOTION, Content, Format, ReadOptions, format_of, suffixes
 from fastmimic.clips.formats.points import read_point_map
 from fastmimic.clips.formats.text_table import check_positive, check_rate
+from fastmimic.clips.travel import with_travel
 
 __all__ = ["FORMATS", "Content", "Format", "ReadOptions", "detect_format", "read_clip", "suffixes", "with_scale"]
 
@@ -44,6 +45,7 @@ def read_clip(path: str | Path, options: ReadOptions | None = None) -> Clip:
         clip = form.read(content, options)
         meta: dict[str, Any] = {"name": Path(path).stem, "source": Path(path).name, "format": form.name}
         clip = replace(clip, meta={"licence": None, "assumed": []} | meta | clip.meta)
+        clip = with_travel(clip, options.travel or "auto")
         clip = clip if options.scale is None else with_scale(clip, options.scale)
         return clip if options.frames is None else _cut(clip, *options.frames)
     except ClipError as error:

@@ -97,6 +97,7 @@ class ReadOptions:
         scale: factor from the size in the file to the robot's.
         frames: (first, end) 0-based, end exclusive.
         point_map: the file's point for each of the ten of `POINT_NAMES`, or a JSON file of them.
+        travel: what is done with a trunk that does not travel; see `fastmimic.clips.travel.with_travel`.
     """
 
     robot: Robot | None = None
@@ -105,6 +106,7 @@ class ReadOptions:
     scale: float | None = None
     frames: tuple[int, int] | None = None
     point_map: "str | Path | PointMap | None" = None
+    travel: str | None = None
 
 
 @dataclass(frozen=True)
