@@ -28,8 +28,8 @@ _SMOOTH_S: Final = 0.05
 _SMOOTH_TURN: Final = 10.0  # how much more slowly the frame turns than it moves
 _ROUNDS: Final = 15
 _NO_HEADING_RAD: Final = 0.01  # standard deviation below which a heading was taken out: an animal's is above 0.02
-_LEAST_FLOW: Final = 0.4  # of the ground below an animal that walks on the spot, share of its feet's speed
-_LARGEST_WAY: Final = 0.3  # speed of a trunk that does not travel, share of the ground's below it
+_LEAST_FLOW: Final = 0.5  # of the ground below an animal that walks on the spot, share of its feet's speed
+_LARGEST_WAY: Final = 0.2  # speed of a trunk that does not travel, share of the ground's below it
 
 
 @dataclass(frozen=True, eq=False)

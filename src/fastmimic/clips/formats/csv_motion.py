@@ -111,7 +111,7 @@ def _root_names(name: str) -> set[str]:
     quantity = (
         [f"q{axis}", f"q_{axis}", f"quat_{axis}", f"quaternion_{axis}", f"rot_{axis}", f"orientation_{axis}"]
         if name.startswith("root_q")
-        else [axis, f"p{axis}", f"p_{axis}", f"pos_{axis}", f"position_{axis}"]
+        else [axis, f"p{axis}", f"t{axis}", f"p_{axis}", f"pos_{axis}", f"position_{axis}"]
     )
     return {prefix + item for prefix in ("", "root_", "base_", "trunk_", "body_") for item in quantity}
 

@@ -2,7 +2,7 @@
 
 The joint angles belong to the Laikago's model, so the clip holds that robot's points: abduction joint origins as hips
 and foot centres as toes. The formulas agree with the simulated model to 1e-5 m. A file that names another `Robot`
-(`fastmimic.motion.export`) holds that robot's points.
+(`fastmimic.motion.export`) holds that robot's points. Frames of 49 or 61 numbers are those of `amp`.
 """
 
 import json
@@ -16,6 +16,7 @@ from fastmimic.base.conventions import FRONT, JOINT_NAMES, LEFT
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.rotations import quat_conjugate, quat_multiply
 from fastmimic.clips.clip import Clip
+from fastmimic.clips.formats import amp
 from fastmimic.clips.formats.format import Format
 from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
 from fastmimic.clips.formats.text_table import LARGEST, check_frames, check_positive, check_rate
@@ -23,6 +24,7 @@ from fastmimic.robot.robot import Robot
 
 FRAME_NAMES: Final = (*(f"root {axis}" for axis in "xyz"), *(f"root quaternion {a}" for a in "xyzw"), *JOINT_NAMES)
 LOOP_MODES: Final = ("Wrap", "Clamp")
+_CLOSED_RAD: Final = 0.01
 _LOOP_KEYS: Final = ("LoopMode", "EnableCycleOffsetPosition", "EnableCycleOffsetRotation")  # kept in `meta`
 _ROBOT_KEY: Final = "Robot"  # in files of `fastmimic.motion.export`: the robot of the joints, in place of the Laikago
 
@@ -47,18 +49,25 @@ def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) ->
     rate = _rate(document) if fps is None else float(fps)
     check_rate(rate)
     quat_file = unit_wxyz_from_xyzw(frames[:, 3:7], lambda i: f"line {_frame_line(text, i)} (frame {i})")
-    joints = frames[:, 7:]
+    with_feet = amp.identify(frames, quat_file, robot) if frames.shape[1] in amp.LAYOUTS else None
+    joints = frames[:, 7:] if with_feet is None else with_feet.joint_pos
+    gap = float(np.max(np.abs(joints[-1] - joints[0])))
+    if with_feet is not None and loop == "Wrap" and gap > _CLOSED_RAD:
+        loop = None
+        assumed.append("whether the motion loops is found from the motion: it says so, but its ends differ")
     if loop == "Wrap":  # the last frame repeats the first
-        gap = float(np.max(np.abs(joints[-1] - joints[0])))
-        if gap > 0.01:
+        if gap > _CLOSED_RAD:
             assumed.append(f"the loop does not close exactly: joints of first and last frame differ by {gap:.2f} rad")
         frames, joints, quat_file = frames[:-1], joints[:-1], quat_file[:-1]
         check_frames(len(frames))
     of = document.get(_ROBOT_KEY)
-    if of is not None:
+    own = None if of is None else _named(of, robot)
+    if with_feet is not None:
+        own = with_feet.robot
+        assumed.append(with_feet.found)
+    if own is not None:
         from fastmimic.robot.kinematics import foot_positions
 
-        own = _named(of, robot)
         quat = quat_file
         points = robot_points(frames[:, :3], quat, own.hip_pos_b, foot_positions(own, joints))
     else:
@@ -70,7 +79,7 @@ def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) ->
         rate_hz=rate,
         root_quat_wxyz=quat,
         is_cycle=True if loop == "Wrap" else False if loop == "Clamp" else None,
-        leg_length_m=LEG_LENGTH_M if of is None else own.leg_length,
+        leg_length_m=LEG_LENGTH_M if own is None else own.leg_length,
         scale=None if of is None else 1.0,
         meta={
             **({} if of is None else {"robot": of}),
@@ -126,17 +135,20 @@ def _load(text: str) -> dict[str, Any]:
 
 
 def _frames(document: dict[str, Any], text: str) -> Array:
-    """All frames, (t, 19)."""
+    """All frames, (t, 19), or (t, 49) or (t, 61) as in `amp`."""
     if "Frames" not in document:
         raise ClipError(f"JSON without 'Frames'{did_you_mean('Frames', document)}; found {_listed(document)}")
     frames = document["Frames"]
     if not isinstance(frames, list) or not all(isinstance(frame, list) for frame in frames):
         raise ClipError("'Frames' must be a list of lists of numbers")
+    names = FRAME_NAMES
+    if frames and len(frames[0]) in amp.LAYOUTS:
+        names = (*FRAME_NAMES[:7], *["joints, feet or velocities"] * (len(frames[0]) - 7))
     for i, frame in enumerate(frames):
-        if len(frame) != len(FRAME_NAMES):
+        if len(frame) != len(names):
+            kinds = "root position 3, root quaternion xyzw 4, joints 12; or 49 or 61 with velocities and feet"
             raise ClipError(
-                f"line {_frame_line(text, i)} (frame {i}) has {len(frame)} numbers;"
-                f" expected {len(FRAME_NAMES)} (root position 3, root quaternion xyzw 4, joints 12)"
+                f"line {_frame_line(text, i)} (frame {i}) has {len(frame)} numbers; expected {len(names)} ({kinds})"
             )
         for c, value in enumerate(frame):
             if isinstance(value, bool) or not isinstance(value, int | float):
@@ -145,8 +157,8 @@ def _frames(document: dict[str, Any], text: str) -> Array:
                 problem = f"{str(value)[:20]} is {'too large' if abs(value) < np.inf else 'not finite'}"
             else:
                 continue
-            raise ClipError(f"line {_frame_line(text, i)} (frame {i}), number {c + 1} ({FRAME_NAMES[c]}): {problem}")
-    return np.array(frames, dtype=np.float64).reshape(len(frames), len(FRAME_NAMES))
+            raise ClipError(f"line {_frame_line(text, i)} (frame {i}), number {c + 1} ({names[c]}): {problem}")
+    return np.array(frames, dtype=np.float64).reshape(len(frames), len(names))
 
 
 def _frame_line(text: str, index: int) -> int:
@@ -183,7 +195,7 @@ def _listed(names: dict[str, Any]) -> str:
 
 FORMAT: Final = Format(
     name="deepmimic",
-    about="DeepMimic-style JSON of the Laikago, or of the robot that it names, 19 numbers a frame",
+    about="DeepMimic-style JSON of the Laikago, or of the robot that it names, 19 numbers a frame (49 or 61 with feet)",
     suffixes=(".txt", ".json"),
     detect=lambda content: content.start[:1] in ("{", "["),
     parse=parse,
