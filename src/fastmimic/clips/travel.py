@@ -28,7 +28,7 @@ _SMOOTH_S: Final = 0.05
 _SMOOTH_TURN: Final = 10.0  # how much more slowly the frame turns than it moves
 _ROUNDS: Final = 15
 _NO_HEADING_RAD: Final = 0.01  # standard deviation below which a heading was taken out: an animal's is above 0.02
-_LEAST_FLOW: Final = 0.5  # of the ground below an animal that walks on the spot, share of its feet's speed
+_LEAST_FLOW: Final = 0.5  # of the ground below the low feet of an animal on the spot, share of all feet's speed
 _LARGEST_WAY: Final = 0.2  # speed of a trunk that does not travel, share of the ground's below it
 
 
@@ -78,7 +78,7 @@ def with_travel(clip: Clip, travel: str = "auto") -> Clip:
         clip = _on_the_spot(clip)
     recording = _recording(clip)
     twist = _twist(recording)
-    flow = _rms(np.einsum("tfia,ta->tfi", recording.rows, twist))
+    flow = _rms(np.einsum("tfia,ta->tfi", recording.rows, twist), recording.low)
     if travel == "auto" and (flow < _LEAST_FLOW * moving or way > _LARGEST_WAY * flow):
         return clip
     moved = _moved(clip, twist, recording.centre)
@@ -88,8 +88,8 @@ def with_travel(clip: Clip, travel: str = "auto") -> Clip:
     return replace(moved, meta=clip.meta | {"assumed": [*clip.meta.get("assumed", []), found + heading + why]})
 
 
-def _rms(vectors: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1))))
+def _rms(vectors: Array, weight: Array | None = None) -> float:
+    return float(np.sqrt(np.average(np.sum(vectors**2, axis=-1), weights=weight)))
 
 
 def _heading(clip: Clip) -> Array:
