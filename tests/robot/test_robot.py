@@ -360,5 +360,5 @@ def test_a_file_that_is_no_quadruped_is_refused_in_one_line(content: bytes, tmp_
 
 
 def test_a_folder_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RobotError, match="a folder; expected an MJCF file"):
+    with pytest.raises(RobotError, match="expected one URDF in this folder, found none"):
         load_robot(tmp_path)

@@ -15,7 +15,7 @@ from fastmimic.clips.data import DATASETS, data_folder, fetch, list_datasets
 from fastmimic.clips.formats import FORMATS
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import note, put, put_json, put_table, slow_start
-from fastmimic.commands.show import note_origin, provenance
+from fastmimic.commands.show import describe_robot, note_origin, provenance
 from fastmimic.imitation.methods import controller_for
 from fastmimic.motion.export import EXPORTS, export_motion
 from fastmimic.motion.motion import Motion
@@ -55,9 +55,15 @@ class Motions:
 
 @dataclass(frozen=True, kw_only=True)
 class Robots:
-    """Lists the built-in robots. For your own, give --robot FILE.xml, the MJCF of a quadruped."""
+    """Lists the built-in robots, or says what an MJCF or URDF is taken for, which --robot takes as well."""
+
+    robot: Annotated[Positional[str | None], opt.option("[NAME|FILE]")] = None
+    """A robot's name, its MJCF or URDF, or a vendor's folder with one URDF. Default: a list."""
 
     def run(self) -> int:
+        if self.robot is not None:
+            put(*describe_robot(load_robot(self.robot)))
+            return 0
         rows = [("name", "mass kg", "leg m", "torque N·m", "joint speed rad/s")]
         for name in ROBOT_NAMES:
             robot = load_robot(name)
@@ -66,7 +72,7 @@ class Robots:
             )
             rows.append((name, f"{robot.mass:.2f}", f"{robot.leg_length:.3f}", torque, speed))
         put_table(rows)
-        note("your own: --robot FILE.xml, an MJCF with abduction, hip and knee joints in each of four legs")
+        note("your own: --robot FILE, an MJCF or URDF with abduction, hip and knee joints in each of four legs")
         return 0
 
 

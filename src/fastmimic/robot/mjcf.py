@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 
 DEFAULT_JOINT_SPEED_LIMIT: Final = 21.0  # rad/s, for a model without a `joint_speed_limit`; MJCF has no element for it
 
+HOME: Final = "home"
+SPEED_LIMIT: Final = "joint_speed_limit"
+"""A custom numeric, rad/s: one for all joints, three for abduction, hip and knee, or twelve in the file's order."""
+
 _AXES: Final = {"abduction": (1.0, 0.0, 0.0), "hip": (0.0, 1.0, 0.0), "knee": (0.0, 1.0, 0.0)}
 _AXIS_TOLERANCE: Final = 1e-6
 
@@ -52,7 +56,7 @@ def robot_from_spec(spec: "mujoco.MjSpec", default_name: str) -> Robot:
     links = [[_composite(model, int(b)) for b in row] for row in bodies]
     trunk_link = _composite(model, trunk)
     com_b, inertia_b = _whole_body(model, data, trunk)
-    speed, speed_assumed = _speed_limit(model)
+    speed, speed_assumed = _speed_limit(model, joints)
     lower, upper, range_assumed = _ranges(model, joints)
     return Robot(
         name=model.names[: model.names.index(b"\0")].decode() or default_name,
@@ -70,7 +74,7 @@ def robot_from_spec(spec: "mujoco.MjSpec", default_name: str) -> Robot:
         joint_lower=lower,
         joint_upper=upper,
         torque_limit=_torque_limits(model, joints),
-        joint_speed_limit=np.tile(speed, 4),
+        joint_speed_limit=speed,
         armature=model.dof_armature[model.jnt_dofadr[joints]].copy(),
         joint_damping=model.dof_damping[model.jnt_dofadr[joints]].copy(),
         joint_friction=model.dof_frictionloss[model.jnt_dofadr[joints]].copy(),
@@ -283,7 +287,7 @@ def _order(model: "mujoco.MjModel", legs: list[_Leg]) -> list[int]:
 def _home(model: "mujoco.MjModel") -> Array:
     """The keyframe `home`, or the only one; else the middle of the joints' ranges."""
     for key in range(model.nkey):
-        if model.key(key).name == "home" or model.nkey == 1:
+        if model.key(key).name == HOME or model.nkey == 1:
             return np.array(model.key_qpos[key])
     home = np.array(model.qpos0)
     limited = np.flatnonzero(model.jnt_limited)
@@ -363,10 +367,13 @@ def _ranges(model: "mujoco.MjModel", joints: list[int]) -> tuple[Array, Array, t
     return lower, upper, (f"no range of {names} in the model: ±3.14 rad assumed",) if names else ()
 
 
-def _speed_limit(model: "mujoco.MjModel") -> tuple[Array, tuple[str, ...]]:
+def _speed_limit(model: "mujoco.MjModel", joints: list[int]) -> tuple[Array, tuple[str, ...]]:
+    """Limits (12,), rad/s, and the assumption if there are none."""
     for i in range(model.nnumeric):
-        if model.numeric(i).name == "joint_speed_limit":
+        if model.numeric(i).name == SPEED_LIMIT:
             data = np.array(model.numeric(i).data, dtype=np.float64)
-            return (np.full(3, data[0]) if data.size == 1 else data[:3]), ()
-    text = f"no custom numeric 'joint_speed_limit' in the model: {DEFAULT_JOINT_SPEED_LIMIT:g} rad/s assumed"
-    return np.full(3, DEFAULT_JOINT_SPEED_LIMIT), (text,)
+            if data.size == len(joints):
+                return data[np.argsort(np.argsort(joints))], ()
+            return (np.full(12, data[0]) if data.size == 1 else np.tile(data[:3], 4)), ()
+    text = f"no custom numeric '{SPEED_LIMIT}' in the model: {DEFAULT_JOINT_SPEED_LIMIT:g} rad/s assumed"
+    return np.full(12, DEFAULT_JOINT_SPEED_LIMIT), (text,)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import mujoco
 
 ROBOT_NAMES: Final = ("a1", "go1", "go2")  # each is the file NAME.xml beside this one
-ROBOT_CHOICES: Final = f"{', '.join(ROBOT_NAMES)}, or the MJCF of your own"  # for help texts
+ROBOT_CHOICES: Final = f"{', '.join(ROBOT_NAMES)}, or the MJCF or URDF of your own"  # for help texts
 
 A1_MASS_KG: Final = 12.453000000000001
 A1_JOINT_INERTIA: Final = 0.037411360960741595  # mean of `Robot.joint_inertia`, kg·m²
@@ -148,11 +148,13 @@ class Robot:
 
 
 def load_robot(robot: str | Path | Robot) -> Robot:
-    """Returns a built-in robot by name or reads the user's own MJCF; a `Robot` is returned unchanged. Raises
-    `RobotError`: no such robot or file, not an MJCF, or not a quadruped with abduction, hip and knee joints."""
+    """Returns a built-in robot by name, or reads the user's own MJCF, URDF or folder with one URDF; a `Robot` is
+    returned unchanged. Raises `RobotError`: no such robot or file, neither MJCF nor URDF, or not a quadruped with
+    abduction, hip and knee joints."""
     import mujoco
 
     from fastmimic.robot.mjcf import one_line, robot_from_spec
+    from fastmimic.robot.urdf import robot_from_urdf, urdf_in
 
     if isinstance(robot, Robot):
         return robot
@@ -164,15 +166,14 @@ def load_robot(robot: str | Path | Robot) -> Robot:
     elif not path.exists():
         hint = did_you_mean(name, ROBOT_NAMES)
         raise RobotError(f"unknown robot '{name}': not one of {', '.join(ROBOT_NAMES)} and not a file{hint}")
-    elif path.is_dir():
-        raise RobotError(f"{path}: a folder; expected an MJCF file")
     else:
+        path = urdf_in(path) if path.is_dir() else path
         try:
-            spec = mujoco.MjSpec.from_file(str(path))
+            spec = None if path.suffix.lower() == ".urdf" else mujoco.MjSpec.from_file(str(path))
         except (ValueError, OSError, UnicodeDecodeError) as error:
             raise RobotError(f"{path}: not a readable MJCF ({one_line(error)})") from None
     try:
-        return robot_from_spec(spec, path.stem)
+        return robot_from_urdf(path) if spec is None else robot_from_spec(spec, path.stem)
     except RobotError as error:
         raise RobotError(f"{path}: {error}") from None
 

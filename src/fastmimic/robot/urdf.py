@@ -1,0 +1,153 @@
+"""Reads a robot's URDF, from a file or a vendor's folder, as the MuJoCo specification that `mjcf` reads.
+
+MuJoCo compiles the URDF. What a URDF cannot say is added: the trunk floats, the joints' top speeds are kept, the legs
+stand bent in the keyframe `home`, and a leg without a sphere at its end gets one as its foot.
+"""
+
+import os
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from fastmimic.base.errors import RobotError
+from fastmimic.robot.mjcf import HOME, SPEED_LIMIT, one_line, robot_from_spec
+from fastmimic.robot.robot import Robot
+
+if TYPE_CHECKING:
+    import mujoco
+
+_PLACES: Final = ("*.urdf", "urdf/*.urdf", "robots/*.urdf", "xacro/*.urdf")
+_MESHES: Final = (".stl", ".obj")  # that MuJoCo reads
+_NO_MASS_KG: Final = 1e-4
+_STANDS: Final = 0.65  # height of the hips above the feet in `home`, share of the leg's length
+_ROTORS: Final = 0.36  # reflected inertia of the rotors, share of the legs' mean inertia at the joints, of an A1
+_FOOT: Final = 0.1  # radius of an assumed foot, share of the calf's length
+
+
+def urdf_in(folder: Path) -> Path:
+    """The one URDF of a vendor's folder; raises `RobotError` if there is none, or more than one."""
+    found = [path for place in _PLACES for path in sorted(folder.glob(place))]
+    if len(found) != 1:
+        names = ", ".join(str(path.relative_to(folder)) for path in found)
+        raise RobotError(f"{folder}: expected one URDF in this folder, found {names or 'none'}; give the file")
+    return found[0]
+
+
+def robot_from_urdf(path: Path) -> Robot:
+    """Reads a `Robot` from a URDF; `assumed` says what was added or left out. Raises `RobotError`: cannot be read or
+    compiled, or not a twelve-joint quadruped."""
+    import mujoco
+
+    try:
+        tree = ElementTree.fromstring(path.read_bytes())
+        speeds = {
+            j.get("name"): float(limit.get("velocity", 0)) for j in tree.iter("joint") for limit in j.iter("limit")
+        }
+        notes = _prepare(tree, path)
+        spec = mujoco.MjSpec.from_string(ElementTree.tostring(tree, encoding="unicode"))
+        spec.modelfiledir = str(path.parent)
+        if all(joint.type != mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints):
+            spec.worldbody.first_body().add_freejoint()
+        for geom in spec.geoms:
+            geom.density = 0.0  # a link without inertia has none, whatever its shape
+        notes += _add_feet(spec)
+    except (ElementTree.ParseError, ValueError, OSError) as error:
+        raise RobotError(f"not a readable URDF ({one_line(error)})") from None
+    hinges = [joint.name for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
+    if hinges and all(speeds.get(name, 0.0) > 0 for name in hinges):
+        spec.add_numeric(name=SPEED_LIMIT, data=[speeds[name] for name in hinges])
+    return _standing(spec, path.stem, notes)
+
+
+def _prepare(tree: ElementTree.Element, path: Path) -> list[str]:
+    """Leaves out what is only looked at and meshes that cannot be read; finds the others, relative to the file."""
+    left_out = []
+    for link in tree.iter("link"):
+        inertial, mass = link.find("inertial"), link.find("inertial/mass")
+        if inertial is not None and mass is not None and float(mass.get("value", 0)) < _NO_MASS_KG:
+            link.remove(inertial)  # of a frame: MuJoCo refuses inertias that are not positive
+        for part in [*link.findall("visual"), *link.findall("collision")]:
+            mesh = part.find("geometry/mesh")
+            file = None if mesh is None else _mesh_file(str(mesh.get("filename")), path.parent)
+            if part.tag == "visual" or (mesh is not None and file is None):
+                link.remove(part)
+                left_out += [str(link.get("name"))] * (part.tag == "collision")
+            elif mesh is not None:
+                mesh.set("filename", str(file))
+    for element in tree.findall("mujoco"):
+        tree.remove(element)
+    compiler = ElementTree.SubElement(ElementTree.SubElement(tree, "mujoco"), "compiler")
+    compiler.attrib |= {"fusestatic": "false", "strippath": "false", "balanceinertia": "true"}
+    where = ", ".join(left_out)
+    return [f"meshes left out, not found or neither STL nor OBJ: nothing collides at {where}"] if left_out else []
+
+
+def _mesh_file(name: str, folder: Path) -> Path | None:
+    """A mesh's file, relative to the URDF's folder: as it is named, or with its package at or above that folder."""
+    if not name.lower().endswith(_MESHES):
+        return None
+    inside = Path(name.removeprefix("file://").removeprefix("package://"))
+    for up in (folder, *list(folder.resolve().parents)[:4]):
+        for tail in (inside, Path(*inside.parts[1:])):
+            if (up / tail).is_file():
+                return Path(os.path.relpath((up / tail).resolve(), folder.resolve()))
+    return None
+
+
+def _add_feet(spec: "mujoco.MjSpec") -> list[str]:
+    """Adds a sphere to each leg that has none, at the link that is fixed farthest from the knee."""
+    import mujoco
+
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    added = []
+    for knee in np.flatnonzero(model.body_jntnum):
+        group = np.flatnonzero(model.body_weldid == knee)
+        below = [b for b in np.flatnonzero(model.body_jntnum) if model.body_weldid[model.body_parentid[b]] == knee]
+        geoms = np.isin(model.geom_bodyid, group) & (model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE)
+        if below or len(group) == 1 or geoms.any():
+            continue
+        away = np.linalg.norm(data.xpos[group] - data.xpos[knee], axis=1)
+        foot = spec.body(model.body(group[away.argmax()]).name)
+        foot.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_FOOT * away.max(), 0, 0], density=0.0)
+        added.append(f"{foot.name} {1e3 * _FOOT * away.max():.0f} mm")
+    return [f"no spheres as feet: assumed at {', '.join(added)}"] if added else []
+
+
+def _standing(spec: "mujoco.MjSpec", name: str, notes: list[str]) -> Robot:
+    """The robot with a keyframe `home` in which its feet stand below its hips, and bent knees."""
+    from dataclasses import replace
+
+    import mujoco
+
+    from fastmimic.robot.kinematics import inverse_kinematics
+
+    trial = spec.copy()
+    trial.add_key(name=HOME, qpos=_qpos(spec, {}, 0.3))
+    robot = robot_from_spec(trial, name)
+    feet = robot.hip_pos_b + np.stack([0 * robot.lateral_offset, robot.lateral_offset, 0 * robot.lateral_offset], -1)
+    height = _STANDS * robot.leg_length
+    feet[:, 2] = robot.hip_pos_b[:, 2].mean() - height
+    joints = inverse_kinematics(robot, feet[None])[0][0]
+    rotors = _ROTORS * float(np.mean(robot.joint_inertia))
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+            joint.armature = rotors
+    joints = np.clip(joints, robot.joint_lower, robot.joint_upper) * robot.joint_sign
+    base = float(robot.foot_radius - feet[:, 2].mean())
+    spec.add_key(name=HOME, qpos=_qpos(spec, dict(zip(robot.joint_names, joints, strict=True)), base))
+    robot = robot_from_spec(spec, name)
+    notes.append(f"no standing pose in a URDF: hips {height:.2f} m above the feet")
+    notes.append(f"no rotor inertia in a URDF: {rotors:.2g} kg·m² at each joint, the A1's share of its legs' inertia")
+    return replace(robot, assumed=(*notes, *robot.assumed))
+
+
+def _qpos(spec: "mujoco.MjSpec", joints: dict[str, float], height: float) -> list[float]:
+    """A pose in the file's order of joints; without an angle, the middle of the range."""
+    import mujoco
+
+    hinges = [joint for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
+    return [0, 0, height, 1, 0, 0, 0, *(joints.get(j.name, float(np.mean(j.range))) for j in hinges)]
