@@ -21,6 +21,7 @@ from fastmimic.base.files import write_json
 from fastmimic.base.text import csv_text
 from fastmimic.cli import main
 from fastmimic.commands.pictures import recorded
+from fastmimic.episode.metrics import TRACKED
 from fastmimic.experiments.tables import COLUMNS
 
 pytest.importorskip("plotly", reason="Plotly is not installed: pip install 'fastmimic[report]'")
@@ -133,6 +134,7 @@ def test_its_numbers_are_those_of_the_metrics(page: Parsed, finished: Path) -> N
         checked.add(key)
     terms = [f"reward.components_{c}.{t}" for c in ("before", "after") for t in metrics["reward"]["components_after"]]
     assert checked >= {"reward.before", "reward.after", "fell.after", "parameters.7.value", *terms}
+    assert checked >= {f"{name}.{when}" for name in TRACKED for when in ("before", "after")}
 
 
 def test_every_plot_has_units_and_points(page: Parsed) -> None:
