@@ -8,7 +8,7 @@ from typing import Any
 
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats import bvh, csv_motion, deepmimic, keypoints
+from fastmimic.clips.formats import ai4animation, bvh, c3d, csv_motion, deepmimic, glb, keypoints, pose_hdf5, pose_table
 from fastmimic.clips.formats.format import FORMATS, ROBOT_MOTION, Content, Format, ReadOptions, format_of, suffixes
 from fastmimic.clips.formats.points import read_point_map
 from fastmimic.clips.formats.text_table import check_positive, check_rate
@@ -17,7 +17,9 @@ from fastmimic.clips.travel import with_travel
 __all__ = ["FORMATS", "Content", "Format", "ReadOptions", "detect_format", "read_clip", "suffixes", "with_scale"]
 
 _KEYPOINTS = (keypoints.FORMAT, keypoints.NAMED_FORMAT)
-for _format in (ROBOT_MOTION, csv_motion.FORMAT, *_KEYPOINTS, bvh.FORMAT, deepmimic.FORMAT):
+_TABLES = (csv_motion.FORMAT, *_KEYPOINTS, pose_table.ANIPOSE, pose_table.DEEPLABCUT)
+_BINARY = (pose_hdf5.FORMAT, c3d.FORMAT, glb.FORMAT, ai4animation.FORMAT)
+for _format in (ROBOT_MOTION, *_TABLES, bvh.FORMAT, deepmimic.FORMAT, *_BINARY):
     FORMATS.register(_format)
 
 

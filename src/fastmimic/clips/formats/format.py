@@ -161,7 +161,7 @@ def format_of(content: Content) -> Format:
 
 
 def is_robot_motion(path: str | Path) -> bool:
-    """Whether a file is an `.npz`, or a damaged one; False if there is none."""
+    """Whether a file is an `.npz` of ours, or a damaged one; False if there is none."""
     try:
         with open(path, "rb") as file:
             return _holds_arrays(file)
@@ -174,7 +174,8 @@ def _holds_arrays(file: BinaryIO) -> bool:
         return False
     try:
         with zipfile.ZipFile(file) as archive:
-            return any(name.endswith(".npy") for name in archive.namelist())
+            names = archive.namelist()
+            return any(name.endswith(".npy") for name in names) and "bone_names.npy" not in names  # AI4AnimationPy's
     except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError):
         return True  # damaged: `Motion.load` reports how
 

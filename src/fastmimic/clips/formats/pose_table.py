@@ -1,0 +1,97 @@
+"""Tables of triangulated points, as DeepLabCut, Lightning Pose and Anipose write them. Fields may be empty, and none
+says its frame rate. The unit is that of the calibration board, the axes are those of the first camera.
+
+- DeepLabCut, and Lightning Pose in the same form: columns are named in lines of their own, `scorer`, `bodyparts` and
+  `coords`, with several animals also `individuals`. Points of a picture have x, y and likelihood: they are refused.
+- Anipose: for each point NAME_x, NAME_y, NAME_z, NAME_error, NAME_ncams and NAME_score; then the rotation M_00 to M_22
+  and the centre of the axes that its settings name, if they do, and the frame's number `fnum`.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.errors import ClipError
+from fastmimic.clips.formats.format import Content
+from fastmimic.clips.formats.text_table import Row, Table, read_table, to_array
+from fastmimic.clips.formats.tracked_points import Tracks, most_complete, tracks_format
+
+FLAT: Final = (
+    "these points lie in a picture (x and y, no z): triangulate the views of two calibrated cameras with Anipose,"
+    " sleap-anipose or DeepLabCut's 3D mode (deeplabcut.triangulate), and give the file of 3D points"
+)
+Column = tuple[str, str, str]
+"""Individual (empty if the file names none), point, and coordinate: x, y, z or likelihood."""
+_ROTATION: Final = [f"M_{i}{j}" for i in range(3) for j in range(3)]
+
+
+def tracks_of(columns: Sequence[Column], values: Array, *, is_level: bool = False) -> Tracks:
+    """The points in a table (t, columns); raises `ClipError` if they lie in a picture."""
+    names = list(dict.fromkeys(name for _, name, coordinate in columns if coordinate == "z"))
+    if not names:
+        raise ClipError(FLAT)
+    individuals = list(dict.fromkeys(column[0] for column in columns))
+    place = {column: i for i, column in enumerate(columns)}
+    padded = np.column_stack([values, np.full(len(values), np.nan)])  # the last is that of a column that is not there
+    read = ("x", "y", "z", "likelihood")
+    at = [[[place.get((who, name, what), -1) for what in read] for name in names] for who in individuals]
+    found = np.moveaxis(padded[:, np.array(at)], 0, 1)  # (individuals, t, points, 4)
+    best, notes = most_complete(individuals, found[..., :3])
+    likelihood = found[best, ..., 3]
+    confidence = None if np.isnan(likelihood).all() else likelihood
+    return Tracks(names, found[best, ..., :3], confidence=confidence, is_level=is_level, notes=notes)
+
+
+def read_deeplabcut(text: str) -> Tracks:
+    """Reads DeepLabCut's table; raises `ClipError`: malformed (says which line and column), or points of a picture."""
+    rows = _rows(read_table(text))
+    end = next(i for i, row in enumerate(rows) if row.fields[0] == "coords") + 1
+    labels = {row.fields[0]: row.fields[1:] for row in rows[:end]}
+    individuals = labels.get("individuals", [""] * len(labels["bodyparts"]))
+    if len({len(fields) for fields in labels.values()}) > 1:
+        raise ClipError(f"its first {end} lines, which name the columns, have different numbers of columns")
+    columns = list(zip(individuals, labels["bodyparts"], labels["coords"], strict=True))
+    shown = ["frame", *(" ".join(column).strip() for column in columns)]
+    gaps = range(1, len(shown))
+    return tracks_of(columns, to_array(rows[end:], len(shown), shown.__getitem__, "DeepLabCut", gaps=gaps)[:, 1:])
+
+
+def read_anipose(text: str) -> Tracks:
+    """Reads Anipose's table; raises `ClipError`: malformed (says which line and column)."""
+    table = read_table(text)
+    header = table.header or []
+    columns = [("", *name.rpartition("_")[::2]) for name in header]
+    gaps = [i for i, (_, name, _) in enumerate(columns) if name not in ("", "M", "center")]
+    largest = [np.inf if what == "error" else 1e6 for _, _, what in columns]
+    values = to_array(table.rows, len(header), header.__getitem__, "Anipose", largest, gaps)
+    scored = [(who, name, "likelihood" if what == "score" else what) for who, name, what in columns]
+    rotation = values[0, [header.index(name) for name in _ROTATION]].reshape(3, 3)
+    return tracks_of(scored, values, is_level=not np.allclose(rotation, np.eye(3)))
+
+
+def _rows(table: Table) -> list[Row]:
+    """All rows, with the one that was taken for the header."""
+    return table.rows if table.header is None else [Row(1, table.header), *table.rows]
+
+
+def _is_deeplabcut(content: Content) -> bool:
+    firsts = [row.fields[0] for row in _rows(content.table)[:4]]
+    return firsts[:1] == ["scorer"] and {"bodyparts", "coords"} <= set(firsts)
+
+
+DEEPLABCUT: Final = tracks_format(
+    "deeplabcut",
+    "3D points of DeepLabCut or Lightning Pose, a table",
+    (".csv",),
+    _is_deeplabcut,
+    read_deeplabcut,
+)
+ANIPOSE: Final = tracks_format(
+    "anipose",
+    "3D points of Anipose, a table",
+    (".csv",),
+    lambda content: {"fnum", *_ROTATION} <= set(content.table.header or ()),
+    read_anipose,
+)

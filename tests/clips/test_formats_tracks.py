@@ -1,0 +1,204 @@
+"""Files of the programs that track animals: each read back gives the points that were written."""
+
+import io
+import pickle
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pose_files
+import pytest
+from test_gaps import RATE, walk
+
+from fastmimic.base.errors import ClipError
+from fastmimic.clips.clip import POINT_NAMES, Clip
+from fastmimic.clips.formats import ReadOptions, detect_format, read_clip
+from fastmimic.clips.formats.gaps import LEAST_CONFIDENCE
+from fastmimic.clips.formats.pose_hdf5 import _Labels
+from fastmimic.retargeting.retarget import retarget
+from fastmimic.robot import load_robot
+
+TOE = POINT_NAMES.index("FR_toe")
+NODES = {name: f"node_{i}" for i, name in enumerate(POINT_NAMES)}
+NEEDS = {"h5": "h5py", "c3d": "ezc3d", "glb": "pygltflib"}
+
+Writer = Callable[[Path, np.ndarray], ReadOptions | None]
+
+
+def needs(name: str) -> None:
+    library = NEEDS.get(name.rpartition(".")[2])
+    if library:
+        pytest.importorskip(library, reason=f"{library} is not installed: pip install 'fastmimic[formats]'")
+
+
+def text(write: Callable[[np.ndarray], str]) -> Writer:
+    return lambda path, points: path.write_text(write(points)) and ReadOptions(fps=RATE)
+
+
+def sleap_anipose(path: Path, points: np.ndarray) -> ReadOptions:
+    pose_files.sleap_anipose_h5(path, [points])
+    return ReadOptions(fps=RATE, point_map=NODES)
+
+
+def sleap_named(path: Path, points: np.ndarray) -> ReadOptions:
+    pose_files.sleap_anipose_h5(path, [points], names=True)
+    return ReadOptions(fps=RATE)
+
+
+FILES: dict[str, tuple[str, Writer]] = {
+    "deeplabcut.csv": ("deeplabcut", text(lambda points: pose_files.deeplabcut_csv({"": points}))),
+    "lightning_pose.csv": (
+        "deeplabcut",
+        text(lambda p: pose_files.deeplabcut_csv({"": p}, likelihood=0.99, scorer="heatmap_mhcrnn_tracker")),
+    ),
+    "anipose.csv": ("anipose", text(pose_files.anipose_csv)),
+    "deeplabcut.h5": ("hdf5", lambda path, p: pose_files.deeplabcut_h5(path, p) and ReadOptions(fps=RATE)),
+    "sleap_anipose.h5": ("hdf5", sleap_anipose),
+    "sleap_named.h5": (
+        "hdf5",
+        lambda path, p: pose_files.sleap_anipose_h5(path, [p], names=True) and ReadOptions(fps=RATE),
+    ),
+    "mm.c3d": ("c3d", lambda path, p: pose_files.c3d(path, p, RATE) and None),
+    "m.c3d": ("c3d", lambda path, p: pose_files.c3d(path, p, RATE, "m") and None),
+    "linear.glb": ("glb", lambda path, p: pose_files.glb(path, p, RATE) and None),
+    "step.glb": ("glb", lambda path, p: pose_files.glb(path, p, RATE, "STEP") and None),
+    "spline.glb": ("glb", lambda path, p: pose_files.glb(path, p, RATE, "CUBICSPLINE", 2) and None),
+    "dog.npz": ("ai4animation", lambda path, p: pose_files.ai4animation_npz(path, p, RATE) and None),
+}
+"""What is written, with its format; the options that the file leaves open."""
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_gives_the_points_and_the_robot_motion_of_its_take(name: str, tmp_path: Path) -> None:
+    needs(name)
+    form, write = FILES[name]
+    points = walk(1)
+    options = write(tmp_path / name, points)
+    assert detect_format(tmp_path / name) == form
+    clip = read_clip(tmp_path / name, options)
+    assert clip.rate_hz == pytest.approx(RATE, rel=1e-4)
+    np.testing.assert_allclose(clip.points_w, points, atol=1e-3)
+    robot = load_robot("a1")
+    ours, _ = retarget(Clip(points, RATE), robot, executable=False)
+    theirs, _ = retarget(clip, robot, executable=False)
+    np.testing.assert_allclose(theirs.root_pos_w, ours.root_pos_w, atol=1e-3)
+    np.testing.assert_allclose(theirs.foot_pos_b, ours.foot_pos_b, atol=1e-3)
+    np.testing.assert_allclose(theirs.joint_pos, ours.joint_pos, atol=np.radians(0.1))
+
+
+@pytest.mark.parametrize("name", ["deeplabcut.csv", "anipose.csv", "deeplabcut.h5", "sleap_named.h5", "mm.c3d"])
+def test_points_that_were_not_seen_are_gaps(name: str, tmp_path: Path) -> None:
+    needs(name)
+    points = walk()
+    points[100:110, TOE] = np.nan
+    clip = read_clip(tmp_path / name, FILES[name][1](tmp_path / name, points))
+    assert np.abs(clip.points_w - walk()).max() < 0.02
+    assert any("FR_toe 10 frames (10 missing)" in sentence for sentence in clip.meta["assumed"])
+
+
+def test_a_recorded_dog_survives_every_format(data_folder: Path, tmp_path: Path) -> None:
+    clip = read_clip(data_folder / "dog_keypoints" / "dog_walk03_joint_pos.txt")
+    for name, (_, write) in FILES.items():
+        if name == "spline.glb":
+            continue  # keys at every other of 60 frames a second are not the whole of its paths
+        needs(name)
+        options = write(tmp_path / name, clip.points_w)
+        read = read_clip(tmp_path / name, options)
+        np.testing.assert_allclose(read.points_w, clip.points_w, atol=1e-3, err_msg=name)
+
+
+@pytest.mark.parametrize("name", ["deeplabcut.csv", "anipose.csv"])
+def test_tracks_without_a_rate_ask_for_one(name: str, tmp_path: Path) -> None:
+    FILES[name][1](tmp_path / name, walk(1))
+    with pytest.raises(ClipError, match=r"give the frame rate \(--fps\)"):
+        read_clip(tmp_path / name)
+
+
+def test_points_in_a_picture_are_refused_with_what_makes_them_spatial(tmp_path: Path) -> None:
+    path = tmp_path / "view.csv"
+    path.write_text(pose_files.deeplabcut_csv({"": walk(1)}, "xy", likelihood=0.9))
+    with pytest.raises(ClipError, match=r"lie in a picture .* Anipose, sleap-anipose or DeepLabCut's 3D mode"):
+        read_clip(path)
+    needs("view.h5")
+    with pytest.raises(ClipError, match="lie in a picture"):
+        read_clip(pose_files.sleap_analysis_h5(tmp_path / "view.h5", walk(1)))
+
+
+def test_of_several_animals_the_one_with_most_points_is_read(tmp_path: Path) -> None:
+    points = walk(2)
+    lost = points + 1.0
+    lost[20:] = np.nan
+    path = tmp_path / "two.csv"
+    path.write_text(pose_files.deeplabcut_csv({"rex": lost, "fido": points}))
+    clip = read_clip(path, ReadOptions(fps=RATE))
+    np.testing.assert_allclose(clip.points_w, points, atol=1e-6)
+    assert "of 2 animals, fido is read: it has the most points" in clip.meta["assumed"]
+    needs("two.h5")
+    pose_files.sleap_anipose_h5(tmp_path / "two.h5", [lost, points], names=True)
+    clip = read_clip(tmp_path / "two.h5", ReadOptions(fps=RATE))
+    np.testing.assert_allclose(clip.points_w, points, atol=1e-6)
+
+
+def test_a_low_score_of_anipose_is_a_gap(tmp_path: Path) -> None:
+    points, score = walk(), np.full((288, 10), 0.95)
+    points[50:60, TOE] += 0.02
+    score[50:60, TOE] = LEAST_CONFIDENCE - 0.1
+    path = tmp_path / "take.csv"
+    path.write_text(pose_files.anipose_csv(points, score))
+    clip = read_clip(path, ReadOptions(fps=RATE))
+    assert np.abs(clip.points_w - walk()).max() < 0.01
+
+
+def test_a_damaged_table_names_line_and_point(tmp_path: Path) -> None:
+    lines = pose_files.deeplabcut_csv({"": walk(1)}).splitlines()
+    fields = lines[8].split(",")
+    fields[4] = "lost"
+    (tmp_path / "take.csv").write_text("\n".join([*lines[:8], ",".join(fields), *lines[9:]]))
+    with pytest.raises(ClipError, match=r"line 9, column 5 \(back_base x\): 'lost' is not a number"):
+        read_clip(tmp_path / "take.csv", ReadOptions(fps=RATE))
+    (tmp_path / "take.csv").write_text("\n".join([lines[0], lines[1] + ",tail", *lines[2:]]))
+    with pytest.raises(ClipError, match="have different numbers of columns"):
+        read_clip(tmp_path / "take.csv", ReadOptions(fps=RATE))
+
+
+@pytest.mark.parametrize("name", ["deeplabcut.h5", "mm.c3d", "linear.glb", "dog.npz"])
+def test_a_truncated_file_is_refused(name: str, tmp_path: Path) -> None:
+    needs(name)
+    path = tmp_path / name
+    FILES[name][1](path, walk(1))
+    data = path.read_bytes()
+    for share in (0.2, 0.5, 0.8, 0.95):
+        path.write_bytes(data[: int(share * len(data))])
+        with pytest.raises(ClipError, match=name):
+            read_clip(path, ReadOptions(fps=RATE))
+
+
+@pytest.mark.parametrize("library", ["h5py", "ezc3d", "pygltflib"])
+def test_a_missing_library_is_one_line_that_names_the_extra(
+    library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starts = {"h5py": b"\x89HDF\r\n\x1a\n", "ezc3d": b"\x02\x50" + b"\xff" * 2000, "pygltflib": b"glTF\x02\0\0\0"}
+    (tmp_path / "take").write_bytes(starts[library])
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(ClipError, match=rf"need {library}, which is not installed: pip install 'fastmimic\[formats\]'"):
+        read_clip(tmp_path / "take")
+
+
+def test_names_of_columns_cannot_run_anything() -> None:
+    class Harm:
+        def __reduce__(self) -> tuple[object, tuple[str]]:
+            return print, ("harm",)
+
+    with pytest.raises(pickle.UnpicklingError, match=r"builtins\.print among the columns' names"):
+        _Labels(io.BytesIO(pickle.dumps([Harm()]))).load()
+
+
+def test_a_motion_of_ai4animation_is_no_robot_motion(tmp_path: Path) -> None:
+    from fastmimic.clips.formats.format import is_robot_motion
+
+    path = pose_files.ai4animation_npz(tmp_path / "dog.npz", walk(1), RATE)
+    assert not is_robot_motion(path)
+    clip = read_clip(path)
+    assert clip.skeleton.points == 10
+    assert (0, 1) in clip.skeleton.bones
