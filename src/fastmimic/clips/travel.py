@@ -1,14 +1,13 @@
 """The way of an animal whose recording does not travel: on a treadmill, or with the trunk's path taken out of it.
 
-A standing foot stays where it is on the ground. If the recording's own frame moves over the ground by v and turns by ω,
-then v + ω × p + u = 0 for a standing foot at p whose velocity in the recording is u. Least squares over all low feet
-give v and ω; ω only where the heading was taken out as well. Weights of feet that do not fit fall away, so swings near
-the ground do not count. A paw rolls forward over its toes but never back while it carries weight: feet that move back
-count more. Smoothness in time carries the solution over phases of flight.
+If the recording's own frame moves over the ground by v and turns by ω, then v + ω × p + u = 0 for a standing foot at p
+whose velocity in the recording is u. Robust least squares over all low feet give v, and ω where the heading was taken
+out as well. A paw rolls forward over its toes but never back while it carries weight, so feet that move back count
+more. Smoothness in time carries the solution over phases of flight.
 """
 
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -32,30 +31,14 @@ _LEAST_FLOW: Final = 0.5  # of the ground below the low feet of an animal on the
 _LARGEST_WAY: Final = 0.2  # speed of a trunk that does not travel, share of the ground's below it
 
 
-@dataclass(frozen=True, eq=False)
-class _Recording:
-    """Feet (t, 4, 2) from the mean of the trunk and velocities (t, 4, 2) in the recording, m and m/s, with the weights
-    (t, 4) of their heights; `centre` (2,) is that mean, and `turns` whether the frame may turn."""
+class _Feet(NamedTuple):
+    """The velocities (t, 4, 2) of the feet in the recording and of the ground below them, `rows` (t, 4, 2, 3), for a
+    unit of v and of ω; how low they are (t, 4), from 0 to 1; and their RMS distance from the trunk, m."""
 
-    feet: Array
     velocity: Array
+    rows: Array
     low: Array
-    centre: Array
-    turns: bool
-    rate_hz: float
-
-    @property
-    def size(self) -> float:
-        """RMS distance of the feet from the trunk, m."""
-        return float(np.sqrt(np.mean(np.sum(self.feet**2, axis=-1))))
-
-    @property
-    def rows(self) -> Array:
-        """(t, 4, 2, 3): velocity of the ground below each foot for a unit of v and of ω."""
-        rows = np.zeros((*self.feet.shape, 3))
-        rows[..., 0, 0] = rows[..., 1, 1] = 1.0
-        rows[..., 2] = np.stack([-self.feet[..., 1], self.feet[..., 0]], axis=-1) * self.turns
-        return rows
+    size: float
 
 
 def with_travel(clip: Clip, travel: str = "auto") -> Clip:
@@ -76,15 +59,16 @@ def with_travel(clip: Clip, travel: str = "auto") -> Clip:
         return clip
     if travel == "recover":
         clip = _on_the_spot(clip)
-    recording = _recording(clip)
-    twist = _twist(recording)
-    flow = _rms(np.einsum("tfia,ta->tfi", recording.rows, twist), recording.low)
+    no_heading = bool(_heading(clip).std() < _NO_HEADING_RAD)
+    feet = _feet(clip, no_heading)
+    twist = _twist(feet, clip.rate_hz)
+    flow = _rms(np.einsum("tfia,ta->tfi", feet.rows, twist), feet.low)
     if travel == "auto" and (flow < _LEAST_FLOW * moving or way > _LARGEST_WAY * flow):
         return clip
-    moved = _moved(clip, twist, recording.centre)
+    moved = _moved(clip, twist)
     found = f"the way of the trunk ({_speed(_trunk(moved), clip.rate_hz):.2f} m/s) is recovered from the standing feet"
     why = "" if travel == "recover" else ": they run back while the trunk stays where it is (--travel as-is keeps it)"
-    heading = ", and its heading too" if recording.turns else ""
+    heading = ", and its heading too" if no_heading else ""
     return replace(moved, meta=clip.meta | {"assumed": [*clip.meta.get("assumed", []), found + heading + why]})
 
 
@@ -123,67 +107,57 @@ def _nearby(values: Array, rate_hz: float) -> Array:
     return np.asarray(maximum_filter1d(values, 2 * round(_NEARBY_S * rate_hz) + 1, axis=0, mode="nearest"))
 
 
-def _recording(clip: Clip) -> _Recording:
+def _feet(clip: Clip, no_heading: bool) -> _Feet:
     height = np.maximum(clip.toes_w[..., 2] - np.percentile(clip.toes_w[..., 2], 10, axis=0), 0.0)
     share = height / np.maximum(_nearby(height, clip.rate_hz), 1e-3)
-    centre = _trunk(clip).mean(axis=0)
-    feet = clip.toes_w[..., :2] - centre
-    return _Recording(
-        feet=feet,
-        velocity=np.gradient(feet, 1.0 / clip.rate_hz, axis=0),
-        low=np.exp(-((share / _LOW) ** 2)),
-        centre=centre,
-        turns=bool(_heading(clip).std() < _NO_HEADING_RAD),
-        rate_hz=clip.rate_hz,
-    )
+    place = clip.toes_w[..., :2] - _trunk(clip).mean(axis=0)
+    rows = np.zeros((*place.shape, 3))
+    rows[..., 0, 0] = rows[..., 1, 1] = 1.0
+    if no_heading:
+        rows[..., 2] = np.stack([-place[..., 1], place[..., 0]], axis=-1)
+    return _Feet(np.gradient(place, 1.0 / clip.rate_hz, axis=0), rows, np.exp(-((share / _LOW) ** 2)), _rms(place))
 
 
-def _twist(recording: _Recording) -> Array:
+def _twist(feet: _Feet, rate_hz: float) -> Array:
     """v and ω of the recording's frame, (t, 3), m/s and rad/s, in its own axes."""
-    rows, weight = recording.rows, recording.low
-    fastest = _nearby(np.linalg.norm(recording.velocity, axis=-1).max(axis=1), recording.rate_hz)
-    slip = _SLIP * np.maximum(fastest, recording.size)[:, None]
-    twist = np.zeros((len(rows), 3))
+    fastest = _nearby(np.linalg.norm(feet.velocity, axis=-1).max(axis=1), rate_hz)
+    slip = _SLIP * np.maximum(fastest, feet.size)[:, None]
+    weight, twist = feet.low, np.zeros((len(feet.low), 3))
     for k in range(_ROUNDS):
-        twist = _smooth_fit(recording, rows, weight)
-        ground = np.einsum("tfia,ta->tfi", rows, twist)
-        rest = ground + recording.velocity
+        twist = _smooth_fit(feet, weight, rate_hz)
+        ground = np.einsum("tfia,ta->tfi", feet.rows, twist)
+        rest = ground + feet.velocity
         tolerated = slip * max(1.0, 3.0 - k / 3)  # wide at first: the swings still pull the solution
         back = np.sum(rest * ground, axis=-1) < 0
         fits = 1.0 / (1.0 + np.sum(rest**2, axis=-1) / tolerated**2) ** 2
-        weight = recording.low * fits * np.where(back, _BACKWARDS, 1.0)
+        weight = feet.low * fits * np.where(back, _BACKWARDS, 1.0)
     return twist
 
 
-def _smooth_fit(recording: _Recording, rows: Array, weight: Array) -> Array:
+def _smooth_fit(feet: _Feet, weight: Array, rate_hz: float) -> Array:
     """The twist (t, 3) that makes weighted feet stand, with its changes at a price: a banded system."""
     from scipy.linalg import solveh_banded
 
-    n, k = len(rows), 3
-    matrix = np.einsum("tf,tfia,tfib->tab", weight, rows, rows)
-    right = -np.einsum("tf,tfia,tfi->ta", weight, rows, recording.velocity)
-    price = (_SMOOTH_S * recording.rate_hz) ** 2 * np.array([1.0, 1.0, _SMOOTH_TURN * recording.size**2])
-    neighbours = np.full(n, 2.0)
-    neighbours[[0, -1]] = 1.0
-    band = np.zeros((k + 1, n, k))  # the lower diagonals, frame by frame
-    for a in range(k):
+    matrix = np.einsum("tf,tfia,tfib->tab", weight, feet.rows, feet.rows)
+    right = -np.einsum("tf,tfia,tfi->ta", weight, feet.rows, feet.velocity)
+    price = (_SMOOTH_S * rate_hz) ** 2 * np.array([1.0, 1.0, _SMOOTH_TURN * feet.size**2])
+    matrix[:, [0, 1, 2], [0, 1, 2]] += 2.0 * price + 1e-9
+    matrix[[0, -1]] -= np.diag(price)  # which have one neighbour
+    band = np.zeros((4, len(right), 3))  # the lower diagonals, frame by frame
+    for a in range(3):
         for b in range(a + 1):
             band[a - b, :, b] = matrix[:, a, b]
-    band[0] += price * neighbours[:, None] + 1e-9
-    band[k] = -price
-    solved = solveh_banded(band.reshape(k + 1, n * k), right.ravel(), lower=True)
-    return np.asarray(solved.reshape(n, k))
+    band[3] = -price
+    return np.asarray(solveh_banded(band.reshape(4, -1), right.ravel(), lower=True).reshape(right.shape))
 
 
-def _moved(clip: Clip, twist: Array, centre: Array) -> Clip:
-    """The clip in a frame that stays on the ground, from the twist (t, 3) of its own about `centre` (2,)."""
+def _moved(clip: Clip, twist: Array) -> Clip:
+    """The clip in a frame that stays on the ground, from the twist (t, 3) of its own about the trunk's mean place."""
+    from scipy.integrate import cumulative_trapezoid
 
-    def integral(rate: Array) -> Array:
-        steps = 0.5 * (rate[1:] + rate[:-1]) / clip.rate_hz
-        return np.concatenate([np.zeros((1, *rate.shape[1:])), np.cumsum(steps, axis=0)])
-
-    angle = integral(twist[:, 2])
-    place = centre + integral(rotate_planar(angle, twist[:, :2]))
+    centre, dt = _trunk(clip).mean(axis=0), 1.0 / clip.rate_hz
+    angle = cumulative_trapezoid(twist[:, 2], dx=dt, initial=0)
+    place = centre + cumulative_trapezoid(rotate_planar(angle, twist[:, :2]), dx=dt, axis=0, initial=0)
 
     def move(points: Array) -> Array:
         out = np.array(points)

@@ -71,8 +71,8 @@ Flag = Annotated[bool, option()]
 Several = UseAppendAction[tuple[tuple[str, ...], ...]]
 """Values of an option that may be given several times, with one or more values each."""
 Seconds = Annotated[float | None, option("S")]
-RobotChoice = Annotated[str | None, option("NAME|FILE.xml", f"{ROBOT_CHOICES}. Default: the motion's robot, else a1.")]
-RobotName = Annotated[str, option("NAME|FILE.xml", f"{ROBOT_CHOICES}.")]
+RobotChoice = Annotated[str | None, option("NAME|FILE", f"{ROBOT_CHOICES}. Default: the motion's robot, else a1.")]
+RobotName = Annotated[str, option("NAME|FILE", f"{ROBOT_CHOICES}.")]
 MethodName = Annotated[str, option("NAME", lambda: f"Method: {methods()}.")]
 ConfigName = Annotated[str, option("NAME|FILE", lambda: f"Controller parameters: {configs()}.")]
 FoundMethod = Annotated[

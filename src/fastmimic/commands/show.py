@@ -153,25 +153,24 @@ def unmet_bounds(motion: Motion) -> list[str]:
 def describe_robot(robot: Robot) -> list[str]:
     """A robot in words: what its legs, feet and joints are taken for, its limits and mass, and what was assumed."""
 
-    def joints(values: Iterable[object], unit: str) -> str:
-        return ", ".join(f"{name} {v}" for name, v in zip(JOINTS_PER_LEG, values, strict=False)) + f" {unit}"
+    def joints(values: Iterable[object]) -> str:
+        return ", ".join(f"{name} {v}" for name, v in zip(JOINTS_PER_LEG, values, strict=False))
 
     ranges = [f"{low:.2f}…{high:.2f}" for low, high in zip(robot.joint_lower, robot.joint_upper, strict=True)]
-    reach = [f"{leg} at ({x:+.3f}, {y:+.3f}) m" for leg, (x, y, _) in zip(LEGS, robot.hip_pos_b, strict=True)]
+    hips = [f"{leg} at ({x:+.3f}, {y:+.3f}) m" for leg, (x, y, _) in zip(LEGS, robot.hip_pos_b, strict=True)]
     bends = ["back" if sign < 0 else "forward" for sign in robot.knee_sign[[0, 2]]]
     model = robot.model()
     feet = [model.body(int(model.geom(name).bodyid[0])).name for name in robot.foot_geoms]
     turned = [name for name, sign in zip(robot.joint_names, robot.joint_sign, strict=True) if sign < 0]
     return [
-        f"robot      {robot.name}",
-        f"legs       {', '.join(reach)}; thigh {robot.thigh_length:.3f}, calf {robot.calf_length:.3f} m",
+        f"robot      {robot.name}, {robot.mass:.2f} kg, its trunk {robot.trunk_mass:.2f} kg",
+        f"legs       {', '.join(hips)}; thigh {robot.thigh_length:.3f}, calf {robot.calf_length:.3f} m",
         f"feet       {', '.join(feet)}: spheres of {1e3 * robot.foot_radius:.0f} mm",
         f"order      {', '.join(robot.joint_names)}",
-        f"ranges     {joints(ranges[:3], 'rad in front')}; {joints(ranges[6:9], 'behind')}",
-        f"torque     {joints([f'{v:g}' for v in robot.torque_limit], 'N·m')}",
-        f"speed      {joints([f'{v:g}' for v in robot.joint_speed_limit], 'rad/s')}",
-        f"mass       {robot.mass:.2f} kg, the trunk {robot.trunk_mass:.2f} kg",
+        f"ranges     {joints(ranges)} rad in front; {joints(ranges[6:])} behind",
+        f"torque     {joints(map('{:g}'.format, robot.torque_limit))} N·m",
+        f"speed      {joints(map('{:g}'.format, robot.joint_speed_limit))} rad/s",
         f"stands     {robot.home_height:.3f} m high, front knees point {bends[0]}, hind ones {bends[1]}",
-        *([f"turned     {', '.join(turned)}: about the opposite axis in the file"] if turned else []),
+        f"turned     {', '.join(turned) or 'no joint'}: about the opposite axis in the file",
         *(f"assumed    {sentence}" for sentence in robot.assumed),
     ]

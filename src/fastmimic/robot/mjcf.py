@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 DEFAULT_JOINT_SPEED_LIMIT: Final = 21.0  # rad/s, for a model without a `joint_speed_limit`; MJCF has no element for it
 
-HOME: Final = "home"
 SPEED_LIMIT: Final = "joint_speed_limit"
 """A custom numeric, rad/s: one for all joints, three for abduction, hip and knee, or twelve in the file's order."""
 
@@ -287,7 +286,7 @@ def _order(model: "mujoco.MjModel", legs: list[_Leg]) -> list[int]:
 def _home(model: "mujoco.MjModel") -> Array:
     """The keyframe `home`, or the only one; else the middle of the joints' ranges."""
     for key in range(model.nkey):
-        if model.key(key).name == HOME or model.nkey == 1:
+        if model.key(key).name == "home" or model.nkey == 1:
             return np.array(model.key_qpos[key])
     home = np.array(model.qpos0)
     limited = np.flatnonzero(model.jnt_limited)

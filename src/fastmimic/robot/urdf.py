@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fastmimic.base.errors import RobotError
-from fastmimic.robot.mjcf import HOME, SPEED_LIMIT, one_line, robot_from_spec
+from fastmimic.robot.mjcf import SPEED_LIMIT, one_line, robot_from_spec
 from fastmimic.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -42,9 +42,6 @@ def robot_from_urdf(path: Path) -> Robot:
 
     try:
         tree = ElementTree.fromstring(path.read_bytes())
-        speeds = {
-            j.get("name"): float(limit.get("velocity", 0)) for j in tree.iter("joint") for limit in j.iter("limit")
-        }
         notes = _prepare(tree, path)
         spec = mujoco.MjSpec.from_string(ElementTree.tostring(tree, encoding="unicode"))
         spec.modelfiledir = str(path.parent)
@@ -53,11 +50,13 @@ def robot_from_urdf(path: Path) -> Robot:
         for geom in spec.geoms:
             geom.density = 0.0  # a link without inertia has none, whatever its shape
         notes += _add_feet(spec)
+        limits = {joint.get("name"): limit for joint in tree.iter("joint") for limit in joint.iter("limit")}
+        speeds = {str(name): float(limit.get("velocity", 0)) for name, limit in limits.items()}
     except (ElementTree.ParseError, ValueError, OSError) as error:
         raise RobotError(f"not a readable URDF ({one_line(error)})") from None
-    hinges = [joint.name for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
-    if hinges and all(speeds.get(name, 0.0) > 0 for name in hinges):
-        spec.add_numeric(name=SPEED_LIMIT, data=[speeds[name] for name in hinges])
+    known = [speeds.get(joint.name, 0.0) for joint in _hinges(spec)]
+    if all(speed > 0 for speed in known):
+        spec.add_numeric(name=SPEED_LIMIT, data=known)
     return _standing(spec, path.stem, notes)
 
 
@@ -89,11 +88,10 @@ def _mesh_file(name: str, folder: Path) -> Path | None:
     if not name.lower().endswith(_MESHES):
         return None
     inside = Path(name.removeprefix("file://").removeprefix("package://"))
-    for up in (folder, *list(folder.resolve().parents)[:4]):
-        for tail in (inside, Path(*inside.parts[1:])):
-            if (up / tail).is_file():
-                return Path(os.path.relpath((up / tail).resolve(), folder.resolve()))
-    return None
+    above = [folder, *list(folder.resolve().parents)[:4]]
+    places = [up / tail for up in above for tail in (inside, Path(*inside.parts[1:]))]
+    found = next((place for place in places if place.is_file()), None)
+    return None if found is None else Path(os.path.relpath(found.resolve(), folder.resolve()))
 
 
 def _add_feet(spec: "mujoco.MjSpec") -> list[str]:
@@ -118,36 +116,32 @@ def _add_feet(spec: "mujoco.MjSpec") -> list[str]:
 
 
 def _standing(spec: "mujoco.MjSpec", name: str, notes: list[str]) -> Robot:
-    """The robot with a keyframe `home` in which its feet stand below its hips, and bent knees."""
+    """The robot with rotors, and a keyframe `home` in which its feet stand below its hips, with bent knees."""
     from dataclasses import replace
-
-    import mujoco
 
     from fastmimic.robot.kinematics import inverse_kinematics
 
     trial = spec.copy()
-    trial.add_key(name=HOME, qpos=_qpos(spec, {}, 0.3))
+    trial.add_key(name="home", qpos=[0, 0, 0.3, 1, 0, 0, 0, *(np.mean(joint.range) for joint in _hinges(spec))])
     robot = robot_from_spec(trial, name)
-    feet = robot.hip_pos_b + np.stack([0 * robot.lateral_offset, robot.lateral_offset, 0 * robot.lateral_offset], -1)
     height = _STANDS * robot.leg_length
+    feet = robot.hip_pos_b + np.outer(robot.lateral_offset, [0.0, 1.0, 0.0])
     feet[:, 2] = robot.hip_pos_b[:, 2].mean() - height
-    joints = inverse_kinematics(robot, feet[None])[0][0]
+    joints = np.clip(inverse_kinematics(robot, feet[None])[0][0], robot.joint_lower, robot.joint_upper)
+    bent = dict(zip(robot.joint_names, joints * robot.joint_sign, strict=True))
+    base = robot.foot_radius - feet[:, 2].mean()
+    spec.add_key(name="home", qpos=[0, 0, base, 1, 0, 0, 0, *(bent[joint.name] for joint in _hinges(spec))])
     rotors = _ROTORS * float(np.mean(robot.joint_inertia))
-    for joint in spec.joints:
-        if joint.type == mujoco.mjtJoint.mjJNT_HINGE:
-            joint.armature = rotors
-    joints = np.clip(joints, robot.joint_lower, robot.joint_upper) * robot.joint_sign
-    base = float(robot.foot_radius - feet[:, 2].mean())
-    spec.add_key(name=HOME, qpos=_qpos(spec, dict(zip(robot.joint_names, joints, strict=True)), base))
-    robot = robot_from_spec(spec, name)
+    for joint in _hinges(spec):
+        joint.armature = rotors
     notes.append(f"no standing pose in a URDF: hips {height:.2f} m above the feet")
     notes.append(f"no rotor inertia in a URDF: {rotors:.2g} kg·m² at each joint, the A1's share of its legs' inertia")
+    robot = robot_from_spec(spec, name)
     return replace(robot, assumed=(*notes, *robot.assumed))
 
 
-def _qpos(spec: "mujoco.MjSpec", joints: dict[str, float], height: float) -> list[float]:
-    """A pose in the file's order of joints; without an angle, the middle of the range."""
+def _hinges(spec: "mujoco.MjSpec") -> list["mujoco.MjsJoint"]:
+    """The joints but for the trunk's, in the file's order."""
     import mujoco
 
-    hinges = [joint for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
-    return [0, 0, height, 1, 0, 0, 0, *(joints.get(j.name, float(np.mean(j.range))) for j in hinges)]
+    return [joint for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]

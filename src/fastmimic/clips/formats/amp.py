@@ -3,12 +3,11 @@
 61 numbers are those of AMP_for_hardware (Escontrela et al. 2022): root position 3 and quaternion x, y, z, w; joints 12,
 feet from the root in its axes 12, velocities of root 3 + 3, joints 12 and feet 12. 49 numbers are these without the
 feet's velocities, or root, its velocities 3 + 3, joints 12, their velocities 12, and feet from the root in world axes.
-Files differ in the order of the legs, and name no robot. All of that follows from the feet: forward kinematics of the
-right robot, with the right order, gives those of the file.
+Files differ in the order of the legs, and name no robot: forward kinematics of the right ones gives the file's feet.
 """
 
-from dataclasses import dataclass
-from typing import Final
+from itertools import product
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -21,8 +20,7 @@ _ORDERS: Final = {"FR, FL, RR, RL": (0, 1, 2, 3), "FL, FR, RL, RR": (1, 0, 3, 2)
 _MOST_OFF_M: Final = 0.01  # RMS; an A1's feet are 0.02 off with the lengths of a Go1's or a Go2's legs
 
 
-@dataclass(frozen=True)
-class _Layout:
+class _Layout(NamedTuple):
     """First columns of joints and feet, and whether the feet are in world axes."""
 
     joints: int
@@ -34,41 +32,28 @@ LAYOUTS: Final = {61: (_Layout(7, 19),), 49: (_Layout(7, 19), _Layout(13, 37, wo
 """For each number of columns."""
 
 
-@dataclass(frozen=True, eq=False)
-class AmpPose:
-    """Whose the joints are, the joints (t, 12) in the common order, rad, and what was found, as a sentence."""
-
-    robot: Robot
-    joint_pos: Array
-    found: str
-
-
-def identify(frames: Array, quat_wxyz: Array, robot: Robot | None) -> AmpPose:
-    """Robot and order of `frames` (t, 49 or 61), whose trunk has the orientation `quat_wxyz` (t, 4); `robot` is tried
-    besides the built-in ones. Raises `ClipError` if the feet are those of none."""
+def identify(frames: Array, quat_wxyz: Array, robot: Robot | None) -> tuple[Robot, Array, str]:
+    """The robot of `frames` (t, 49 or 61), its joints (t, 12) in the common order, rad, and a sentence on what was
+    found. The trunk has the orientation `quat_wxyz` (t, 4); `robot` is tried besides the built-in ones. Raises
+    `ClipError` if the feet are those of none."""
     from fastmimic.robot.kinematics import foot_positions
 
     robots = [*([robot] if robot is not None else []), *(load_robot(name) for name in ROBOT_NAMES)]
-    best, least = None, np.inf
-    for layout in LAYOUTS[frames.shape[1]]:
-        for title, order in _ORDERS.items():
-            joints, feet = (_legs(frames, first, order) for first in (layout.joints, layout.feet))
-            joints = joints.reshape(-1, 12)
-            feet_b = quat_rotate_inverse(quat_wxyz[:, None], feet) if layout.world else feet
-            for own in robots:
-                off = float(np.sqrt(np.mean(np.sum((foot_positions(own, joints) - feet_b) ** 2, axis=-1))))
-                if off < least - 1e-9:
-                    best, least = AmpPose(own, joints, title), off
-    if best is None or least > _MOST_OFF_M:
+    found, least = None, np.inf
+    for layout, (title, order), own in product(LAYOUTS[frames.shape[1]], _ORDERS.items(), robots):
+        joints, feet = _legs(frames, layout.joints, order).reshape(-1, 12), _legs(frames, layout.feet, order)
+        feet_b = quat_rotate_inverse(quat_wxyz[:, None], feet) if layout.world else feet
+        off = float(np.sqrt(np.mean(np.sum((foot_positions(own, joints) - feet_b) ** 2, axis=-1))))
+        if off < least - 1e-9:
+            said = f"joints are the {own.name}'s, legs {title}: the feet in the file are {1e3 * off:.1f} mm off its"
+            found, least = (own, joints, said), off
+    if found is None or least > _MOST_OFF_M:
         tried = ", ".join(dict.fromkeys(own.name for own in robots))
         raise ClipError(
             f"the joints belong to none of {tried}: the feet in the file are {least:.2f} m off or more;"
             " read it with the robot that they belong to (--robot FILE)"
         )
-    found = (
-        f"joints are the {best.robot.name}'s, legs {best.found}: the feet in the file are {1e3 * least:.1f} mm off its"
-    )
-    return AmpPose(best.robot, best.joint_pos, found)
+    return found
 
 
 def _legs(frames: Array, first: int, order: tuple[int, ...]) -> Array:

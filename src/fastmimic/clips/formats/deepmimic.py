@@ -49,10 +49,14 @@ def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) ->
     rate = _rate(document) if fps is None else float(fps)
     check_rate(rate)
     quat_file = unit_wxyz_from_xyzw(frames[:, 3:7], lambda i: f"line {_frame_line(text, i)} (frame {i})")
-    with_feet = amp.identify(frames, quat_file, robot) if frames.shape[1] in amp.LAYOUTS else None
-    joints = frames[:, 7:] if with_feet is None else with_feet.joint_pos
+    of = document.get(_ROBOT_KEY)
+    own, joints = None if of is None else _named(of, robot), frames[:, 7:]
+    with_feet = frames.shape[1] in amp.LAYOUTS
+    if with_feet:
+        own, joints, found = amp.identify(frames, quat_file, own or robot)
+        assumed.append(found)
     gap = float(np.max(np.abs(joints[-1] - joints[0])))
-    if with_feet is not None and loop == "Wrap" and gap > _CLOSED_RAD:
+    if with_feet and loop == "Wrap" and gap > _CLOSED_RAD:
         loop = None
         assumed.append("whether the motion loops is found from the motion: it says so, but its ends differ")
     if loop == "Wrap":  # the last frame repeats the first
@@ -60,11 +64,6 @@ def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) ->
             assumed.append(f"the loop does not close exactly: joints of first and last frame differ by {gap:.2f} rad")
         frames, joints, quat_file = frames[:-1], joints[:-1], quat_file[:-1]
         check_frames(len(frames))
-    of = document.get(_ROBOT_KEY)
-    own = None if of is None else _named(of, robot)
-    if with_feet is not None:
-        own = with_feet.robot
-        assumed.append(with_feet.found)
     if own is not None:
         from fastmimic.robot.kinematics import foot_positions
 
