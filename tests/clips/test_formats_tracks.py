@@ -168,7 +168,7 @@ def test_a_truncated_file_is_refused(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     FILES[name][1](path, walk(1))
     data = path.read_bytes()
-    for share in (0.2, 0.5, 0.8, 0.95):
+    for share in (0.3, 0.9):
         path.write_bytes(data[: int(share * len(data))])
         with pytest.raises(ClipError, match=name):
             read_clip(path, ReadOptions(fps=RATE))

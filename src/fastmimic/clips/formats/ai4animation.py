@@ -16,14 +16,11 @@ _MEMBERS: Final = {"bone_names.npy", "positions.npy", "framerate.npy"}
 
 
 def read(data: bytes) -> Tracks:
-    """Reads such a file; raises `ClipError`: damaged, or of other shapes."""
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as file:
-            names = [str(name) for name in file["bone_names"]]
-            parents = [int(i) for i in file["parent_indices"]] if "parent_indices" in file else []
-            positions, rate = np.asarray(file["positions"], dtype=float), float(file["framerate"])
-    except (ValueError, TypeError, KeyError, EOFError, OSError, zipfile.BadZipFile) as error:
-        raise ClipError(f"a motion of AI4AnimationPy that is damaged ({error})") from None
+    """Reads such a file; raises `ClipError` for other shapes."""
+    with np.load(io.BytesIO(data), allow_pickle=False) as file:
+        names = [str(name) for name in file["bone_names"]]
+        parents = [int(i) for i in file["parent_indices"]] if "parent_indices" in file else []
+        positions, rate = np.asarray(file["positions"], dtype=float), float(file["framerate"])
     if positions.shape[1:] != (len(names), 3) or len(parents) not in (0, len(names)):
         raise ClipError(f"positions of shape {positions.shape} for {len(names)} bones; expected (frames, bones, 3)")
     return Tracks(names, positions, rate, parents=parents)

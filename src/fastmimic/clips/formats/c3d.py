@@ -1,7 +1,9 @@
 """C3D, the markers of motion capture (c3d.org): labels, unit and rate are in the file; a marker that was not seen has a
-negative residual. Read with ezc3d."""
+negative residual. ezc3d reads it, in a process of its own: damaged files make it crash or search for ever."""
 
 import struct
+import subprocess
+import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -14,41 +16,31 @@ from fastmimic.clips.formats.tracked_points import Tracks, library, tracks_forma
 
 _KEY: Final = 0x50  # second byte of every C3D
 _BLOCK: Final = 512
-_HEADER: Final = struct.Struct("<BBHHHHHfH")
+_SGI: Final = 86  # the processor with other byte order, in the first block of parameters
 _UNITS: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+_LONGEST_S: Final = 60.0  # of reading
 
 
 def read(data: bytes) -> Tracks:
     """Reads such a file. Raises `ClipError`: no ezc3d, damaged, or without markers."""
-    ezc3d = library("ezc3d")
-    _check_length(data)
+    library("ezc3d")
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "take.c3d"  # ezc3d reads from a path alone
-        path.write_bytes(data)
-        try:
-            file = ezc3d.c3d(str(path))
-        except (OSError, RuntimeError, ValueError, IndexError) as error:
-            raise ClipError(f"a C3D file that is damaged ({error})") from None
-    about, markers = file["parameters"]["POINT"], file["data"]
-    positions = markers["points"][:3].transpose(2, 1, 0)
-    if not positions.size:
-        raise ClipError("a C3D file without markers")
-    unseen = markers["meta_points"]["residuals"][0].T < 0
-    labels = [label for key in ("LABELS", "LABELS2") if key in about for label in about[key]["value"]]
-    names = [label.rpartition(":")[2].strip() for label in labels[: positions.shape[1]]]
-    unit = about["UNITS"]["value"][0].strip().lower() if about["UNITS"]["value"] else ""
-    rate = float(about["RATE"]["value"][0])
-    return Tracks(names, np.where(unseen[..., None], np.nan, positions), rate, unit_m=_UNITS.get(unit))
-
-
-def _check_length(data: bytes) -> None:
-    """Raises `ClipError` for a file without all of its frames, in some of which ezc3d 1.7 would search for ever."""
-    if len(data) >= _HEADER.size:
-        _, _, points, analog, first, last, _, scale, block = _HEADER.unpack_from(data)
-        size = 4 if scale < 0 else 2
-        if len(data) >= (block - 1) * _BLOCK + (last - first + 1) * (4 * points + analog) * size:
-            return
-    raise ClipError("a C3D file that ends too early: it may be truncated")
+        source, found = Path(folder) / "take.c3d", Path(folder) / "take.npz"
+        source.write_bytes(data)
+        script = Path(__file__).with_name("c3d_process.py")
+        command = [sys.executable, "-P", str(script), str(source), str(found)]
+        subprocess.run(command, check=True, capture_output=True, timeout=_LONGEST_S)
+        with np.load(found) as file:
+            points, residuals, labels = file["points"], file["residuals"], file["labels"]
+            unit, rate = str(file["unit"]), float(file["rate"])
+    n_markers, n_frames = points.shape[1:]
+    order = ">HH" if data[(data[0] - 1) * _BLOCK + 3] == _SGI else "<HH"
+    first, last = struct.unpack_from(order, data, 6)
+    if n_frames < last - first + 1:  # ezc3d reads as many as there are
+        raise ClipError(f"the file says that it has {last - first + 1} frames; it has {n_frames}: it may be truncated")
+    positions = np.where(residuals < 0, np.nan, points).transpose(2, 1, 0)
+    names = [str(label).rpartition(":")[2].strip() for label in labels[:n_markers]]
+    return Tracks(names, positions, rate, unit_m=_UNITS.get(unit.strip().lower()))
 
 
 def _detect(content: Content) -> bool:

@@ -61,10 +61,17 @@ def tracks_format(
     *,
     binary: bool = False,
 ) -> Format:
-    """The format of a file whose text (or bytes) `read` reads, with the options of all tracks."""
+    """The format of a file whose text (or bytes) `read` reads, with the options of all tracks. Whatever a library says
+    of damaged bytes becomes a `ClipError`."""
 
     def parse(content: str | bytes, **options: Any) -> Clip:
-        return read(content).clip(**options)
+        try:
+            tracks = read(content)
+        except ClipError:
+            raise
+        except Exception as error:  # noqa: BLE001 - libraries raise a dozen kinds
+            raise ClipError(f"a damaged file, or none of {about}: {str(error)[:200] or type(error).__name__}") from None
+        return tracks.clip(**options)
 
     return Format(name, about, suffixes, detect, parse, ("fps", "up", "point_map", "frames"), binary)
 
