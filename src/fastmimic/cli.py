@@ -50,7 +50,7 @@ VERBS: Final = {
     "deploy": Verb("deploy", "Deploy", "run a motion on a robot (stand up, run, sit down)"),
     "robot-sim": Verb("deploy", "RobotSim", "simulate a Go2 that speaks the real DDS protocol"),
     "motions": Verb("motion_files", "Motions", "list the named motions"),
-    "robots": Verb("motion_files", "Robots", "list the built-in robots"),
+    "robots": Verb("motion_files", "Robots", "list the built-in robots, or describe a file's"),
     "data": Verb("motion_files", "Data", "list or download the public recordings of a dog"),
 }
 

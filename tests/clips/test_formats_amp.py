@@ -1,6 +1,7 @@
 """Frames of 49 and 61 numbers, as AMP_for_hardware and its descendants write them, and go2_flip_TO's tables."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,13 @@ def test_a_closed_loop_loses_its_repeated_frame(tmp_path: Path) -> None:
     clip = read_clip(write(tmp_path / "loop.txt", rows))
     assert clip.is_cycle is True
     assert clip.n_frames == N - 1
+
+
+def test_joints_may_turn_about_the_axes_of_the_robots_own_file(tmp_path: Path) -> None:
+    robot = replace(load_robot("a1"), name="lite", joint_sign=np.tile([-1.0, -1.0, 1.0], 4))
+    rows = frames(robot, 61, ISAAC)
+    rows[:, 7:19] *= robot.joint_sign
+    check(read_clip(write(tmp_path / "lite.txt", rows), ReadOptions(robot=robot)), robot)
 
 
 def test_feet_of_another_robot_are_refused(tmp_path: Path) -> None:

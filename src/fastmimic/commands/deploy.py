@@ -289,7 +289,7 @@ class RobotSim:
     It is reachable on this computer only, unless another interface is named. Ctrl-C ends it.
     """
 
-    robot: Annotated[str, opt.option("NAME|FILE.xml")] = "go2"
+    robot: Annotated[str, opt.option("NAME|FILE")] = "go2"
     """go2, or your own robot's MJCF file for a body that uses the Go2's messages."""
     interface: Annotated[str, opt.option("NAME")] = "lo"
     """Network interface."""

@@ -171,7 +171,7 @@ class Identify:
     log: Annotated[Positional[Path], opt.option("LOG.npz")]
     """Log of a run of a few seconds."""
     robot: Annotated[
-        str | None, opt.option("NAME|FILE.xml", f"{ROBOT_CHOICES}, without payload. Default: the log's robot.")
+        str | None, opt.option("NAME|FILE", f"{ROBOT_CHOICES}, without payload. Default: the log's robot.")
     ] = None
     unloaded: Annotated[Path | None, opt.option("LOG.npz")] = None
     """Log of the same robot without payload; it cancels the gain errors of the sensors."""

@@ -55,7 +55,7 @@ class Build:
     'fastmimic motions'."""
     out: Annotated[Path, opt.option("LIBRARY")]
     """Folder of the library."""
-    robots: Annotated[tuple[str, ...], opt.option("NAME|FILE.xml ...", f"{ROBOT_CHOICES}.")] = (opt.DEFAULT_ROBOT,)
+    robots: Annotated[tuple[str, ...], opt.option("NAME|FILE ...", f"{ROBOT_CHOICES}.")] = (opt.DEFAULT_ROBOT,)
     seeds: int = 1
     """Searches for each motion and robot."""
     method: opt.MethodName = "mbc-dmp"

@@ -40,8 +40,9 @@ def identify(frames: Array, quat_wxyz: Array, robot: Robot | None) -> tuple[Robo
 
     robots = [*([robot] if robot is not None else []), *(load_robot(name) for name in ROBOT_NAMES)]
     found, least = None, np.inf
-    for layout, (title, order), own in product(LAYOUTS[frames.shape[1]], _ORDERS.items(), robots):
+    for layout, (title, order), own, turned in product(LAYOUTS[frames.shape[1]], _ORDERS.items(), robots, (0, 1)):
         joints, feet = _legs(frames, layout.joints, order).reshape(-1, 12), _legs(frames, layout.feet, order)
+        joints = joints * own.joint_sign**turned  # about the common axes, or those of the robot's file
         feet_b = quat_rotate_inverse(quat_wxyz[:, None], feet) if layout.world else feet
         off = float(np.sqrt(np.mean(np.sum((foot_positions(own, joints) - feet_b) ** 2, axis=-1))))
         if off < least - 1e-9:
