@@ -59,7 +59,8 @@ def with_travel(clip: Clip, travel: str = "auto") -> Clip:
         return clip
     if travel == "recover":
         clip = _on_the_spot(clip)
-    no_heading = bool(_heading(clip).std() < _NO_HEADING_RAD)
+    ahead = clip.point("neck") - clip.point("pelvis")
+    no_heading = bool(np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])).std() < _NO_HEADING_RAD)
     feet = _feet(clip, no_heading)
     twist = _twist(feet, clip.rate_hz)
     flow = _rms(np.einsum("tfia,ta->tfi", feet.rows, twist), feet.low)
@@ -74,11 +75,6 @@ def with_travel(clip: Clip, travel: str = "auto") -> Clip:
 
 def _rms(vectors: Array, weight: Array | None = None) -> float:
     return float(np.sqrt(np.average(np.sum(vectors**2, axis=-1), weights=weight)))
-
-
-def _heading(clip: Clip) -> Array:
-    ahead = clip.point("neck") - clip.point("pelvis")
-    return np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
 
 
 def _trunk(clip: Clip) -> Array:

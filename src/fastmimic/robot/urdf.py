@@ -18,7 +18,6 @@ from fastmimic.robot.robot import Robot
 if TYPE_CHECKING:
     import mujoco
 
-_PLACES: Final = ("*.urdf", "urdf/*.urdf", "robots/*.urdf", "xacro/*.urdf")
 _MESHES: Final = (".stl", ".obj")  # that MuJoCo reads
 _NO_MASS_KG: Final = 1e-4
 _STANDS: Final = 0.65  # height of the hips above the feet in `home`, share of the leg's length
@@ -28,7 +27,7 @@ _FOOT: Final = 0.1  # radius of an assumed foot, share of the calf's length
 
 def urdf_in(folder: Path) -> Path:
     """The one URDF of a vendor's folder; raises `RobotError` if there is none, or more than one."""
-    found = [path for place in _PLACES for path in sorted(folder.glob(place))]
+    found = sorted(folder.rglob("*.urdf"))
     if len(found) != 1:
         names = ", ".join(str(path.relative_to(folder)) for path in found)
         raise RobotError(f"{folder}: expected one URDF in this folder, found {names or 'none'}; give the file")

@@ -49,16 +49,13 @@ def read_clip(path: str | Path, options: ReadOptions | None = None) -> Clip:
         clip = replace(clip, meta={"licence": None, "assumed": []} | meta | clip.meta)
         clip = with_travel(clip, options.travel or "auto")
         clip = clip if options.scale is None else with_scale(clip, options.scale)
-        return clip if options.frames is None else _cut(clip, *options.frames)
+        if options.frames is None:
+            return clip
+        start = clip.meta.get("frames", [0])[0]  # a clip may be a part of its file
+        cut = clip.cut(options.frames[0] - start, options.frames[1] - start)
+        return replace(cut, meta=cut.meta | {"frames": list(options.frames)})
     except ClipError as error:
         raise ClipError(f"{path}: {error}") from None
-
-
-def _cut(clip: Clip, first: int, end: int) -> Clip:
-    """Frames [first, end) of the file; the clip may be a part of it."""
-    start = clip.meta.get("frames", [0])[0]
-    cut = clip.cut(first - start, end - start)
-    return replace(cut, meta=cut.meta | {"frames": [first, end]})
 
 
 def with_scale(clip: Clip, scale: float) -> Clip:

@@ -7,7 +7,7 @@ Files differ in the order of the legs, and name no robot: forward kinematics of 
 """
 
 from itertools import product
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -20,16 +20,8 @@ _ORDERS: Final = {"FR, FL, RR, RL": (0, 1, 2, 3), "FL, FR, RL, RR": (1, 0, 3, 2)
 _MOST_OFF_M: Final = 0.01  # RMS; an A1's feet are 0.02 off with the lengths of a Go1's or a Go2's legs
 
 
-class _Layout(NamedTuple):
-    """First columns of joints and feet, and whether the feet are in world axes."""
-
-    joints: int
-    feet: int
-    world: bool = False
-
-
-LAYOUTS: Final = {61: (_Layout(7, 19),), 49: (_Layout(7, 19), _Layout(13, 37, world=True))}
-"""For each number of columns."""
+LAYOUTS: Final = {61: ((7, 19, False),), 49: ((7, 19, False), (13, 37, True))}
+"""For each number of columns: the first of the joints and of the feet, and whether the feet are in world axes."""
 
 
 def identify(frames: Array, quat_wxyz: Array, robot: Robot | None) -> tuple[Robot, Array, str]:
@@ -40,10 +32,10 @@ def identify(frames: Array, quat_wxyz: Array, robot: Robot | None) -> tuple[Robo
 
     robots = [*([robot] if robot is not None else []), *(load_robot(name) for name in ROBOT_NAMES)]
     found, least = None, np.inf
-    for layout, (title, order), own, turned in product(LAYOUTS[frames.shape[1]], _ORDERS.items(), robots, (0, 1)):
-        joints, feet = _legs(frames, layout.joints, order).reshape(-1, 12), _legs(frames, layout.feet, order)
+    for columns, (title, order), own, turned in product(LAYOUTS[frames.shape[1]], _ORDERS.items(), robots, (0, 1)):
+        joints, feet = _legs(frames, columns[0], order).reshape(-1, 12), _legs(frames, columns[1], order)
         joints = joints * own.joint_sign**turned  # about the common axes, or those of the robot's file
-        feet_b = quat_rotate_inverse(quat_wxyz[:, None], feet) if layout.world else feet
+        feet_b = quat_rotate_inverse(quat_wxyz[:, None], feet) if columns[2] else feet
         off = float(np.sqrt(np.mean(np.sum((foot_positions(own, joints) - feet_b) ** 2, axis=-1))))
         if off < least - 1e-9:
             said = f"joints are the {own.name}'s, legs {title}: the feet in the file are {1e3 * off:.1f} mm off its"
