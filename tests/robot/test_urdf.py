@@ -159,8 +159,9 @@ def test_a_folder_with_two_robots_is_asked_about(folder: Path) -> None:
     (folder / "urdf" / "cat.urdf").write_text(urdf())
     with pytest.raises(RobotError, match=r"found urdf/cat.urdf, urdf/dog.urdf; give the file"):
         load_robot(folder)
+    (folder / "meshes").mkdir()
     with pytest.raises(RobotError, match="found none"):
-        load_robot(folder.parent)
+        load_robot(folder / "meshes")
 
 
 def test_the_command_says_what_a_file_is_taken_for(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
