@@ -171,6 +171,6 @@ def describe_robot(robot: Robot) -> list[str]:
         f"torque     {joints(map('{:g}'.format, robot.torque_limit))} N·m",
         f"speed      {joints(map('{:g}'.format, robot.joint_speed_limit))} rad/s",
         f"stands     {robot.home_height:.3f} m high, front knees point {bends[0]}, hind ones {bends[1]}",
-        f"turned     {', '.join(turned) or 'no joint'}: about the opposite axis in the file",
+        f"turned     {', '.join(turned) or 'none'} (joints about the opposite axis in the file)",
         *(f"assumed    {sentence}" for sentence in robot.assumed),
     ]
