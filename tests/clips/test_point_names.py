@@ -123,6 +123,19 @@ def test_a_camera_that_looks_down_is_levelled() -> None:
     np.testing.assert_array_equal(level.to_world(points), points)
 
 
+def test_recorded_dogs_are_levelled_within_two_degrees(data_folder: Path) -> None:
+    from scipy.spatial.transform import Rotation
+
+    turned = Rotation.from_euler("xy", [20, -25], degrees=True).as_matrix()
+    for path in sorted((data_folder / "dog_keypoints").glob("dog_*.txt")):
+        clip = read_clip(path)
+        level = find_axes(clip.points_w, clip.rate_hz, "z", None, is_level=False)
+        assert level.tilt is None, path.name
+        tilt = find_axes(clip.points_w @ turned.T, clip.rate_hz, "z", None, is_level=False).tilt
+        assert tilt is not None
+        assert np.degrees(np.arccos((tilt @ turned)[2, 2])) < 2, path.name
+
+
 def test_pixels_are_refused() -> None:
     with pytest.raises(ClipError, match="pixels have no unit of length"):
         find_axes(1e4 * walk(1), RATE, None, None, is_level=True)

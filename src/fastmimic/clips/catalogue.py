@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.clips.clip import Clip
@@ -137,6 +137,16 @@ def open_clip(
         _refuse(name, f"only the built-in gaits can be varied ({', '.join(GAITS)})", gait_options)
         clip = _recorded(name, options, folder) if name in RECORDED else _file(name_or_path, options)
     return clip if cycle is None else replace(clip, is_cycle=cycle)
+
+
+def open_parts(name_or_path: str | Path, **options: Any) -> list[tuple[int, Clip]]:
+    """Opens all parts of a take that long gaps split, each with its first frame in the file; of other clips, and of
+    given frames, the whole. Options and errors as `open_clip`."""
+    clip = open_clip(name_or_path, **options)
+    parts = clip.meta.get("parts")
+    if parts is None or options.get("frames") is not None:
+        return [(0, clip)]
+    return [(first, open_clip(name_or_path, **options, frames=(first, end))) for first, end in parts]
 
 
 def check_name(name: str) -> None:

@@ -3,7 +3,7 @@ The cheapest path through a measure of repetition gives the period over time. Ne
 speed, turning and footfall form a segment; `footfall_of` names its gait."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Final
@@ -158,6 +158,11 @@ class Segment:
     confidence: float
     speed_m_per_s: float
     yaw_rate_rad_per_s: float
+
+    def later(self, frames: int) -> "Segment":
+        """The segment in a take that begins so many frames earlier."""
+        cycle = None if self.cycle is None else (self.cycle[0] + frames, self.cycle[1] + frames)
+        return replace(self, start=self.start + frames, end=self.end + frames, cycle=cycle)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from tyro.conf import Positional
 
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.errors import ConfigError, MotionError, did_you_mean, unknown
-from fastmimic.clips.catalogue import describe, open_clip
+from fastmimic.clips.catalogue import describe, open_parts
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, data_folder, fetch, list_datasets
 from fastmimic.clips.formats import FORMATS
@@ -274,12 +274,12 @@ class SegmentTake:
         from fastmimic.clips.segment import DISCRETE, find_segments
 
         figure = None if self.figure is None else opt.check_writable(self.figure, *FIGURES)
-        clip = open_clip(self.take, **self.file.overrides())
-        segments = find_segments(clip)
+        parts = open_parts(self.take, **self.file.overrides())
+        rate_hz, segments = parts[0][1].rate_hz, [s.later(first) for first, clip in parts for s in find_segments(clip)]
         if self.json:
             put_json({"segments": [asdict(segment) for segment in segments]})
         else:
-            put_table([_SEGMENT, *(_segment_row(segment, clip.rate_hz) for segment in segments)])
+            put_table([_SEGMENT, *(_segment_row(segment, rate_hz) for segment in segments)])
             periodic = [segment for segment in segments if segment.cycle is not None]
             if periodic:
                 first, end = max(periodic, key=lambda s: s.confidence).cycle or (0, 0)
@@ -294,7 +294,9 @@ class SegmentTake:
             from fastmimic.render.figure_style import save
             from fastmimic.report.inspection import segments_figure
 
-            save(segments_figure(clip, segments, Path(self.take).stem), figure)
+            first, clip = max(parts, key=lambda part: part[1].n_frames)
+            own = [s.later(-first) for s in segments if first <= s.start < first + clip.n_frames]
+            save(segments_figure(clip, own, Path(self.take).stem), figure)
             if not self.json:
                 put(f"figure in {figure}")
         return 0

@@ -13,7 +13,7 @@ from fastmimic import __version__
 from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ClipError, FastMimicError
 from fastmimic.base.files import write_text
-from fastmimic.clips.catalogue import open_clip
+from fastmimic.clips.catalogue import open_clip, open_parts
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import detect_format
 from fastmimic.clips.segment import DISCRETE, Segment, SegmentConfig, as_one_cycle, find_segments
@@ -61,12 +61,9 @@ class Excerpt:
 
     def open(self) -> Clip | Motion:
         """The clip or motion; raises `FastMimicError` if it cannot be read or has changed since the survey."""
-        whole = _open(self.source)
-        if isinstance(whole, Motion):
-            piece: Clip | Motion = whole
-        else:
-            cut = whole if self.frames is None or self.source.frames is not None else whole.cut(*self.frames)
-            piece = replace(cut, is_cycle=self.repeats, meta={**cut.meta, "name": self.name})
+        piece = _open(self.source, self.frames)
+        if not isinstance(piece, Motion):
+            piece = replace(piece, is_cycle=self.repeats, meta={**piece.meta, "name": self.name})
         if digest_of(piece) != self.digest:
             raise ClipError(f"{self.source}: has changed since it was looked through; build again")
         return piece
@@ -100,7 +97,10 @@ def survey(source: DatasetSource, confidence: float, discrete: bool = False) -> 
             segment = replace(as_one_cycle(opened), gait=WHOLE, confidence=1.0)
             found = Survey(source, (_piece(source, opened, source.frames, segment, repeats=is_one_cycle(opened)),))
         else:
-            found = _of_take(source, opened, confidence, discrete)
+            parts = open_parts(source.place, **source.overrides)
+            surveys = [_of_take(source, first, take, confidence, discrete) for first, take in parts]
+            pieces = tuple(piece for part in surveys for piece in part.pieces)
+            found = Survey(source, pieces) if pieces else surveys[0]
         return replace(found, looked=looked)
     except Exception as error:  # noqa: BLE001 - one source's defect, of which there may be a thousand others
         return Survey(source, failed=reason_of(error))
@@ -130,14 +130,15 @@ def reason_of(error: Exception) -> str:
     return " ".join(said.split())
 
 
-def _open(source: DatasetSource) -> Clip | Motion:
+def _open(source: DatasetSource, frames: tuple[int, int] | None = None) -> Clip | Motion:
+    """The source, or `frames` of it if it is a clip."""
     if Path(source.place).is_file() and detect_format(source.place) == "npz":
         if source.overrides or source.frames is not None:
             raise ClipError(
                 f"{source.place}: is already a robot motion; frames, fps, up, scale and point map are of clips"
             )
         return Motion.load(source.place)
-    return open_clip(source.place, frames=source.frames, **source.overrides)
+    return open_clip(source.place, frames=source.frames or frames, **source.overrides)
 
 
 def _of_motion(source: DatasetSource, motion: Motion) -> Excerpt:
@@ -159,24 +160,26 @@ def _of_motion(source: DatasetSource, motion: Motion) -> Excerpt:
     )
 
 
-def _of_take(source: DatasetSource, take: Clip, confidence: float, discrete: bool) -> Survey:
-    """Excerpts of a take; the whole of a short clip that is one cycle by its description or its ends."""
+def _of_take(source: DatasetSource, first: int, take: Clip, confidence: float, discrete: bool) -> Survey:
+    """Excerpts of a take, or of the part of one that begins at frame `first`; the whole of a short clip that is one
+    cycle by its description or its ends."""
+
+    def excerpt(frames: tuple[int, int], segment: Segment, repeats: bool) -> Excerpt:
+        start, end = frames
+        return _piece(source, take.cut(start, end), (first + start, first + end), segment, repeats=repeats)
+
     segments = find_segments(take)
     cycles = [(segment, segment.cycle) for segment in segments if segment.cycle is not None]
-    found = [
-        _piece(source, take.cut(*frames), frames, segment, repeats=True)
-        for segment, frames in cycles
-        if segment.confidence >= confidence
-    ]
+    found = [excerpt(frames, segment, True) for segment, frames in cycles if segment.confidence >= confidence]
     short = take.n_frames <= SegmentConfig().longest_s * take.rate_hz
     if not found and short and is_one_cycle(take):
         segment = replace(as_one_cycle(take), confidence=1.0)
-        found.append(_piece(source, take, (0, take.n_frames), segment, repeats=True))
+        found.append(excerpt((0, take.n_frames), segment, True))
     elif discrete:
         for segment in segments:
             frames = (segment.start, segment.end)
             if segment.gait == DISCRETE and segment.end - segment.start <= MAX_S * take.rate_hz:
-                found.append(_piece(source, take.cut(*frames), frames, segment, repeats=False))
+                found.append(excerpt(frames, segment, False))
     if found:
         return Survey(source, tuple(found))
     doubtful = f"{len(cycles)} cycles, none with a confidence of {confidence:g}"
@@ -184,7 +187,7 @@ def _of_take(source: DatasetSource, take: Clip, confidence: float, discrete: boo
 
 
 def _piece(source: DatasetSource, cut: Clip, frames: tuple[int, int], segment: Segment, *, repeats: bool) -> Excerpt:
-    whole = frames == (0, cut.n_frames) and source.frames is None
+    whole = frames == (0, cut.n_frames) and source.frames is None and "parts" not in cut.meta
     name = source.name if whole else f"{source.name}-{frames[0]}-{frames[1]}"
     return Excerpt(
         name=name,

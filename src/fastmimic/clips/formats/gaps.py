@@ -13,11 +13,11 @@ from fastmimic.clips.clip import KEYPOINTS, POINT_NAMES, not_in_clip
 
 LONGEST_S: Final = 0.2  # of a gap that is filled
 LEAST_CONFIDENCE: Final = 0.6  # below, DeepLabCut does not draw a point either (`pcutoff`)
-SHORTEST_PART_S: Final = 0.5  # two of the shortest cycles that `fastmimic.clips.segment` finds
+SHORTEST_PART_S: Final = 0.6  # room for two of the shortest cycles that `fastmimic.clips.segment` finds
 
-_AROUND_S: Final = 0.04  # on both sides of a frame, for a limb's usual length there
-_JUMP: Final = 0.2  # largest difference from it, as a share of a leg's length; 0.14 in a running dog at 30 Hz
-_STRETCH: Final = 0.3  # largest excess over the limb's length in the take, likewise; 0.11 in a dog that turns
+_AROUND_S: Final = 0.04  # on both sides of a frame, for a point's usual place there
+_JUMP: Final = 0.2  # largest distance from it, as a share of a leg's length; 0.14 in a dog that turns, at 30 Hz
+_STRETCH: Final = 0.3  # largest excess over a limb's length in the take, likewise; 0.11 in that dog
 _STRAIGHT: Final = 90  # percentile of a limb's length in the take; a sitting dog's median is a folded leg
 
 Part = tuple[int, int]
@@ -33,7 +33,7 @@ class Mended(NamedTuple):
 
 def mend(points: Array, rate_hz: float, confidence: Array | None = None) -> Mended:
     """Fills the short gaps of the ten points (t, 10, 3), in any unit; a gap is NaN, `confidence` (t, 10) below 0.6, or
-    a point from which the limbs have an impossible length. Raises `ClipError`: no part is whole."""
+    a point of `outliers`. Raises `ClipError`: no part is whole."""
     missing = ~np.isfinite(points).all(axis=2)
     doubtful = np.zeros_like(missing) if confidence is None else ~missing & ~(confidence >= LEAST_CONFIDENCE)
     _check_present(missing | doubtful)
@@ -52,7 +52,7 @@ def mend(points: Array, rate_hz: float, confidence: Array | None = None) -> Mend
     causes = {
         "missing": missing & filled,
         f"with a confidence below {LEAST_CONFIDENCE:g}": doubtful & filled,
-        "out of its limbs' reach": astray & filled,
+        "astray": astray & filled,
     }
     said = ", ".join(f"{int(which.sum())} {cause}" for cause, which in causes.items() if which.any())
     notes = [f"gaps of up to {LONGEST_S:g} s are filled: {_counts(filled)} ({said})"] if filled.any() else []
@@ -82,25 +82,32 @@ def part_for(parts: Sequence[Part], frames: Part | None, n_frames: int) -> tuple
 
 
 def outliers(points: Array, rate_hz: float) -> NDArray[np.bool_]:
-    """Which of the ten points (t, 10, 3) are where their limbs cannot reach, (t, 10): a limb differs from its median
-    length around that frame, or is longer than nearly always. The fault is that of the end with most wrong limbs."""
+    """Which of the ten points (t, 10, 3) are where they cannot be, (t, 10): far from the median of their path around
+    that frame, or where a limb is longer than nearly always; that is the fault of its end with most wrong limbs."""
     from scipy.ndimage import median_filter
 
     ends = np.array(KEYPOINTS.bones)
     lengths = np.linalg.norm(points[:, ends[:, 0]] - points[:, ends[:, 1]], axis=2)
-    known = np.isfinite(lengths)
-    if not known.any(axis=0).all():
+    if np.isnan(lengths).all(axis=0).any():
         return np.zeros(points.shape[:2], dtype=bool)
     typical = np.nanpercentile(lengths, _STRAIGHT, axis=0)
     leg = float(np.median(typical[-4:]))
-    t = np.arange(len(lengths))
-    joined = np.stack([np.interp(t, t[on], x[on]) for on, x in zip(known.T, lengths.T, strict=True)], axis=1)
-    usual = median_filter(joined, (2 * max(2, round(_AROUND_S * rate_hz)) + 1, 1), mode="nearest")
-    wrong = known & ((np.abs(joined - usual) > _JUMP * leg) | (joined - typical > _STRETCH * leg))
-    found = np.zeros(points.shape[:2], dtype=bool)
+    paths = _bridged(points)
+    usual = median_filter(paths, (2 * max(2, round(_AROUND_S * rate_hz)) + 1, 1, 1), mode="nearest")
+    found = np.linalg.norm(paths - usual, axis=2) > _JUMP * leg
+    whole = np.linalg.norm(np.diff(np.where(found[..., None], usual, paths)[:, ends], axis=2)[:, :, 0], axis=2)
+    wrong = whole - typical > _STRETCH * leg
     for frame in np.flatnonzero(wrong.any(axis=1)):
-        found[frame] = _at_fault(wrong[frame], ends)
-    return found
+        found[frame] |= _at_fault(wrong[frame], ends)
+    return np.asarray(found & np.isfinite(points).all(axis=2))
+
+
+def _bridged(points: Array) -> Array:
+    """The points (t, k, 3) with straight lines where they are NaN."""
+    t, columns = np.arange(len(points)), points.reshape(len(points), -1).T
+    known = np.isfinite(columns)
+    lines = [np.interp(t, t[on], x[on]) for on, x in zip(known, columns, strict=True)]
+    return np.stack(lines, axis=1).reshape(points.shape)
 
 
 def _at_fault(wrong: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.bool_]:

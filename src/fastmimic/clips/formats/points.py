@@ -112,7 +112,7 @@ def clip_of(
         height = float(np.mean(points[:, 2:6, 2] - points[:, 6:10, 2]))
     notes.append(f"coordinates are in {axes.unit}: hips {height:.2f} m above the toes on average")
     meta: dict[str, Any] = {"assumed": notes + left_out}
-    if left_out or frames is not None:
+    if mended.parts != [(0, len(body))]:
         meta |= {"frames": [first, end], "parts": [list(part) for part in mended.parts]}
     clip = Clip(points_w=points, rate_hz=rate_hz, leg_length_m=legs, meta=meta)
     if skeleton is None:
