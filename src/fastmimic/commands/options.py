@@ -117,7 +117,7 @@ class ClipFileOptions:
     up: Annotated[str | None, option("y|z")] = None
     """Vertical axis of the clip. Default: detected from the points."""
     point_map: Annotated[Path | None, option("FILE.json")] = None
-    """Names of the neck, pelvis, hips and toes among a BVH's joints or a table's points."""
+    """Names of the neck, pelvis, hips and toes among the file's points or joints. Default: guessed."""
     travel: Annotated[str | None, option("auto|recover|as-is")] = None
     """The way of the trunk, from the standing feet: if it is missing, as on a treadmill (auto), always, or never.
     Default: auto."""

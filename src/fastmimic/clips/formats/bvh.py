@@ -10,16 +10,11 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
-from fastmimic.clips.clip import Clip, Skeleton
-from fastmimic.clips.formats.format import Format
-from fastmimic.clips.formats.gaps import Part
-from fastmimic.clips.formats.point_names import PointMap
-from fastmimic.clips.formats.points import choose, clip_of
 from fastmimic.clips.formats.text_table import Row, is_number, to_array
+from fastmimic.clips.formats.tracked_points import Tracks, tracks_format
 
 KEYWORD: Final = "HIERARCHY"
 _CHANNELS: Final = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
-_RADIUS: Final = 0.02  # m, of drawn bones
 _DEEPEST: Final = 500
 
 
@@ -34,17 +29,8 @@ class _Joint:
     first: int = 0
 
 
-def parse(
-    text: str,
-    *,
-    fps: float | None = None,
-    up: str | None = None,
-    point_map: PointMap | None = None,
-    frames: Part | None = None,
-) -> Clip:
-    """Reads the text of a BVH file; without `point_map` the ten points are those of AI4Animation's dog. Options as in
-    `ReadOptions`; without `up`, the axis along which the hips are above the toes. Raises `ClipError`: malformed (says
-    which line), no such joints, or not an upright, right-handed animal."""
+def read(text: str) -> Tracks:
+    """Reads the text of a BVH file; raises `ClipError`: malformed (says which line), or truncated."""
     lines = _lines(text)
     joints = _hierarchy(lines)
     declared, frame_s = _rate(lines)
@@ -53,12 +39,8 @@ def parse(
     values = to_array(rows, columns, lambda column: _column_name(joints, column), "a BVH's channels")
     if declared != len(values):
         raise ClipError(f"the file says that it has {declared} frames; it has {len(values)}: it may be truncated")
-    chosen, assumed = choose([joint.name for joint in joints], point_map)
-    hz = 1.0 / frame_s if fps is None else float(fps)
-    bones = tuple((joint.parent, i) for i, joint in enumerate(joints) if joint.parent >= 0)
-    skeleton = Skeleton(len(joints), bones, (_RADIUS,) * len(bones))
-    positions = _positions(joints, values)
-    return clip_of(positions, chosen, hz, up=up, assumed=assumed, skeleton=skeleton, frames=frames)
+    parents = [joint.parent for joint in joints]
+    return Tracks([joint.name for joint in joints], _positions(joints, values), 1.0 / frame_s, parents=parents)
 
 
 def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
@@ -160,11 +142,6 @@ def _positions(joints: list[_Joint], values: Array) -> Array:
     return positions
 
 
-FORMAT: Final = Format(
-    name="bvh",
-    about="BVH, a hierarchy of joints",
-    suffixes=(".bvh",),
-    detect=lambda content: content.start.startswith(KEYWORD),
-    parse=parse,
-    takes=("fps", "up", "point_map", "frames"),
+FORMAT: Final = tracks_format(
+    "bvh", "BVH, a hierarchy of joints", (".bvh",), lambda content: content.start.startswith(KEYWORD), read
 )

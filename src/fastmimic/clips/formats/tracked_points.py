@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from fastmimic.clips.clip import Clip, Skeleton
 from fastmimic.clips.formats.format import Content, Format
 from fastmimic.clips.formats.points import choose, clip_of
 
-_RADIUS = 0.02  # m, of drawn bones
+_RADIUS: Final = 0.02  # m, of drawn bones
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +65,8 @@ def tracks_format(
     of damaged bytes becomes a `ClipError`."""
 
     def parse(content: str | bytes, **options: Any) -> Clip:
+        if not binary:
+            return read(content).clip(**options)
         try:
             tracks = read(content)
         except ClipError:
