@@ -76,7 +76,7 @@ ARGUMENTS = {
     "frames that are none": (["trot", "--frames", "3-4"], "--frames takes FIRST:END"),
     "empty frames": (["trot", "--frames", "5:5"], "frames 5:5"),
     "rate of a built-in gait": (["trot", "--fps", "60"], "cannot be set for 'trot'"),
-    "axis": (["{clip}", "--up", "x"], "must be 'y' or 'z', found 'x'"),
+    "axis": (["{clip}", "--up", "w"], "must be one of y, z, x, -y, -z, -x, found 'w'"),
     "rate": (["{clip}", "--fps", "nan"], "nan"),
     "scale": (["trot", "--scale", "-1"], "scale"),
     "speed": (["trot", "--speed", "99"], "speed must be between"),

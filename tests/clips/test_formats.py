@@ -130,8 +130,8 @@ def test_a_scale_that_is_not_positive_is_refused(file, scale: float):
 
 
 def test_an_unknown_axis_is_refused(file):
-    with pytest.raises(ClipError, match="must be 'y' or 'z', found 'x'"):
-        read_clip(file(keypoint_text()), ReadOptions(up="x"))
+    with pytest.raises(ClipError, match="must be one of y, z, x, -y, -z, -x, found 'w'"):
+        read_clip(file(keypoint_text()), ReadOptions(up="w"))
 
 
 @pytest.mark.parametrize("frames", [(0, 13), (-1, 5), (5, 5), (7, 3), (20, 30)])

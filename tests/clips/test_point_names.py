@@ -139,3 +139,12 @@ def test_recorded_dogs_are_levelled_within_two_degrees(data_folder: Path) -> Non
 def test_pixels_are_refused() -> None:
     with pytest.raises(ClipError, match="pixels have no unit of length"):
         find_axes(1e4 * walk(1), RATE, None, None, is_level=True)
+
+
+def test_the_vertical_axis_can_be_given_with_its_sign(tmp_path: Path) -> None:
+    path = named(tmp_path / "dog.csv", SETS["horse"].split(","))
+    for up, words in (("-z", "the hips do not lie above the toes along -z"), ("x", "along x")):
+        with pytest.raises(ClipError, match=words):
+            read_clip(path, ReadOptions(up=up))
+    clip = read_clip(path, ReadOptions(up="z"))
+    assert not any("is up" in said for said in clip.meta["assumed"])

@@ -114,8 +114,8 @@ class ClipFileOptions:
 
     fps: Annotated[float | None, option("HZ")] = None
     """Frame rate of the clip. Default: the rate in the file, or the usual one of its format."""
-    up: Annotated[str | None, option("y|z")] = None
-    """Vertical axis of the clip. Default: detected from the points."""
+    up: Annotated[str | None, option("x|y|z|-x|-y|-z")] = None
+    """Vertical axis of the clip, e.g. --up z or --up=-y. Default: detected from the points."""
     point_map: Annotated[Path | None, option("FILE.json")] = None
     """Names of the neck, pelvis, hips and toes among the file's points or joints. Default: guessed."""
     travel: Annotated[str | None, option("auto|recover|as-is")] = None

@@ -9,6 +9,7 @@ from typing import Any
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import ai4animation, bvh, c3d, csv_motion, deepmimic, glb, keypoints, pose_hdf5, pose_table
+from fastmimic.clips.formats.axes import UP_AXES
 from fastmimic.clips.formats.format import FORMATS, ROBOT_MOTION, Content, Format, ReadOptions, format_of, suffixes
 from fastmimic.clips.formats.points import read_point_map
 from fastmimic.clips.formats.text_table import check_positive, check_rate
@@ -36,8 +37,8 @@ def read_clip(path: str | Path, options: ReadOptions | None = None) -> Clip:
     FastMimic `.npz`. Raises `ClipError` for an unreadable file, or an option that does not apply to its format."""
     options = options if options is not None else ReadOptions()
     try:
-        if options.up not in (None, "y", "z"):
-            raise ClipError(f"the vertical axis must be 'y' or 'z', found '{options.up}'")
+        if options.up is not None and options.up not in UP_AXES:
+            raise ClipError(f"the vertical axis must be one of {', '.join(UP_AXES)}, found '{options.up}'")
         if options.fps is not None:
             check_rate(options.fps)
         if isinstance(options.point_map, str | Path):

@@ -19,6 +19,7 @@ _TO_Z_UP: Final[Mapping[str, tuple[tuple[int, int, int], tuple[int, int, int]]]]
     "-x": ((1, 2, 0), (1, -1, -1)),
 }
 """Columns and signs that make an axis of the file the vertical one, without a reflection."""
+UP_AXES: Final = tuple(_TO_Z_UP)
 _MIN_UPRIGHT: Final = 0.5  # least vertical share of the mean toe → hip vector; 0.95 in takes in which the dog also sits
 _UNITS: Final = ((3000.0, 0.0, "pixels"), (300.0, 1e-3, "millimetres"), (3.0, 1e-2, "centimetres"))
 """Units other than metres, with the least distance from toes to hips in the file's numbers (no leg is 3 m)."""

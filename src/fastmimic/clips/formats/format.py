@@ -93,7 +93,7 @@ class ReadOptions:
 
     Attributes:
         robot: the robot of a file of joint angles.
-        up: the vertical axis, "y" or "z".
+        up: the vertical axis: "x", "y" or "z", or with its sign "-x", "-y" or "-z".
         scale: factor from the size in the file to the robot's.
         frames: (first, end) 0-based, end exclusive.
         point_map: the file's point for each of the ten of `POINT_NAMES`, or a JSON file of them.
@@ -134,9 +134,9 @@ class Format:
         """The clip of a file's content; raises `ClipError` for an option that does not apply."""
         if options.point_map is not None and "point_map" not in self.takes:
             raise ClipError(f"a point map does not apply to {self.about}; leave it out")
-        if options.up == "y" and "up" not in self.takes:
+        if options.up not in (None, "z") and "up" not in self.takes:
             raise ClipError(
-                f"y up does not apply to {self.about}: its trunk orientation is defined with z up;"
+                f"{options.up} up does not apply to {self.about}: its trunk orientation is defined with z up;"
                 " convert the file, or leave the vertical axis out"
             )
         given: dict[str, Any] = {name: getattr(options, name) for name in self.takes}

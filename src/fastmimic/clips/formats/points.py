@@ -89,10 +89,10 @@ def clip_of(
     is_level: bool = True,
 ) -> Clip:
     """A clip of all points `body` (t, k, 3) of a file, in its axes and unit, with `chosen` (10,) indices of the ten,
-    None for hips that are to be inferred, and the assumptions so far. `up` is 'y' or 'z'; if None, the axis along which
-    the hips are above the toes; `unit_m` and `is_level` are as in `find_axes`. `skeleton` is between the k points; only
-    the ten are kept if None. Points may be missing (NaN, or a `confidence` (t, k) too low): short gaps are filled; of
-    longer ones, the clip is the part with `frames` (first, end) in it, or the longest, and lists all in
+    None for hips that are to be inferred, and the assumptions so far. `up` is one of `UP_AXES`; if None, the axis along
+    which the hips are above the toes; `unit_m` and `is_level` are as in `find_axes`. `skeleton` is between the k
+    points; only the ten are kept if None. Points may be missing (NaN, or a `confidence` (t, k) too low): short gaps are
+    filled; of longer ones, the clip is the part with `frames` (first, end) in it, or the longest, and lists all in
     `meta["parts"]`. Raises `ClipError` for an impossible frame rate, frames that hold a gap, or if it is not an
     upright, right-handed animal."""
     check_rate(rate_hz)
