@@ -200,3 +200,10 @@ def test_a_library_has_excerpts_of_all_parts_and_opens_them_again(split: Path) -
         first, end = piece.frames
         opened = piece.open()
         np.testing.assert_allclose(opened.points_w, walk(6)[first:end], atol=1e-6)
+
+
+def test_the_command_that_segment_prints_reads_the_file_as_segment_did(
+    split: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["segment", str(split), "--fps", "120", "--up", "z"]) == 0
+    assert f"fastmimic imitate {split} --fps=120.0 --up=z --frames" in capsys.readouterr().err

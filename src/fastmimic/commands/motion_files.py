@@ -283,12 +283,12 @@ class SegmentTake:
             periodic = [segment for segment in segments if segment.cycle is not None]
             if periodic:
                 first, end = max(periodic, key=lambda s: s.confidence).cycle or (0, 0)
-                note(f"to imitate a cycle: fastmimic imitate {self.take} --frames {first}:{end}")
+                note(f"to imitate a cycle: fastmimic imitate {self.take}{self.file.words()} --frames {first}:{end}")
             once = next((segment for segment in segments if segment.gait == DISCRETE), None)
             if once is not None:
                 note(
                     "to imitate a non-periodic movement: "
-                    f"fastmimic imitate {self.take} --frames {once.start}:{once.end} --discrete"
+                    f"fastmimic imitate {self.take}{self.file.words()} --frames {once.start}:{once.end} --discrete"
                 )
         if figure is not None:
             from fastmimic.render.figure_style import save

@@ -127,6 +127,10 @@ class ClipFileOptions:
         found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return {name: value for name, value in found.items() if value is not None}
 
+    def words(self) -> str:
+        """The options that were given, as they are written on a command line."""
+        return "".join(f" --{name.replace('_', '-')}={value}" for name, value in self.overrides().items())
+
 
 @dataclass(frozen=True, kw_only=True)
 class ClipOptions(ClipFileOptions):
