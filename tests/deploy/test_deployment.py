@@ -148,7 +148,7 @@ def test_a_stitched_motion_is_done_once(a1: Robot, trot: Motion) -> None:
     follower = Follower(way)
     seen, steps, feet = np.zeros(1, OBSERVATION), 0, []
     while not follower.done:
-        follower.advance(seen)
+        follower.advance(seen, np.zeros(1))
         steps += follower.in_motion
         feet.append(follower.table["joint_pos"][follower.clock["sample"][0]])
         assert len(feet) < 20_000

@@ -122,7 +122,7 @@ class TestClock:
         clocks = make_clocks(motion, 1)
         place_clocks(clocks, np.zeros(1, np.int64), table, np.zeros((1, 3)))
         for _ in range(motion.n_samples):
-            advance_clocks(clocks, table[None], np.atleast_2d(xy))
+            advance_clocks(clocks, table[None], np.atleast_2d(xy), np.zeros(1))
         return clocks
 
     @pytest.mark.nojit
@@ -131,7 +131,7 @@ class TestClock:
         place_clocks(clocks, np.array([0, 17]), table, np.zeros((2, 3)))
         before = clocks["origin"].copy()
         for _ in range(5):
-            advance_clocks(clocks, table[None], np.full((2, 3), 99.0))
+            advance_clocks(clocks, table[None], np.full((2, 3), 99.0), np.zeros(2))
         np.testing.assert_array_equal(clocks["sample"], [5, 22])
         np.testing.assert_array_equal(clocks["cycle"], 0)
         np.testing.assert_array_equal(clocks["origin"], before, "within a period the origin stays")
@@ -178,7 +178,7 @@ class TestClock:
             expected = origin[:2] + rotate_planar(origin[2], motion.cycle[:2])
             robot_xy = expected + 0.05 * np.array([np.cos(cycle), np.sin(cycle)])
             for _ in range(motion.n_samples):
-                advance_clocks(clocks, table[None], robot_xy[None])
+                advance_clocks(clocks, table[None], robot_xy[None], np.zeros(1))
             assert clocks["jump"][0] == pytest.approx(0.05 * (cycle + 1))
         assert clocks["origin"][0, 2] == pytest.approx(3 * motion.cycle[2]), "yaw goes on by the motion's own turn"
 
@@ -187,7 +187,7 @@ class TestClock:
         clocks = make_clocks(motion, 2)
         last = motion.n_samples - 1
         place_clocks(clocks, np.array([last, 3]), tables[0], np.zeros((2, 3)))
-        advance_clocks(clocks, tables, np.zeros((2, 3)))
+        advance_clocks(clocks, tables, np.zeros((2, 3)), np.zeros(2))
         np.testing.assert_array_equal(clocks["sample"], [0, 4])
         np.testing.assert_array_equal(clocks["cycle"], [1, 0])
 

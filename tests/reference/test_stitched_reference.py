@@ -42,7 +42,7 @@ class TestSynchronisation:
         yaw, counted = clocks["origin"][0, 2], 0.0
         for sample in range(1, stitched.n_samples):
             position, _ = world_root(table, clocks["sample"] + 1, clocks["origin"])
-            advance_clocks(clocks, table[None], np.array([[1.0, 2.0]]))
+            advance_clocks(clocks, table[None], np.array([[1.0, 2.0]]), np.zeros(1))
             assert clocks["sample"][0] == sample
             here, _ = world_root(table, clocks["sample"], clocks["origin"])
             if table["sync"][sample]:

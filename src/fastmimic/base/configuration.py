@@ -134,7 +134,7 @@ def pack(settings: Any, record: np.ndarray, scales: Mapping[str, float] | None =
             continue
         if isinstance(default, str):
             value = known.choices.index(value)
-        record[key] = value * scales[known.scale] if known.scale and scales is not None else value
+        record[key] = np.multiply(value, scales[known.scale]) if known.scale and scales is not None else value
 
 
 def changed(settings: Any, changes: Mapping[str, Any], where: str) -> Any:

@@ -37,6 +37,16 @@ class GaitConfig:
     early_takeoff_time: float = parameter(
         0.04, unit="s", about="time without load after which a standing leg counts as lifted off"
     )
+    step_reach: tuple[float, float] = parameter(
+        (0.3, 0.15),
+        unit="m",
+        scale="length",
+        above=0.0,
+        about="how far from the reference's a foothold can be, forwards and sideways: feet make haste if the capture"
+        " point would be farther off at the next touch-down (Khadiv et al. 2020)",
+    )
+    least_step_time: float = parameter(0.05, unit="s", above=0.0, about="that this touch-down is brought forward to")
+    most_haste: float = parameter(0.5, about="greatest haste, share of the reference's own rate; 0 for none")
 
 
 @documented

@@ -148,6 +148,27 @@ def raibert_leg(
 
 
 @inlined
+def keep_in_reach(config: Any, model: Any, rotation: Array, leg: int, target: Array) -> None:
+    """Moves a foot (3,), body frame, that the leg does not reach towards the hip, at its height above the ground: the
+    nearest pose in reach would lift it, and it would come down as fast as a leg can stretch."""
+    g, knee = model.geometry[leg], 3 * leg + 2
+    straight = model.upper[knee] - config.joint_margin if g[10] < 0 else model.lower[knee] + config.joint_margin
+    bend = straight - np.arctan2(-g[6], -g[7]) + np.arctan2(-g[8], -g[9])
+    thigh, calf = np.hypot(g[6], g[7]), np.hypot(g[8], g[9])
+    longest = thigh * thigh + calf * calf + 2.0 * thigh * calf * np.cos(bend) + g[3] * g[3]  # squared
+    x, y, z = target[0] - g[0] - g[4], target[1] - g[1], target[2] - g[2]
+    if x * x + y * y + z * z <= longest:
+        return
+    up = rotation[2]
+    height = up[0] * x + up[1] * y + up[2] * z
+    x, y, z = x - height * up[0], y - height * up[1], z - height * up[2]
+    share = np.sqrt(max(longest - height * height, 0.0) / (x * x + y * y + z * z))
+    target[0] = g[0] + g[4] + share * x + height * up[0]
+    target[1] = g[1] + share * y + height * up[1]
+    target[2] = g[2] + share * z + height * up[2]
+
+
+@inlined
 def swing_leg(
     config: Any, model: Any, obs: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int, height_error: float
 ) -> None:
@@ -165,6 +186,7 @@ def swing_leg(
         for k in range(3):
             for a in range(2):
                 target[k] += scratch.rotation[a, k] * memory.foot_shift[leg, a]
+        keep_in_reach(config, model, scratch.rotation, leg, target)
     else:
         for k in range(2):
             target[k] -= config.velocity_feedback[k] * scratch.velocity_error[k]

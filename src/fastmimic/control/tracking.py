@@ -135,6 +135,27 @@ def expect_acceleration(model: Any, memory: Any, scratch: Any) -> None:
 
 
 @inlined
+def _make_haste(config: Any, ref: Any, gain: Any, memory: Any, state: Array) -> None:
+    """How much faster the reference's feet have to move, so that the next step can catch the robot: the distance of the
+    capture point from the reference's, both from their feet, grows until a foot lands as an inverted pendulum falls."""
+    x, y, n = 0.0, 0.0, 0
+    for leg in range(4):
+        if memory.stance[leg] == 1:
+            x += memory.foot_shift[leg, 0]
+            y += memory.foot_shift[leg, 1]
+            n += 1
+    if n > 0:
+        x, y = x / n, y / n
+    rate = np.sqrt(GRAVITY / ref.root_pos[2])
+    x, y = state[6] / rate - x, state[7] / rate - y
+    share = np.hypot(x / config.step_reach[0], y / config.step_reach[1])
+    due = config.least_step_time
+    if share < 1.0:
+        due = max(due, -np.log(max(share, 1e-9)) / rate)
+    memory.haste = min(max(gain.landing / due - 1.0, 0.0), config.most_haste)
+
+
+@inlined
 def regulate(config: Any, ref: Any, gain: Any, memory: Any, scratch: Any) -> None:
     """ẍ_des for the standing legs, and where the others' feet are to be (`fastmimic.reference.regulator`)."""
     state, rotation, reference_rotation = scratch.state, scratch.rotation, scratch.reference_rotation
@@ -147,12 +168,14 @@ def regulate(config: Any, ref: Any, gain: Any, memory: Any, scratch: Any) -> Non
     for leg in range(4):
         for a in range(2):
             if memory.stance[leg] == 1:
-                shift[leg, a], rate[leg, a] = 0.0, 0.0
+                memory.lag[leg, a] += config.dt * memory.haste * scratch.ref_lin_vel[a]
+                shift[leg, a], rate[leg, a] = -memory.lag[leg, a], 0.0
                 for k in range(3):
                     shift[leg, a] += rotation[a, k] * scratch.feet[leg, k]
                     shift[leg, a] -= reference_rotation[a, k] * ref.foot_pos[leg, k]
             state[FEET + 2 * leg + a] = shift[leg, a] + state[a]
             state[RATES + 2 * leg + a] = rate[leg, a]
+    _make_haste(config, ref, gain, memory, state)
     c, s = scratch.turn[0], scratch.turn[1]
     heading_vector(c, -s, ref.lin_acc, scratch.ref_lin_acc)
     heading_vector(c, -s, ref.ang_acc, scratch.ref_ang_acc)
@@ -161,15 +184,17 @@ def regulate(config: Any, ref: Any, gain: Any, memory: Any, scratch: Any) -> Non
         scratch.desired[r] = config.reference_acceleration * forward - memory.disturbance[r]
         for k in range(STATES):
             scratch.desired[r] -= gain.trunk[r, k] * state[k]
-    turned = config.dt * scratch.ang_vel[2]
+    turned, tempo = config.dt * scratch.ang_vel[2], 1.0 + memory.haste
     for leg in range(4):
         if memory.stance[leg] == 1:
             continue
         for a in range(2):
+            memory.lag[leg, a] = 0.0
             if ref.contact[leg] == 1:
                 rate[leg, a] *= LATE  # should have landed
             for k in range(STATES):
-                rate[leg, a] -= config.dt * gain.feet[2 * leg + a, k] * state[k]
+                faster = tempo if k >= RATES else tempo * tempo
+                rate[leg, a] -= config.dt * faster * gain.feet[2 * leg + a, k] * state[k]
             shift[leg, a] += config.dt * (rate[leg, a] - state[6 + a])
         x, y = shift[leg, 0], shift[leg, 1]
         shift[leg, 0], shift[leg, 1] = x + turned * y, y - turned * x

@@ -208,7 +208,7 @@ def score_log(
     for i in range(len(rows)):
         if i > 0:
             # periods that are not there were left out of the reference as well
-            advance_clocks(clock, table[None], seen["root_pos"][i : i + 1])
+            advance_clocks(clock, table[None], seen["root_pos"][i : i + 1], counts["haste"][i - 1 : i])
         memory["early_touchdowns"] = counts["early_touchdowns"][i] - before["early_touchdowns"]
         memory["qp_failures"] = counts["qp_failures"][i] - before["qp_failures"]
         scorer.score(clock, seen[i : i + 1], memory)

@@ -37,6 +37,7 @@ ROW: Final = np.dtype(
         ("in_motion", "?"),
         ("sample", "i8"),
         ("origin", "f8", (3,)),
+        ("haste", "f8"),
         ("reading", READING),
         ("estimate", OBSERVATION),
         ("command", COMMAND),
@@ -51,8 +52,8 @@ ROW: Final = np.dtype(
 )
 """One period: its start since the run's start, and its delay; durations of reading, control and writing, and from the
 state's arrival to the command's departure; the state's age, sequence number and novelty; the `DeploymentPhase`, whether
-in the motion itself, the reference's sample and origin; state, estimate, command, whether sent, and how many numbers
-were cut; stance legs, commanded ground reaction forces (heading frame, N), planning time and counts."""
+in the motion itself, the reference's sample, origin and haste; state, estimate, command, whether sent, and how many
+numbers were cut; stance legs, commanded ground reaction forces (heading frame, N), planning time and counts."""
 
 GROUND_TRUTH: Final = np.dtype(
     [

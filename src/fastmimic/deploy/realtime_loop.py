@@ -185,7 +185,7 @@ class Loop:
         row["read_s"], row["control_s"], row["write_s"] = read - began, ready - read, done - ready
         row["round_trip_s"], row["age_s"] = done - state.received, read - state.received
         row["sequence"], row["fresh"], row["phase"], row["in_motion"] = state.sequence, fresh, phase, moving
-        row["sample"], row["origin"] = clock["sample"], clock["origin"]
+        row["sample"], row["origin"], row["haste"] = clock["sample"], clock["origin"], memory["haste"]
         row["reading"], row["estimate"], row["command"] = state.reading[0], machine.observation[0], command[0]
         row["sent"], row["cut"], row["stance"] = sent, self._guard.cut, memory["stance"]
         row["force"], row["solve_s"] = memory["force"], memory["solve_time"]

@@ -90,15 +90,17 @@ class Follower:
         """Whether the current part is the motion itself."""
         return self.part is self.sequence.main
 
-    def advance(self, observation: NDArray[Any]) -> bool:
+    def advance(self, observation: NDArray[Any], haste: Array) -> bool:
         """Advances by one control step; returns whether another part has begun. Where a cycle starts, x and y are
-        synchronised to the `observation` (1,) of `OBSERVATION`."""
+        synchronised to the `observation` (1,) of `OBSERVATION`. `haste` (1,) is the controller's, of `MEMORY`; a part
+        that is left is left in its own time."""
         if self.done:
             return False
         way, part = self.sequence, self.part
         if part is way.main:
             self.steps += 1
-        advance_clocks(self.clock, part.table, observation["root_pos"])
+        near_end = int(self.clock["sample"][0]) + 2 == part.last
+        advance_clocks(self.clock, part.table, observation["root_pos"], np.zeros(1) if near_end else haste)
         sample = int(self.clock["sample"][0])
         if part is way.blend_out:
             self.done = sample >= part.last

@@ -145,7 +145,7 @@ class StateMachine:
     def _follow(self) -> NDArray[Any]:
         """The controller's command; after the last one, the phase is `SIT`."""
         observation, follower = self.observation, self.follower
-        if follower.advance(observation):
+        if follower.advance(observation, self.controller.memory["haste"]):
             self._switch_controller()
         self.violation = self.guard.check_estimate(observation, follower.table, follower.clock)
         if self.violation is not None:

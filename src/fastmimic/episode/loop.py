@@ -188,11 +188,11 @@ class ClosedLoop:
             self._seen = self._truth = self.simulation.step(commands)
         else:
             self._truth = self.simulation.step(observer.to_motors(commands))
-            self._seen = observer.look(self._truth, controller.memory["stance"], controller.tables)
+            self._seen = observer.look(self._truth, controller.memory, controller.tables)
 
     def score(self) -> None:
         """Scores the robots' true states against the demonstration, synchronised to the truth."""
-        advance_clocks(self.clocks, self.controller.tables, self._truth["root_pos"])
+        advance_clocks(self.clocks, self.controller.tables, self._truth["root_pos"], self.controller.memory["haste"])
         self.scorer.score(self.clocks, self._truth, self.controller.memory)
         if self._animal_scorer is not None:
             self._animal_scorer.tallies["fallen"] |= self.scorer.tallies["fallen"]

@@ -92,11 +92,12 @@ class Observer:
         self._motors = self.sensors.to_motors(commands)
         return self._motors
 
-    def look(self, truth: Records, planned: NDArray[np.int64], tables: Records) -> Records:
-        """The observation after a control step, with the controller's clocks advanced; arguments as for `reset`."""
+    def look(self, truth: Records, memory: Records, tables: Records) -> Records:
+        """The observation after a control step, with the controller's clocks advanced. `memory` (n,) of `MEMORY` is the
+        controller's; other arguments as for `reset`."""
         assert self._motors is not None
-        told = self.estimator.step(self.sensors.measure(truth, self._motors), planned)
-        advance_clocks(self.clocks, tables, told["root_pos"])
+        told = self.estimator.step(self.sensors.measure(truth, self._motors), memory["stance"])
+        advance_clocks(self.clocks, tables, told["root_pos"], memory["haste"])
         return told
 
     def compare(self, truth: Records, tallies: Records) -> None:

@@ -71,10 +71,11 @@ def _follow_moves(clock: Any, tally: Any) -> None:
             c, s = np.cos(tally.last_origin[2]), np.sin(tally.last_origin[2])
             x += c * clock.cycle_step[0] - s * clock.cycle_step[1]
             y += s * clock.cycle_step[0] + c * clock.cycle_step[1]
-        tally.moved[0] += clock.origin[0] - x
-        tally.moved[1] += clock.origin[1] - y
-    for k in range(3):
-        tally.last_origin[k] = clock.origin[k]
+        tally.moved[0] += clock.origin[0] - clock.held[0] - x
+        tally.moved[1] += clock.origin[1] - clock.held[1] - y
+    for k in range(2):
+        tally.last_origin[k] = clock.origin[k] - clock.held[k]
+    tally.last_origin[2] = clock.origin[2]
     tally.last_cycle = clock.cycle
 
 

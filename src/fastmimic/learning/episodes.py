@@ -243,7 +243,7 @@ class Shard:
         for _ in range(self._config.decimation):
             command(self._settings, self._senses, commands)
             observation = simulation.step(commands)
-            advance_clocks(clocks, tables, observation["root_pos"])
+            advance_clocks(clocks, tables, observation["root_pos"], self._memories["haste"])
             self.scorer.score(clocks, observation, self._memories)
         counts, tallies = self.counts, self.scorer.tallies
         counts["steps"] += 1

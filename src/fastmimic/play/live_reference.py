@@ -119,9 +119,9 @@ class LiveReference:
         """The gains (g,) of `GAINS` that the present rows name."""
         return self._transition.gains if self._transition is not None else self._entry.gains
 
-    def advance(self, base_xy: Array) -> None:
-        """Advances by a control step that ended with the base at (2,), world, m."""
-        self._stream.advance(*self._courses(), self.place, self._modulation, base_xy)
+    def advance(self, base_xy: Array, haste: float = 0.0) -> None:
+        """Advances by a control step that ended with the base at (2,), world, m; `haste` is the controller's."""
+        self._stream.advance(*self._courses(), self.place, self._modulation, base_xy, haste)
         if self.place["left"][0]:
             self._arrived()
 

@@ -288,7 +288,7 @@ class LiveSession:
         commands = self.controller.step(self.simulation.observation, self._clock)
         self._control_s.append(time.perf_counter() - began)
         observation = self.simulation.step(commands)
-        self.reference.advance(observation["root_pos"][0, :2])
+        self.reference.advance(observation["root_pos"][0, :2], float(self.controller.memory["haste"][0]))
         self._score(observation)
 
     def _score(self, observation: NDArray[Any]) -> None:

@@ -37,9 +37,10 @@ _LOOK_S: Final = 3.0  # a cycle is followed for at least so long, until its gain
 _LEAST_LOAD: Final = 0.1  # what a foot counts at least
 _END: Final = 0.3  # share of the cost at the end of a motion that does not repeat, s
 
-GAINS: Final = record_dtype(floats(trunk=(6, STATES), weight=(6, 6), feet=(8, STATES)))
+GAINS: Final = record_dtype(floats(trunk=(6, STATES), weight=(6, 6), feet=(8, STATES), landing=()))
 """Gains in the heading frame: desired acceleration of the trunk (m/s², rad/s²) and of the swinging feet (m/s²), each
-minus the gain times the state; and the weight of what is missing of the former, relative to `linear_cost`."""
+minus the gain times the state; the weight of what is missing of the former, relative to `linear_cost`; and the time
+until a foot touches down next, s, 0 if none does."""
 
 _known: Final[WeakKeyDictionary[Motion, dict[tuple[Any, ...], NDArray[Any]]]] = WeakKeyDictionary()
 
@@ -62,6 +63,7 @@ def regulator_gains(
     model = _Model(table, robot, config, dt, turn)
     n = len(model.step)
     gains = np.zeros(n, GAINS)
+    gains["landing"] = _until_landing(table[::GAIN_SAMPLES]["contact"] == 1, model.step, turn is not None)
     end = _state_cost(config)
     value, rounds = _END * end, 1
     if turn is not None:
@@ -83,6 +85,20 @@ def regulator_gains(
             value = 0.5 * (value + value.T)
             value[RATES + _FOOT, RATES + _FOOT] += model.landing[k]
     return gains
+
+
+def _until_landing(stands: NDArray[np.bool_], step: Array, periodic: bool) -> Array:
+    """Time (n,) until a foot touches down next, s; 0 if none does."""
+    n = len(stands)
+    lands = np.asarray(np.any(stands & ~np.roll(stands, 1, axis=0), axis=1))
+    lands[0] &= periodic
+    landings = np.flatnonzero(np.concatenate([lands, lands & periodic]))
+    time = np.cumsum(np.concatenate([[0.0], step, step]))
+    following = np.searchsorted(landings, np.arange(n), side="right")
+    known = following < len(landings)
+    found = np.zeros(n)
+    found[known] = time[landings[following[known]]] - time[:n][known]
+    return found
 
 
 def constant_gains(position: Array, velocity: Array, weight: Array) -> NDArray[Any]:

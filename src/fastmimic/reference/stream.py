@@ -48,12 +48,19 @@ class Stream:
         self._scratch = make_place()
 
     def advance(
-        self, course: Records, following: Records | None, place: Records, modulation: Records, root_xy: Array
+        self,
+        course: Records,
+        following: Records | None,
+        place: Records,
+        modulation: Records,
+        root_xy: Array,
+        haste: float = 0.0,
     ) -> None:
         """Advances `place` by one control step in `course` (t,) of `COURSE` and the `following` one. At the start of a
-        cycle x and y are synchronised to the robot's position `root_xy` (2,), m."""
+        cycle x and y are synchronised to the robot's position `root_xy` (2,), m. With the controller's `haste` the feet
+        advance by so much more, and the root goes on at its own pace."""
         other = course if following is None else following
-        _advance(course, other, place[0], modulation[0], self._dt, True, root_xy[0], root_xy[1])
+        _advance(course, other, place[0], modulation[0], self._dt, 1.0 + haste, True, root_xy[0], root_xy[1])
 
     def fill(
         self, course: Records, following: Records | None, place: Records, modulation: Records, table: Records
@@ -68,23 +75,24 @@ class Stream:
 
 @kernel
 def _advance(
-    course: Any, following: Any, place: Any, modulation: Any, dt: float, follow: bool, x: float, y: float
+    course: Any, following: Any, place: Any, modulation: Any, dt: float, tempo: float, follow: bool, x: float, y: float
 ) -> None:
     """Advances by one control step, sample by sample, so that exits and starts of cycles are met exactly."""
     place.left, place.synced = 0, 0
-    remaining = modulation.speed
+    remaining, whole = tempo * modulation.speed, tempo * modulation.speed
     pose = place.pose
     turned = modulation.turn * dt
     while remaining > 0.0:
         here = course if place.left == 0 else following
         i = int(place.position)
         share = min(i + 1.0 - place.position, remaining)
-        part = share / modulation.speed * turned
+        part = share / whole * turned
+        moved = share / tempo
         # the chord of the bent path points to its middle heading
         c, s = np.cos(pose[2] + 0.5 * part), np.sin(pose[2] + 0.5 * part)
-        pose[0] += share * (c * here[i].step[0] - s * here[i].step[1])
-        pose[1] += share * (s * here[i].step[0] + c * here[i].step[1])
-        pose[2] += share * here[i].turn + part
+        pose[0] += moved * (c * here[i].step[0] - s * here[i].step[1])
+        pose[1] += moved * (s * here[i].step[0] + c * here[i].step[1])
+        pose[2] += moved * here[i].turn + part
         remaining -= share
         place.position += share
         if place.position < i + 1.0 - 1e-9:
@@ -121,7 +129,7 @@ def _fill(
             here = following if beyond else course
             if beyond:
                 place.exit = -1
-            _advance(here, following, place, modulation, dt, False, 0.0, 0.0)
+            _advance(here, following, place, modulation, dt, 1.0, False, 0.0, 0.0)
             beyond = beyond or place.left == 1
         dx, dy = place.pose[0] - x0, place.pose[1] - y0
         here = following if beyond else course

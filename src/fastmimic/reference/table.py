@@ -48,11 +48,15 @@ GAIN_SAMPLES: Final = 4
 CLOCK: Final = record_dtype(
     [
         *integers(sample=(), cycle=(), repeats=()),
-        *floats(origin=3, cycle_step=3, jump=()),
+        *floats(origin=3, cycle_step=3, jump=(), part=(), ahead=(), held=2),
     ]
 )
 """A robot's progress in its reference: sample, period, whether the motion repeats, (x, y, yaw) of the period's origin,
-one period's displacement, and the distance by which synchronisation has moved the origin so far, m."""
+one period's displacement, and the distance by which synchronisation has moved the origin so far, m. After haste, it is
+`ahead` of its own time by so many samples, and by `part` of the next one; `held` is how far the origin has moved so
+that the root stays in its own time, m."""
+
+_CATCHING_UP: Final = 0.1  # samples that a motion that does not repeat waits in each control step after haste
 
 
 def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
@@ -149,7 +153,7 @@ def make_clocks(motion: Motion, n: int) -> NDArray[Any]:
 def place_clocks(clocks: NDArray[Any], sample: NDArray[np.int64], table: NDArray[Any], pose: Array) -> None:
     """Sets clocks (n,) to samples (n,) with the reference root there at `pose` (n, 3): x, y, yaw, world, m and rad."""
     clocks["sample"] = sample
-    for name in ("cycle", "jump"):
+    for name in ("cycle", "jump", "part", "ahead", "held"):
         clocks[name] = 0
     root = table["root_pos"][sample]
     yaw = pose[:, 2] - yaw_from_quat(table["root_quat"][sample])
@@ -158,8 +162,55 @@ def place_clocks(clocks: NDArray[Any], sample: NDArray[np.int64], table: NDArray
 
 
 @inlined
+def steps_due(clock: Any, n_samples: int, haste: float, table: Any) -> int:
+    """How many samples a clock advances in a control step: one, with haste two at times. After haste, a motion that
+    does not repeat waits at times, while its root goes on, until it is back in its own time."""
+    clock.part += haste
+    if haste == 0.0 and clock.repeats == 0 and clock.ahead > 0.0:
+        clock.part -= _CATCHING_UP
+    if clock.part >= 1.0:
+        clock.part -= 1.0
+        clock.ahead += 1.0
+        return 2
+    if clock.part <= -1.0:
+        clock.part += 1.0
+        clock.ahead -= 1.0
+        if clock.sample + 1 < n_samples:
+            here, there = table[clock.sample].root_pos, table[clock.sample + 1].root_pos
+            _hold(clock, _in_world(clock, here), _in_world(clock, there))
+        return 0
+    return 1
+
+
+@inlined
+def advance_in_place(clock: Any, n_samples: int, x: float, y: float, table: Any) -> None:
+    """Advances by a sample more: the feet go on, the root stays where it is."""
+    before = _in_world(clock, table[clock.sample].root_pos)
+    advance_clock(clock, n_samples, x, y, table)
+    if table[clock.sample].sync == 0:
+        _hold(clock, _in_world(clock, table[clock.sample].root_pos), before)
+
+
+@inlined
+def _in_world(clock: Any, position: Array) -> tuple[float, float]:
+    c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
+    return clock.origin[0] + c * position[0] - s * position[1], clock.origin[1] + s * position[0] + c * position[1]
+
+
+@inlined
+def _hold(clock: Any, at: tuple[float, float], wanted: tuple[float, float]) -> None:
+    """Moves the origin from one place to another, world, m."""
+    for k in range(2):
+        clock.origin[k] += wanted[k] - at[k]
+        clock.held[k] += wanted[k] - at[k]
+
+
+@inlined
 def advance_clock(clock: Any, n_samples: int, x: float, y: float, table: Any) -> None:
-    """Advances by one control step; at a start of a cycle the origin is re-synchronised to the robot at (x, y)."""
+    """Advances by one sample; at a start of a cycle the origin is re-synchronised to the robot at (x, y). A motion that
+    does not repeat stays at its end."""
+    if clock.repeats == 0 and clock.sample + 1 >= n_samples:
+        return
     clock.sample += 1
     moved_x, moved_y = clock.origin[0], clock.origin[1]
     if clock.sample >= n_samples:
@@ -179,12 +230,18 @@ def advance_clock(clock: Any, n_samples: int, x: float, y: float, table: Any) ->
 
 
 @kernel
-def advance_clocks(clocks: Any, tables: Any, root_xy: Array) -> None:
+def advance_clocks(clocks: Any, tables: Any, root_xy: Array, haste: Array) -> None:
     """Advances clocks (n,) by one control step; robot i follows table min(i, k − 1) of `tables` (k, t) of `SAMPLE`.
-    `root_xy` (n, ≥2) are the present positions of the robots, world, m."""
+    `root_xy` (n, ≥2) are the present positions of the robots, world, m; `haste` (n,) is that of their controllers'
+    `MEMORY`."""
+    n_samples = tables.shape[1]
     for i in range(clocks.shape[0]):
-        k = min(i, tables.shape[0] - 1)
-        advance_clock(clocks[i], tables.shape[1], root_xy[i, 0], root_xy[i, 1], tables[k])
+        clock, table = clocks[i], tables[min(i, tables.shape[0] - 1)]
+        due = steps_due(clock, n_samples, haste[i], table)
+        if due > 0:
+            advance_clock(clock, n_samples, root_xy[i, 0], root_xy[i, 1], table)
+        if due > 1:
+            advance_in_place(clock, n_samples, root_xy[i, 0], root_xy[i, 1], table)
 
 
 def stack_tables(motions: Sequence[Motion], robot: Robot) -> NDArray[Any]:

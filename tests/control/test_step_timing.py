@@ -1,0 +1,72 @@
+"""A pushed robot steps earlier than its motion does, and an undisturbed one never."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fastmimic.control.config import ControllerConfig, default_config, pack_config
+from fastmimic.control.joint_commands import keep_in_reach
+from fastmimic.episode.loop import ClosedLoop
+from fastmimic.episode.plan import Start
+from fastmimic.robot import Robot
+from fastmimic.robot.kinematics import foot_positions, leg_inverse
+from fastmimic.robot.state import pack_model
+from fastmimic.runs.loading import load_motion
+from fastmimic.simulation.conditions import Conditions, Disturbance
+
+ROBOTS = 16
+PUSHED_AT_S = 0.4
+
+
+def pushed(robot: Robot, config: ControllerConfig, speed: float) -> tuple[np.ndarray, float]:
+    """Which robots stay up for 2 s after a push to the right that changes their speed, and their greatest haste."""
+    motion = load_motion("turn", robot)
+    sample = np.arange(ROBOTS) * motion.n_samples // ROBOTS
+    start = Start(sample, np.zeros((ROBOTS, 12)), np.zeros((ROBOTS, 3)), np.zeros(ROBOTS, np.int64))
+    conditions = Conditions(disturbances=(Disturbance("side-push", (-speed * robot.mass,), PUSHED_AT_S),))
+    loop = ClosedLoop(robot, motion, ROBOTS, config, conditions=conditions)
+    loop.place(start)
+    most = 0.0
+    for _ in range(1200):
+        loop.apply(loop.control())
+        most = max(most, float(loop.controller.memory["haste"].max()))
+        loop.score()
+    return loop.scorer.tallies["fallen"] == 0, most
+
+
+def in_own_time() -> ControllerConfig:
+    config = default_config()
+    return replace(config, gait=replace(config.gait, most_haste=0.0))
+
+
+def test_an_undisturbed_robot_keeps_the_motions_time(robot: Robot) -> None:
+    up, most = pushed(robot, default_config(), 0.0)
+    assert up.all()
+    assert most == 0.0
+
+
+def test_steps_in_time_catch_robots_that_fall_otherwise(robot: Robot) -> None:
+    up, most = pushed(robot, default_config(), 1.0)
+    fallen, none = pushed(robot, in_own_time(), 1.0)
+    assert most == default_config().gait.most_haste
+    assert none == 0.0
+    assert up.sum() >= fallen.sum() + 4
+
+
+@pytest.mark.nojit
+def test_a_foot_beyond_reach_keeps_its_height(robot: Robot) -> None:
+    config, model = pack_config(default_config(), robot)[0], pack_model(robot)[0]
+    tilt = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(0.2), -np.sin(0.2)], [0.0, np.sin(0.2), np.cos(0.2)]])
+    for leg in range(4):
+        foot = foot_positions(robot, np.tile([0.0, 0.8, -1.6], 4)[None])[0, leg]
+        near = foot.copy()
+        keep_in_reach(config, model, tilt, leg, near)
+        np.testing.assert_array_equal(near, foot)
+        far = foot + tilt.T @ np.array([0.3, 0.1, 0.0])
+        moved = far.copy()
+        keep_in_reach(config, model, tilt, leg, moved)
+        assert tilt[2] @ moved == pytest.approx(tilt[2] @ foot, abs=1e-9)
+        assert np.linalg.norm(moved - foot) < np.linalg.norm(far - foot)
+        knee = leg_inverse(robot.geometry[leg], *moved)[2]
+        assert knee == pytest.approx(robot.joint_upper[3 * leg + 2] - default_config().joint_margin, abs=1e-6)
