@@ -42,7 +42,6 @@ from fastmimic.base.rotations import (
 )
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 
 EXPORTS: Final = {
     **{"mjlab": ".npz", "deepmimic": ".txt", "csv": ".csv"},
@@ -182,6 +181,8 @@ def _framed(head: dict[str, Any], rows: Array) -> str:
 
 
 def _amp(frames: Frames, robot: Robot) -> bytes:
+    from fastmimic.robot.kinematics import foot_jacobians, foot_positions
+
     feet = foot_positions(robot, frames.joint_pos)
     moving = np.einsum("tlij,tlj->tli", foot_jacobians(robot, frames.joint_pos), frames.joint_vel.reshape(-1, 4, 3))
     velocities = [quat_rotate_inverse(frames.root_quat_wxyz, v) for v in (frames.root_lin_vel_w, frames.root_ang_vel_w)]
