@@ -8,8 +8,7 @@ To be run after every change of `src/fastmimic/trajectory/` or of what it is giv
 import os
 import tempfile
 
-from fastmimic.clips.jump import JUMPS
-from fastmimic.clips.synthesis import GAITS
+from fastmimic.clips.synthesis import GAITS, JUMPS
 from fastmimic.reference.motion_set import in_place
 from fastmimic.reference.standing import standing
 from fastmimic.robot import ROBOT_NAMES, load_robot

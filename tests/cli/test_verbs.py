@@ -15,8 +15,7 @@ from cli.running import TINY, Run
 from clips.sample_files import csv_text, keypoint_text, take_text
 from fastmimic.clips.catalogue import RECORDED, open_clip
 from fastmimic.clips.data import Dataset
-from fastmimic.clips.jump import JUMPS
-from fastmimic.clips.synthesis import GAITS
+from fastmimic.clips.synthesis import GAITS, JUMPS
 from fastmimic.control.config import controller_config
 from fastmimic.imitation.methods import METHODS, made_with
 from fastmimic.motion.motion import Motion

@@ -23,8 +23,7 @@ from fastmimic.simulation.conditions import (
     rough_ground,
 )
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, DisturbanceKind, loaded
-from fastmimic.simulation.mujoco_disturbed import DisturbedMujocoSimulation
-from fastmimic.simulation.mujoco_sim import FLOOR, MujocoSimulation
+from fastmimic.simulation.mujoco_sim import FLOOR, DisturbedMujocoSimulation, MujocoSimulation
 from fastmimic.simulation.simulators import SIMULATORS, Simulator, make_simulation
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fastmimic.clips.jump import JUMPS
-from fastmimic.clips.synthesis import GAITS
+from fastmimic.clips.synthesis import GAITS, JUMPS
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import find_motion
 from fastmimic.trajectory.solved import Remembered

@@ -11,8 +11,7 @@ from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, data_folder, dataset_of, find_file
 from fastmimic.clips.formats import ReadOptions, read_clip, suffixes, with_scale
 from fastmimic.clips.formats.points import PointMap
-from fastmimic.clips.jump import JUMPS, jump
-from fastmimic.clips.synthesis import GAITS, GaitSpec, built_in, generate
+from fastmimic.clips.synthesis import GAITS, JUMPS, GaitSpec, built_in, generate, jump
 from fastmimic.robot.robot import Robot
 
 BUILT_IN_LICENCE: Final = "that of fastmimic"

@@ -1,8 +1,9 @@
-"""Built-in animal-like gaits: keypoints of a dog-sized animal, made by formula.
+"""Built-in animal-like gaits and jumps: keypoints of a dog-sized animal, made by formula.
 
 They replace recordings that cannot be shipped. The trunk bobs, sways, rolls and pitches with its steps. The paws roll
 over the toes before lift-off, swing in an asymmetric arc, front higher than hind, and reach back a little before
-touch-down. All paths are twice continuously differentiable in time.
+touch-down. All paths are twice continuously differentiable in time. In a jump, the animal crouches, leaves the ground,
+lands and stands.
 """
 
 from dataclasses import dataclass, replace
@@ -11,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.conventions import FRONT, LEFT
+from fastmimic.base.conventions import FRONT, GRAVITY, LEFT
 from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.base.rotations import (
     planar_exp,
@@ -38,38 +39,24 @@ SIDE: Final = np.where(LEFT, 1.0, -1.0)
 
 @dataclass(frozen=True)
 class GaitSpec:
-    """A gait. Lengths and speeds at the A1's size; legs FR, FL, RR, RL; phases are shares of the period.
-
-    Attributes:
-        about: in a few words.
-        speed, lateral_speed: forwards and to the left, m/s.
-        yaw_rate: to the left, rad/s.
-        period: s.
-        duty: share of the period in stance.
-        phase: (4,) when each leg touches down.
-        lift, hind_lift: height of the front feet's swing, m, and the hind feet's share of it.
-        half_width: lateral distance of the footholds from the midline, m.
-        bob, bob_harmonic: amplitude of the trunk's vertical motion, m, and how often it repeats in a period.
-        sway: amplitude towards the standing side, once a period, m.
-        roll, pitch, yaw: amplitudes, rad; roll and yaw once a period, pitch with the bob.
-    """
+    """A gait. Lengths and speeds at the A1's size; legs FR, FL, RR, RL; phases are shares of the period."""
 
     about: str = ""
-    speed: float = 0.0
-    lateral_speed: float = 0.0
-    yaw_rate: float = 0.0
-    period: float = 0.5
-    duty: float = 0.55
-    phase: tuple[float, float, float, float] = (0.0, 0.5, 0.5, 0.0)
-    lift: float = 0.06
-    hind_lift: float = 0.85
-    half_width: float = 0.03
-    bob: float = 0.008
-    bob_harmonic: int = 2
-    sway: float = 0.0
-    roll: float = 0.0
-    pitch: float = 0.01
-    yaw: float = 0.02
+    speed: float = 0.0  # forwards, m/s
+    lateral_speed: float = 0.0  # to the left, m/s
+    yaw_rate: float = 0.0  # to the left, rad/s
+    period: float = 0.5  # s
+    duty: float = 0.55  # share of the period in stance
+    phase: tuple[float, float, float, float] = (0.0, 0.5, 0.5, 0.0)  # when each leg touches down
+    lift: float = 0.06  # height of the front feet's swing, m
+    hind_lift: float = 0.85  # the hind feet's share of it
+    half_width: float = 0.03  # lateral distance of the footholds from the midline, m
+    bob: float = 0.008  # amplitude of the trunk's vertical motion, m
+    bob_harmonic: int = 2  # how often that repeats in a period
+    sway: float = 0.0  # amplitude towards the standing side, once a period, m
+    roll: float = 0.0  # amplitude, once a period, rad
+    pitch: float = 0.01  # amplitude, with the bob, rad
+    yaw: float = 0.02  # amplitude, once a period, rad
 
 
 _TROT = GaitSpec("trot: diagonal legs together", speed=1.25, duty=0.52, lift=0.07, bob=0.009, roll=0.02, sway=0.002)
@@ -83,6 +70,18 @@ _PRONK = GaitSpec(
     bob=0.03,
     bob_harmonic=1,
     pitch=0.0,
+    yaw=0.0,
+)
+_CANTER = GaitSpec(
+    "canter: a hind leg, the other one with the front leg across, then the last",
+    speed=2.0,
+    period=0.46,
+    duty=0.36,
+    phase=(0.26, 0.46, 0.0, 0.26),
+    lift=0.07,
+    bob=0.015,
+    bob_harmonic=1,
+    pitch=0.08,
     yaw=0.0,
 )
 GAITS: Final[dict[str, GaitSpec]] = {
@@ -128,29 +127,15 @@ GAITS: Final[dict[str, GaitSpec]] = {
     ),
     "backward-trot": replace(_TROT, about="trot backwards", speed=-0.6, duty=0.56, lift=0.06, bob=0.006),
     "spin": GaitSpec("turn to the left on the spot", yaw_rate=2.0, duty=0.56, half_width=0.06, bob=0.005, yaw=0.0),
-    "canter": GaitSpec(
-        "canter: a hind leg, the other one with the front leg across, then the last",
-        speed=2.0,
-        period=0.46,
-        duty=0.36,
-        phase=(0.26, 0.46, 0.0, 0.26),
-        lift=0.07,
-        bob=0.015,
-        bob_harmonic=1,
-        pitch=0.08,
-        yaw=0.0,
-    ),
-    "gallop": GaitSpec(
-        "gallop: hind legs one after the other, then front legs, then none",
+    "canter": _CANTER,
+    "gallop": replace(
+        _CANTER,
+        about="gallop: hind legs one after the other, then front legs, then none",
         speed=2.2,
         period=0.4,
         duty=0.3,
         phase=(0.4, 0.51, 0.11, 0.0),
-        lift=0.07,
         bob=0.01,
-        bob_harmonic=1,
-        pitch=0.08,
-        yaw=0.0,
     ),
     "pronk": _PRONK,
     "hop-turn": replace(_PRONK, about="hops on all legs, turning to the left", speed=0.0, yaw_rate=1.5, lift=0.05),
@@ -272,3 +257,53 @@ def arc(u: Array, top: float) -> Array:
     rise = 3.0 * top / (1.0 - top)
     peak = top**rise * (1 - top) ** 3.0
     return np.where((u > 0) & (u < 1), u**rise * (1 - u) ** 3.0 / peak, 0.0)
+
+
+_STAND_S: Final = 0.2  # before and after
+_HALF_WIDTH: Final = 0.03  # lateral distance of the feet from the midline, m
+_SPEED_IN_FLIGHT: Final = 0.7  # share of the whole way that is covered in flight
+
+
+@dataclass(frozen=True)
+class JumpSpec:
+    """A jump. Lengths at the A1's size, m: `forward` is its way, `rise` that of the trunk in flight, `tuck` that of the
+    feet towards it, and `deep` how far the trunk sinks before and after, within `sink_s`, s."""
+
+    about: str
+    forward: float
+    rise: float
+    tuck: float
+    deep: float = 0.04
+    sink_s: float = 0.2
+
+
+JUMPS: Final = {"jump": JumpSpec("a jump forwards from standing to standing", forward=0.4, rise=0.16, tuck=0.16)}
+"""The built-in jumps by name."""
+
+
+def jump(spec: JumpSpec, meta: dict[str, object] | None = None) -> Clip:
+    """A jump as an animal's keypoints, world frame, z up."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    animal = 1.0 / ROBOT_SCALE
+    way, deep, speed = spec.forward * animal, spec.deep * animal, np.sqrt(2 * GRAVITY * spec.rise * animal)
+    flight, push = 2 * speed / GRAVITY, 2 * deep / speed
+    # at rest, at rest, lowest, leaving the ground, landing, lowest, at rest, at rest
+    knots = np.cumsum([0.0, _STAND_S, spec.sink_s, push, flight, push, spec.sink_s, _STAND_S])
+    time = np.arange(round(knots[-1] * RATE_HZ) + 1) / RATE_HZ
+    in_air = (time > knots[3]) & (time < knots[4])
+    air = np.clip((time - knots[3]) / flight, 0.0, 1.0)
+    sunk, rising = np.array([[0, 0, -1, 0, 0, -1, 0, 0], [0, 0, 0, 1, -1, 0, 0, 0]])
+    height = CubicHermiteSpline(knots, deep * sunk, speed * rising)
+    up = np.where(in_air, flight * air * (speed - 0.5 * GRAVITY * flight * air), height(time))
+    covered, moving = np.array([[0, 0, 0, 0.15, 0.85, 1, 1, 1], [0, 0, 0, 1, 1, 0, 0, 0]])
+    ahead = way * CubicHermiteSpline(knots, covered, _SPEED_IN_FLIGHT / flight * moving)(time)
+    trunk = np.column_stack([ahead, np.zeros_like(up), ROOT_HEIGHT + up])
+    lift = np.where(in_air, up, 0.0) + spec.tuck * animal * arc(air, 0.5)
+
+    def toe(leg: int) -> Array:
+        x, y = HIP[leg, 0] + way * forward_in_swing(air), SIDE[leg] * _HALF_WIDTH * animal
+        return np.column_stack([x, np.full_like(lift, y), TOE_MARKER_HEIGHT + lift])
+
+    points = [trunk - SPINE, trunk + SPINE, *(trunk + hip for hip in HIP), *(toe(leg) for leg in range(4))]
+    return Clip(points_w=np.stack(points, axis=1), rate_hz=RATE_HZ, is_cycle=False, meta=dict(meta or {}))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fastmimic.base.configuration import check, documented, pack, parameter, record_fields
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.jit import record_dtype
+from fastmimic.base.jit import floats, record_dtype
 from fastmimic.robot import Robot
 
 
@@ -91,11 +91,10 @@ class EstimatorConfig:
 
 CONFIG: Final = record_dtype(
     [
-        ("dt", "f8"),
+        *floats(dt=()),
         *record_fields(EstimatorConfig),
-        *((name, "f8") for name in ("accel_var", "position_var", "velocity_var", "foot_var", "height_var", "gate_sq")),
-        *((name, "f8") for name in ("orientation_gain", "force_gain", "tare_gain", "foot_radius")),
-        ("geometry", "f8", (4, 12)),
+        *floats(accel_var=(), position_var=(), velocity_var=(), foot_var=(), height_var=(), gate_sq=()),
+        *floats(orientation_gain=(), force_gain=(), tare_gain=(), foot_radius=(), geometry=(4, 12)),
     ]
 )
 """Configuration and robot as the kernels read them; variances are those of one control step."""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.vectors import copy, quat_to_matrix, times
 from fastmimic.estimation.config import EstimatorConfig, pack_config
 from fastmimic.estimation.kalman import (
@@ -27,24 +27,15 @@ from fastmimic.robot.state import OBSERVATION
 START_VELOCITY_NOISE: Final = 0.1  # m/s
 START_HEIGHT_NOISE: Final = 0.01  # m
 
-START: Final = record_dtype([("position", "f8", (2,)), ("heading", "f8"), ("velocity", "f8", (3,))])
+START: Final = record_dtype(floats(position=2, heading=(), velocity=3))
 """Known start of a robot: x, y, heading and velocity of its base, world frame, m, rad and m/s."""
 
 STATE: Final = record_dtype(
     [
-        ("quat", "f8", (4,)),
-        ("heading", "f8"),
-        ("ground", "f8", (2,)),
-        ("ground_time", "f8"),
-        ("estimate", "f8", (3, STATES)),
-        ("cov", "f8", (2, STATES, STATES)),
-        ("slow", "f8", (15,)),
-        ("tare", "f8", (4,)),
-        ("filtered", "f8", (4,)),
-        ("force", "f8", (4,)),
-        ("loaded", "i8", (4,)),
-        ("swing_time", "f8", (4,)),
-        ("stance_time", "f8", (4,)),
+        *floats(quat=4, heading=(), ground=2, ground_time=(), estimate=(3, STATES), cov=(2, STATES, STATES), slow=15),
+        *floats(tare=4, filtered=4, force=4),
+        *integers(loaded=4),
+        *floats(swing_time=4, stance_time=4),
     ]
 )
 """The estimator's state of one robot: orientation by the IMU, and the heading of its world in ours; the small rotation
@@ -55,15 +46,12 @@ have swung, and how long they have borne the estimate, s."""
 
 SCRATCH: Final = record_dtype(
     [
-        ("rotation", "f8", (3, 3)),
-        ("jacobian", "f8", (3, 3)),
-        ("ang_vel", "f8", (3,)),  # world
-        ("accel", "f8", (3,)),  # of the base, world, without gravity
-        ("foot", "f8", (4, 3)),  # from the base, world
-        ("roll", "f8", (4, 3)),  # velocity of the feet's centres where they roll, world
-        ("velocity", "f8", (4, 3)),  # of the base by each leg, world
-        ("work", "f8", (2, STATES)),
-        ("quat", "f8", (4,)),
+        *floats(rotation=(3, 3), jacobian=(3, 3), ang_vel=3),
+        *floats(accel=3),  # of the base, world, without gravity
+        *floats(foot=(4, 3)),  # from the base, world
+        *floats(roll=(4, 3)),  # velocity of the feet's centres where they roll, world
+        *floats(velocity=(4, 3)),  # of the base by each leg, world
+        *floats(work=(2, STATES), quat=4),
     ]
 )
 """Work memory of the kernels, one record per thread."""

@@ -31,8 +31,7 @@ from fastmimic.robot.kinematics import leg_forward
 from fastmimic.robot.state import COMMAND, MEMORY
 from fastmimic.simulation.conditions import Disturbance, Range, draw_uniform
 from fastmimic.simulation.conditions import part as part_of
-from fastmimic.simulation.mujoco_disturbed import DisturbedMujocoSimulation
-from fastmimic.simulation.mujoco_sim import MujocoSimulation
+from fastmimic.simulation.mujoco_sim import DisturbedMujocoSimulation, MujocoSimulation
 from fastmimic.simulation.simulators import Placement
 
 Seen = NDArray[np.float32]

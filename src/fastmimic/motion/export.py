@@ -93,7 +93,7 @@ def export_motion(
     motion.check_robot(robot.name)
     looping = form == "deepmimic" and motion.cycle is not None and duration_s is None
     frames = sample(motion, fps, duration_s, looping=looping)
-    content = _WRITERS[form](frames, robot) if form in _WRITERS else _deepmimic(frames, robot.name, looping).encode()
+    content = _deepmimic(frames, robot, looping) if form == "deepmimic" else _WRITERS[form](frames, robot)
     replace_file(path, lambda file: file.write(content))
     return frames
 
@@ -161,23 +161,18 @@ def _csv(frames: Frames, _: Robot) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def _deepmimic(frames: Frames, robot: str, looping: bool) -> str:
-    head = {
-        "LoopMode": "Wrap" if looping else "Clamp",
-        "FrameDuration": 1 / frames.fps,
-        "EnableCycleOffsetPosition": True,
-        "EnableCycleOffsetRotation": True,
-        "Robot": robot,
-        "Joints": list(JOINT_NAMES),
-    }
-    return _framed(head, _rows(frames))
+def _deepmimic(frames: Frames, robot: Robot, looping: bool) -> bytes:
+    about = {"Robot": robot.name, "Joints": list(JOINT_NAMES)}
+    return _framed("Wrap" if looping else "Clamp", frames.fps, about, _rows(frames))
 
 
-def _framed(head: dict[str, Any], rows: Array) -> str:
+def _framed(loop: str, fps: float, about: dict[str, Any], rows: Array) -> bytes:
     """JSON text with a line for each frame, as DeepMimic's family has it."""
+    offsets = {"EnableCycleOffsetPosition": True, "EnableCycleOffsetRotation": True}
+    head = {"LoopMode": loop, "FrameDuration": 1 / fps, **offsets, **about}
     listed = ",\n".join(f"  [{', '.join(f'{value:.{DECIMALS}f}' for value in row)}]" for row in rows)
     said = "".join(f"{json.dumps(name)}: {json.dumps(value)},\n" for name, value in head.items())
-    return f'{{\n{said}"Frames":\n[\n{listed}\n]\n}}\n'
+    return f'{{\n{said}"Frames":\n[\n{listed}\n]\n}}\n'.encode()
 
 
 def _amp(frames: Frames, robot: Robot) -> bytes:
@@ -188,16 +183,8 @@ def _amp(frames: Frames, robot: Robot) -> bytes:
     velocities = [quat_rotate_inverse(frames.root_quat_wxyz, v) for v in (frames.root_lin_vel_w, frames.root_ang_vel_w)]
     pose = [frames.root_pos_w, frames.root_quat_wxyz[:, [1, 2, 3, 0]], robot.joint_sign * frames.joint_pos]
     speeds = [robot.joint_sign * frames.joint_vel, moving.reshape(-1, 12)]
-    head = {
-        "LoopMode": "Clamp",
-        "FrameDuration": 1 / frames.fps,
-        "EnableCycleOffsetPosition": True,
-        "EnableCycleOffsetRotation": True,
-        "MotionWeight": 1.0,
-        "Robot": robot.name,
-        "Joints": list(robot.joint_names),
-    }
-    return _framed(head, np.hstack([*pose, feet.reshape(-1, 12), *velocities, *speeds])).encode()
+    about = {"MotionWeight": 1.0, "Robot": robot.name, "Joints": list(robot.joint_names)}
+    return _framed("Clamp", frames.fps, about, np.hstack([*pose, feet.reshape(-1, 12), *velocities, *speeds]))
 
 
 def _mjlab(frames: Frames, robot: Robot) -> bytes:

@@ -68,8 +68,7 @@ class Simulator:
 
 
 def _mujoco(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: float, threads: int) -> Simulation:
-    from fastmimic.simulation.mujoco_disturbed import DisturbedMujocoSimulation
-    from fastmimic.simulation.mujoco_sim import MujocoSimulation
+    from fastmimic.simulation.mujoco_sim import DisturbedMujocoSimulation, MujocoSimulation
 
     if not conditions.disturbances:
         return MujocoSimulation(robot, n, control_rate_hz=control_rate_hz, threads=threads)

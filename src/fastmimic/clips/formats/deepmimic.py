@@ -2,11 +2,18 @@
 
 The joint angles belong to the Laikago's model, so the clip holds that robot's points: abduction joint origins as hips
 and foot centres as toes. The formulas agree with the simulated model to 1e-5 m. A file that names another `Robot`
-(`fastmimic.motion.export`) holds that robot's points. Frames of 49 or 61 numbers are those of `amp`.
+(`fastmimic.motion.export`) holds that robot's points.
+
+Frames of adversarial motion priors have velocities and feet beside the 19 numbers. 61 numbers are those of
+AMP_for_hardware (Escontrela et al. 2022): root position 3 and quaternion x, y, z, w; joints 12, feet from the root in
+its axes 12, velocities of root 3 + 3, joints 12 and feet 12. 49 numbers are these without the feet's velocities, or
+root, its velocities 3 + 3, joints 12, their velocities 12, and feet from the root in world axes. Such files differ in
+the order of the legs, and name no robot: forward kinematics of the right ones gives the file's feet.
 """
 
 import json
 import re
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
@@ -14,13 +21,12 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import FRONT, JOINT_NAMES, LEFT
 from fastmimic.base.errors import ClipError, did_you_mean
-from fastmimic.base.rotations import quat_conjugate, quat_multiply
+from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate_inverse
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats import amp
 from fastmimic.clips.formats.format import Format
 from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
 from fastmimic.clips.formats.text_table import LARGEST, check_frames, check_positive, check_rate
-from fastmimic.robot.robot import Robot
+from fastmimic.robot.robot import ROBOT_NAMES, Robot, load_robot
 
 FRAME_NAMES: Final = (*(f"root {axis}" for axis in "xyz"), *(f"root quaternion {a}" for a in "xyzw"), *JOINT_NAMES)
 LOOP_MODES: Final = ("Wrap", "Clamp")
@@ -39,6 +45,12 @@ _MODEL_TO_BODY_WXYZ: Final = np.array([0.5, 0.5, 0.5, 0.5])
 LEG_LENGTH_M: Final = float(np.hypot(0.1422, 0.20833) + np.hypot(0.022, 0.25))  # thigh plus calf in the leg's plane
 
 
+_ORDERS: Final = {"FR, FL, RR, RL": (0, 1, 2, 3), "FL, FR, RL, RR": (1, 0, 3, 2)}
+_MOST_OFF_M: Final = 0.01  # RMS; an A1's feet are 0.02 off with the lengths of a Go1's or a Go2's legs
+_LAYOUTS: Final = {61: ((7, 19, False),), 49: ((7, 19, False), (13, 37, True))}
+"""For each number of columns: the first of the joints and of the feet, and whether the feet are in world axes."""
+
+
 def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) -> Clip:
     """Reads the text of a motion file; `robot` must be the file's `Robot` if it names one, and `fps` replaces
     1/FrameDuration. Raises `ClipError`: malformed; says where."""
@@ -51,9 +63,9 @@ def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) ->
     quat_file = unit_wxyz_from_xyzw(frames[:, 3:7], lambda i: f"line {_frame_line(text, i)} (frame {i})")
     of = document.get(_ROBOT_KEY)
     own, joints = None if of is None else _named(of, robot), frames[:, 7:]
-    with_feet = frames.shape[1] in amp.LAYOUTS
+    with_feet = frames.shape[1] in _LAYOUTS
     if with_feet:
-        own, joints, found = amp.identify(frames, quat_file, own or robot)
+        own, joints, found = _identify(frames, quat_file, own or robot)
         assumed.append(found)
     gap = float(np.max(np.abs(joints[-1] - joints[0])))
     if with_feet and loop == "Wrap" and gap > _CLOSED_RAD:
@@ -108,9 +120,37 @@ def _rotate_y(angle: Array, v: Array) -> Array:
     return np.stack([c * v[..., 0] + s * v[..., 2], v[..., 1], -s * v[..., 0] + c * v[..., 2]], axis=-1)
 
 
-def _named(name: Any, robot: Robot | None) -> Robot:
-    from fastmimic.robot import ROBOT_NAMES, load_robot
+def _identify(frames: Array, quat_wxyz: Array, robot: Robot | None) -> tuple[Robot, Array, str]:
+    """The robot of `frames` (t, 49 or 61), its joints (t, 12) in the common order, rad, and a sentence on what was
+    found. The trunk has the orientation `quat_wxyz` (t, 4); `robot` is tried besides the built-in ones. Raises
+    `ClipError` if the feet are those of none."""
+    from fastmimic.robot.kinematics import foot_positions
 
+    robots = [*([robot] if robot is not None else []), *(load_robot(name) for name in ROBOT_NAMES)]
+    found, least = None, np.inf
+    for columns, (title, order), own, turned in product(_LAYOUTS[frames.shape[1]], _ORDERS.items(), robots, (0, 1)):
+        joints, feet = _legs(frames, columns[0], order).reshape(-1, 12), _legs(frames, columns[1], order)
+        joints = joints * own.joint_sign**turned  # about the common axes, or those of the robot's file
+        feet_b = quat_rotate_inverse(quat_wxyz[:, None], feet) if columns[2] else feet
+        off = float(np.sqrt(np.mean(np.sum((foot_positions(own, joints) - feet_b) ** 2, axis=-1))))
+        if off < least - 1e-9:
+            said = f"joints are the {own.name}'s, legs {title}: the feet in the file are {1e3 * off:.1f} mm off its"
+            found, least = (own, joints, said), off
+    if found is None or least > _MOST_OFF_M:
+        tried = ", ".join(dict.fromkeys(own.name for own in robots))
+        raise ClipError(
+            f"the joints belong to none of {tried}: the feet in the file are {least:.2f} m off or more;"
+            " read it with the robot that they belong to (--robot FILE)"
+        )
+    return found
+
+
+def _legs(frames: Array, first: int, order: tuple[int, ...]) -> Array:
+    """Twelve columns as (t, 4, 3), legs in the common order."""
+    return frames[:, first : first + 12].reshape(-1, 4, 3)[:, list(order)]
+
+
+def _named(name: Any, robot: Robot | None) -> Robot:
     if robot is not None and robot.name == name:
         return robot
     if robot is not None or name not in ROBOT_NAMES:
@@ -134,14 +174,14 @@ def _load(text: str) -> dict[str, Any]:
 
 
 def _frames(document: dict[str, Any], text: str) -> Array:
-    """All frames, (t, 19), or (t, 49) or (t, 61) as in `amp`."""
+    """All frames, (t, 19), or (t, 49) or (t, 61) with velocities and feet."""
     if "Frames" not in document:
         raise ClipError(f"JSON without 'Frames'{did_you_mean('Frames', document)}; found {_listed(document)}")
     frames = document["Frames"]
     if not isinstance(frames, list) or not all(isinstance(frame, list) for frame in frames):
         raise ClipError("'Frames' must be a list of lists of numbers")
     names = FRAME_NAMES
-    if frames and len(frames[0]) in amp.LAYOUTS:
+    if frames and len(frames[0]) in _LAYOUTS:
         names = (*FRAME_NAMES[:7], *["joints, feet or velocities"] * (len(frames[0]) - 7))
     for i, frame in enumerate(frames):
         if len(frame) != len(names):

@@ -13,13 +13,12 @@ from typing import Final
 
 import numpy as np
 
-from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import DOG, POINT_NAMES, Clip
 from fastmimic.clips.formats.format import Content, Format
 from fastmimic.clips.formats.gaps import Part
-from fastmimic.clips.formats.point_names import PointMap
-from fastmimic.clips.formats.points import choose, clip_of
+from fastmimic.clips.formats.points import clip_of
 from fastmimic.clips.formats.text_table import read_table, to_array
+from fastmimic.clips.formats.tracked_points import Tracks, tracks_format
 
 COLUMNS: Final = 81
 DEFAULT_RATE_HZ: Final = 60.0
@@ -40,7 +39,6 @@ _POINT_INDEX: Final = {
 
 _COLUMN: Final = re.compile(r"(.+?)(?:[\s._:/\-]([xyzXYZ])|(?<=[a-zA-Z])([XYZ]))")
 _TIMES: Final = ("time", "time_s", "t")
-_UNEVEN: Final = 0.25  # share of a frame's duration: times may be rounded to milliseconds
 _FEWEST: Final = 6  # points: the spine's two and four feet
 
 
@@ -69,27 +67,17 @@ FORMAT: Final = Format(
 )
 
 
-def parse_named(
-    text: str,
-    *,
-    fps: float | None = None,
-    up: str | None = None,
-    point_map: PointMap | None = None,
-    frames: Part | None = None,
-) -> Clip:
-    """Reads the text of such a table; `fps` is from the column `time` if None. Without `point_map` the ten points are
-    those of the common names, or of AI4Animation's dog; without `up`, the hips are above the toes. Raises `ClipError`:
-    malformed (says which line and column), no rate, no such points, or not an upright, right-handed animal."""
+def read_named(text: str) -> Tracks:
+    """Reads the text of such a table; raises `ClipError`: malformed (says which line and column)."""
     table = read_table(text)
     assert table.header is not None
     header = [name.strip().strip('"') for name in table.header]
     points = _named_points(header)
     gaps = {column for columns in points.values() for column in columns}
     values = to_array(table.rows, len(header), lambda column: header[column], "keypoints by name", gaps=gaps)
-    chosen, assumed = choose(list(points), point_map)
-    hz = _rate(header, values) if fps is None else float(fps)
-    body = np.stack([values[:, columns] for columns in points.values()], axis=1)
-    return clip_of(body, chosen, hz, up=up, assumed=assumed, frames=frames)
+    time = next((column for column, name in enumerate(header) if name.lower() in _TIMES), None)
+    positions = np.stack([values[:, columns] for columns in points.values()], axis=1)
+    return Tracks(list(points), positions, times=None if time is None else (header[time], values[:, time]))
 
 
 def _named_points(header: Sequence[str]) -> dict[str, list[int]]:
@@ -102,28 +90,15 @@ def _named_points(header: Sequence[str]) -> dict[str, list[int]]:
     return {name: [axes[a] for a in "xyz"] for name, axes in found.items() if len(axes) == 3}
 
 
-def _rate(header: Sequence[str], values: np.ndarray) -> float:
-    for column, name in enumerate(header):
-        if name.lower() in _TIMES:
-            times = values[:, column]
-            step = float(times[-1] - times[0]) / (len(times) - 1)
-            off = np.abs(times - times[0] - step * np.arange(len(times)))
-            if not step > 0 or off.max() > _UNEVEN * step:
-                raise ClipError(f"the column '{name}' does not rise by equal steps; give the frame rate (--fps)")
-            return 1.0 / step
-    raise ClipError("there is no column 'time'; give the frame rate (--fps)")
-
-
 def _detect_named(content: Content) -> bool:
     header = content.table.header
     return header is not None and len(_named_points(header)) >= _FEWEST
 
 
-NAMED_FORMAT: Final = Format(
-    name="points",
-    about="keypoints by name, a header with NAME_x, NAME_y, NAME_z of ten points, or of six without hips",
-    suffixes=(".csv",),
-    detect=_detect_named,
-    parse=parse_named,
-    takes=("fps", "up", "point_map", "frames"),
+NAMED_FORMAT: Final = tracks_format(
+    "points",
+    "keypoints by name, a header with NAME_x, NAME_y, NAME_z of ten points, or of six without hips",
+    (".csv",),
+    _detect_named,
+    read_named,
 )

@@ -53,7 +53,7 @@ BUILT_IN: Final[Mapping[str, PointMap]] = {
     "the common names, without hips": {name: name for name in POINT_NAMES if name not in HIP_NAMES},
     "Vienna's horses": VIENNA_HORSE,
 }
-"""Default maps, tried in this order. Without hips, these are inferred (`inferred_hips`)."""
+"""Default maps, tried in this order. Without hips, these are inferred (`with_hips`)."""
 
 UNKNOWN: Final = "?"  # in a map that is not complete
 

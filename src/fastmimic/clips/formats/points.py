@@ -12,17 +12,18 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, did_you_mean
-from fastmimic.base.rotations import quat_continuous, quat_rotate
+from fastmimic.base.rotations import quat_continuous, quat_rotate, rotate_planar
 from fastmimic.clips.clip import POINT_NAMES, Clip, Skeleton
 from fastmimic.clips.formats.axes import check_right_handed, find_axes
 from fastmimic.clips.formats.gaps import Part, mend, part_for
-from fastmimic.clips.formats.inferred_hips import with_hips
 from fastmimic.clips.formats.point_names import AI4ANIMATION_DOG, BUILT_IN, HIP_NAMES, UNKNOWN, PointMap, guess
 from fastmimic.clips.formats.text_table import check_rate
 
 _EXAMPLE: Final = json.dumps(AI4ANIMATION_DOG)
 
 NORM_TOLERANCE: Final = 2e-3  # rounding to three decimals changes a unit quaternion's norm by up to 1e-3
+SHARE_OF_HEIGHT: Final = (0.85, 0.89)  # of shoulders below the withers and of hips below the croup, above the ground
+LEGS_TO_HEIGHT: Final = 1.3  # upper and lower leg, straight, to the mean height of shoulders and hips
 
 
 def read_point_map(path: str | Path) -> dict[str, str]:
@@ -127,6 +128,38 @@ def _places(chosen: Sequence[int | None]) -> tuple[list[int], list[bool]]:
     stand_in = {2: chosen[1], 3: chosen[1], 4: chosen[0], 5: chosen[0]}
     places = [stand_in[i] if place is None else place for i, place in enumerate(chosen)]
     return [int(place) for place in places if place is not None], [place is not None for place in chosen]
+
+
+def with_hips(points: Array) -> tuple[Array, float, str]:
+    """Fills in shoulders and hips of `points` (t, 10, 3), in the order of `POINT_NAMES`, z up, m, of an animal of which
+    only the spine and the feet were recorded. Returns the points, the length of the legs, m, and a sentence that says
+    what was assumed.
+
+    They lie below the spine's points and above the middle of the feet's places, so that the legs swing evenly to both
+    sides. How far below, and how long the legs are, follows from the proportions of the dog of the public recordings.
+    """
+    points = np.array(points)
+    ahead = points[:, 1] - points[:, 0]
+    heading = np.arctan2(ahead[:, 1], ahead[:, 0])[:, None]
+    ground = float(np.percentile(points[:, 6:, 2], 10))
+    heights = []
+    for spine, hips, share in ((1, slice(2, 4), SHARE_OF_HEIGHT[0]), (0, slice(4, 6), SHARE_OF_HEIGHT[1])):
+        above, toes = points[:, [spine]], points[:, hips.start + 4 : hips.stop + 4]
+        right, left = np.median(rotate_planar(-heading, (toes - above)[..., :2]), axis=0)
+        forward, half = 0.5 * (right + left)[0], 0.5 * (left - right)[1]
+        offset = rotate_planar(heading, np.array([[forward, -half], [forward, half]]))
+        points[:, hips, :2] = above[..., :2] + offset
+        points[:, hips, 2] = above[..., 2] - (1.0 - share) * (above[..., 2].mean() - ground)
+        heights.append(float(points[:, hips, 2].mean()) - ground)
+    legs = LEGS_TO_HEIGHT * float(np.mean(heights))
+    return (
+        points,
+        legs,
+        (
+            "shoulders and hips are not in the file: they are taken above the middle of the feet's places, as wide as"
+            f" these, {heights[0]:.2f} and {heights[1]:.2f} m high, with legs of {legs:.2f} m, as a dog's"
+        ),
+    )
 
 
 def _listed(names: Sequence[str]) -> str:

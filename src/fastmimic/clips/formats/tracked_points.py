@@ -14,42 +14,45 @@ from fastmimic.clips.formats.format import Content, Format
 from fastmimic.clips.formats.points import choose, clip_of
 
 _RADIUS: Final = 0.02  # m, of drawn bones
+_UNEVEN: Final = 0.25  # share of a frame's duration: times may be rounded to milliseconds
 
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Tracked points or joints.
-
-    Attributes:
-        positions: (t, k, 3); NaN where a point is missing.
-        rate_hz: None if the file does not say.
-        confidence: (t, k), 0 to 1; None if the file has none.
-        unit_m: the file's unit in metres; None if it does not say.
-        is_level: whether an axis is vertical; not so in a camera's axes.
-        notes: what was assumed.
-        parents: of the joints of a skeleton, -1 for a root; empty for points.
-    """
+    """Tracked points or joints; None for what the file does not say."""
 
     names: Sequence[str]
-    positions: Array
+    positions: Array  # (t, k, 3); NaN where a point is missing
     rate_hz: float | None = None
-    confidence: Array | None = None
-    unit_m: float | None = None
-    is_level: bool = True
-    notes: tuple[str, ...] = ()
-    parents: Sequence[int] = ()
+    times: tuple[str, Array] | None = None  # name and values (t,), s, of a column of times, in place of the rate
+    confidence: Array | None = None  # (t, k), 0 to 1
+    unit_m: float | None = None  # the file's unit in metres
+    is_level: bool = True  # whether an axis is vertical; not so in a camera's axes
+    notes: tuple[str, ...] = ()  # what was assumed
+    parents: Sequence[int] = ()  # of the joints of a skeleton, -1 for a root; empty for points
 
     def clip(self, *, fps: float | None, **options: Any) -> Clip:
         """The clip; `fps` and the options `up`, `point_map` and `frames` as in `ReadOptions`. Raises `ClipError`: no
         frame rate, unknown points, or what `clip_of` refuses."""
-        rate = self.rate_hz if fps is None else float(fps)
-        if rate is None:
-            raise ClipError("the file does not say how many frames a second it has; give the frame rate (--fps)")
+        rate = self._rate() if fps is None else float(fps)
         chosen, assumed = choose(self.names, options.pop("point_map"))
         bones = tuple((parent, joint) for joint, parent in enumerate(self.parents) if parent >= 0)
         skeleton = Skeleton(len(self.names), bones, (_RADIUS,) * len(bones)) if bones else None
         options |= {"confidence": self.confidence, "unit_m": self.unit_m, "is_level": self.is_level}
         return clip_of(self.positions, chosen, rate, assumed=[*self.notes, *assumed], skeleton=skeleton, **options)
+
+    def _rate(self) -> float:
+        if self.times is not None:
+            column, times = self.times
+            since = times - times[0]
+            step = float(since[-1]) / (len(since) - 1)
+            off = np.abs(since - step * np.arange(len(since)))
+            if not step > 0 or off.max() > _UNEVEN * step:
+                raise ClipError(f"the column '{column}' does not rise by equal steps; give the frame rate (--fps)")
+            return 1.0 / step
+        if self.rate_hz is None:
+            raise ClipError("the file does not say how many frames a second it has; give the frame rate (--fps)")
+        return self.rate_hz
 
 
 def tracks_format(
