@@ -4,7 +4,7 @@ from pathlib import Path
 
 from cli.conftest import in_folder, run, start
 from fastmimic.dataset import BuildRequest, BuildSettings, DatasetSource, MotionDataset
-from fastmimic.dataset.records import reproducible
+from fastmimic.dataset.records import COSTS, Record
 from made_once import made_once
 from searches import QUICK_CHOICE
 
@@ -31,6 +31,11 @@ def of(*names: str, **options: object) -> BuildRequest:
 def contents(folder: Path) -> dict[str, bytes]:
     """The motions of a library, by the names of their files."""
     return {path.name: path.read_bytes() for path in (folder / "motions").iterdir()}
+
+
+def reproducible(record: Record) -> Record:
+    """The part of a record that every repetition reproduces, at any time and on any machine."""
+    return {name: value for name, value in record.items() if name not in COSTS}
 
 
 def same(one: Path, other: Path) -> None:

@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 
 from cli.running import Run
-from dataset.conftest import same
+from dataset.conftest import reproducible, same
 from fastmimic.dataset import MotionDataset
-from fastmimic.dataset.records import reproducible
 from fastmimic.dataset.repair import check
 from fastmimic.simulation.simulators import FIRST_SIMULATOR, SECOND_SIMULATOR, SIMULATORS
 from searches import QUICK_COMMAND

@@ -91,12 +91,15 @@ def check_folder(folder: str | Path) -> None:
         raise OutputError(f"{folder}: cannot be written to ({error.strerror or error})") from None
 
 
-def remove_file(path: Path) -> None:
-    """Removes a file, if it exists, before it is written again; raises `OutputError`."""
+def remove_file(path: Path) -> bool:
+    """Removes a file; returns whether there was one. Raises `OutputError` if it cannot."""
     try:
-        path.unlink(missing_ok=True)
+        path.unlink()
+    except FileNotFoundError:
+        return False
     except OSError as error:
-        raise OutputError(f"{path}: cannot be replaced ({error.strerror or error})") from None
+        raise OutputError(f"{path}: cannot be removed ({error.strerror or error})") from None
+    return True
 
 
 def read_section(path: Path, name: str) -> dict[str, Any] | None:

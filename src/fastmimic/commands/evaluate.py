@@ -17,7 +17,7 @@ from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.deploy.log import DeploymentLog, is_deployment_log, load_ground_truth
 from fastmimic.episode.run_log import RunLog
 from fastmimic.robot import ROBOT_CHOICES, ROBOT_NAMES, load_robot
-from fastmimic.simulation.conditions import names_of, parse_disturbance
+from fastmimic.simulation.conditions import parse_disturbance
 
 if TYPE_CHECKING:
     from fastmimic.identification.identify import Identification
@@ -101,7 +101,7 @@ class Evaluate:
         note(provenance(motion))
         put_figures(figures, robot.name)
         if conditions.simulator != "mujoco" or conditions.disturbances:
-            put(f"in {conditions.simulator}; disturbances: {names_of(conditions.disturbances) or 'none'}")
+            put(f"in {conditions.simulator}; disturbances: {', '.join(map(str, conditions.disturbances)) or 'none'}")
         if self.log is not None:
             put(f"log in {self.log}")
         return 0

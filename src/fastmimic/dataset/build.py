@@ -9,12 +9,13 @@ from random import Random
 from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.errors import ConfigError, LibraryError, OutputError, WorkerError
+from fastmimic.base.files import remove_file
 from fastmimic.dataset.excerpts import Survey, look_of, save_survey, survey, survey_file
 from fastmimic.dataset.folder import BuildSettings, DamagedError, MotionDataset, Row
 from fastmimic.dataset.index import Gathered, require_pyarrow
 from fastmimic.dataset.jobs import Job, Neighbours, give_up, now, perform, robot_digest
 from fastmimic.dataset.lock import building as locked
-from fastmimic.dataset.records import FAILED, FinishedJobs, Record, load_record, remove, save_record
+from fastmimic.dataset.records import FAILED, FinishedJobs, Record, load_record, save_record
 from fastmimic.dataset.sources import DatasetSource
 from fastmimic.executors import Executor, Report
 from fastmimic.robot import Robot, load_robot
@@ -62,11 +63,7 @@ class BuildRequest:
 
 @dataclass(frozen=True)
 class BuildStep:
-    """Progress of a build.
-
-    Attributes:
-        record, survey: the one that was just finished, if any.
-    """
+    """Progress of a build, with the record or survey that was just finished, if any."""
 
     what: str  # 'looking' through sources, or 'making' motions
     done: int
@@ -217,7 +214,7 @@ class _Builder:
             place = Path(old.source.place)
             within = any(place.is_relative_to(folder) for folder in self.request.folders)
             if (old.source.place, old.source.frames) in parts or (within and (old.failed or not place.exists())):
-                remove(survey_file(self.library.path, old.source))
+                remove_file(survey_file(self.library.path, old.source))
 
     def _make(self, jobs: Sequence[Job], seen: FinishedJobs) -> int:
         """Does the jobs that are not finished; returns their number."""

@@ -29,13 +29,8 @@ WHOLE: Final = "whole"  # gait of an excerpt without a search for cycles: a robo
 
 @dataclass(frozen=True, kw_only=True)
 class Excerpt:
-    """One motion of a source.
-
-    Attributes:
-        gait, footfall, confidence: as in `fastmimic.clips.segment.Segment`; `WHOLE` and 1 without a search for cycles.
-        period_s, speed_m_per_s, yaw_rate_rad_per_s: in the animal's size, or the robot's for a robot motion.
-        licence, credit: of the recording; None if unknown.
-    """
+    """One motion of a source. Its gait, footfall and confidence are as in `fastmimic.clips.segment.Segment`, or `WHOLE`
+    and 1 without a search for cycles; its speed is in the animal's size, or the robot's for a robot motion."""
 
     name: str  # unique within the source
     source: DatasetSource

@@ -51,17 +51,12 @@ class Superseded:
 
 @dataclass(frozen=True, eq=False)
 class Membership:
-    """The inputs that decide which records belong to a library.
-
-    Attributes:
-        unreadable: damaged files of recipe, sources and robots, one line each. Records that may depend on them are
-            kept.
-    """
+    """The inputs that decide which records belong to a library."""
 
     recipe: str | None  # digest of the recipe; None if it cannot be read
     robots: Mapping[str, str]  # digests of robots' descriptions, by name or file
     pieces: Mapping[str, Sequence[Excerpt]]  # excerpts of all sources, by digest
-    unreadable: tuple[str, ...]
+    unreadable: tuple[str, ...]  # damaged files of these, one line each; records that may depend on them are kept
     sources_known: bool  # whether no source's file is damaged
     problems: tuple[str, ...]  # why sources have no excerpts, one line each
 

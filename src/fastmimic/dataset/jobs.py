@@ -67,12 +67,6 @@ class WarmStart:
 
 @dataclass(frozen=True)
 class Job:
-    """A job.
-
-    Attributes:
-        began: start of its build: a motion that failed since then is not tried again.
-    """
-
     piece: Excerpt
     robot: str  # a built-in robot's name, or the path of an MJCF
     robot_digest: str
@@ -80,7 +74,7 @@ class Job:
     recipe: BuildSettings
     folder: Path
     warm: WarmStart | None = None  # start of the search; None for the unmodulated motion
-    began: str = "~"  # later than all times
+    began: str = "~"  # start of its build: a motion that failed since then is not tried again
 
     @cached_property
     def id(self) -> str:

@@ -12,7 +12,6 @@ from typing import Any, Final
 
 import msgspec
 
-from fastmimic.base.errors import OutputError
 from fastmimic.base.files import write_text
 
 Record = dict[str, Any]
@@ -73,26 +72,10 @@ def empty() -> Record:
     return dict.fromkeys(COLUMNS)
 
 
-def reproducible(record: Record) -> Record:
-    """The part of a record that every repetition reproduces, at any time and on any machine."""
-    return {name: value for name, value in record.items() if name not in COSTS}
-
-
 def sha256(path: Path) -> str:
     """Digest of a file's content; raises `OSError`."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def remove(path: Path) -> bool:
-    """Removes a file of a library; returns whether there was one. Raises `OutputError` if it cannot."""
-    try:
-        path.unlink()
-    except FileNotFoundError:
-        return False
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be removed ({error.strerror or error})") from None
-    return True
 
 
 def record_file(folder: Path, identity: str) -> Path:
@@ -187,14 +170,9 @@ FAILURE: Final = "failed"
 
 @dataclass(frozen=True)
 class Demand:
-    """A bound on a figure.
+    """Inclusive bounds on a figure."""
 
-    Attributes:
-        figure: of the record; ignored if the record lacks it, because it was not evaluated.
-        least, most: inclusive bounds; None for no bound.
-    """
-
-    figure: str
+    figure: str  # of the record; ignored if the record lacks it, because it was not evaluated
     least: float | None = None
     most: float | None = None
     says: str = ""

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fastmimic.base.errors import LibraryError, MotionError, RobotError
+from fastmimic.base.files import remove_file
 from fastmimic.control.config import controller_config
 from fastmimic.dataset.excerpts import SOURCES, reason_of
 from fastmimic.dataset.folder import INDEX, ROBOTS, SETTINGS, MotionDataset
 from fastmimic.dataset.lock import mending
-from fastmimic.dataset.records import MOTIONS, RECORDS, damage, remove
+from fastmimic.dataset.records import MOTIONS, RECORDS, damage
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import episode_duration
 from fastmimic.imitation.methods import method_named
@@ -22,17 +23,12 @@ _COLUMNS = ("id", "name", "robot", "robot_file", "method", "motion_file", "rewar
 
 @dataclass(frozen=True)
 class DatasetHealth:
-    """Result of `check`.
-
-    Attributes:
-        foreign: files of no record that belongs to the library: of earlier recipes, changed sources, or killed
-            builders.
-    """
+    """Result of `check`."""
 
     records: int
     damaged: tuple[str, ...]  # defects, one line each; a new build repairs them
     useless: tuple[str, ...]  # files of damaged records, relative to the library
-    foreign: tuple[str, ...]
+    foreign: tuple[str, ...]  # files of no record that belongs to it: of other recipes and sources, or killed builders
     unreadable: tuple[str, ...]  # the lines of `damaged` about the recipe, sources and robots
     outdated: bool  # whether the index does not match the records
 
@@ -114,6 +110,6 @@ def mend(library: MotionDataset, progress: Callable[[int, int], None] | None = N
     with mending(library.path):
         health = check(library, progress)
         for name in sorted({*health.useless, *health.foreign}):
-            removed += remove(library.path / name)
+            removed += remove_file(library.path / name)
         library.write_index()
     return health, removed

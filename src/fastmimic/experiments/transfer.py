@@ -24,7 +24,7 @@ from fastmimic.experiments.experiment import Subject, all_parts
 from fastmimic.identification.identify import identify
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.robot import Robot
-from fastmimic.simulation.conditions import Conditions, Disturbance, names_of
+from fastmimic.simulation.conditions import Conditions, Disturbance
 from fastmimic.simulation.simulators import FIRST_SIMULATOR, SECOND_SIMULATOR
 
 _LOG: Final = logging.getLogger(__name__)
@@ -48,7 +48,7 @@ class TransferStage:
 
     def __str__(self) -> str:
         said = f"{self.simulator}, {self.observe}"
-        return f"{said}, {names_of(self.disturbances)}" if self.disturbances else said
+        return ", ".join([said, *map(str, self.disturbances)])
 
 
 ACTUATORS: Final = (

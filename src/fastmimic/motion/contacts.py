@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.configuration import documented, parameter
 
 
@@ -78,17 +78,11 @@ def detect(activity: Array, rate_hz: float, periodic: bool, config: ContactConfi
 
 def stances_of(on: NDArray[np.bool_], periodic: bool) -> list[Stance]:
     """The stances in a boolean series (t,)."""
-    n = len(on)
-    if on.all():
-        return [Stance(0, n)]
-    before, after = np.roll(on, 1), np.roll(on, -1)
-    if not periodic:
-        before[0] = after[-1] = False
-    starts = np.flatnonzero(on & ~before)
-    ends = np.flatnonzero(on & ~after) + 1
-    if len(starts) and ends[0] <= starts[0]:
-        ends = np.append(ends[1:], ends[0] + n)
-    return [Stance(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
+    found = [Stance(a, b) for a, b in stretches(on)]
+    if periodic and len(found) > 1 and on[0] and on[-1]:
+        first, *between, last = found
+        found = [*between, Stance(last.touch_down, first.lift_off + len(on))]
+    return found
 
 
 def contact_mask(stances: Stances, n: int) -> NDArray[np.bool_]:

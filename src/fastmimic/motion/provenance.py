@@ -30,26 +30,17 @@ class Span:
 
 @dataclass(frozen=True)
 class StitchedSegment:
-    """One segment of a stitched motion.
+    """One segment of a stitched motion; the first has no transition."""
 
-    Attributes:
-        name, part, cycles: of its motion: name, index into the whole's `parts`, and requested number of cycles.
-        first, last: samples, last exclusive; neighbours meet in the middle of their transition.
-        shift: sample t of the whole is sample (t − shift) mod n of the part.
-        trunk: blend of the trunk into this segment; None for the first.
-        feet: (4) stances or swings in which each leg switches to it; None for the first.
-        rebuilt: samples of the transition, which belong to no part; None for the first.
-    """
-
-    name: str
-    part: int
-    cycles: int
-    first: int
-    last: int
-    shift: int
-    trunk: Span | None
-    feet: tuple[Span, Span, Span, Span] | None
-    rebuilt: Span | None
+    name: str  # of its motion
+    part: int  # index of its motion among the whole's `parts`
+    cycles: int  # requested
+    first: int  # sample; neighbours meet in the middle of their transition
+    last: int  # sample, exclusive
+    shift: int  # sample t of the whole is sample (t − shift) mod n of the part
+    trunk: Span | None  # blend of the trunk into this segment
+    feet: tuple[Span, Span, Span, Span] | None  # stances or swings in which the legs switch to it
+    rebuilt: Span | None  # samples of the transition, which belong to no part
 
 
 @dataclass(frozen=True)

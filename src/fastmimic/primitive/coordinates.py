@@ -29,19 +29,12 @@ class PlanarTwist:
 
     A cyclic motion expressed in X(φ) is periodic for any turn; relative to a straight drift it would jump at the wrap.
     Near whole turns (|dyaw| > 3π/2) the twist is about a remote centre or does not exist. Whole turns are then left out
-    of the frame's rotation and counted in `whole_turns`.
+    of the frame's rotation and counted in `whole_turns`."""
 
-    Attributes:
-        origin: (x, y, yaw) of X₀, world, m and rad.
-        translation: (2,) translational part of the logarithm, moving frame, m a cycle.
-        rotation: rotational part of the logarithm, rad a cycle.
-        whole_turns: turns of the body about itself left out of `rotation`, rad a cycle.
-    """
-
-    origin: Array
-    translation: Array
-    rotation: float
-    whole_turns: float = 0.0
+    origin: Array  # (x, y, yaw) of X₀, world, m and rad
+    translation: Array  # (2,) translational part of the logarithm, moving frame, m a cycle
+    rotation: float  # rotational part of the logarithm, rad a cycle
+    whole_turns: float = 0.0  # of the body about itself, left out of `rotation`, rad a cycle
 
     @classmethod
     def from_cycle(cls, origin: Array, cycle: Array) -> "PlanarTwist":

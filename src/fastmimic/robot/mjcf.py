@@ -1,9 +1,8 @@
 """Reads a `Robot` from an MJCF model. The legs are recognised by geometry, not by names."""
 
 import hashlib
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -63,13 +62,8 @@ def robot_from_spec(spec: "mujoco.MjSpec", default_name: str) -> Robot:
         mass=float(model.body_subtreemass[trunk]),
         inertia_b=inertia_b,
         com_b=com_b,
-        hip_pos_b=np.array([leg.hip_pos for leg in legs]),
-        lateral_offset=np.array([leg.lateral for leg in legs]),
-        thigh_vector=np.array([leg.thigh for leg in legs]),
-        calf_vector=np.array([leg.calf for leg in legs]),
-        hip_shift=np.array([leg.hip_shift for leg in legs]),
-        knee_sign=np.array([leg.knee_sign for leg in legs]),
-        foot_radius=legs[0].foot_radius,
+        **{name: np.array([leg.geometry[name] for leg in legs]) for name in legs[0].geometry},
+        foot_radius=float(model.geom_size[legs[0].foot, 0]),
         joint_lower=lower,
         joint_upper=upper,
         torque_limit=_torque_limits(model, joints),
@@ -94,17 +88,10 @@ def robot_from_spec(spec: "mujoco.MjSpec", default_name: str) -> Robot:
     )
 
 
-@dataclass(frozen=True)
-class _Leg:
-    joints: tuple[int, int, int]
-    hip_pos: Array
-    hip_shift: Array
-    lateral: float
-    thigh: Array
-    calf: Array
-    knee_sign: float
+class _Leg(NamedTuple):
+    joints: list[int]
     foot: int
-    foot_radius: float
+    geometry: dict[str, Array]  # by the names of `Robot`
 
 
 def _files_digest(spec: "mujoco.MjSpec") -> str:
@@ -231,7 +218,7 @@ def _turn_round(spec: "mujoco.MjSpec", model: "mujoco.MjModel", joints: list[int
 def _leg(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int, root: int) -> _Leg:
     """A leg, from the positions of its parts with all joints at zero."""
     chain = _chain(model, root)
-    joints = tuple(int(model.body_jntadr[b]) for b in chain)
+    joints = [int(model.body_jntadr[b]) for b in chain]
     for joint in joints:
         if not (model.jnt_limited[joint] or model.nkey):
             raise RobotError(f"joint '{model.joint(joint).name}' has no range, and no keyframe shows how it is bent")
@@ -243,17 +230,15 @@ def _leg(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int, root: int) 
     to_hip, thigh, calf = anchors[1] - anchors[0], anchors[2] - anchors[1], foot_pos - anchors[2]
     bent = _home(model)[model.jnt_qposadr[joints[2]]]
     angle = np.arctan2(calf[0], -calf[2]) - np.arctan2(thigh[0], -thigh[2])
-    return _Leg(
-        joints=(joints[0], joints[1], joints[2]),
-        hip_pos=anchors[0].copy(),
-        hip_shift=to_hip[[0, 2]].copy(),
-        lateral=float(to_hip[1] + thigh[1] + calf[1]),
-        thigh=thigh.copy(),
-        calf=calf.copy(),
-        knee_sign=1.0 if bent - angle > 0 else -1.0,
-        foot=foot,
-        foot_radius=float(model.geom_size[foot, 0]),
-    )
+    geometry = {
+        "hip_pos_b": anchors[0],
+        "lateral_offset": to_hip[1] + thigh[1] + calf[1],
+        "thigh_vector": thigh,
+        "calf_vector": calf,
+        "hip_shift": to_hip[[0, 2]],
+        "knee_sign": np.float64(1.0 if bent - angle > 0 else -1.0),
+    }
+    return _Leg(joints, foot, geometry)
 
 
 def _foot_geom(model: "mujoco.MjModel", data: "mujoco.MjData", calf: int, root: int) -> int:
@@ -275,10 +260,10 @@ def _foot_geom(model: "mujoco.MjModel", data: "mujoco.MjData", calf: int, root: 
 def _order(model: "mujoco.MjModel", legs: list[_Leg]) -> list[int]:
     """Indices of FR, FL, RR, RL among the legs, by hip position."""
     signs = {"FR": (1, -1), "FL": (1, 1), "RR": (-1, -1), "RL": (-1, 1)}
-    found = [tuple(np.sign(leg.hip_pos[:2]).astype(int)) for leg in legs]
+    found = [tuple(np.sign(leg.geometry["hip_pos_b"][:2]).astype(int)) for leg in legs]
     order = [found.index(signs[leg]) for leg in LEGS if signs[leg] in found]
     if len(order) != 4:
-        hips = ", ".join(str(np.round(leg.hip_pos[:2], 3).tolist()) for leg in legs)
+        hips = ", ".join(str(np.round(leg.geometry["hip_pos_b"][:2], 3).tolist()) for leg in legs)
         raise RobotError(f"expected one leg front right, front left, rear right, rear left; hips at {hips}")
     return order
 
@@ -352,8 +337,9 @@ def _torque_limits(model: "mujoco.MjModel", joints: list[int]) -> Array:
 def _in_leg_plane(com: Array, legs: list[_Leg]) -> Array:
     """Centres of mass (4, 3, 3) with the origins of thigh and calf moved sideways into the plane of the foot."""
     for of_leg, leg in zip(com, legs, strict=True):
-        of_leg[1, 1] -= leg.thigh[1] + leg.calf[1]
-        of_leg[2, 1] -= leg.calf[1]
+        thigh, calf = leg.geometry["thigh_vector"], leg.geometry["calf_vector"]
+        of_leg[1, 1] -= thigh[1] + calf[1]
+        of_leg[2, 1] -= calf[1]
     return com
 
 

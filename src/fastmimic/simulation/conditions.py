@@ -7,7 +7,7 @@ each robot of a batch.
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final
@@ -158,11 +158,6 @@ def driving_limit(limit: Array, top_speed: Array, joint_vel: Array) -> Array:
     with np.errstate(invalid="ignore"):
         share = 2.0 * (1.0 - np.abs(joint_vel) / top_speed)
     return limit * np.clip(share, 0.0, 1.0)
-
-
-def names_of(disturbances: Iterable[Disturbance]) -> str:
-    """The disturbances in one line; empty without any."""
-    return ", ".join(str(d) for d in disturbances)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ disturbances by itself (`fastmimic.simulation.simulators`).
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final
 
@@ -33,34 +33,22 @@ EachStep = Callable[[Any, Array, float], None]  # (simulation, (n,) values, time
 
 @dataclass(frozen=True)
 class DisturbanceKind:
-    """A kind of disturbance.
-
-    Attributes:
-        unit: of its value; empty for a plain number.
-        nominal: the value that disturbs nothing.
-        levels: what `fastmimic stress` runs, with the nominal value; empty for five from lower to upper.
-        usual: the range to expect of a robot of this class, for randomisation: an order of magnitude, not identified on
-            a robot. None if the robots of a batch cannot differ in it.
-        randomized: whether randomisation varies it by default.
-        per_robot: whether each robot of a batch may have its own value.
-        timed: whether it happens at a time.
-        apply: by simulator.
-        each_step: the same function for every simulator.
-    """
+    """A kind of disturbance. `usual` is the range to expect of a robot of this class, for randomisation: an order of
+    magnitude, not identified on a robot; None if the robots of a batch cannot differ in it."""
 
     name: str
-    unit: str = ""
+    unit: str = ""  # of its value; empty for a plain number
     lower: float = -math.inf
     upper: float = math.inf
     about: str = ""
-    nominal: float = 0.0
-    levels: tuple[float, ...] = ()
+    nominal: float = 0.0  # the value that disturbs nothing
+    levels: tuple[float, ...] = ()  # what `fastmimic stress` runs; empty for five from lower to upper
     usual: tuple[float, float] | None = None
-    randomized: bool = False
-    per_robot: bool = True
-    timed: bool = False
-    apply: Mapping[str, Apply] = field(default_factory=dict)
-    each_step: EachStep | None = None
+    randomized: bool = False  # whether randomisation varies it by default
+    per_robot: bool = True  # whether each robot of a batch may have its own value
+    timed: bool = False  # whether it happens at a time
+    apply: Mapping[str, Apply] = field(default_factory=dict)  # by simulator
+    each_step: EachStep | None = None  # the same function for every simulator
 
     def __post_init__(self) -> None:
         if not self.levels and math.isfinite(self.upper - self.lower):
@@ -132,6 +120,38 @@ def _both(*levels: float) -> tuple[float, ...]:
     return (*(-level for level in reversed(levels)), 0.0, *levels)
 
 
+_SLOPE: Final = DisturbanceKind(
+    "slope",
+    unit="deg",
+    lower=-30.0,
+    upper=30.0,
+    about="of the ground along the world's x axis, positive uphill; frames turn with the ground: gravity tilts",
+    levels=_both(2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0),
+    usual=(-4.0, 4.0),
+    apply={"mujoco": _slope},
+)
+_COM_X: Final = DisturbanceKind(
+    "com-x",
+    unit="m",
+    lower=-0.15,
+    upper=0.15,
+    about="shift of the trunk's centre of mass forwards",
+    levels=_both(0.02, 0.04, 0.06, 0.08, 0.1),
+    usual=(-0.03, 0.03),
+    randomized=True,
+    apply={"mujoco": _trunk_load},
+)
+_PUSH: Final = DisturbanceKind(
+    "push",
+    unit="N·s",
+    lower=-100.0,
+    upper=100.0,
+    about=f"impulse on the trunk within {PUSH_DURATION_S:g} s along its heading, {PUSH_TIME_S:g} s after the start"
+    " unless a time is given (@time)",
+    levels=_both(2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 18.0, 24.0),
+    usual=(-5.0, 5.0),
+    timed=True,
+)
 DISTURBANCES: Final = Registry(
     "disturbance",
     [
@@ -167,25 +187,12 @@ DISTURBANCES: Final = Registry(
             usual=(0.02, 0.04),
             apply={"mujoco": _contact},
         ),
-        DisturbanceKind(
-            "slope",
-            unit="deg",
-            lower=-30.0,
-            upper=30.0,
-            about="of the ground along the world's x axis, positive uphill; frames turn with the ground: gravity tilts",
-            levels=_both(2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0),
-            usual=(-4.0, 4.0),
-            apply={"mujoco": _slope},
-        ),
-        DisturbanceKind(
-            "side-slope",
-            unit="deg",
-            lower=-30.0,
-            upper=30.0,
+        _SLOPE,
+        replace(
+            _SLOPE,
+            name="side-slope",
             about="of the ground along the world's y axis, positive if it rises to the left",
-            levels=_both(2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0),
             usual=(-2.0, 2.0),
-            apply={"mujoco": _slope},
         ),
         DisturbanceKind(
             "roughness",
@@ -208,27 +215,13 @@ DISTURBANCES: Final = Registry(
             randomized=True,
             apply={"mujoco": _trunk_load},
         ),
-        DisturbanceKind(
-            "com-x",
-            unit="m",
-            lower=-0.15,
-            upper=0.15,
-            about="shift of the trunk's centre of mass forwards",
-            levels=_both(0.02, 0.04, 0.06, 0.08, 0.1),
-            usual=(-0.03, 0.03),
-            randomized=True,
-            apply={"mujoco": _trunk_load},
-        ),
-        DisturbanceKind(
-            "com-y",
-            unit="m",
-            lower=-0.15,
-            upper=0.15,
+        _COM_X,
+        replace(
+            _COM_X,
+            name="com-y",
             about="shift of the trunk's centre of mass to the left",
             levels=_both(0.01, 0.02, 0.03, 0.04, 0.05, 0.06),
             usual=(-0.015, 0.015),
-            randomized=True,
-            apply={"mujoco": _trunk_load},
         ),
         DisturbanceKind(
             "motor-strength",
@@ -283,26 +276,13 @@ DISTURBANCES: Final = Registry(
             randomized=True,
             apply={"mujoco": partial(_joints, "dof_damping")},
         ),
-        DisturbanceKind(
-            "push",
-            unit="N·s",
-            lower=-100.0,
-            upper=100.0,
-            about=f"impulse on the trunk within {PUSH_DURATION_S:g} s along its heading, {PUSH_TIME_S:g} s after the"
-            " start unless a time is given (@time)",
-            levels=_both(2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 18.0, 24.0),
-            usual=(-5.0, 5.0),
-            timed=True,
-        ),
-        DisturbanceKind(
-            "side-push",
-            unit="N·s",
-            lower=-100.0,
-            upper=100.0,
+        _PUSH,
+        replace(
+            _PUSH,
+            name="side-push",
             about="the same to the left of its heading",
             levels=_both(2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 18.0),
             usual=(-1.5, 1.5),
-            timed=True,
         ),
     ],
 )

@@ -89,43 +89,27 @@ class Content:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """A user's options for reading a clip; None for what the file says or shows.
+    """A user's options for reading a clip; None for what the file says or shows."""
 
-    Attributes:
-        robot: the robot of a file of joint angles.
-        up: the vertical axis: "x", "y" or "z", or with its sign "-x", "-y" or "-z".
-        scale: factor from the size in the file to the robot's.
-        frames: (first, end) 0-based, end exclusive.
-        point_map: the file's point for each of the ten of `POINT_NAMES`, or a JSON file of them.
-        travel: what is done with a trunk that does not travel; see `fastmimic.clips.travel.with_travel`.
-    """
-
-    robot: Robot | None = None
+    robot: Robot | None = None  # of a file of joint angles
     fps: float | None = None
-    up: str | None = None
-    scale: float | None = None
-    frames: tuple[int, int] | None = None
-    point_map: "str | Path | PointMap | None" = None
-    travel: str | None = None
+    up: str | None = None  # the vertical axis: "x", "y" or "z", or with its sign "-x", "-y" or "-z"
+    scale: float | None = None  # factor from the size in the file to the robot's
+    frames: tuple[int, int] | None = None  # (first, end) 0-based, end exclusive
+    point_map: "str | Path | PointMap | None" = None  # the file's point for each of the ten, or a JSON file of them
+    travel: str | None = None  # what is done with a trunk that does not travel: `fastmimic.clips.travel.with_travel`
 
 
 @dataclass(frozen=True)
 class Format:
-    """A kind of motion file, with `name` in `clip.meta["format"]` and one line `about` it for users.
+    """A kind of motion file. `parse` makes the clip of a text (of the bytes, if `binary`), and raises `ClipError` with
+    the position in the file. `takes` are those of `ReadOptions` that `parse` has parameters for: "fps", "up",
+    "point_map", "robot", "frames" (a format whose takes may have gaps: to choose the part that is cut)."""
 
-    Attributes:
-        suffixes: of file names; only for listing folders.
-        detect: whether a file is of this format.
-        parse: the clip of a text (of the bytes, if `binary`), called with the options named in `takes`. Raises
-            `ClipError` with the position in the file.
-        takes: those of `ReadOptions` that `parse` has parameters for: "fps", "up", "point_map", "robot", "frames" (a
-            format whose takes may have gaps: to choose the part that is cut).
-    """
-
-    name: str
-    about: str
-    suffixes: tuple[str, ...]
-    detect: Callable[[Content], bool]
+    name: str  # also in `clip.meta["format"]`
+    about: str  # one line for users
+    suffixes: tuple[str, ...]  # of file names; only for listing folders
+    detect: Callable[[Content], bool]  # whether a file is of this format
     parse: Callable[..., Clip]
     takes: tuple[str, ...] = ("fps",)
     binary: bool = False
