@@ -13,7 +13,7 @@ from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.base.text import csv_text
 from fastmimic.episode.plan import Start
 from fastmimic.experiments import experiment
-from fastmimic.experiments.experiment import Search, Subject, check_methods, load_part, make_subject, save_part
+from fastmimic.experiments.experiment import Subject, check_methods, load_part, make_subject, save_part
 from fastmimic.experiments.stress import (
     COLUMNS,
     StressSettings,
@@ -24,6 +24,7 @@ from fastmimic.experiments.stress import (
 )
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion
+from fastmimic.optimize.cma_es import CmaSettings
 from fastmimic.report.experiment_figures import stress_figure
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, Disturbance, known
@@ -40,7 +41,7 @@ def motion(robot: Robot) -> Motion:
 
 @pytest.fixture(scope="module")
 def subject(motion: Motion, robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Subject:
-    return make_subject("mbc", motion, robot, Search(), tmp_path_factory.mktemp("motions"))
+    return make_subject("mbc", motion, robot, CmaSettings(), tmp_path_factory.mktemp("motions"))
 
 
 def made_up(method: str, name: str, success: list[float]) -> list[dict[str, Any]]:
@@ -174,14 +175,14 @@ class TestRefusals:
 
 class TestEntrants:
     def test_an_optimised_motion_is_made_once(self, motion: Motion, robot: Robot, tmp_path: Path) -> None:
-        search = Search(iterations=1, population=4, choice=QUICK_CHOICE)
+        search = CmaSettings(iterations=1, population=4, choice=QUICK_CHOICE)
         made = make_subject("mbc-dmp", motion, robot, search, tmp_path)
         assert {p.name for p in tmp_path.iterdir()} == {f"{motion.name}-mbc-dmp.npz"}
-        again = make_subject("mbc-dmp", motion, robot, Search(iterations=10**6), tmp_path)
+        again = make_subject("mbc-dmp", motion, robot, CmaSettings(iterations=10**6), tmp_path)
         assert again.digest == made.digest
         assert made.motion.target.joint_pos.tobytes() == motion.joint_pos.tobytes()
         # given to another command as it is, it is run as it is; a method that optimises nothing runs its demonstration
-        as_it_is = make_subject("mbc-dmp", made.motion, robot, Search(iterations=10**6), tmp_path / "none")
+        as_it_is = make_subject("mbc-dmp", made.motion, robot, CmaSettings(iterations=10**6), tmp_path / "none")
         assert as_it_is.motion is made.motion
         assert make_subject("mbc", made.motion, robot, search, tmp_path).motion is made.motion.target
 
@@ -189,4 +190,4 @@ class TestEntrants:
         other = gait(robot, (0.2, 0.0), 0.0, n_samples=200)
         other.save(tmp_path / f"{motion.name}-mbc-dmp.npz")
         with pytest.raises(OutputError, match="was optimised from another motion; remove it"):
-            make_subject("mbc-dmp", motion, robot, Search(), tmp_path)
+            make_subject("mbc-dmp", motion, robot, CmaSettings(), tmp_path)

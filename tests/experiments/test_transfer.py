@@ -11,7 +11,7 @@ pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install '
 from control.motions import gait
 from fastmimic.base.text import csv_text
 from fastmimic.episode.loop import run_episodes
-from fastmimic.experiments.experiment import Search, Subject, make_subject
+from fastmimic.experiments.experiment import Subject, make_subject
 from fastmimic.experiments.transfer import (
     COLUMNS,
     IDENTIFIED,
@@ -25,6 +25,7 @@ from fastmimic.experiments.transfer import (
     transferred,
     trial_starts,
 )
+from fastmimic.optimize.cma_es import CmaSettings
 from fastmimic.report.experiment_figures import transfer_figure
 from fastmimic.robot import Robot
 
@@ -34,7 +35,7 @@ SETTINGS = TransferSettings(trials=2, duration_s=0.6)
 @pytest.fixture(scope="module")
 def subject(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Subject:
     motion = gait(robot, (0.3, 0.0), 0.0, n_samples=200)
-    return make_subject("mbc", motion, robot, Search(), tmp_path_factory.mktemp("motions"))
+    return make_subject("mbc", motion, robot, CmaSettings(), tmp_path_factory.mktemp("motions"))
 
 
 @pytest.fixture(scope="module")

@@ -340,7 +340,7 @@ class TestRefused:
         ("settings", "message"),
         [
             ({"iterations": 0}, "iterations must be at least 1, found 0"),
-            ({"population": 3}, "population must be at least 4 for CMA-ES, found 3"),
+            ({"population": 3}, "population must be at least 4, found 3"),
             ({"seed": -1}, "seed must not be negative, found -1"),
             ({"step_size": 0.0}, "step_size must be"),
         ],

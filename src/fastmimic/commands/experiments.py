@@ -228,11 +228,13 @@ class ExperimentOptions:
         self, method: str, motion: Motion, robot: Robot, policy: "tuple[MakeController, str] | None"
     ) -> "Subject":
         """The method with its motion, optimised first if the method does that."""
-        from fastmimic.experiments.experiment import Search, make_subject
+        from fastmimic.experiments.experiment import make_subject
+        from fastmimic.optimize.cma_es import CmaSettings
 
-        search = Search(self.config, self.search.iterations, self.search.population, self.seed, self.choice)
+        search = CmaSettings(self.search.iterations, self.search.population, self.seed, choice=self.choice)
+        folder, config = self.out / MOTIONS, self.config
         with optimisation_progress() as progress:
-            return make_subject(method, motion, robot, search, self.out / MOTIONS, policy=policy, progress=progress)
+            return make_subject(method, motion, robot, search, folder, config=config, policy=policy, progress=progress)
 
     @contextmanager
     def writing(self, folder: WorkFolder, write: Callable[[], None]) -> Iterator[None]:

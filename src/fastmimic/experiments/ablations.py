@@ -15,21 +15,13 @@ ABLATED: Final = "mbc-dmp"
 
 @dataclass(frozen=True)
 class Ablation:
-    """A variant of `ABLATED`, optimised and evaluated with its own change.
-
-    Attributes:
-        change: its change of the controller's configuration.
-    """
+    """A variant of `ABLATED`, optimised and evaluated with its own `change` of the controller's configuration."""
 
     name: str
     summary: str
     change: Callable[[ControllerConfig], ControllerConfig] = lambda config: config
     consistent: bool = True  # whether retargeting makes the motion consistent (`RetargetConfig.consistent`)
     n_basis: int = N_BASIS  # basis functions of each DMP
-
-    def changes(self, config: ControllerConfig) -> bool:
-        """Whether the variant differs at all from the method under that configuration."""
-        return self.change(config) != config or not self.consistent or self.n_basis != N_BASIS
 
 
 def _with(part: str, **values: object) -> Callable[[ControllerConfig], ControllerConfig]:
@@ -75,11 +67,13 @@ ABLATIONS: Final = Registry("ablation", _ABLATIONS)
 
 def ablations_of(config: ControllerConfig) -> tuple[Ablation, ...]:
     """The variants that differ from the method under a configuration, which may already include one of them."""
-    return tuple(ablation for ablation in ABLATIONS.values() if ablation.changes(config))
+    return tuple(
+        ablation
+        for ablation in ABLATIONS.values()
+        if ablation.change(config) != config or not ablation.consistent or ablation.n_basis != N_BASIS
+    )
 
 
 def ablation_named(name: str) -> Ablation:
     """The variant of that name; the method itself for an empty name. Raises `ConfigError` if there is none."""
-    if not name:
-        return Ablation("", "")
-    return ABLATIONS[name]
+    return ABLATIONS[name] if name else Ablation("", "")

@@ -10,7 +10,7 @@ from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.base.files import check_folder, write_json, write_text
 from fastmimic.base.machine import versions
-from fastmimic.control.config import ControllerConfig, controller_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.plan import Start
 from fastmimic.episode.rollout import Rollout
@@ -19,25 +19,11 @@ from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import Method, check_controller, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, Progress
-from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.robot import Robot
 from fastmimic.runs.work_folder import ENVIRONMENT, MOTIONS, WorkFolder
 from fastmimic.simulation.conditions import Conditions
 
 DURATION_S: Final = 5.0  # s, length of the optimisation's episodes, as in `imitate`
-
-
-@dataclass(frozen=True, eq=False)
-class Search:
-    config: str = "default"
-    iterations: int = 200
-    population: int = 10
-    seed: int = 0
-    choice: FinalChoice = FinalChoice()
-
-    def __post_init__(self) -> None:
-        controller_config(self.config)
-        CmaSettings(self.iterations, self.population, self.seed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +83,10 @@ def make_subject(
     method: str,
     given: Motion,
     robot: Robot,
-    search: Search,
+    search: CmaSettings,
     folder: Path,
     *,
+    config: str = "default",
     policy: tuple[MakeController, str] | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Subject:
@@ -110,27 +97,27 @@ def make_subject(
     or the folder holds one of other content. After Ctrl-C the next call continues from the checkpoint.
     """
     chosen, demonstration = method_named(method), given.target
-    config = chosen.configure(controller_config(search.config))
+    configured = chosen.configure(config)
     if not chosen.optimises:
         if chosen.learned and policy is not None:
-            return Subject(chosen, demonstration, config, *policy)
-        return Subject(chosen, demonstration, config, chosen.controller)
+            return Subject(chosen, demonstration, configured, *policy)
+        return Subject(chosen, demonstration, configured, chosen.controller)
     made = given.provenance.made_with
     if given is not demonstration and (made is None or made.method == method):
-        return Subject(chosen, given, config)
+        return Subject(chosen, given, configured)
     stem = slug(f"{given.name}-{method}")
     path, checkpoint = folder / f"{stem}.npz", folder / f"{stem}.checkpoint.npz"
     if path.is_file():
         motion = Motion.load(path)
         if motion.target.joint_pos.tobytes() != demonstration.joint_pos.tobytes():
             raise OutputError(f"{path} was optimised from another motion; remove it, or choose another --out")
-        return Subject(chosen, motion, config)
+        return Subject(chosen, motion, configured)
     folder.mkdir(parents=True, exist_ok=True)
     result = imitate(
         demonstration,
         robot,
         method=method,
-        config=search.config,
+        config=config,
         duration_s=DURATION_S,
         iterations=search.iterations,
         population=search.population,
@@ -144,7 +131,7 @@ def make_subject(
         raise KeyboardInterrupt
     result.motion.save(path)
     checkpoint.unlink(missing_ok=True)
-    return Subject(chosen, result.motion, config)
+    return Subject(chosen, result.motion, configured)
 
 
 def open_results(
@@ -157,10 +144,9 @@ def open_results(
     resume: bool,
     overwrite: bool,
 ) -> WorkFolder:
-    """Checks a folder before long work begins, and writes its `environment.json`. `parts` names the subfolder of
-    finished parts, `written` the files made from them; `settings` must equal the earlier ones to resume. Raises
-    `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be
-    written."""
+    """Checks a folder before long work, and writes its `environment.json`. `parts` is the subfolder of finished parts,
+    `written` the files made from them; `settings` must equal the earlier ones to resume. Raises `ConfigError` for both
+    `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be written."""
     files = (*written, f"{parts}/*.json", f"{MOTIONS}/*.npz")
     folder = WorkFolder(path, "an experiment", ENVIRONMENT, "settings", files, experiment)
     folder.check(settings, resume=resume, overwrite=overwrite)

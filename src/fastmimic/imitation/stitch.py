@@ -68,7 +68,7 @@ def stitch(
     folder: str | Path | None = None,
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
-    stage: Callable[[str], None] | None = None,
+    stage: Callable[[str], None] = lambda name: None,
     randomize: int | Randomization | None = None,
     choice: FinalChoice = FinalChoice(),
 ) -> Stitching:
@@ -107,11 +107,10 @@ def stitch(
         raise ConfigError(f"workers must be at least 1, found {workers}")
     if isinstance(cycles, int) and cycles < 1:
         raise ConfigError(f"every motion needs at least one cycle, found {cycles}")
-    say = stage if stage is not None else _silent
     checkpoints = Path(folder) if folder is not None else None
     motions = _load(sources, robot)
     counts = [cycles] * len(motions) if isinstance(cycles, int) else cycles
-    say("stitching " + ", ".join(m.name for m in motions))
+    stage("stitching " + ", ".join(m.name for m in motions))
     demonstration = stitch_motions(robot, [m.target for m in motions], counts)
     given, whole, parts = demonstration, None, _Parts()
     settings: dict[str, Any] = {
@@ -130,7 +129,7 @@ def stitch(
             if checkpoints is not None and not resume:
                 for path in checkpoints.glob(CHECKPOINTS):
                     remove_file(path)
-            parts = _optimised_parts(motions, robot, part_iterations, checkpoints, resume, settings, say)
+            parts = _optimised_parts(motions, robot, part_iterations, checkpoints, resume, settings, stage)
         found = [parts.values.get(id(m)) for m in motions]
         starts = [parameters_of(m) if own is None else own for m, own in zip(motions, found, strict=True)]
         whole = StitchedProblem(
@@ -146,7 +145,7 @@ def stitch(
     if chosen.optimises and whole is not None:
         if population is None:
             settings["population"] = usual_population(len(whole.parameters))
-        say("all together")
+        stage("all together")
     elsewhere = parts.passed_s
     checkpoint = checkpoints / CHECKPOINT if checkpoints is not None else None
     again = resume and checkpoint is not None and checkpoint.is_file()
@@ -187,8 +186,7 @@ def _load(sources: Sequence[str | Path | Clip | Motion | MotionSource], robot: R
 
 @dataclass
 class _Parts:
-    """Results of the single motions: `values` by motion id and parameter name, summed costs, and the time that passed,
-    s."""
+    """Results of the single motions: `values` by motion id and parameter name, summed costs, and time passed, s."""
 
     values: dict[int, dict[str, float]] = field(default_factory=dict)
     evaluations: int = 0
@@ -265,7 +263,3 @@ def _part_checkpoints(folder: Path | None, copied: bool) -> Iterator[Path | None
             yield Path(copies)
         except CheckpointError as error:
             raise CheckpointError(str(error).replace(copies, str(folder))) from None
-
-
-def _silent(stage: str) -> None:
-    """Says nothing about the stage."""

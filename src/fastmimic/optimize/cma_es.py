@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import CheckpointError, ConfigError
+from fastmimic.base.configuration import check, parameter
+from fastmimic.base.errors import CheckpointError
 from fastmimic.episode.plan import nominal_start
 from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.optimize.parameters import FinalChoice
@@ -22,68 +23,43 @@ from fastmimic.simulation.conditions import Disturbance
 
 @dataclass(frozen=True)
 class CmaSettings:
-    """Settings of the optimiser; `step_size` is the initial standard deviation as a share of each parameter's range,
-    `checkpoint_every` is in iterations."""
+    """Settings of the optimiser."""
 
-    iterations: int = 200
-    population: int = 10
-    seed: int = 0
-    step_size: float = 0.2
+    iterations: int = parameter(200, low=1)
+    population: int = parameter(10, low=4)
+    seed: int = parameter(0)
+    step_size: float = parameter(0.2, above=0.0, high=1.0)  # initial deviation, share of each parameter's range
     choice: FinalChoice = FinalChoice()
-    checkpoint_every: int = 5
+    checkpoint_every: int = 5  # iterations
 
     def __post_init__(self) -> None:
-        if self.iterations < 1:
-            raise ConfigError(f"iterations must be at least 1, found {self.iterations}")
-        if self.population < 4:
-            raise ConfigError(f"population must be at least 4 for CMA-ES, found {self.population}")
-        if self.seed < 0:
-            raise ConfigError(f"seed must not be negative, found {self.seed}")
-        if not 0 < self.step_size <= 1:
-            raise ConfigError(f"step_size must be a share of the ranges in (0, 1], found {self.step_size}")
+        check(self, "")
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The course of an optimisation, one entry per iteration.
-
-    Attributes:
-        best, mean, std: (i,) of the scores in each generation.
-        sigma: (i,) overall step size, share of the parameters' ranges.
-        baseline: score of the unmodulated motion.
-        start: best score among the given candidates: the unmodulated motion and the start of the search.
-        randomized: whether each iteration draws its own robots; scores of two iterations then compare only roughly.
-            `baseline` and `start` use the robots of the first.
-    """
+    """The course of an optimisation: `best`, `mean` and `std` (i,) of the scores in each iteration. If `randomized`,
+    each draws its own robots, and scores of two iterations compare only roughly."""
 
     best: Array
     mean: Array
     std: Array
-    sigma: Array
-    baseline: float
-    start: float
+    sigma: Array  # (i,) overall step size, share of the parameters' ranges
+    baseline: float  # score of the unmodulated motion, with the robots of the first iteration
+    start: float  # the best among the given candidates, the unmodulated motion and the start of the search, with those
     randomized: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """Result of an optimisation.
+    """Result of an optimisation; numbers of episodes and times include those before a resume."""
 
-    Attributes:
-        x: (k,) the parameters, physical units.
-        score: objective in the optimisation's episode; with the first iteration's robots, if several.
-        validation: mean objective over the validation episodes, or the criterion over several robots; NaN if
-            interrupted before.
-        evaluations, simulated_s, elapsed_s: episodes run, their total length and the time spent, before a resume
-            included.
-    """
-
-    x: Array
-    score: float
-    validation: float
+    x: Array  # (k,) the parameters, physical units
+    score: float  # objective in the optimisation's episode; with the first iteration's robots, if several
+    validation: float  # mean over the validation episodes, or criterion over several robots; NaN if interrupted before
     history: History
-    evaluations: int
-    simulated_s: float
+    evaluations: int  # episodes run
+    simulated_s: float  # their total length
     elapsed_s: float
     interrupted: bool
 
