@@ -26,27 +26,17 @@ _Kind = TypeVar("_Kind")
 
 @dataclass(frozen=True)
 class ParameterInfo:
-    """Metadata of a field.
+    """Metadata of a field: bounds `low` and `high` inclusive, `above` and `below` exclusive; None for no bound."""
 
-    Attributes:
-        about: its meaning.
-        unit: of its value; empty for a plain number.
-        low, high: inclusive bounds; None for no bound.
-        above, below: exclusive bounds.
-        choices: the possible values; empty for a number.
-        key: its name in the packed record; None for the field's own, empty if it is not packed.
-        scale: the factor of `pack` that multiplies it; empty for none.
-    """
-
-    about: str = ""
-    unit: str = ""
+    about: str = ""  # its meaning
+    unit: str = ""  # of its value; empty for a plain number
     low: float | None = 0.0
     high: float | None = None
     above: float | None = None
     below: float | None = None
-    choices: tuple[Any, ...] = ()
-    key: str | None = None
-    scale: str = ""
+    choices: tuple[Any, ...] = ()  # the possible values; empty for a number
+    key: str | None = None  # its name in the packed record; None for the field's own, empty if it is not packed
+    scale: str = ""  # the factor of `pack` that multiplies it; empty for none
 
     def problem(self, value: Any, default: Any) -> str:
         """How a value is wrong, such as "be positive" (after "must"); empty if it is right."""
@@ -139,8 +129,7 @@ def pack(settings: Any, record: np.ndarray, scales: Mapping[str, float] | None =
 
 def changed(settings: Any, changes: Mapping[str, Any], where: str) -> Any:
     """A settings dataclass with some fields changed, as read from a file; `changes` are nested like the settings.
-    Raises `ConfigError`, beginning with `where`, for an unknown field, or a value of another kind or out of its
-    range."""
+    Raises `ConfigError`, beginning with `where`, for an unknown field, or a value of another kind or out of range."""
     present = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
     new: dict[str, Any] = {}
     for name, value in changes.items():

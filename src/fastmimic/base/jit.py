@@ -11,8 +11,7 @@ import numpy as np
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiles `function` with Numba: no GIL, cached on disk, no fast-math (results must not depend on the machine). It
-    may not allocate: no references are counted. With `NUMBA_DISABLE_JIT=1` the Python code runs uncompiled, for
-    debugging."""
+    may not allocate: no references are counted. `NUMBA_DISABLE_JIT=1` runs the Python code, for debugging."""
     return _compiled(function)
 
 

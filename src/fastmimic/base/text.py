@@ -14,8 +14,7 @@ NONE: Final = "–"  # in a table, for no value
 
 
 def plain(value: Any) -> Any:
-    """The value in plain JSON types: NumPy values, tuples, dataclasses and paths converted, at any depth; NaN and
-    infinity become None."""
+    """The value in JSON types: NumPy values, tuples, dataclasses and paths converted; NaN and infinity become None."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -40,8 +40,7 @@ def rotation_error(a: Array, b: Array, out: Array) -> None:
 
 @inlined
 def copy(v: Array, out: Array) -> None:
-    """Writes v (n,) to `out` (n,). `out[:] = v` compiles for longer than most kernels: it compares the shapes and words
-    an error."""
+    """Writes v (n,) to `out` (n,). `out[:] = v` compiles for longer than most kernels: it compares shapes."""
     for i in range(v.shape[0]):
         out[i] = v[i]
 

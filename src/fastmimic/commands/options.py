@@ -157,7 +157,8 @@ class ClipOptions(ClipFileOptions):
         """The options that were given, as the Python functions take them."""
         if self.cycle and self.discrete:
             raise ConfigError("a clip either repeats (--cycle) or is run once (--discrete): drop one of the two")
-        frames = None if self.frames is None else parse_frames(self.frames)
+        takes = "--frames takes FIRST:END, 0-based, end exclusive, such as 162:201"
+        frames = None if self.frames is None else parse_pair(self.frames, r"(\d+)\s*:\s*(\d+)", takes)
         found = super().overrides()
         once = found.pop("discrete")
         found |= {
@@ -288,19 +289,11 @@ def check_kinematic(command: Any, *names: str) -> None:
         raise ConfigError(f"{', '.join(found)} cannot be applied with --kinematic: there is no controller")
 
 
-def parse_frames(text: str) -> tuple[int, int]:
-    """(first, end) from `A:B`; raises `ConfigError`."""
-    found = re.fullmatch(r"\s*(\d+)\s*:\s*(\d+)\s*", text)
+def parse_pair(text: str, form: str, takes: str) -> tuple[int, int]:
+    """The two whole numbers of an option's text in this form; raises `ConfigError` with what the option takes."""
+    found = re.fullmatch(form, text.strip())
     if found is None:
-        raise ConfigError(f"--frames takes FIRST:END, 0-based, end exclusive, such as 162:201; found '{text}'")
-    return int(found[1]), int(found[2])
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """(width, height) from `WxH`; raises `ConfigError`."""
-    found = re.fullmatch(r"(\d{2,4})[x×](\d{2,4})", text.strip())
-    if found is None:
-        raise ConfigError(f"--size takes WIDTHxHEIGHT in pixels, such as 1280x720; found '{text}'")
+        raise ConfigError(f"{takes}; found '{text}'")
     return int(found[1]), int(found[2])
 
 
@@ -310,11 +303,8 @@ def folder_name(*parts: str | int) -> str:
 
 
 def policy_controller(path: Path, robot: Robot, motion: Motion) -> "MakeController":
-    """The controllers of the policy in a file, checked against robot and motion.
-
-    Raises:
-        PolicyError: it cannot be read, or is for another robot or motion; the message names the file.
-    """
+    """The controllers of the policy in a file; raises `PolicyError`, which names the file, if it cannot be read, or is
+    for another robot or motion."""
     from fastmimic.learning.policy import Policy, controlled_by
 
     policy = Policy.load(path)
@@ -332,11 +322,8 @@ def check_duration(seconds: float | None) -> None:
 
 
 def check_writable(path: str | Path, *endings: str) -> Path:
-    """The path, once it is certain that a file can be written there: before the work, not after it.
-
-    Raises:
-        OutputError: another ending than these, a folder, or a place that cannot be written to.
-    """
+    """The path, if a file can be written there: to know before long work. Raises `OutputError` for another ending than
+    these, a folder, or a place that cannot be written to."""
     path = Path(path)
     if path.suffix.lower() not in endings:
         raise OutputError(f"{path}: the file's name must end in {' or '.join(endings)}")

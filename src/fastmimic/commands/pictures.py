@@ -76,7 +76,8 @@ class Render:
 
     def run(self) -> int:
         self._check()
-        size = None if self.size is None else opt.parse_size(self.size)
+        takes = "--size takes WIDTHxHEIGHT in pixels, such as 1280x720"
+        size = None if self.size is None else opt.parse_pair(self.size, r"(\d{2,4})[x×](\d{2,4})", takes)
         from fastmimic.render.video import render_video
 
         out = opt.check_writable(self.out, *ENDINGS)

@@ -11,6 +11,7 @@ from tyro.conf import Positional
 
 from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError
+from fastmimic.base.files import check_folder
 from fastmimic.base.machine import available_cores
 from fastmimic.base.text import plain
 from fastmimic.commands import options as opt
@@ -68,7 +69,7 @@ class Train:
             if getattr(self, name) < 1:
                 raise ConfigError(f"--{name.replace('_', '-')} must be at least 1, found {getattr(self, name)}")
         from fastmimic.learning.learner import check_installed, choose_device
-        from fastmimic.learning.training import CHECKPOINT, open_training, train
+        from fastmimic.learning.training import CHECKPOINT, TrainingFolder, train
 
         settings = self._settings()
         check_installed()
@@ -78,7 +79,9 @@ class Train:
         out = self.out or opt.RUNS / opt.folder_name(motion.name, robot.name, "rl", self.seed)
         same = _identity(robot, motion, settings, device, self.evaluate_every)
         resume = self.folder.resume
-        folder = open_training(out, same, resume=resume, overwrite=self.folder.overwrite)
+        folder = TrainingFolder.at(out)
+        folder.check(same, resume=resume, overwrite=self.folder.overwrite, begun=(out / CHECKPOINT).is_file())
+        check_folder(out)
         threads = self.threads if self.threads is not None else available_cores()
         if not resume:
             folder.clear()

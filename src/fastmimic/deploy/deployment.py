@@ -140,10 +140,8 @@ def deploy(
         watch: called after each period with the state machine and its command.
         note: takes lines for the operator.
 
-    Raises:
-        ConfigError: arguments that contradict each other.
-        MotionError: a motion that the robot cannot begin or end.
-        DriverError: no robot, or one that is not fit to begin. Nothing was sent then.
+    Raises `ConfigError` for arguments that contradict each other, `MotionError` for a motion that the robot cannot
+    begin or end, and `DriverError`, before anything is sent, without a robot that is fit to begin.
     """
     options = options if options is not None else DeployOptions()
     method, config = options.controller(motion)

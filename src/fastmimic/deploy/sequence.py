@@ -72,9 +72,8 @@ class _CourseSlice(NamedTuple):
 
 
 class Follower:
-    """The position in a sequence, `clock` (1,) of `CLOCK` in `table` (t,) of `SAMPLE`, advanced by control steps.
-    `steps` counts those in the motion itself; `leaving` says whether it ends at its next last sample, `done` whether
-    blending out has ended."""
+    """The position in a sequence, `clock` (1,) of `CLOCK` in `table` (t,) of `SAMPLE`. `steps` counts control steps in
+    the motion itself; `leaving`: it ends at its next last sample; `done`: blending out has ended."""
 
     def __init__(self, sequence: MotionSequence) -> None:
         self.sequence = sequence
@@ -91,9 +90,8 @@ class Follower:
         return self.part is self.sequence.main
 
     def advance(self, observation: NDArray[Any], haste: Array) -> bool:
-        """Advances by one control step; returns whether another part has begun. Where a cycle starts, x and y are
-        synchronised to the `observation` (1,) of `OBSERVATION`. `haste` (1,) is the controller's, of `MEMORY`; a part
-        that is left is left in its own time."""
+        """Advances by one control step; returns whether another part has begun. Where a cycle starts, x and y are set
+        by the `observation` (1,) of `OBSERVATION`. `haste` (1,) is the controller's; a part is left in its own time."""
         if self.done:
             return False
         way, part = self.sequence, self.part
@@ -226,8 +224,7 @@ def _slices(
 def _table(
     robot: Robot, slices: list[_CourseSlice], config: ControllerConfig
 ) -> tuple[NDArray[Any], NDArray[Any], list[int]]:
-    """Consecutive slices as a table (t,) of `SAMPLE` from the heading frame of row 0, with its gains (g,) of `GAINS`,
-    and each slice's first sample."""
+    """Consecutive slices as a table (t,) of `SAMPLE` from the heading frame of row 0, its gains (g,), each's start."""
     stream, place, row = Stream(robot, config.rate_hz), make_place(), np.zeros(1, SAMPLE)
     modulation = np.zeros(1, MODULATION)
     modulation["speed"] = modulation["lift"] = 1.0

@@ -82,8 +82,7 @@ def go2_body(robot: Robot, settings: SimSettings) -> SimulatedBody:
 
 
 class SimServer:
-    """A simulated robot with a Go2's DDS interface. `realtime_factor` is simulated time per second,
-    ≤ 1."""
+    """A simulated robot with a Go2's DDS interface. `realtime_factor` is simulated time per second, ≤ 1."""
 
     def __init__(self, robot: Robot, settings: SimSettings | None = None, log: GroundTruthLog | None = None) -> None:
         """`log` takes the ground truth. Raises `DriverError` like `Participant`, and if there is another robot."""

@@ -15,15 +15,11 @@ Work = Callable[[Any, Report], Any]  # a module's function, called with each job
 
 @dataclass(frozen=True)
 class JobOutcome:
-    """Outcome of a job.
-
-    Attributes:
-        error: what it raised, or a `WorkerError` if its process or machine was lost every time; None without.
-    """
+    """Outcome of a job."""
 
     index: int  # of the job, from 0
     result: Any = None  # what the function returned; None if it raised
-    error: FastMimicError | None = None
+    error: FastMimicError | None = None  # what it raised; a `WorkerError` if its process or machine was lost every time
 
 
 class Executor(Protocol):
@@ -34,10 +30,9 @@ class Executor(Protocol):
     def run(
         self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
     ) -> Generator[JobOutcome, None, None]:
-        """Runs `work` on all jobs, which can be pickled; yields each outcome as soon as it is there. Closing it
-        (`contextlib.closing`), or Ctrl-C, stops what runs. `progress` is called with a job's index and its finished
-        share. Raises `ClusterError` if no more jobs can run; of what a job raises, anything but a `FastMimicError` is a
-        defect and is raised here."""
+        """Runs `work` on all jobs, which can be pickled; yields each outcome as soon as it is there. Closing it, or
+        Ctrl-C, stops what runs. `progress` is called with a job's index and finished share. Raises `ClusterError` if no
+        more jobs can run, and what a job raises, if it is no `FastMimicError`: a defect."""
 
 
 def attempt(work: Work, job: Any, report: Report) -> tuple[Any, FastMimicError | None]:

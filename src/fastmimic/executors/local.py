@@ -30,8 +30,7 @@ class LocalExecutor:
 
     def __init__(self, workers: int | None = None, *, in_process: bool = True) -> None:
         """`workers` is one for each core if None; raises `ConfigError` if fewer than one. With `in_process` a single
-        worker is this process itself, one job after another; otherwise it is a separate process, too, which is
-        restarted if it dies."""
+        worker is this process itself; otherwise it is a separate one, too, which is restarted if it dies."""
         check_workers(workers)
         self.workers = workers if workers is not None else available_cores()
         self._in_process = in_process

@@ -48,9 +48,8 @@ class RayExecutor:
 
     def __init__(self, address: str | None = None, workers: int | None = None) -> None:
         """`address` is HOST:PORT or ray://HOST:PORT of a running cluster, or 'auto' for the one on this machine; None
-        starts one here during a run. `workers` are the cores of the one started here, all if None; of a running
-        cluster, the most jobs at a time. Raises `ConfigError` if fewer than one, nobody answers at the address, or Ray
-        is not installed."""
+        starts one here during a run. `workers` are the cores of that one, all if None, or the most jobs at a time on a
+        running one. Raises `ConfigError` if fewer than one, nobody answers, or Ray is not installed."""
         check_workers(workers)
         ray = require_ray()
         if address is not None:

@@ -53,18 +53,14 @@ BUILT_IN_MOTIONS: Final = ("trot", "pace", "turn", "side-step")
 
 @dataclass(frozen=True)
 class ComparisonPlan:
-    """All runs of a comparison, in order of execution.
-
-    Attributes:
-        policies: files of the learned method by run; see `choose_policies`.
-    """
+    """All runs of a comparison, in order of execution."""
 
     settings: ComparisonSettings
     motions: tuple[str, ...]  # names, or files
     methods: tuple[str, ...]
     seeds: int  # number of seeds of the methods that optimise
     ablations: bool  # whether to run the variants of `ABLATED` as well
-    policies: Mapping[Run, Path] = field(default_factory=dict)
+    policies: Mapping[Run, Path] = field(default_factory=dict)  # files of the learned method; see `choose_policies`
 
     def __post_init__(self) -> None:
         if not self.motions:
@@ -96,8 +92,7 @@ class ComparisonPlan:
 
     @property
     def runs(self) -> list[Run]:
-        """Fast runs first, then seed by seed, so that an unfinished comparison covers everything. Ablations include
-        their base method."""
+        """Fast runs first, then seed by seed, so that an unfinished one covers all. Ablations include their method."""
         methods = [*self.methods, *([ABLATED] if self.ablations and ABLATED not in self.methods else [])]
         optimising = [name for name in methods if method_named(name).optimises]
         once = [name for name in methods if name not in optimising and name != RL]
@@ -265,15 +260,10 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
 
 
 def choose_policies(places: Sequence[Path], motions: Sequence[str]) -> dict[Run, Path]:
-    """The policies' runs and files for each motion, in the order of the motions and of the training seeds.
-
-    Args:
-        places: policy files, and folders to search at any depth.
-        motions: names, or files, as in a plan. Policies for other motions in folders are ignored.
-
-    Raises `PolicyError` for a file without a policy, `ConfigError` for a motion without a policy, a file for another
-    motion, or two policies for one motion and seed.
-    """
+    """The policies' runs and files for each motion, in the order of the motions and of the training seeds. `places` are
+    policy files, and folders to search at any depth, in which policies for other motions are ignored. Raises
+    `PolicyError` for a file without a policy, `ConfigError` for a motion without a policy, a file for another motion,
+    or two policies for one motion and seed."""
     from fastmimic.learning.policy import Policy
 
     files: dict[Path, bool] = {}  # whether the caller named it

@@ -30,15 +30,11 @@ _EVALUATION_SEED: Final = 20230617  # of the perturbed starts of every run; no o
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Metrics of a motion.
-
-    Attributes:
-        before, after: the nominal episodes of the demonstration and of the motion, logged.
-    """
+    """Metrics of a motion."""
 
     figures: Row  # by column name, JSON-serialisable
-    before: Rollout
-    after: Rollout
+    before: Rollout  # nominal episode of the demonstration, logged
+    after: Rollout  # that of the motion
     seconds: float  # length of each episode, s
     simulated_s: float  # total simulated time, s
 
@@ -90,8 +86,7 @@ def named_values(result: Imitation) -> str:
 
 
 def foot_courses(rollout: Rollout, robot: Robot) -> tuple[Array, Array]:
-    """Foot centres of the first episode in the body frame, (t, 4, 3) m: the reference's, and the realised ones, NaN
-    from the fall on."""
+    """Feet in the first episode, (t, 4, 3) body frame, m: the reference's, and the realised ones, NaN after a fall."""
     assert rollout.log is not None, "the courses are in the log"
     feet = foot_positions(robot, rollout.log.observation["joint_pos"][0])
     feet[rollout.steps[0] :] = np.nan
@@ -99,8 +94,7 @@ def foot_courses(rollout: Rollout, robot: Robot) -> tuple[Array, Array]:
 
 
 def _realised_style(rollout: Rollout, demonstration: Motion, robot: Robot) -> float | None:
-    """Style distance of the realised feet until a fall; None for less than a cycle, or than a motion that does not
-    repeat."""
+    """Style distance of the realised feet until a fall; None for less than a cycle, or a whole motion without one."""
     if rollout.steps[0] < demonstration.n_samples - (demonstration.cycle is None):
         return None
     wanted, feet = foot_courses(rollout, robot)

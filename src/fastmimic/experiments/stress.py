@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from fastmimic.base.configuration import check, parameter
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.text import markdown_table
 from fastmimic.episode.metrics import Metrics
@@ -37,16 +38,12 @@ _FIGURES: Final = ("episodes", "fell", "reward_mean", "reward_std", "duration_s"
 
 @dataclass(frozen=True)
 class StressSettings:
-    """Settings of all sweeps.
-
-    Attributes:
-        simulator, observe: as in `Conditions`.
-    """
+    """Settings of all sweeps."""
 
     robot: str = "a1"  # its name, or the path of its MJCF
-    simulator: str = "mujoco"
+    simulator: str = "mujoco"  # as in `Conditions`
     observe: str = "truth"
-    episodes: int = 20
+    episodes: int = parameter(20, low=1)
     duration_s: float = 6.0  # of an episode, s; at most a motion that does not repeat
     seed: int = 0  # of the starting phases, sensors and uneven ground
     config: str = "default"
@@ -54,8 +51,7 @@ class StressSettings:
     population: int = 10
 
     def __post_init__(self) -> None:
-        if self.episodes < 1:
-            raise ConfigError(f"episodes must be at least 1, found {self.episodes}")
+        check(self, "")
         self.conditions()
 
     def conditions(self, *disturbances: Disturbance) -> Conditions:
@@ -76,8 +72,7 @@ class Tolerance:
 
 
 def disturbances_of(names: Sequence[str] | None, simulator: str) -> list[str]:
-    """The disturbances to sweep: the given ones, or all that the simulator supports. Raises `ConfigError` for an
-    unknown, repeated or unsupported one."""
+    """The given disturbances, or all that the simulator has; raises `ConfigError` for an unknown or repeated one."""
     there = known(simulator)
     if names is None:
         return there
@@ -138,8 +133,7 @@ def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSett
 
 
 def all_sweeps(out: Path) -> list[Row]:
-    """All finished sweeps' rows, methods and disturbances in the order of their lists; raises `OutputError` for a
-    damaged file."""
+    """All finished sweeps' rows, in the order of methods and disturbances; raises `OutputError` for a damaged file."""
     rows = [{**row, "value": float(row["value"])} for row in all_parts(out / SWEEPS)]  # JSON has no infinity
     methods, names = list(METHODS), list(DISTURBANCES)
     return sorted(rows, key=lambda r: (methods.index(r["method"]), names.index(r["disturbance"]), r["value"]))

@@ -79,8 +79,7 @@ def summaries(rows: Iterable[Row]) -> list[Summary]:
 
 
 def comparison_table(rows: Sequence[Row], expected: int) -> str:
-    """The methods on every motion, with their cost, as Markdown; `expected` is the total number of runs without a
-    variant."""
+    """The methods on every motion, with their cost, as Markdown; `expected` counts all runs without a variant."""
     header = (
         *("motion", "method", "reward", "perturbed starts", "fell, nominal", "fell, perturbed"),
         *("success, perturbed", "mpjpe, mm"),

@@ -7,13 +7,14 @@ torque–speed curve, a more slippery floor, and sensors in place of the true st
 
 import logging
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from fastmimic.base.errors import ConfigError, LogError
+from fastmimic.base.configuration import check, parameter
+from fastmimic.base.errors import LogError
 from fastmimic.base.text import markdown_table
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.metrics import Metrics
@@ -71,7 +72,7 @@ STAGES: Final = (
 """From the simulator of the optimisation to a robot that differs in everything."""
 LAST: Final = STAGES[-1].name
 
-IDENTIFIED: Final = TransferStage("identified", "(c) identified", SECOND_SIMULATOR, "sensors", (*ACTUATORS, FLOOR))
+IDENTIFIED: Final = replace(STAGES[-1], name="identified", label="(c) identified")
 """The last stage, with friction and payload identified from a run in it."""
 IDENTIFICATION_S: Final = 5.0  # s, length of that run
 
@@ -86,7 +87,7 @@ PAPER: Final = (
 class TransferSettings:
     """Settings of all trials."""
 
-    trials: int = 3
+    trials: int = parameter(3, low=1)
     duration_s: float = 10.0  # of each, s; at most a motion that does not repeat
     seed: int = 0  # of the starts and the sensors
     config: str = "default"
@@ -95,8 +96,7 @@ class TransferSettings:
     identify: bool = False  # whether to run `IDENTIFIED` as well
 
     def __post_init__(self) -> None:
-        if self.trials < 1:
-            raise ConfigError(f"trials must be at least 1, found {self.trials}")
+        check(self, "")
 
 
 def trial_starts(trials: int, seed: int) -> Start:
@@ -194,8 +194,7 @@ def transferred(rows: Sequence[Row]) -> list[Transferred]:
 
 
 def transfer_table(rows: Sequence[Row], missing: int) -> str:
-    """Rewards by motion, method and stage next to the paper's, as Markdown; `missing` counts unfinished pairs of motion
-    and method."""
+    """Rewards by motion, method and stage beside the paper's, as Markdown; `missing` counts unfinished pairs."""
     found, stages = transferred(rows), stages_of(rows)
     last = "(c)" if stages[-1] is STAGES[-1] else stages[-1].label
     header = ["motion", "method", *(stage.label for stage in stages), f"change to {last}"]

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.configuration import changed
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import LogError
@@ -84,8 +84,7 @@ class Identification:
     payload: Payload | None  # None if the feet never stood long enough to weigh the robot, as in a fall
 
     def stance_friction(self, config: ControllerConfig) -> float:
-        """The coefficient that the controller should assume: a share of the identified one, at most the present one.
-        Unchanged if no foot slid."""
+        """The coefficient to assume: a share of the identified one, at most the present one; that if no foot slid."""
         value = self.friction.value
         return config.stance.friction if value is None else min(config.stance.friction, FRICTION_MARGIN * value)
 
@@ -105,17 +104,15 @@ class Identification:
         return found
 
     def save(self, path: str | Path, base: str = "default") -> None:
-        """Writes a controller's configuration (`fastmimic.control.config`) with its origin to a `.json` file. `base` is
-        the configuration that it changes. Raises `ConfigError` if there is none of that name, and `OutputError` if the
-        file cannot be written."""
+        """Writes a controller's configuration (`fastmimic.control.config`) with its origin to a `.json` file; `base` is
+        the one that it changes. Raises `ConfigError` if there is none of that name, `OutputError`."""
         content = {**FILE_FORMAT, "base": base, **self.changes(controller_config(base)), "identified": asdict(self)}
         write_json(path, content)
 
 
 def identify(log: RunLog, robot: Robot, unloaded: RunLog | None = None) -> Identification:
     """Friction and payload from the log of a run; raises `LogError` if it is of another robot, too short, or the robot
-    never stands. `robot` is the model without payload; the log `unloaded`, of the same robot without payload, takes the
-    sensors' gains out of the payload."""
+    never stands. `robot` is the model without payload; `unloaded`, its log without, takes the sensors' gains out."""
     forces = ground_forces(log, robot)
     before = ground_forces(unloaded, robot) if unloaded is not None else None
     friction = identify_friction(forces, robot)
@@ -162,8 +159,8 @@ def _slides(forces: GroundForces, robot: Robot) -> list[tuple[NDArray[np.intp], 
     sliding = _pressed(forces, force, robot) & (speed > SLIDING_SPEED) & opposed
     found = []
     for leg in range(4):
-        edges = np.flatnonzero(np.diff(sliding[:, leg].astype(np.int8), prepend=0, append=0))
-        found += [(np.arange(a, b), leg) for a, b in edges.reshape(-1, 2) if (b - a) * forces.dt >= EVENT_S - 1e-9]
+        slid = stretches(sliding[:, leg])
+        found += [(np.arange(a, b), leg) for a, b in slid if (b - a) * forces.dt >= EVENT_S - 1e-9]
     return found
 
 

@@ -37,9 +37,8 @@ class Evaluation:
     conditions: Conditions
 
     def run_log(self, episode: int = 0) -> RunLog:
-        """The log of an episode with what the robot's own computer knew, for
-        `fastmimic.identification.identify.identify`. Raises `ConfigError` if the evaluation kept no log, or its
-        controller saw the true state."""
+        """The log of an episode with what the robot's own computer knew, for `identify`. Raises `ConfigError` if the
+        evaluation kept no log, or its controller saw the true state."""
         if self.rollout.log is None:
             raise ConfigError("the evaluation kept no log; call evaluate(…, log=True)")
         latency = self.conditions.estimator.latency_s

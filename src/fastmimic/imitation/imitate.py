@@ -54,34 +54,25 @@ class HeldOut:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Imitation:
-    """An optimised motion and the course of its optimisation.
+    """An optimised motion and the course of its optimisation."""
 
-    Attributes:
-        motion: the optimised motion, with its demonstration.
-        before, after: one nominal episode of `duration_s` with the demonstration and with the optimised motion, logged.
-        parameters: the optimised parameters, with bounds.
-        values: (k,) their values, physical units.
-        wall_s: total time, s; includes the time before a resume.
-        held_out: results on other robots; None without randomisation.
-    """
-
-    motion: Motion
+    motion: Motion  # the optimised one, with its demonstration
     robot: Robot
     method: str
     config: ControllerConfig
-    before: Rollout
-    after: Rollout
-    parameters: tuple[Parameter, ...] = ()
-    values: Array = field(default_factory=lambda: np.zeros(0))
+    before: Rollout  # one nominal episode of `duration_s` with the demonstration, logged
+    after: Rollout  # the same with the optimised motion
+    parameters: tuple[Parameter, ...] = ()  # the optimised ones, with bounds
+    values: Array = field(default_factory=lambda: np.zeros(0))  # (k,) of these, physical units
     history: History | None = None
     seed: int
     duration_s: float
     evaluations: int = 0
     simulated_s: float
     iterations: int = 0
-    wall_s: float
+    wall_s: float  # in all; includes the time before a resume
     interrupted: bool = False
-    held_out: HeldOut | None = None
+    held_out: HeldOut | None = None  # results on other robots; None without randomisation
 
     @property
     def demonstration(self) -> Motion:

@@ -29,34 +29,22 @@ ConfigChange = Callable[[ControllerConfig], ControllerConfig]
 
 @dataclass(frozen=True)
 class Method:
-    """A way to make a robot imitate a motion.
-
-    Attributes:
-        parameters: `NOTHING`, or one of `fastmimic.optimize.parameters.PARAMETER_GROUPS`.
-        change: its change of the controller's configuration; None for no change.
-        controller: makes a controller in place of the model-based one; None for that one.
-        own_feet: whether the swing feet follow the method's own path instead of the motion's.
-        learned: whether it needs a trained policy.
-        base: name of the method that runs the motion before it is optimised; empty for the method itself.
-        playable: whether a live session offers it.
-        color, hatch, symbol: of its bars (Matplotlib's hatches) and points (Plotly's symbols).
-        dark_color: on a dark page; empty for `color`.
-    """
+    """A way to make a robot imitate a motion."""
 
     name: str
     label: str
     summary: str
-    parameters: str = NOTHING
-    change: ConfigChange | None = None
-    controller: "MakeController | None" = None
-    own_feet: bool = False
-    learned: bool = False
-    base: str = ""
-    playable: bool = False
+    parameters: str = NOTHING  # that, or one of `fastmimic.optimize.parameters.PARAMETER_GROUPS`
+    change: ConfigChange | None = None  # of the controller's configuration
+    controller: "MakeController | None" = None  # makes a controller in place of the model-based one
+    own_feet: bool = False  # whether the swing feet follow the method's own path instead of the motion's
+    learned: bool = False  # whether it needs a trained policy
+    base: str = ""  # name of the method that runs the motion before it is optimised; empty for the method itself
+    playable: bool = False  # whether a live session offers it
     color: str = "#999999"
-    dark_color: str = ""
-    hatch: str = "--"
-    symbol: str = "circle"
+    dark_color: str = ""  # on a dark page; empty for `color`
+    hatch: str = "--"  # of its bars, one of Matplotlib's
+    symbol: str = "circle"  # of its points, one of Plotly's
 
     def __post_init__(self) -> None:
         known = (NOTHING, *PARAMETER_GROUPS)
@@ -220,9 +208,8 @@ def controller_for(
     motion: Motion, method: str | None = None, config: ControllerConfig | str | None = None
 ) -> tuple[Method, ControllerConfig]:
     """The method for running a motion, and the controller's parameters with its changes. `method` is one of `METHODS`,
-    None for the motion's own, or mbc if it records none; `config` the parameters, or the name of a set, None for the
-    motion's own, or the default ones. Raises `ConfigError` for an unknown name, or a motion made with parameters of no
-    set if none are given."""
+    `config` the parameters or the name of a set; None for the motion's own, or if it records none mbc and "default".
+    Raises `ConfigError` for an unknown name, or a motion made with parameters of no set if none are given."""
     record = motion.provenance.made_with or MadeWith("mbc", "default")
     config = record.config if config is None else config
     if config is None:

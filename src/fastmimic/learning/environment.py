@@ -29,8 +29,7 @@ def _prepared(
     randomize: Sequence[str],
     **options: Any,
 ) -> tuple[Callable[[int], Episodes], gymnasium.Space[Any], gymnasium.Space[Any]]:
-    """A function that makes the episodes of n robots for a seed, and the spaces of one robot's observation and
-    action."""
+    """A function that makes the episodes of n robots for a seed, and the spaces of one's observation and action."""
     robot = load_robot(robot)
     motion = load_motion(motion, robot)
     config = config if config is not None else PolicyConfig()
@@ -143,8 +142,7 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Seen, dict[str, Any]]:
-        """Begins all episodes; returns observations (n, …) and an empty info. Of a list of seeds only the first
-        counts."""
+        """Begins all episodes; returns observations (n, …) and an empty info. Of several seeds the first counts."""
         first = seed[0] if isinstance(seed, list) else seed
         super().reset(seed=first)
         if first is not None:

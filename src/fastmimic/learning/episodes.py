@@ -45,16 +45,12 @@ _COUNT: Final = record_dtype([("steps", "i8"), ("limit", "i8"), ("scored", "f8")
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Result of a step of n robots. The next step overwrites all arrays but `final`.
-
-    Attributes:
-        fell, ended: (n,) bool, episodes that ended by a fall, or at their full length.
-    """
+    """Result of a step of n robots. The next step overwrites all arrays but `final`."""
 
     seen: Seen  # (n, `OBSERVATION_SIZE`) observations; after the end of an episode, those of the next one's start
     reward: Array  # (n,) mean over the step's control steps, 0 after a fall
-    fell: NDArray[np.bool_]
-    ended: NDArray[np.bool_]
+    fell: NDArray[np.bool_]  # (n,) episodes that ended by a fall
+    ended: NDArray[np.bool_]  # (n,) those that ended at their full length
     final: Seen  # (k, `OBSERVATION_SIZE`) last observations of the k episodes that ended
     score: Array  # (k,) mean reward of these over the full length, 0 after a fall
     steps: NDArray[np.int64]  # (k,) policy steps until their end
@@ -157,7 +153,7 @@ class Episodes:
 
     def state(self) -> dict[str, Any]:
         """The complete state apart from the arguments: arrays, and the generator's state as `random`."""
-        parts = [shard.state() for shard in self._shards]
+        parts = [shard.arrays() for shard in self._shards]
         arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         return {**arrays, "seen": self._seen.copy(), "random": self.random.bit_generator.state}
 
@@ -166,7 +162,8 @@ class Episodes:
         self.random.bit_generator.state = state["random"]
         self._seen[...] = state["seen"]
         for shard, part in zip(self._shards, self._parts, strict=True):
-            shard.restore({name: state[name][part] for name in shard.state()})
+            for name, array in shard.arrays().items():
+                array[...] = state[name][part]
         return self._seen
 
     def _phases(self) -> int:
@@ -252,14 +249,8 @@ class Shard:
         ended[...] = ~fell & (counts["steps"] >= counts["limit"])
         observe(self._settings, tables, clocks, simulation.observation, self._senses, self._rotation, seen)
 
-    def state(self) -> dict[str, NDArray[Any]]:
-        return {name: array.copy() for name, array in self._arrays().items()}
-
-    def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        for name, array in self._arrays().items():
-            array[...] = state[name]
-
-    def _arrays(self) -> dict[str, NDArray[Any]]:
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What lasts from one step to the next."""
         return {
             "physics": self.simulation.batch.state,
             "observation": self.simulation.observation,

@@ -90,11 +90,7 @@ class TrainingSettings:
 
 @dataclass(frozen=True)
 class Iteration:
-    """Result of an iteration.
-
-    Attributes:
-        collect_s, update_s: wall time of the rollouts and of the update.
-    """
+    """Result of an iteration."""
 
     reward: float  # mean over all robots and steps
     scores: tuple[float, ...]  # mean rewards of the ended episodes over their full length, 0 after a fall
@@ -103,16 +99,15 @@ class Iteration:
     losses: dict[str, float]  # of the update, by name
     deviation: float  # mean standard deviation of the actions
     learning_rate: float
-    collect_s: float
-    update_s: float
+    collect_s: float  # wall time of the rollouts
+    update_s: float  # and of the update
 
 
 class Learner:
     def __init__(
         self, robot: Robot, motion: Motion, settings: TrainingSettings, *, device: str = "cpu", threads: int = 1
     ) -> None:
-        """`device` as from `choose_device`; the result does not depend on `threads`. Raises `ConfigError` for a
-        missing library, or as `Episodes`."""
+        """`device` as from `choose_device`; the result does not depend on `threads`. Raises as `Episodes`."""
         check_installed()
         import torch
 

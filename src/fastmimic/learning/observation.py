@@ -64,8 +64,7 @@ def observe(
 
 @kernel
 def act(settings: Any, actions: Array, senses: Any) -> None:
-    """Takes in the robots' actions (n, 12): clipped to the joints' limits, low-pass filtered. A robot's last action
-    replaces entries that are not finite."""
+    """Takes in actions (n, 12), clipped to the joints' limits and low-pass filtered; the last ones where not finite."""
     setting = settings[0]
     b0, b1, b2 = setting.numerator[0], setting.numerator[1], setting.numerator[2]
     a1, a2 = setting.denominator[0], setting.denominator[1]
@@ -90,8 +89,7 @@ def act(settings: Any, actions: Array, senses: Any) -> None:
 
 @kernel
 def command(settings: Any, senses: Any, commands: Any) -> None:
-    """Joint commands of the next control step, (n,) of `COMMAND`, interpolated between the last two actions'
-    targets."""
+    """The next control step's commands, (n,) of `COMMAND`, interpolated between the last two actions' targets."""
     setting = settings[0]
     for i in range(commands.shape[0]):
         memory, out = senses[i], commands[i]

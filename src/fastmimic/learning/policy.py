@@ -41,42 +41,31 @@ _PLAIN: Final = {"robot": str, "motion": str, "samples": int, "activation": str,
 
 
 class Network(NamedTuple):
-    """A policy in the kernels' format.
-
-    Attributes:
-        mean, deviation: (observation,) of the normalisation.
-    """
+    """A policy in the kernels' format."""
 
     sizes: NDArray[np.int64]  # (layers + 1,) widths, the observation's first
     parameters: Array  # all weights (inputs, outputs) and biases in sequence
     activation: int  # index into `ACTIVATIONS`, of all layers but the last
-    mean: Array
+    mean: Array  # (observation,) of the normalisation
     deviation: Array
     work: Array  # (2, width) scratch
 
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """A trained policy; `fastmimic.learning.observation` defines observation and action.
+    """A trained policy; `fastmimic.learning.observation` defines observation and action."""
 
-    Attributes:
-        weights, biases: of each layer, (inputs, outputs) and (outputs,).
-        mean, deviation: (observation,) of the normalisation.
-        robot, motion: names of the training's robot and motion.
-        about: further entries of its file: `library`, `versions`, `training` (`steps`, `wall_s`, …).
-    """
-
-    weights: tuple[Weights, ...]
-    biases: tuple[Weights, ...]
-    mean: Weights
+    weights: tuple[Weights, ...]  # of each layer, (inputs, outputs)
+    biases: tuple[Weights, ...]  # (outputs,)
+    mean: Weights  # (observation,) of the normalisation
     deviation: Weights
-    robot: str
+    robot: str  # the training's
     motion: str
     samples: int  # of the training's motion
     activation: str = "elu"  # one of `ACTIVATIONS`
     config: PolicyConfig = field(default_factory=PolicyConfig)
     seed: int = 0
-    about: dict[str, Any] = field(default_factory=dict)
+    about: dict[str, Any] = field(default_factory=dict)  # entries of its file: `library`, `versions`, `training`
 
     def __post_init__(self) -> None:
         if self.activation not in ACTIVATIONS:
@@ -251,14 +240,7 @@ def plan_legs(config: Any, tables: Any, clocks: Any, observations: Any, memories
 
 
 class PolicyController:
-    """n robots under one policy; steps like `fastmimic.control.controller.Controller`. Not for several threads.
-
-    Attributes:
-        config: the model-based controller's, for the loop's rate and the contact thresholds.
-        tables: (1 or n, t) of `SAMPLE`, the reference motions.
-        memory: (n,) of `MEMORY`, leg states of the gait planner.
-        command: (n,) of `COMMAND`, the last ones.
-    """
+    """n robots under one policy; steps like `fastmimic.control.controller.Controller`. Not for several threads."""
 
     def __init__(self, policy: Policy, robot: Robot, motion: Motion, n: int, config: ControllerConfig) -> None:
         """Raises `PolicyError` if the policy is for another robot, another motion, or another control rate."""
@@ -268,10 +250,10 @@ class PolicyController:
                 f"the policy's joint targets go out at {policy.config.control_rate_hz:g} Hz, and the loop runs at"
                 f" {config.rate_hz:g} Hz"
             )
-        self.config = config
-        self.tables = stack_tables([motion], robot)
-        self.memory = np.zeros(n, MEMORY)
-        self.command = np.zeros(n, COMMAND)
+        self.config = config  # the model-based controller's, for the loop's rate and the contact thresholds
+        self.tables = stack_tables([motion], robot)  # (1 or n, t) of `SAMPLE`, the reference motions
+        self.memory = np.zeros(n, MEMORY)  # leg states of the gait planner
+        self.command = np.zeros(n, COMMAND)  # the last ones
         self._config = pack_config(config, robot)
         self._settings = pack_settings(policy.config, robot)
         self._network = policy.network()
@@ -289,8 +271,7 @@ class PolicyController:
         self._senses[...] = make_senses(len(self._senses))
 
     def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
-        """Commands for the next control step, (n,) of `COMMAND`, overwritten by the next call. Takes (n,) records of
-        `OBSERVATION` and of `CLOCK`."""
+        """The next control step's commands, (n,), overwritten by the next call; from (n,) of `OBSERVATION`, `CLOCK`."""
         plan_legs(self._config, self.tables, clocks, observation, self.memory)
         if not 0 <= self._senses["age"][0] < self._settings["decimation"][0]:  # of all robots, which begin together
             observe(self._settings, self.tables, clocks, observation, self._senses, self._rotation, self._seen)

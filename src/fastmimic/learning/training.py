@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic.base.errors import CheckpointError
-from fastmimic.base.files import check_folder, replace_file, write_text
+from fastmimic.base.files import replace_file, write_text
 from fastmimic.base.machine import versions
 from fastmimic.base.text import csv_text, plain
 from fastmimic.episode.loop import run_episodes
@@ -66,16 +66,6 @@ class TrainingFolder(WorkFolder):
         return state
 
 
-def open_training(path: Path, same: Mapping[str, Any], *, resume: bool, overwrite: bool) -> TrainingFolder:
-    """Checks a folder before a training begins; writes nothing into it. `same` must equal `training` in the folder's
-    `config.json` to resume. Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the folder holds
-    other files or cannot be written."""
-    folder = TrainingFolder.at(path)
-    folder.check(same, resume=resume, overwrite=overwrite, begun=(path / CHECKPOINT).is_file())
-    check_folder(path)
-    return folder
-
-
 class Stopwatch:
     """Wall and processor time of this process, added to earlier times."""
 
@@ -89,14 +79,10 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class Evaluated:
-    """An evaluation of a policy under training, as in `fastmimic compare`.
-
-    Attributes:
-        wall_s, cpu_s: time of the training so far.
-    """
+    """An evaluation of a policy under training, as in `fastmimic compare`."""
 
     steps: int
-    wall_s: float
+    wall_s: float  # of the training so far
     cpu_s: float
     reward: float  # of a nominal episode
     reward_perturbed: float  # mean over episodes from perturbed starts
@@ -134,8 +120,8 @@ def train(
     uninterrupted one to the bit on the same machine; a finished one continues if `steps` is greater.
 
     Args:
-        steps: policy steps of all robots together, rounded up to whole iterations.
-        threads: number of threads; the result does not depend on it.
+        steps: of the policy, all robots together, rounded up to whole iterations.
+        threads: the result does not depend on their number.
         evaluate_every: policy steps between evaluations; the last iteration always has one.
 
     Raises `ConfigError` for a missing library or as `Learner`, `CheckpointError` for a damaged checkpoint, and

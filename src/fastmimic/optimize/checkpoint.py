@@ -44,8 +44,7 @@ class Checkpoint:
 
     @classmethod
     def load(cls, path: str | Path, identity: str | None = None) -> "Checkpoint":
-        """Reads a checkpoint, of any problem if `identity` is None; raises `CheckpointError` if it is missing, damaged,
-        or of another problem."""
+        """Reads a checkpoint; raises `CheckpointError` if it is missing, damaged, or not of the problem `identity`."""
         try:
             with np.load(path, allow_pickle=False) as file:
                 version = int(file["version"])

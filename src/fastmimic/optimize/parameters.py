@@ -37,8 +37,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Opened:
-    """A DMP parameter of a group, for any motion: a "goal", with bounds relative to the fitted baseline, or an
-    "amplitude"."""
+    """A DMP parameter of a group: a "goal", with bounds relative to the fitted baseline, or an "amplitude"."""
 
     dimension: str
     kind: str
@@ -120,8 +119,7 @@ def moved_by(motion: Motion) -> dict[str, float]:
 
 
 def begun_at(parameters: Sequence[Parameter], moved: Mapping[str, float]) -> list[float]:
-    """Values, within their bounds, that modulate `parameters` like another motion (`moved`, see `moved_by`); the
-    initial values where `moved` has none."""
+    """Values, within their bounds, that modulate like another motion (`moved`, see `moved_by`), or the initial ones."""
     found = []
     for parameter in parameters:
         value = parameter.initial
@@ -134,19 +132,12 @@ def begun_at(parameters: Sequence[Parameter], moved: Mapping[str, float]) -> lis
 
 @dataclass(frozen=True)
 class FinalChoice:
-    """The validation at the end of a search. It does not change the search, so checkpoints do not depend on it.
+    """The validation at the end of a search. It does not change the search, so checkpoints do not depend on it."""
 
-    Attributes:
-        candidates: number of candidates that compete for being the result.
-        episodes: of each; one begins at the motion's start, the others perturbed.
-        robots: of each, in place of `episodes`, where candidates are scored over several robots.
-        duration_s: length of an episode, s.
-    """
-
-    candidates: int = 8
-    episodes: int = 4
-    robots: int = 8
-    duration_s: float = 10.0
+    candidates: int = 8  # that compete for being the result
+    episodes: int = 4  # of each; one begins at the motion's start, the others perturbed
+    robots: int = 8  # of each, in place of `episodes`, where candidates are scored over several robots
+    duration_s: float = 10.0  # of an episode
 
     @property
     def simulated_s(self) -> float:

@@ -45,19 +45,14 @@ _CYCLES: Final = 1.5  # cycles in an episode, if the requested length does not h
 class Objective:
     """How a candidate is scored: mean reward of an episode minus the penalty for lost swing clearance.
 
-    Attributes:
-        duration_s: length of the episode, s; at least one and a half cycles, and the whole of a motion that does not
-            repeat.
-        clearance_floor: share of the demonstration's clearance below which a foot is penalised; above the share that a
-            result must reach, because the realised clearance varies from step to step.
-        clearance_weight: penalty per foot and per unit of the missing share.
-        randomization: the robots that score a candidate; None for the nominal robot.
+    A foot is penalised below `clearance_floor`, a share of the demonstration's clearance: above the share that a result
+    must reach, because the realised clearance varies from step to step.
     """
 
-    duration_s: float = 5.0
+    duration_s: float = 5.0  # of the episode; at least one and a half cycles, and the whole of a motion without cycle
     clearance_floor: float = 0.87
-    clearance_weight: float = 1.0
-    randomization: Randomization | None = None
+    clearance_weight: float = 1.0  # penalty per foot and per unit of the missing share
+    randomization: Randomization | None = None  # the robots that score a candidate; None for the nominal robot
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.duration_s) and self.duration_s > 0):
@@ -88,8 +83,7 @@ class Problem(ABC):
         config: ControllerConfig | None = None,
         workers: int | None = None,
     ) -> None:
-        """Arguments as attributes; `workers` is the number of threads (None: one per core). Raises `ConfigError` below
-        one."""
+        """Arguments as attributes; `workers` are threads (None: one per core). Raises `ConfigError` below one."""
         if workers is not None and workers < 1:
             raise ConfigError(f"workers must be at least 1, found {workers}")
         self.robot = robot
@@ -174,8 +168,7 @@ class Problem(ABC):
             return list(pool.map(run, range(len(parts))))
 
     def evaluate(self, x: Array, robots: Sequence[Disturbance] = ()) -> Array:
-        """Scores of n candidates (n, k), greater is better, (n,): of the nominal robot, or by the criterion over the
-        same m robots (m values per disturbance)."""
+        """Scores of n candidates (n, k), greater is better, (n,): of the nominal robot, or of the same m robots."""
         m = len(robots[0].values) if robots else 1
         tables = np.repeat(self.tables(x), m, axis=0)
         scores = self.scores(tables, nominal_start(len(tables)), self.steps, repeated(robots, len(x)))
@@ -212,14 +205,8 @@ class ImitationProblem(Problem):
         workers: int | None = None,
         moved: Mapping[str, float] | None = None,
     ) -> None:
-        """Args:
-            demonstration: the motion to compare with.
-            dmp: fitted to it.
-            group: one of `PARAMETER_GROUPS`.
-            moved: modulation at the start of the search (see `moved_by`); None for the unmodulated motion.
-
-        Raises `ConfigError` for fewer than one worker, or no such group.
-        """
+        """`dmp` is fitted to the demonstration, `group` one of `PARAMETER_GROUPS`, `moved` the modulation at the start
+        of the search (see `moved_by`). Raises `ConfigError` for fewer than one worker, or no such group."""
         objective = objective if objective is not None else Objective()
         self._repeats = demonstration.cycle is not None
         if not self._repeats:
@@ -283,8 +270,7 @@ class ImitationProblem(Problem):
 
 
 def clearance_penalty(objective: Objective, rollout: Rollout, wanted: Array) -> Array:
-    """Penalty for lost swing clearance in each of n episodes, (n,); `wanted`: (4,) demonstration's clearance, m, NaN
-    without swings."""
+    """Penalty for lost swing clearance in n episodes, (n,); `wanted` (4,) the motion's own, m, NaN without swings."""
     share = rollout.clearance / wanted
     # a foot that never swung because the robot fell has no clearance
     share = np.where(np.isnan(share) & rollout.fell[:, None] & np.isfinite(wanted), 0.0, share)

@@ -57,16 +57,10 @@ class StitchedProblem(Problem):
         workers: int | None = None,
         n_basis: int = N_BASIS,
     ) -> None:
-        """Args:
-            demonstration: from `stitch_motions`.
-            start: start of the search by parameter, or per segment, clipped to the bounds; unmodulated where it has no
-                value.
-            objective: how candidates are scored; the clearance rule holds per segment, the duration is ignored.
-            group: of each segment, one of `PARAMETER_GROUPS`.
-
-        Raises `ConfigError` for fewer than one worker, no such group, or a start with other parameters, and
-        `MotionError` if the motion is not stitched.
-        """
+        """`demonstration` is from `stitch_motions`; `start` that of the search by parameter, or per segment, clipped to
+        the bounds, unmodulated where it has no value; of `objective` the clearance rule holds per segment, and the
+        duration is ignored; `group` is each segment's, one of `PARAMETER_GROUPS`. Raises `ConfigError` for fewer than
+        one worker, no such group, or a start with other parameters, `MotionError` if the motion is not stitched."""
         self.layout = Layout.of(demonstration)
         self.steps = demonstration.n_samples - 1
         objective = replace(objective or Objective(), duration_s=(demonstration.n_samples - 1) / demonstration.rate_hz)
@@ -218,8 +212,7 @@ def parameters_of(motion: Motion) -> dict[str, float]:
 
 
 def segment_clearance(motion: Motion, foot_radius: float, layout: Layout) -> Array:
-    """Mean swing clearance (s, 4) per segment of a stitched motion, m; NaN without swings. A swing belongs to the
-    segment where it ends."""
+    """Mean swing clearance (s, 4) per segment of a stitched motion, m, of the swings that end in it; NaN without."""
     height = motion.foot_pos_w[..., 2] - foot_radius
     bounds = [s.last for s in layout.segments]
     total, count = np.zeros((len(bounds), 4)), np.zeros((len(bounds), 4))

@@ -42,9 +42,8 @@ _IDLE_S: Final = 0.05
 
 
 class Pacer:
-    """Runs a session in real time in the calling thread, unless `paused`. `lock` is held while the session steps: take
-    it to use the session elsewhere. `pace` is simulated time per second, in (0, 1]; `realtime_factor` the share of it
-    that was reached over the last `WINDOW_S`."""
+    """Runs a session in real time in the calling thread, unless `paused`. Take `lock`, held while it steps, to use the
+    session elsewhere. `pace` is simulated time per second, ≤ 1; `realtime_factor` the share reached in `WINDOW_S`."""
 
     def __init__(self, session: "LiveSession") -> None:
         self.session = session

@@ -95,15 +95,9 @@ def _short(source: str, motion: Motion) -> str:
 class LiveSession:
     """One robot in an endless simulation. One thread at a time.
 
-    Args:
-        motions: cyclic motions by name, or a `MotionSet` of them.
-        start: the first motion; "stand" if None.
-        method: the controller, one of `playable_methods()`.
-        config: its parameters, or the name of a set.
-
-    Raises:
-        ConfigError: no such motion, controller or configuration.
-        MotionError: a motion that cannot be played.
+    `motions` are cyclic ones by name, `start` is the first of them ("stand" if None), `method` the controller, one of
+    `playable_methods()`, `config` its parameters, or the name of a set. Raises `ConfigError` if there is no such
+    motion, controller or configuration, `MotionError` for a motion that cannot be played.
 
     Example:
         session = LiveSession(load_robot("a1"), {"trot": load_motion("trot", "a1")})

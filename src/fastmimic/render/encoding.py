@@ -31,23 +31,18 @@ _PIPE: Final = 2**20  # bytes, the most that Linux allows
 
 @dataclass(frozen=True)
 class Quality:
-    """The quality of a video's drawing.
-
-    Attributes:
-        shadow_map: resolution of the light's depth map, pixels each way; 0 for geoms flattened onto the ground, ten
-            times as fast without a graphics card.
-        preset, crf: libx264's effort and loss.
-    """
+    """The quality of a video's drawing. Without a shadow map, geoms are flattened onto the ground: ten times as fast
+    without a graphics card."""
 
     name: str  # as on the command line
     size: tuple[int, int]  # default width and height, pixels
-    shadow_map: int
+    shadow_map: int  # resolution of the light's depth map, pixels each way; 0 for none
     samples: int  # of each pixel, for smooth edges; 0 for one
     reflectance: float  # of the ground
     textured: bool  # whether the ground's pattern is a texture, which blurs with distance, or tiles, which are faster
     facets: int  # around a round shape
-    preset: str
-    crf: int
+    preset: str  # libx264's effort
+    crf: int  # and loss
 
 
 PREVIEW: Final = Quality("preview", (800, 450), 0, 0, 0.0, False, 8, "ultrafast", 25)

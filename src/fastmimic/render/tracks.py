@@ -60,15 +60,11 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class AnimalTrack:
-    """What an animal does, for a panel of a video: points and the bones between them.
-
-    Attributes:
-        title, caption: as in `Track`.
-    """
+    """What an animal does, for a panel of a video: points and the bones between them."""
 
     points_w: Array  # (t, k, 3) world, m, finite
     skeleton: Skeleton  # which of the points are joined
-    title: str = ""
+    title: str = ""  # as in `Track`
     caption: str = ""
 
     def __post_init__(self) -> None:
@@ -113,9 +109,8 @@ def resample_contact(track: Track, rate_hz: float, times: Array) -> NDArray[np.b
 
 
 def rollout_track(rollout: "Rollout", loaded_n: float, title: str = "", episode: int = 0, note: str = "") -> Track:
-    """An episode of a logged rollout, falls included, with the demonstration at each step as its ghost. The panel's
-    second line tells the reward and the time of a fall after `note`, such as the method; `loaded_n` is a loaded foot's
-    least force, N."""
+    """An episode of a logged rollout, falls included, with the demonstration as its ghost. The panel's second line
+    tells the reward and the time of a fall after `note`, such as the method; `loaded_n` loads a foot, N."""
     log = rollout.course
     robot, ghost = log.observation[episode], log.demonstration[episode]
     caption = f"{note} · " if note else ""
@@ -162,14 +157,9 @@ def world_feet(robot: Robot, pose: Array) -> Array:
 
 
 class Animal:
-    """A clip's points on the ground in its own heading frame, scaled as in retargeting. `motion`, made of the clip, may
-    have another length; it is then run through from start to end.
-
-    Attributes:
-        points: (t, 10, 3) keypoints, heading frame, origin on the ground under the middle of neck and pelvis, m.
-        body: (t, k, 3) the points that the skeleton joins, in the same frame.
-        skeleton: of the clip, with radii at the robot's size.
-    """
+    """A clip's points on the ground in its own heading frame, scaled as in retargeting: `points` (t, 10, 3) keypoints,
+    m, from the ground under the middle of neck and pelvis; `body` (t, k, 3) those that the `skeleton` joins, its radii
+    at the robot's size. `motion`, made of the clip, may have another length; it is then run through to its end."""
 
     def __init__(self, clip: Clip, robot: Robot, motion: Motion) -> None:
         scale = choose_scale(clip, robot)

@@ -55,22 +55,16 @@ class VideoInfo:
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """What a track shows in each of n frames.
-
-    Attributes:
-        robot, ghost: (n, 19) poses; None for an animal or without a ghost.
-        feet: (n, p, 4, 3) feet now and at the p - 1 moments before that a trail joins, world, m; None without marks.
-        bones, radii: (n, b, 2, 3) their ends, world, m, None for a robot; (b,) m.
-    """
+    """What a track shows in each of n frames."""
 
     root: Array  # (n, 3) what the camera follows, world, m
     yaw: float  # heading in the first frame, rad
-    robot: Array | None = None
-    ghost: Array | None = None
-    feet: Array | None = None
+    robot: Array | None = None  # (n, 19) poses; None for an animal
+    ghost: Array | None = None  # the same of its demonstration
+    feet: Array | None = None  # (n, p, 4, 3) now and at the p - 1 moments before that a trail joins; None: no marks
     contact: NDArray[np.bool_] | None = None  # (n, 4) loaded feet
-    bones: Array | None = None
-    radii: tuple[float, ...] = ()
+    bones: Array | None = None  # (n, b, 2, 3) their ends, world, m; None for a robot
+    radii: tuple[float, ...] = ()  # (b,) of the bones, m
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,12 +135,9 @@ def render_video(
         window_s: the part of the tracks shown, s; camera and trails also use the rest.
         loop_m: for a video played in a loop, the distance along the heading, m, to which the ground's tiles are fitted.
 
-    Returns:
-        What was written; None, with a warning in the log, if this machine has no OpenGL to draw with.
-
-    Raises:
-        ConfigError: no track or too many, a size that the format does not take, or a number that is not positive.
-        OutputError: `path` cannot be written.
+    Returns what was written; None, with a warning in the log, if this machine has no OpenGL to draw with. Raises
+    `ConfigError` for no track or too many, a size that the format does not take, or a number that is not positive,
+    `OutputError` if `path` cannot be written.
     """
     if not 1 <= len(tracks) <= MAX_PANELS:
         raise ConfigError(f"a video shows 1 to {MAX_PANELS} tracks, found {len(tracks)}")

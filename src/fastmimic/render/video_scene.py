@@ -45,14 +45,10 @@ def leg_rgba(leg: int, alpha: float) -> tuple[float, float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class VideoScene:
-    """A model with the robot and perhaps its ghost, and their coordinates in `qpos`.
-
-    Attributes:
-        robot_qpos: (19,) indices of the robot's root position, quaternion and joints in the common order.
-    """
+    """A model with the robot and perhaps its ghost, and their coordinates in `qpos`."""
 
     model: "mujoco.MjModel"
-    robot_qpos: NDArray[np.int64]
+    robot_qpos: NDArray[np.int64]  # (19,) of the robot's root position, quaternion and joints in the common order
     ghost_qpos: NDArray[np.int64] | None  # (19,) those of the ghost; None without one
     casts_shadow: NDArray[np.bool_]  # (ngeom,) geoms with a shadow: the robot's main ones
     quality: Quality = PREVIEW

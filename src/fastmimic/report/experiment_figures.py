@@ -52,8 +52,7 @@ def write_stress(folder: WorkFolder, settings: stress.StressSettings, planned: S
 
 
 def stress_figure(rows: Sequence[dict[str, Any]], curve: str, title: str) -> Figure:
-    """One panel per disturbance, one line per method: "fell", as the share without a fall, or "reward_mean" of the rows
-    of sweeps."""
+    """One panel per disturbance, one line per method: "fell", as the share without a fall, or "reward_mean" of rows."""
     names = list(dict.fromkeys(row["disturbance"] for row in rows))
     methods = [name for name in METHODS if any(row["method"] == name for row in rows)]
     columns = min(_COLUMNS, len(names))

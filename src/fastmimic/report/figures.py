@@ -28,9 +28,8 @@ TRANSITION_S: Final = 2.0  # length of a stitched motion's tracking figure
 
 
 def convergence_figure(history: History, title: str = "Optimisation") -> Figure:
-    """Reward and step size of the optimiser by iteration: the best so far, the candidates' mean, and their standard
-    deviation as a band. With other robots in each iteration, the best so far would be that of the easiest ones; each
-    iteration's best is drawn."""
+    """Reward and step size of the optimiser by iteration: best so far, the candidates' mean, deviation as a band.
+    With other robots in each iteration, the best so far would be the easiest ones'; each iteration's best is drawn."""
     h = history
     k = np.arange(1.0, len(h.best) + 1)
     figure = style.new_figure(8.0, 5.6, title, below=0.5)
@@ -162,9 +161,8 @@ def write_video(
     progress: Callable[[int, int], None] | None = None,
     quality: str = "preview",
 ) -> bool:
-    """Adds the video, and its time to the metrics; False, with a warning in the log, if nothing can draw. `progress` is
-    called with (frames done, frames in all); `quality` is one of `fastmimic.render.encoding.QUALITIES`. Raises
-    `OutputError`."""
+    """Adds the video, and its time to the metrics; False, with a warning in the log, if nothing can draw. Raises
+    `OutputError`. `progress` and `quality` are as in `render_video`."""
     from fastmimic.render.video import render_video
 
     began = time.perf_counter()

@@ -73,8 +73,7 @@ _HOW: Final = (
 
 
 def comparison_page(path: Path) -> HtmlReport:
-    """The page of a comparison's folder. Raises `ConfigError` if `environment.json` or `results.csv` cannot be read, or
-    Plotly is not installed."""
+    """The page of a comparison's folder; raises `ConfigError` if its files cannot be read, or without Plotly."""
     about = read_json(path / ENVIRONMENT)
     missing: list[str] = []
     try:

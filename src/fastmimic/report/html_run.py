@@ -34,20 +34,14 @@ class SearchHistory:
 
 @dataclass(frozen=True, eq=False)
 class RerunEpisodes:
-    """The run's nominal episodes, simulated again with their logs.
-
-    Attributes:
-        robot, motion, config: what was run.
-        before, after: with the demonstration and with the optimised motion; `after` is None without optimisation.
-        differences: sentences about rewards that differ from `metrics.json`.
-    """
+    """The run's nominal episodes, simulated again with their logs."""
 
     robot: Robot
     motion: Motion
     config: ControllerConfig
-    before: Rollout
-    after: Rollout | None
-    differences: tuple[str, ...]
+    before: Rollout  # with the demonstration
+    after: Rollout | None  # with the optimised motion; None without optimisation
+    differences: tuple[str, ...]  # sentences about rewards that differ from `metrics.json`
 
     @property
     def done_once(self) -> bool:

@@ -149,8 +149,7 @@ def _draw_joint(axes: Axes, time: Array, values: Array, lower: float, upper: flo
 
 
 def segments_figure(clip: Clip, segments: list[Segment], title: str) -> Figure:
-    """A take over time: segments by name (of `fastmimic.clips.segment.find_segments`), the toes' fore-aft paths, and
-    the trunk's speed and heading."""
+    """A take over time: segments by name (of `find_segments`), the toes' fore-aft paths, the trunk's speed, heading."""
     seconds = clip.n_frames / clip.rate_hz
     figure = style.new_figure(float(np.clip(0.45 * seconds, 10.0, 40.0)), 6.4, f"{title}: {_summary(segments)}")
     bars, feet, speed, heading = figure.subplots(4, 1, sharex=True, height_ratios=(1.1, 2, 1, 1))

@@ -48,8 +48,7 @@ class MotionSource:
             raise MotionError(f"{path}: not the settings of a run ({type(error).__name__}: {error})") from None
 
     def open_clip(self, robot: Robot, **overrides: Any) -> Clip:
-        """The clip, as `open_clip` reads it. Raises `FastMimicError` for a robot motion, an unreadable clip, or an
-        override that does not apply."""
+        """The clip, as `open_clip` reads it; raises `FastMimicError` as that, and for a robot motion."""
         if self.clip is None:
             raise ConfigError(f"{self.name}: already a robot motion; a clip is needed")
         return self.clip if isinstance(self.clip, Clip) else open_clip(self.clip, robot=robot, **overrides)

@@ -54,15 +54,9 @@ class WorkFolder:
         return settings if isinstance(settings, dict) and record.get("experiment") == self.experiment else None
 
     def check(self, same: Mapping[str, Any], *, resume: bool, overwrite: bool, begun: bool = True) -> None:
-        """Checks the folder before long work begins or resumes; writes nothing.
-
-        Args:
-            same: settings that must equal the earlier ones to resume.
-            begun: whether earlier work would lose anything.
-
-        Raises `ConfigError` for both `resume` and `overwrite`, and `OutputError` if the folder holds other files or
-        other work, or there is nothing to resume.
-        """
+        """Checks the folder before long work begins or resumes; writes nothing. `same` are settings that must equal the
+        earlier ones to resume; `begun` says whether earlier work would lose anything. Raises `ConfigError` for both
+        `resume` and `overwrite`, `OutputError` if the folder holds other files or work, or nothing to resume."""
         path, what, earlier = self.path, self.what, self.earlier()
         if resume and overwrite:
             raise ConfigError(f"--resume goes on with {what} and --overwrite replaces it: give one of them")
@@ -174,15 +168,10 @@ def open_run(
     """Prepares a folder for a run before long work begins. If the run fails, the folder is unchanged.
 
     A folder with a run of other arguments, or with an unfinished or interrupted run, is refused unless `overwrite` or
-    `resume`. A finished run of the same arguments is replaced. Until there are results, `config.json` describes the run
-    in progress.
-
-    Args:
-        config: the content of `config.json`; its `arguments` identify the run.
-        same: the arguments that must be equal for a run to be the same.
-
-    Raises `ConfigError` for both `resume` and `overwrite`, `CheckpointError` if there is nothing to resume from, and
-    `OutputError` if the folder holds another run, or cannot be written to.
+    `resume`. A finished run of the same arguments is replaced. Until there are results, `config.json` holds `config`;
+    `same` are the arguments that must be equal for a run to be the same. Raises `ConfigError` for both `resume` and
+    `overwrite`, `CheckpointError` if there is nothing to resume from, and `OutputError` if the folder holds another
+    run, or cannot be written to.
     """
     folder = RunFolder(path)
     folder.check(same, resume=resume, overwrite=overwrite)
@@ -219,8 +208,7 @@ def differences(same: Mapping[str, Any], earlier: Mapping[str, Any]) -> str:
 
 @contextmanager
 def created(path: Path) -> Iterator[None]:
-    """Creates a folder with its parents; if the block fails, removes those that are empty. Raises `OutputError` if
-    the folder cannot be written to."""
+    """Creates a folder with its parents; if the block fails, removes those that are empty. Raises `OutputError`."""
     new = [folder for folder in (path, *path.parents) if not folder.exists()]
     check_folder(path)
     try:

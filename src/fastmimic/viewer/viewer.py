@@ -173,8 +173,7 @@ def _longest(takes: Sequence["Take"]) -> tuple[int, float, NDArray[np.int64]]:
 def recorded_page(robot: Robot, takes: Sequence["Take"], names: Sequence[str]) -> str:
     """One self-contained page, viser's client and a recording of its scene, with robots side by side that repeat their
     takes (of one rate), up to `LONGEST_S`; the shorter ones stay at their ends. `names` are those in the scene tree,
-    without slashes. While recording, a server runs on loopback. Raises `ConfigError` if viser is not installed or too
-    old, or no port is free."""
+    without slashes. While recording, a server runs on loopback. Raises `ConfigError` as `WebPage`."""
     with WebPage() as page:
         server = page.server
         robots = line_up(server, takes, names=names)

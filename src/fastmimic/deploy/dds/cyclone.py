@@ -269,13 +269,16 @@ def _endpoint(
     return checked(handle, f"a {kind} of {topic}")
 
 
-class Writer:
-    """Sends messages of one topic; reliable for readers that request it, but never waits.
+def _matched(ask: Callable[..., int], handle: int) -> int:
+    """Number of peers of a reader or writer."""
+    status = Matched()
+    ask(handle, ctypes.byref(status))
+    return int(status.current)
 
-    Attributes:
-        message: the message that `write` sends.
-        record: (1,) the same memory as a NumPy structure.
-    """
+
+class Writer:
+    """Sends messages of one topic; reliable for readers that request it, but never waits. `write` sends `message`;
+    `record` (1,) is the same memory as a NumPy structure."""
 
     def __init__(self, participant: Participant, topic: str, message: type[Message]) -> None:
         self._participant = participant
@@ -290,20 +293,13 @@ class Writer:
         return bool(self._write(self._handle, self._address) == 0)
 
     def matched(self) -> int:
-        status = Matched()
-        cyclone().dds_get_publication_matched_status(self._handle, ctypes.byref(status))
-        return int(status.current)
+        return _matched(cyclone().dds_get_publication_matched_status, self._handle)
 
 
 class Reader:
     """Receives messages of one topic and a fixed size, into its own memory; of a queue beyond `depth` the oldest are
-    lost.
-
-    Attributes:
-        samples: (depth,) NumPy structures, their padding zero; those of the last `take` come first.
-        valid: (depth,) True for a message, False for the notice that its writer has gone.
-        publication: (depth,) its writer.
-    """
+    lost. `samples` (depth,) are NumPy structures, their padding zero, those of the last `take` first; `valid` is False
+    for the notice that a writer has gone; `publication` is the writer."""
 
     def __init__(self, participant: Participant, topic: str, message: type[Message], depth: int = 64) -> None:
         assert fixed_size(message)
@@ -333,9 +329,7 @@ class Reader:
         return bool(checked(self._wait(self._waitset, None, 0, round(max(timeout_s, 0.0) * 1e9)), "waiting") > 0)
 
     def matched(self) -> int:
-        status = Matched()
-        cyclone().dds_get_subscription_matched_status(self._handle, ctypes.byref(status))
-        return int(status.current)
+        return _matched(cyclone().dds_get_subscription_matched_status, self._handle)
 
     def close(self) -> None:
         cyclone().dds_delete(self._waitset)

@@ -25,19 +25,15 @@ class Go2Driver(RobotDriver):
 
     It rejects states with a wrong checksum, without an orientation, from a second publisher, not finite, or with a tick
     not above the last one. For simulators it ignores checksums if the first are 0 (unitree_mujoco in Python), and
-    replaces ticks of 0 by a count.
-
-    Attributes:
-        packets: see `Packets`. `lost` follows from ticks of 1 ms and states at 500 Hz.
-        released: the mode of the motion service that was released, or None.
+    replaces ticks of 0 by a count. `packets.lost` follows from ticks of 1 ms and states at 500 Hz.
     """
 
     def __init__(self, robot: Robot, *, domain: int = 0, interface: str = LOOPBACK, **options: Any) -> None:
-        """`domain` is the DDS domain, 0 for robots; `interface` the network interface, `lo` for a simulated robot;
-        `options` are those of `RobotDriver`."""
+        """The DDS `domain` is 0 for robots, the network `interface` `lo` for a simulated one; `options` are those of
+        `RobotDriver`."""
         super().__init__(robot, **options)
         self._domain, self._interface = domain, interface
-        self.released: str | None = None
+        self.released: str | None = None  # mode of the motion service that was released
         self._participant: Participant | None = None
 
     def _connect(self) -> None:

@@ -60,8 +60,7 @@ RELEASE_S: Final = 10.0
 
 def crc32(words: NDArray[np.uint32]) -> int:
     """Unitree's checksum of a message (n,) in C's layout, as little-endian words, without the last, which holds it:
-    CRC-32/MPEG-2 (polynomial 0x04c11db7, from 0xffffffff) over big-endian words, which is zlib's with all bits
-    reversed."""
+    CRC-32/MPEG-2 (polynomial 0x04c11db7, from 0xffffffff) over big-endian words: zlib's with all bits reversed."""
     reversed_crc = zlib.crc32(words[:-1].byteswap().tobytes().translate(_BITS_REVERSED)) ^ 0xFFFFFFFF
     return int(f"{reversed_crc:032b}"[::-1], 2)
 
