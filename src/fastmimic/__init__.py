@@ -13,7 +13,7 @@ foot sphere; angular velocities in the world frame; float64.
 
 from typing import Any
 
-from fastmimic.base.after_import import AfterImport
+from fastmimic.learning import AfterImport
 from fastmimic.learning import register as _register_environments
 
 __version__ = "0.1.0"

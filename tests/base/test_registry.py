@@ -39,7 +39,7 @@ def test_a_name_is_given_once() -> None:
         registry.register(Gear("low"))
     with pytest.raises(ConfigError, match="needs a name"):
         registry.register(Gear(""))
-    assert registry.unregister("low").ratio == 3.0
+    assert registry.pop("low").ratio == 3.0
     registry.register(Gear("low"))
 
 

@@ -28,7 +28,7 @@ def bare() -> Iterator[Format]:
 
     form = Format("bare", "bare floats", (".bare",), detect, parse, takes=(), binary=True)
     yield FORMATS.register(form)
-    FORMATS.unregister("bare")
+    FORMATS.pop("bare")
 
 
 def test_a_registered_format_is_read_listed_and_named_in_errors(bare: Format, tmp_path: Path) -> None:
@@ -56,7 +56,7 @@ def test_a_users_format_goes_before_the_built_in_ones(tmp_path: Path) -> None:
     try:
         assert detect_format(path) == "keypoint-lines"
     finally:
-        FORMATS.unregister("keypoint-lines")
+        FORMATS.pop("keypoint-lines")
 
 
 def test_every_format_is_complete() -> None:

@@ -29,7 +29,7 @@ def level(demonstration: np.ndarray, observation: np.ndarray) -> np.ndarray:
 def added() -> Iterator[None]:
     REWARD_TERMS.register(RewardTerm("level", 0.25, "height of the trunk", function=level))
     yield
-    REWARD_TERMS.unregister("level")
+    REWARD_TERMS.pop("level")
 
 
 def rollout(robot: Robot, **options: Any) -> Any:
@@ -56,7 +56,7 @@ def test_what_is_built_in_stays_the_same(robot: Robot) -> None:
     try:
         found = rollout(robot)
     finally:
-        REWARD_TERMS.unregister("nothing")
+        REWARD_TERMS.pop("nothing")
     np.testing.assert_array_equal(found.terms[:, :-1], plain.terms)
     np.testing.assert_allclose(found.reward, plain.reward / 2)
 
@@ -74,7 +74,7 @@ def test_a_term_that_is_none_is_refused(robot: Robot, function: Any, said: str) 
         with pytest.raises(ConfigError, match=said):
             rollout(robot)
     finally:
-        REWARD_TERMS.unregister("bad")
+        REWARD_TERMS.pop("bad")
 
 
 def test_a_weight_is_positive() -> None:

@@ -87,8 +87,8 @@ class TestUsersMethods:
         METHODS.register(Method("mine", "Mine", "another foothold", change=stiff))
         METHODS.register(Method("copy", "Copy", "mbc under another name", controller=copied))
         yield
-        METHODS.unregister("mine")
-        METHODS.unregister("copy")
+        METHODS.pop("mine")
+        METHODS.pop("copy")
 
     def test_they_are_imitated_and_evaluated_with(self) -> None:
         mine, copy, mbc = (evaluate("trot", method=name, duration_s=0.4) for name in ("mine", "copy", "mbc"))

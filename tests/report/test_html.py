@@ -257,9 +257,9 @@ def test_without_viser_one_line_says_what_to_install(
 
 
 def test_says_if_the_search_found_nothing_better() -> None:
-    from fastmimic.report.html_run import SearchHistory
+    from fastmimic.optimize.checkpoint import Checkpoint
 
-    search = SearchHistory(np.full((3, 4), 0.5), np.zeros((3, 4, 2)))
+    search = Checkpoint("", np.zeros((3, 4, 2)), np.full((3, 4), 0.5), 0.0)
     assert "found nothing better" in convergence(search, 0.9, 0.91, unchanged=True).title
     assert "The reward rises: 0.900 before, 0.910 after 3 iterations" in convergence(search, 0.9, 0.91).title
 

@@ -318,7 +318,7 @@ class TestRegistered:
         yield DISTURBANCES.register(
             DisturbanceKind("wind", unit="N", lower=-50.0, upper=50.0, about="from the side", each_step=blow)
         )
-        DISTURBANCES.unregister("wind")
+        DISTURBANCES.pop("wind")
 
     @pytest.mark.usefixtures("wind")
     @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
@@ -355,7 +355,7 @@ class TestRegistered:
             with pytest.raises(ConfigError, match="'gravity' is not realised in pybullet"):
                 make_world([Disturbance("gravity", (0.5,))], 1, "pybullet")
         finally:
-            DISTURBANCES.unregister("gravity")
+            DISTURBANCES.pop("gravity")
 
 
 def test_a_registered_simulator_runs_episodes(robot: Robot) -> None:
@@ -372,4 +372,4 @@ def test_a_registered_simulator_runs_episodes(robot: Robot) -> None:
         with pytest.raises(ConfigError, match="not realised in mine"):
             make_world([Disturbance("payload", (1.0,))], 1, "mine")
     finally:
-        SIMULATORS.unregister("mine")
+        SIMULATORS.pop("mine")

@@ -51,12 +51,6 @@ class Registry(dict[str, Entry]):
         self[entry.name] = entry
         return entry
 
-    def unregister(self, name: str) -> Entry:
-        """Removes an entry and returns it; raises the registry's error for an unknown name."""
-        entry = self[name]
-        del self[name]
-        return entry
-
     def __missing__(self, name: str) -> NoReturn:
         raise unknown(self.kind, name, self, self._error)
 

@@ -4,14 +4,55 @@ An executor runs a function over jobs and yields the outcomes as they come. If a
 jobs are restarted elsewhere, a few times. To add an executor: its file, and its name in `EXECUTORS`.
 """
 
-from typing import Final
+from collections.abc import Callable, Generator, Iterable
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
 
-from fastmimic.base.errors import ConfigError, unknown
-from fastmimic.executors.base import Executor, JobOutcome, Report
-
-__all__ = ["EXECUTORS", "Executor", "JobOutcome", "Report", "make_executor"]
+from fastmimic.base.errors import ConfigError, FastMimicError, unknown
+from fastmimic.base.registry import load_extensions
 
 EXECUTORS: Final = {"local": "processes on this machine", "ray": "a Ray cluster"}
+ATTEMPTS: Final = 4  # starts of a job, in all, if its process or machine dies
+
+Report = Callable[[float], None]  # takes a job's finished share in [0, 1], called now and then
+Work = Callable[[Any, Report], Any]  # a module's function, called with each job: other processes import it by its name
+
+
+@dataclass(frozen=True)
+class JobOutcome:
+    """Outcome of a job."""
+
+    index: int  # of the job, from 0
+    result: Any = None  # what the function returned; None if it raised
+    error: FastMimicError | None = None  # what it raised; a `WorkerError` if its process or machine was lost every time
+
+
+class Executor(Protocol):
+    @property
+    def workers(self) -> int:
+        """How many run at a time, as far as known beforehand."""
+
+    def run(
+        self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
+    ) -> Generator[JobOutcome, None, None]:
+        """Runs `work` on all jobs, which can be pickled; yields each outcome as soon as it is there. Closing it, or
+        Ctrl-C, stops what runs. `progress` is called with a job's index and finished share. Raises `ClusterError` if no
+        more jobs can run, and what a job raises, if it is no `FastMimicError`: a defect."""
+
+
+def attempt(work: Work, job: Any, report: Report) -> tuple[Any, FastMimicError | None]:
+    """A job's result, or the `FastMimicError` that it raised."""
+    try:
+        load_extensions()  # a process of its own has not got them yet
+        return work(job, report), None
+    except FastMimicError as error:
+        return None, error
+
+
+def check_workers(workers: int | None) -> None:
+    """Raises `ConfigError` if fewer than one is asked for."""
+    if workers is not None and workers < 1:
+        raise ConfigError(f"workers must be at least 1, found {workers}")
 
 
 def make_executor(name: str, *, workers: int | None = None, address: str | None = None) -> Executor:

@@ -17,7 +17,7 @@ from pebble import ProcessExpired, ProcessPool
 
 from fastmimic.base.errors import FastMimicError, WorkerError
 from fastmimic.base.machine import available_cores
-from fastmimic.executors.base import ATTEMPTS, JobOutcome, Work, attempt, check_workers
+from fastmimic.executors import ATTEMPTS, JobOutcome, Work, attempt, check_workers
 
 _POLL_S: Final = 0.5
 _AHEAD: Final = 2  # jobs handed out for each process, so that none waits for the next

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from fastmimic.base.errors import ClusterError, ConfigError, FastMimicError, WorkerError
 from fastmimic.base.machine import available_cores
-from fastmimic.executors.base import ATTEMPTS, JobOutcome, Work, attempt, check_workers
+from fastmimic.executors import ATTEMPTS, JobOutcome, Work, attempt, check_workers
 
 _AHEAD: Final = 2  # jobs handed out for each core, so that none waits for the next
 _POLL_S: Final = 1.0

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.configuration import check, documented, parameter
+from fastmimic.base.configuration import check, documented, pack, parameter, record_fields
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import record_dtype
 from fastmimic.robot import Robot
@@ -52,15 +52,12 @@ class PolicyConfig:
 
 SETTINGS: Final = record_dtype(
     [
-        ("decimation", "i8"),
-        ("action_scale", "f8"),
+        *record_fields(PolicyConfig),
         ("numerator", "f8", (3,)),  # of the filter
         ("denominator", "f8", (2,)),  # without the leading 1
         ("home", "f8", (12,)),  # rad, the target of a zero action
         ("lower", "f8", (12,)),
         ("upper", "f8", (12,)),
-        ("stiffness", "f8", (12,)),
-        ("damping", "f8", (12,)),
     ]
 )
 """`PolicyConfig` and the robot's limits in the kernels' format."""
@@ -69,10 +66,9 @@ SETTINGS: Final = record_dtype(
 def pack_settings(config: PolicyConfig, robot: Robot) -> NDArray[Any]:
     numerator, denominator = low_pass(config.filter_cutoff_hz, config.rate_hz)
     record = np.zeros(1, SETTINGS)
-    record["decimation"], record["action_scale"] = config.decimation, config.action_scale
+    pack(config, record)
     record["numerator"], record["denominator"] = numerator, denominator[1:]
     record["home"], record["lower"], record["upper"] = robot.home_joint_pos, robot.joint_lower, robot.joint_upper
-    record["stiffness"], record["damping"] = np.tile(config.stiffness, 4), np.tile(config.damping, 4)
     return record
 
 

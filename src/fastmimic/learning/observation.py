@@ -100,8 +100,8 @@ def command(settings: Any, senses: Any, commands: Any) -> None:
             out.joint_pos[j] = min(max(target, setting.lower[j]), setting.upper[j])
             out.joint_vel[j] = 0.0
             out.torque[j] = 0.0
-            out.stiffness[j] = setting.stiffness[j]
-            out.damping[j] = setting.damping[j]
+            out.stiffness[j] = setting.stiffness[j % 3]
+            out.damping[j] = setting.damping[j % 3]
 
 
 @inlined

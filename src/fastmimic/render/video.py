@@ -21,13 +21,11 @@ from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, PREVIEW, QUALITIES
 from fastmimic.render.offscreen import NoRendererError, Offscreen, in_any_thread
 from fastmimic.render.overlay import Overlay
 from fastmimic.render.tracks import AnimalTrack, Track, resample, resample_contact, resample_points, world_feet
-from fastmimic.render.video_scene import TILE_M, VideoScene, build_video_scene, ghost_rgba, leg_rgba
+from fastmimic.render.video_scene import TILE_M, CameraView, VideoScene, build_video_scene, ghost_rgba, leg_rgba
 from fastmimic.robot import Robot
 
 if TYPE_CHECKING:
     import mujoco
-
-    from fastmimic.render.camera_view import CameraView
 
 _LOG = logging.getLogger(__name__)
 _CAMERA_AZIMUTH_DEG: Final = 122.0  # from the initial heading: the robot crosses the picture
@@ -71,7 +69,7 @@ class _Shown:
 class _Panel:
     """A view with what it shows, the points (n, 3) to look at, and the width of trails, pixels."""
 
-    view: "CameraView"
+    view: CameraView
     shown: _Shown
     look_at: Array
     trail_width: float
@@ -286,8 +284,6 @@ def _panels(
     video_scene: VideoScene, robot: Robot, shown: list[_Shown], times: Array, size: tuple[int, int], columns: int
 ) -> list[_Panel]:
     """Panels that all look from the same side and distance, each following its own robot."""
-    from fastmimic.render.camera_view import CameraView
-
     span = np.ptp(robot.hip_pos_b[:, 0]) + robot.leg_length
     rows = -(-len(shown) // columns)
     aspect = size[0] / columns / (size[1] / rows)

@@ -1,8 +1,10 @@
-"""The MuJoCo scene of a video: the robot, its ghost, the ground and the light."""
+"""The MuJoCo scene of a video: the robot, its ghost, the ground and the light; and one panel of it, seen by a camera,
+with a shadow under the robot."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+import mujoco
 import numpy as np
 from matplotlib.colors import to_rgba
 from numpy.typing import NDArray
@@ -12,9 +14,7 @@ from fastmimic.render.encoding import PREVIEW, Quality
 from fastmimic.render.figure_style import DEMONSTRATION, LEG_LINES
 from fastmimic.robot import Robot
 
-if TYPE_CHECKING:
-    import mujoco
-
+Rgba = tuple[float, float, float, float]
 
 _ROBOT: Final = "robot/"
 _GHOST: Final = "ghost/"
@@ -33,13 +33,33 @@ _LIGHT_TILE: Final = (0.80, 0.82, 0.84)
 _DARK_TILE: Final = (0.70, 0.73, 0.76)
 _HAZE: Final = (0.93, 0.95, 0.97)
 
+_ELEVATION_DEG: Final = -19.0  # the ground fills the picture
+_SHADOW_RGBA: Final = (0.30, 0.33, 0.37, 1.0)
+_EVERYTHING: Final = mujoco.mjtCatBit.mjCAT_ALL.value
+_GROUND_ONLY: Final = mujoco.mjtCatBit.mjCAT_STATIC.value
+_GEOM: Final = mujoco.mjtObj.mjOBJ_GEOM
+_FLATTEN: Final = np.array(
+    [
+        [1.0, 0.0, -LIGHT_DIR[0] / LIGHT_DIR[2]],
+        [0.0, 1.0, -LIGHT_DIR[1] / LIGHT_DIR[2]],
+        [0.0, 0.0, 1e-3],  # not quite flat: a singular matrix has no normals
+    ]
+)  # projects along the light onto the ground
+_SHADOW_HEIGHT: Final = np.array([0.0, 0.0, 0.002])
+_MARK_HEIGHT: Final = 0.004
+_MARK_RADIUS: Final = 0.034
+_LIGHT_DISTANCE: Final = 3.0  # m, from the point that the camera looks at
+_ZERO: Final = np.zeros(3)
+_UPRIGHT: Final = np.eye(3).ravel()
+_MAX_MARKS: Final = 400  # bones, trails and contacts drawn at once, with their shadows
 
-def ghost_rgba(alpha: float = 0.36) -> tuple[float, float, float, float]:
+
+def ghost_rgba(alpha: float = 0.36) -> Rgba:
     """The demonstration's colour in the figures, translucent."""
     return to_rgba(DEMONSTRATION.color, alpha)
 
 
-def leg_rgba(leg: int, alpha: float) -> tuple[float, float, float, float]:
+def leg_rgba(leg: int, alpha: float) -> Rgba:
     return to_rgba(LEG_LINES[leg].color, alpha)
 
 
@@ -47,7 +67,7 @@ def leg_rgba(leg: int, alpha: float) -> tuple[float, float, float, float]:
 class VideoScene:
     """A model with the robot and perhaps its ghost, and their coordinates in `qpos`."""
 
-    model: "mujoco.MjModel"
+    model: mujoco.MjModel
     robot_qpos: NDArray[np.int64]  # (19,) of the robot's root position, quaternion and joints in the common order
     ghost_qpos: NDArray[np.int64] | None  # (19,) those of the ghost; None without one
     casts_shadow: NDArray[np.bool_]  # (ngeom,) geoms with a shadow: the robot's main ones
@@ -68,8 +88,6 @@ def build_video_scene(
 ) -> VideoScene:
     """Puts a robot, and a translucent ghost of it if wanted, on a checkered ground with tiles of `tile` m, in a picture
     of `width` x `height` pixels. `floor` are the lowest and highest x and y that the robots reach, (2, 2) m."""
-    import mujoco
-
     spec = mujoco.MjSpec()
     _set_visual(spec, width, height, quality)
     _add_ground(spec, floor, quality, tile)
@@ -92,7 +110,7 @@ def build_video_scene(
     return VideoScene(model, robot_qpos, ghost_qpos, _main_geoms(model, robot_geoms), quality, tiles, tile)
 
 
-def _set_visual(spec: "mujoco.MjSpec", width: int, height: int, quality: Quality) -> None:
+def _set_visual(spec: mujoco.MjSpec, width: int, height: int, quality: Quality) -> None:
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = width, height
     visual.global_.fovy = _FOVY_DEG
@@ -111,10 +129,8 @@ def _set_visual(spec: "mujoco.MjSpec", width: int, height: int, quality: Quality
     spec.stat.center = [0, 0, 0.2]
 
 
-def _add_ground(spec: "mujoco.MjSpec", floor: Array, quality: Quality, tile: float) -> None:
+def _add_ground(spec: mujoco.MjSpec, floor: Array, quality: Quality, tile: float) -> None:
     """A textured plane, or tiles of two colours side by side, faster on a processor: nothing is drawn twice."""
-    import mujoco
-
     if quality.textured:
         half = float(np.max(floor[1] - floor[0])) / 2 + _GROUND_M
         spec.worldbody.add_geom(
@@ -146,9 +162,7 @@ def _add_ground(spec: "mujoco.MjSpec", floor: Array, quality: Quality, tile: flo
         )
 
 
-def _add_checker(spec: "mujoco.MjSpec", tile: float, reflectance: float) -> None:
-    import mujoco
-
+def _add_checker(spec: mujoco.MjSpec, tile: float, reflectance: float) -> None:
     spec.add_texture(
         name=_CHECKER,
         type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -198,7 +212,7 @@ def _quads(low: Array, high: Array) -> tuple[Array, NDArray[np.int32]]:
     return vertices, (first + np.array([[0, 1, 2], [0, 2, 3]])).astype(np.int32)
 
 
-def _bare_robot(robot: Robot) -> "mujoco.MjSpec":
+def _bare_robot(robot: Robot) -> mujoco.MjSpec:
     """The robot's model without floor, lights and cameras."""
     spec = robot.spec()
     for element in (*spec.worldbody.geoms, *spec.lights, *spec.cameras, *spec.keys):
@@ -207,10 +221,8 @@ def _bare_robot(robot: Robot) -> "mujoco.MjSpec":
     return spec
 
 
-def _find(model: "mujoco.MjModel", robot: Robot, prefix: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _find(model: mujoco.MjModel, robot: Robot, prefix: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Indices in `qpos` (19,) and a mask of the geoms (ngeom,) of the copy of the robot with this prefix."""
-    import mujoco
-
     joints = [model.joint(prefix + name).id for name in robot.joint_names]
     root = model.body_rootid[model.jnt_bodyid[joints[0]]]
     geoms = model.body_rootid[model.geom_bodyid] == root
@@ -222,26 +234,133 @@ def _find(model: "mujoco.MjModel", robot: Robot, prefix: str) -> tuple[NDArray[n
     return qpos, geoms
 
 
-def _main_geoms(model: "mujoco.MjModel", geoms: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _main_geoms(model: mujoco.MjModel, geoms: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """A robot's geoms shown in its ghost and shadow: the visible colliding ones, or all visible ones if none."""
     seen = _seen(model, geoms)
     solid = seen & _solid(model)
     return solid if solid.any() else seen
 
 
-def _seen(model: "mujoco.MjModel", geoms: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _seen(model: mujoco.MjModel, geoms: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return geoms & (model.geom_group <= 2) & (model.geom_rgba[:, 3] > 0)
 
 
-def _solid(model: "mujoco.MjModel") -> NDArray[np.bool_]:
+def _solid(model: mujoco.MjModel) -> NDArray[np.bool_]:
     solid: NDArray[np.bool_] = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     return solid
 
 
-def _make_ghost(model: "mujoco.MjModel", geoms: NDArray[np.bool_]) -> None:
+def _make_ghost(model: mujoco.MjModel, geoms: NDArray[np.bool_]) -> None:
     """Gives a robot's `geoms` the demonstration's colour, translucent."""
     main = _main_geoms(model, geoms)
     model.geom_group[geoms] = np.where(main[geoms], GHOST_GROUP, _HIDDEN_GROUP)
     model.geom_matid[geoms] = -1
     model.geom_rgba[geoms] = ghost_rgba()
     model.geom_size[geoms] *= _GHOST_SHRINK
+
+
+class CameraView:
+    """Poses the robots of a video scene and collects what to draw. The camera looks along `azimuth_deg`, from the
+    world's x axis, at a point in `distance`, m."""
+
+    def __init__(self, video_scene: VideoScene, azimuth_deg: float, distance: float) -> None:
+        self._video_scene = video_scene
+        self._data = mujoco.MjData(video_scene.model)
+        self.scene = mujoco.MjvScene(video_scene.model, maxgeom=2 * video_scene.model.ngeom + _MAX_MARKS)
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = video_scene.quality.shadow_map > 0
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = video_scene.quality.reflectance > 0
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = 1
+        self._option = mujoco.MjvOption()
+        self._camera = mujoco.MjvCamera()
+        self._camera.azimuth, self._camera.elevation = azimuth_deg, _ELEVATION_DEG
+        self._camera.distance = distance
+        self._shadows: list[tuple[mujoco.MjvGeom, mujoco.MjvGeom]] | None = None
+
+    def update(self, robot: Array | None, ghost: Array | None, look_at: Array) -> None:
+        """Poses the robot and the ghost, (19,) each, and points the camera at `look_at` (3,), world.
+
+        The first call settles whether robot and ghost are shown.
+        """
+        model, data, video_scene = self._video_scene.model, self._data, self._video_scene
+        if robot is not None:
+            data.qpos[video_scene.robot_qpos] = robot
+        if video_scene.ghost_qpos is not None and ghost is not None:
+            data.qpos[video_scene.ghost_qpos] = ghost
+        self._option.geomgroup[GHOST_GROUP] = ghost is not None
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        self._camera.lookat[:] = look_at
+        shown = _GROUND_ONLY if robot is None else _EVERYTHING
+        mujoco.mjv_updateScene(model, data, self._option, None, self._camera, shown, self.scene)
+        self._follow(look_at)
+        self._cast_shadow()
+
+    def line(self, start: Array, end: Array, rgba: Rgba, width: float) -> None:
+        """Adds a line between two points (3,), world; `width` in pixels."""
+        geom = self._add(mujoco.mjtGeom.mjGEOM_LINE, _ZERO, _ZERO, rgba)
+        mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_LINE, width, start, end)
+        geom.emission, geom.specular = 0.6, 0.0
+
+    def disc(self, centre: Array, rgba: Rgba) -> None:
+        """Adds the mark of a loaded foot on the ground under `centre` (3,), world."""
+        at = np.array([centre[0], centre[1], _MARK_HEIGHT])
+        size = np.array([_MARK_RADIUS, 0.001, 0.0])
+        geom = self._add(mujoco.mjtGeom.mjGEOM_CYLINDER, size, at, rgba)
+        geom.emission, geom.specular = 0.2, 0.0
+
+    def capsule(self, start: Array, end: Array, radius: float, rgba: Rgba) -> None:
+        """Adds a capsule between two points (3,), world, with its shadow."""
+        geom = self._add(mujoco.mjtGeom.mjGEOM_CAPSULE, _ZERO, _ZERO, rgba)
+        mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, start, end)
+        geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC  # decoration has no shadow in the depth map
+        if not self._video_scene.quality.shadow_map:
+            shadow = self.scene.geoms[self.scene.ngeom]
+            _start_shadow(geom, shadow)
+            _flatten(geom, shadow)
+            self.scene.ngeom += 1
+
+    def _add(self, kind: mujoco.mjtGeom, size: Array, at: Array, rgba: Rgba) -> mujoco.MjvGeom:
+        assert self.scene.ngeom + 1 < self.scene.maxgeom, "more to draw than there is room for"
+        geom = self.scene.geoms[self.scene.ngeom]
+        mujoco.mjv_initGeom(geom, kind, size, at, _UPRIGHT, np.array(rgba, dtype=np.float32))
+        self.scene.ngeom += 1
+        return geom
+
+    def _follow(self, look_at: Array) -> None:
+        """Moves the tiles, by whole periods of their pattern, and the light's depth map to the camera's point."""
+        video_scene = self._video_scene
+        period = 2 * video_scene.tile
+        for tiles in video_scene.tiles:
+            geom = next(g for g in self.scene.geoms[: self.scene.ngeom] if g.objtype == _GEOM and g.objid == tiles)
+            geom.pos[:2] = self._data.geom_xpos[tiles, :2] + period * np.round(look_at[:2] / period)
+        if video_scene.quality.shadow_map:
+            light = self.scene.lights[self.scene.nlight - 1]
+            direction = np.array(LIGHT_DIR) / np.linalg.norm(LIGHT_DIR)
+            light.pos[:] = look_at - _LIGHT_DISTANCE * direction
+
+    def _cast_shadow(self) -> None:
+        """Appends the robot's geoms again, flattened onto the ground: much faster than a shadow map."""
+        if self._video_scene.quality.shadow_map:
+            return
+        if self._shadows is None:
+            geoms, end, casts_shadow = self.scene.geoms, self.scene.ngeom, self._video_scene.casts_shadow
+            casting = [geom for geom in geoms[:end] if geom.objtype == _GEOM and casts_shadow[geom.objid]]
+            self._shadows = [(geom, geoms[end + k]) for k, geom in enumerate(casting)]
+            for geom, shadow in self._shadows:
+                _start_shadow(geom, shadow)
+        for geom, shadow in self._shadows:
+            _flatten(geom, shadow)
+        self.scene.ngeom += len(self._shadows)
+
+
+def _start_shadow(geom: mujoco.MjvGeom, shadow: mujoco.MjvGeom) -> None:
+    """Gives `shadow` the geom's shape and the colour of ambient light."""
+    color = np.array(_SHADOW_RGBA, dtype=np.float32)
+    mujoco.mjv_initGeom(shadow, geom.type, np.ones(3), _ZERO, _UPRIGHT, color)
+    shadow.size[:], shadow.dataid = geom.size, geom.dataid
+    shadow.emission, shadow.specular, shadow.shininess = 0.6, 0.0, 0.0
+
+
+def _flatten(geom: mujoco.MjvGeom, shadow: mujoco.MjvGeom) -> None:
+    shadow.pos[:] = _FLATTEN @ geom.pos + _SHADOW_HEIGHT
+    shadow.mat[:] = _FLATTEN @ geom.mat

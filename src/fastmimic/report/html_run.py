@@ -12,24 +12,19 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import ConfigError, FastMimicError
-from fastmimic.base.files import read_arrays, read_json
+from fastmimic.base.errors import CheckpointError, ConfigError, FastMimicError
+from fastmimic.base.files import read_json
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Log, Rollout
 from fastmimic.motion.motion import Motion
+from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.report.html_plots import AFTER, BEFORE, ONLY, Key, rule
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.work_folder import CONFIG, METRICS, MOTION, VIDEO, RunFolder
 
 CYCLES: Final = 2  # shown at first
 TRANSITION_S: Final = 2.0  # of a stitched motion, shown at first
-
-
-@dataclass(frozen=True, eq=False)
-class SearchHistory:
-    scores: Array  # (i, p) of each generation's candidates
-    candidates: Array  # (i, p, k) their parameters, scaled to [0, 1] within the bounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +92,7 @@ class RerunEpisodes:
 class RunData:
     metrics: dict[str, Any]
     config: dict[str, Any]
-    search: SearchHistory | None  # None if nothing was optimised or it is missing
+    search: Checkpoint | None  # None if nothing was optimised or it is missing
     episodes: RerunEpisodes | None  # None if they cannot be simulated again
     video: Path | None
     missing: tuple[str, ...]  # a sentence for each missing thing and what is left out
@@ -158,11 +153,11 @@ def _run_again(path: Path, metrics: dict[str, Any], config: dict[str, Any]) -> R
     return RerunEpisodes(robot, motion, controller, before, after, tuple(differences))
 
 
-def _search(path: Path, parameters: int) -> SearchHistory:
-    arrays = read_arrays(path, ConfigError, "checkpoint")
-    if not {"scores", "candidates"} <= arrays.keys():
-        raise ConfigError(f"{path}: not a checkpoint")
-    search = SearchHistory(np.asarray(arrays["scores"], float), np.asarray(arrays["candidates"], float))
-    if search.scores.ndim != 2 or search.candidates.shape != (*search.scores.shape, parameters):
+def _search(path: Path, parameters: int) -> Checkpoint:
+    try:
+        found = Checkpoint.load(path)
+    except CheckpointError as error:
+        raise ConfigError(str(error).partition(";")[0]) from None  # its advice is for who resumes
+    if found.candidates.shape[2] != parameters:
         raise ConfigError(f"{path} is of another run")
-    return search
+    return found

@@ -11,10 +11,11 @@ from markupsafe import Markup
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import FastMimicError
 from fastmimic.base.text import NONE
+from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.report import html_episodes
 from fastmimic.report.html_page import HtmlReport, plotly_bundle, render
 from fastmimic.report.html_plots import Figure, Key, Plot, layout_of, line, numbers, points, rows_axis
-from fastmimic.report.html_run import RerunEpisodes, RunData, SearchHistory, read_run
+from fastmimic.report.html_run import RerunEpisodes, RunData, read_run
 
 _FITTED: Final = Key("as fitted", "var(--before)", symbol="circle-open")
 _FOUND: Final = Key("found", "var(--after)", symbol="diamond")
@@ -131,7 +132,7 @@ def _about(run: RunData) -> dict[str, Any]:
 
 
 def convergence(
-    search: SearchHistory, before: float, after: float, *, unchanged: bool = False, randomized: bool = False
+    search: Checkpoint, before: float, after: float, *, unchanged: bool = False, randomized: bool = False
 ) -> Figure:
     """Scores of the candidates by generation, and their spread; `before` and `after` are rewards of the run.
     `unchanged` if the motion as fitted is the result, `randomized` if each iteration scored on other robots."""
