@@ -303,8 +303,7 @@ def folder_name(*parts: str | int) -> str:
 
 
 def policy_controller(path: Path, robot: Robot, motion: Motion) -> "MakeController":
-    """The controllers of the policy in a file; raises `PolicyError`, which names the file, if it cannot be read, or is
-    for another robot or motion."""
+    """The controllers of a policy's file, checked against robot and motion; raises `PolicyError`, naming the file."""
     from fastmimic.learning.policy import Policy, controlled_by
 
     policy = Policy.load(path)
@@ -322,8 +321,7 @@ def check_duration(seconds: float | None) -> None:
 
 
 def check_writable(path: str | Path, *endings: str) -> Path:
-    """The path, if a file can be written there: to know before long work. Raises `OutputError` for another ending than
-    these, a folder, or a place that cannot be written to."""
+    """The path, if a file of these endings can be written there, to know before long work; raises `OutputError`."""
     path = Path(path)
     if path.suffix.lower() not in endings:
         raise OutputError(f"{path}: the file's name must end in {' or '.join(endings)}")

@@ -231,8 +231,7 @@ class GroundTruthLog:
 
 @contextmanager
 def open_deployment(folder: Path) -> Iterator[None]:
-    """Prepares a folder, which may hold an earlier deployment; if the block fails, the folder is unchanged. Raises
-    `OutputError` if it holds something else or cannot be written to."""
+    """Prepares a folder, which may hold an earlier deployment; unchanged if the block fails. Raises `OutputError`."""
     if folder.is_dir() and any(folder.iterdir()) and not (folder / RESULT).is_file():
         raise OutputError(f"{folder} holds something else than a deployment; choose another --out")
     with created(folder):

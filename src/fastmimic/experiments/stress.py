@@ -99,8 +99,7 @@ def check_length(motion: Motion, names: Sequence[str], settings: StressSettings)
 
 
 def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSettings) -> list[Row]:
-    """Runs all levels of a disturbance; returns a row for each level, see `COLUMNS`. Raises `FastMimicError` if the
-    motion is too short for a push, or does not fit the robot."""
+    """Runs all levels of a disturbance; a row for each, see `COLUMNS`. Raises `FastMimicError` for an unfit motion."""
     kind, motion = DISTURBANCES[disturbance], subject.motion
     seconds = check_length(motion, [disturbance], settings)
     start = nominal_start(settings.episodes)

@@ -108,8 +108,7 @@ def trial_starts(trials: int, seed: int) -> Start:
 def run_trials(
     subject: Subject, robot: Robot, settings: TransferSettings, stages: Sequence[TransferStage] = STAGES
 ) -> list[Row]:
-    """Trials of one method on one motion in some stages, from the same starts; a row for each, see `COLUMNS`. Raises
-    `FastMimicError` if PyBullet is missing or does not know the robot."""
+    """Trials of one method on one motion in some stages, from the same starts; a row for each, see `COLUMNS`."""
     motion = subject.motion
     rows: list[Row] = []
     seconds = episode_duration(motion, settings.duration_s)

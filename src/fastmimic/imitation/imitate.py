@@ -36,8 +36,7 @@ _BEFORE_AND_AFTER: Final = (*_FEET, "qp_failures", *TRACKED)
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """A randomised search's result on held-out robots: one episode per robot from the motion's start, with the
-    demonstration (`before`) and the optimised motion (`after`)."""
+    """A randomised search's result on held-out robots: one episode each from the motion's start, before and after."""
 
     randomization: Randomization
     before: Rollout

@@ -121,8 +121,7 @@ class Episodes:
         return self._seen
 
     def step(self, actions: NDArray[Any]) -> Outcome:
-        """One policy step; actions (n, 12) in units of `PolicyConfig.action_scale`, clipped to the joints' limits.
-        Raises `ConfigError` for actions of another shape."""
+        """One policy step; actions (n, 12) in units of `action_scale`, clipped to the limits. Raises `ConfigError`."""
         if actions.shape != (self.n, ACTION_SIZE):
             raise ConfigError(f"actions of shape {actions.shape}; expected {(self.n, ACTION_SIZE)}")
         given = np.ascontiguousarray(actions, np.float64)

@@ -86,8 +86,7 @@ def parameters_of_group(group: str, dmp: "MotionDmp") -> tuple[Parameter, ...]:
 
 
 def needed_group(group: str, *started: Iterable[str]) -> str:
-    """The group itself, or the first one after it that holds all parameters of these names. Raises `ConfigError` if
-    there is no such group, `MotionError` if no group holds them all."""
+    """The group, or the first after it with all these parameters; raises `ConfigError`, `MotionError` if none has."""
     _check_group(group)
     wanted = set().union(*started)
     names = list(PARAMETER_GROUPS)
@@ -104,8 +103,7 @@ def _check_group(group: str) -> None:
 
 
 def moved_by(motion: Motion) -> dict[str, float]:
-    """The modulation of an optimised cyclic motion by parameter: baselines relative to the fitted ones, and
-    amplitudes. Raises `MotionError` if the motion was not optimised."""
+    """An optimised cycle's modulation: baselines relative to the fitted ones, and amplitudes; raises `MotionError`."""
     dmp = motion.provenance.dmp
     if motion.demonstration is None or dmp is None:
         raise MotionError(

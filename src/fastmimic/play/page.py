@@ -192,8 +192,7 @@ class LiveScene(RobotScene):
 
 
 class PlayPage(WebPage):
-    """Plays a live session in the browsers of this machine, on the first free port from `port` on. Raises `ConfigError`
-    if viser is not installed or no port is free."""
+    """Plays a live session in this machine's browsers, on the first free port from `port` on; raises as `WebPage`."""
 
     def __init__(self, session: "LiveSession", heading: str, port: int = DEFAULT_PORT) -> None:
         super().__init__(port)

@@ -31,8 +31,7 @@ _PIPE: Final = 2**20  # bytes, the most that Linux allows
 
 @dataclass(frozen=True)
 class Quality:
-    """The quality of a video's drawing. Without a shadow map, geoms are flattened onto the ground: ten times as fast
-    without a graphics card."""
+    """A video's quality of drawing. Without a shadow map, geoms are flattened onto the ground: ten times as fast."""
 
     name: str  # as on the command line
     size: tuple[int, int]  # default width and height, pixels

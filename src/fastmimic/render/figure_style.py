@@ -81,8 +81,7 @@ def legend_below(figure: Figure, axes: Axes | None = None, more: Sequence[Artist
 
 
 def save(figure: Figure, path: str | Path) -> None:
-    """Writes `figure` as PNG, PDF or SVG, by the ending of `path`; replaces a file only by a complete one. Raises
-    `OutputError` for another ending or a file that cannot be written."""
+    """Writes `figure` as PNG, PDF or SVG, by the ending of `path`, whole or not at all; raises `OutputError`."""
     suffix = Path(path).suffix.lower().lstrip(".")
     if suffix not in ("png", "pdf", "svg"):
         raise OutputError(f"{path}: a figure can be saved as .png, .pdf or .svg, not {suffix or 'without ending'!r}")

@@ -50,8 +50,7 @@ def in_any_thread() -> bool:
 
 
 class Offscreen:
-    """An OpenGL context with a framebuffer of the model's `vis.global_.offwidth` × `offheight`. Raises
-    `NoRendererError` if no OpenGL backend works here; the message lists those tried."""
+    """An OpenGL context with a framebuffer of the model's size; raises `NoRendererError` with the backends tried."""
 
     def __init__(self, model: "mujoco.MjModel") -> None:
         self.width = int(model.vis.global_.offwidth)

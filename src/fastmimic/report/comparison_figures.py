@@ -46,8 +46,7 @@ _TRACKED_LEG: Final = "RL"  # of the paper's tracking figures
 def write_comparison(
     folder: ComparisonFolder, plan: ComparisonPlan, rows: Sequence[Row], kept: Sequence[Row] = ()
 ) -> None:
-    """Writes the tables and figures of all rows, replacing earlier ones; says so if runs are missing. `kept` are rows
-    of the folder's other finished runs. Raises `OutputError`."""
+    """Writes tables and figures of `rows` and those `kept` of other runs; says if some miss. Raises `OutputError`."""
     missing = {*plan.runs} - {run_of(row) for row in rows}
     found = folder.in_order([*kept, *rows])
     written = [RESULTS_CSV]

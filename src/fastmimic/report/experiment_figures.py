@@ -38,8 +38,7 @@ _COLORS: Final = (("#0072b2", ""), ("#56b4e9", "//"), ("#e69f00", "\\\\"), ("#d5
 
 
 def write_stress(folder: WorkFolder, settings: stress.StressSettings, planned: Sequence[tuple[str, str]]) -> None:
-    """Writes the tables and figures of all finished sweeps in a folder, if any, and counts the missing ones of
-    `planned`, (method, disturbance) each. Raises `OutputError`."""
+    """Writes tables and figures of all finished sweeps; counts the missing of `planned` (method, disturbance)."""
     rows = stress.all_sweeps(folder.path)
     if not rows:
         return
@@ -93,8 +92,7 @@ def _panel(axes: Axes, rows: Sequence[dict[str, Any]], methods: Sequence[str], c
 
 
 def write_transfer(folder: WorkFolder, planned: Sequence[tuple[str, str]]) -> None:
-    """Writes the table and the figure of all finished trials in a folder, if any, and counts the missing ones of
-    `planned`, (motion, method) each. Raises `OutputError`."""
+    """Writes table and figure of all finished trials, if any; counts the missing of `planned` (motion, method)."""
     order = list(dict.fromkeys(motion for motion, _ in planned))
     found = transfer.all_trials(folder.path)
     rows = sorted(found, key=lambda row: order.index(row["motion"]) if row["motion"] in order else len(order))
@@ -107,8 +105,7 @@ def write_transfer(folder: WorkFolder, planned: Sequence[tuple[str, str]]) -> No
 
 
 def transfer_figure(rows: Sequence[dict[str, Any]]) -> Figure:
-    """One panel per motion, one group of bars per method, and a panel of the paper's numbers. `rows` are of the trials,
-    see `fastmimic.experiments.transfer.COLUMNS`."""
+    """One panel per motion, one group of bars per method, and a panel of the paper's numbers, from the trials' rows."""
     found = transfer.transferred(rows)
     motions = list(dict.fromkeys(t.motion for t in found))
     groups = [[t for t in found if t.motion == motion] for motion in motions]

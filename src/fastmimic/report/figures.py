@@ -161,8 +161,7 @@ def write_video(
     progress: Callable[[int, int], None] | None = None,
     quality: str = "preview",
 ) -> bool:
-    """Adds the video, and its time to the metrics; False, with a warning in the log, if nothing can draw. Raises
-    `OutputError`. `progress` and `quality` are as in `render_video`."""
+    """Adds the video, and its time to the metrics; False if nothing can draw. Arguments, errors as `render_video`."""
     from fastmimic.render.video import render_video
 
     began = time.perf_counter()

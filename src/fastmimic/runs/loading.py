@@ -35,8 +35,7 @@ class MotionSource:
         return name if name in ROBOT_NAMES else self.run_arguments().get("robot")
 
     def run_arguments(self) -> dict[str, Any]:
-        """Arguments of the command that wrote the folder; empty without a folder or its `config.json`. Raises
-        `MotionError` if `config.json` cannot be read."""
+        """Arguments of the command that wrote the folder, if any; raises `MotionError` for a damaged `config.json`."""
         if self.folder is None:
             return {}
         path = self.folder / CONFIG

@@ -76,8 +76,7 @@ class Panel:
 
 
 class ViewerPanel(Panel):
-    """viser's GUI elements and their effects on the player, which moves `robots`; `lock` is held while it changes.
-    `choose` is called with the one of `episodes` that the user chooses."""
+    """viser's GUI elements and their effects on the player, which moves `robots`; `choose` takes one of `episodes`."""
 
     def __init__(
         self,

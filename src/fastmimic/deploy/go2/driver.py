@@ -29,8 +29,7 @@ class Go2Driver(RobotDriver):
     """
 
     def __init__(self, robot: Robot, *, domain: int = 0, interface: str = LOOPBACK, **options: Any) -> None:
-        """The DDS `domain` is 0 for robots, the network `interface` `lo` for a simulated one; `options` are those of
-        `RobotDriver`."""
+        """`domain` is 0 for robots; network `interface` is `lo` for a simulated one; `options` as for `RobotDriver`."""
         super().__init__(robot, **options)
         self._domain, self._interface = domain, interface
         self.released: str | None = None  # mode of the motion service that was released
