@@ -28,8 +28,8 @@ from fastmimic.clips.data import data_folder
 from fastmimic.clips.segment import DISCRETE, find_segments
 from fastmimic.episode.feasibility import demands, describe_fall, reasons
 from fastmimic.primitive import MotionDmp, RhythmicDmp
-from fastmimic.primitive.coordinates import FEET, phases, to_coordinates
 from fastmimic.primitive.discrete import MAX_S
+from fastmimic.primitive.motion_dmp import FEET, phases, to_coordinates
 from fastmimic.runs.loading import find_motion
 
 TAKES = ("dog_walk00", "dog_walk03", "dog_walk09", "dog_run00", "dog_turn00")

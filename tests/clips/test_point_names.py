@@ -10,8 +10,8 @@ from test_gaps import RATE, walk
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import POINT_NAMES
 from fastmimic.clips.formats import ReadOptions, read_clip
-from fastmimic.clips.formats.axes import find_axes
 from fastmimic.clips.formats.point_names import BUILT_IN, SUPERANIMAL, UNKNOWN, guess
+from fastmimic.clips.formats.points import find_axes
 
 # In the order of POINT_NAMES: pelvis, neck, hips FR FL RR RL, toes FR FL RR RL.
 SETS = {

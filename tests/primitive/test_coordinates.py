@@ -5,7 +5,7 @@ import pytest
 
 from fastmimic.base.errors import MotionError
 from fastmimic.motion.motion import Motion
-from fastmimic.primitive.coordinates import NAMES, root_from_coordinates, to_coordinates, twist_of
+from fastmimic.primitive.motion_dmp import NAMES, root_from_coordinates, to_coordinates, twist_of
 from fastmimic.robot import Robot
 from primitive.motions import cyclic_motion
 

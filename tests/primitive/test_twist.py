@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from fastmimic.primitive.coordinates import PlanarTwist
+from fastmimic.primitive.motion_dmp import PlanarTwist
 from primitive.motions import planar_matrix, planar_twist_matrix
 
 lengths = st.floats(-2, 2)

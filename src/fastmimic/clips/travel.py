@@ -42,13 +42,9 @@ class _Feet(NamedTuple):
 
 
 def with_travel(clip: Clip, travel: str = "auto") -> Clip:
-    """The clip with the way that its standing feet show, in place of a trunk that does not travel.
-
-    Args:
-        travel: "auto" recovers it where the recording lacks it, "recover" always, and "as-is" never.
-
-    The clip's `assumed` says what was found. Raises `ClipError` for another word.
-    """
+    """The clip with the way that its standing feet show, in place of a trunk that does not travel. `travel` "auto"
+    recovers it where the recording lacks it, "recover" always, and "as-is" never; the clip's `assumed` says what was
+    found. Raises `ClipError` for another word."""
     if travel not in TRAVEL:
         raise ClipError(
             f"travel is {', '.join(TRAVEL[:-1])} or {TRAVEL[-1]}, found '{travel}'{did_you_mean(travel, TRAVEL)}"

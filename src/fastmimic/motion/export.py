@@ -1,17 +1,9 @@
-"""Robot motions as tracking references for other projects.
+"""Robot motions as tracking references for other projects; docs/learning.md lists each format's contents.
 
-- `mjlab`: `.npz` as mjlab's and BeyondMimic's trainers read: `joint_pos`, `joint_vel`, `body_pos_w`, `body_quat_w` (w,
-  x, y, z), `body_lin_vel_w`, `body_ang_vel_w` (of each body's frame, world axes) and `fps`; also `joint_names` and
-  `body_names`, because orders differ between projects.
-- `deepmimic`: JSON text with 19 numbers a frame (root x, y, z, quaternion x, y, z, w, joints) and the robot's name. A
-  cycle loops (`Wrap`): its last frame is its first, moved by the cycle.
-- `csv`: the same 19 numbers a line below a header, after a column `time`.
-- `isaaclab`: `.npz` as the motion loader of Isaac Lab's AMP reads: `dof_positions`, `dof_velocities`, `body_positions`,
-  `body_rotations` (w, x, y, z), `body_linear_velocities`, `body_angular_velocities`, `dof_names`, `body_names`, `fps`.
-- `amp`: JSON text with 61 numbers a frame as AMP_for_hardware's loader reads: root position and quaternion (x, y, z,
-  w), joints, feet, linear and angular velocity, joint speeds, foot velocities; feet and velocities in the body frame.
-- `motion-lib`: `.npz` with `root_trans_offset`, `root_rot` (x, y, z, w), `dof`, `fps` and `dof_names`: the entries of
-  a motion library of PHC's and ASAP's family, without its pickle and its `pose_aa`, which is of their skeletons.
+`deepmimic` and `csv` have the same 19 numbers a frame: root x, y, z, quaternion x, y, z, w, joints; a cycle loops in
+DeepMimic's (`Wrap`): its last frame is its first, moved by the cycle. `amp` has the 61 numbers that AMP_for_hardware's
+loader reads, feet and velocities in the body frame. Velocities of bodies are those of their frames, in world axes.
+`motion-lib` leaves out the pickle and the `pose_aa` of PHC's and ASAP's libraries, which is of their skeletons.
 
 Joints are about the common axes in `deepmimic` and `csv`, which name their robot or are read back here, and about the
 model file's own in the others.

@@ -32,7 +32,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FOOT_HEIGHT, Parameter, begun_at, parameters_of_group
 from fastmimic.optimize.randomization import Randomization
 from fastmimic.primitive import MotionDmp
-from fastmimic.primitive.coordinates import FEET
+from fastmimic.primitive.motion_dmp import FEET
 from fastmimic.reference.table import put_root, reference_table
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, Disturbance, repeated

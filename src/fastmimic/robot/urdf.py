@@ -6,6 +6,7 @@ stand bent in the keyframe `home`, and a leg without a sphere at its end gets on
 
 import os
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -116,8 +117,6 @@ def _add_feet(spec: "mujoco.MjSpec") -> list[str]:
 
 def _standing(spec: "mujoco.MjSpec", name: str, notes: list[str]) -> Robot:
     """The robot with rotors, and a keyframe `home` in which its feet stand below its hips, with bent knees."""
-    from dataclasses import replace
-
     from fastmimic.robot.kinematics import inverse_kinematics
 
     trial = spec.copy()

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY, LEGS
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate, yaw_from_quat
+from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate, rotate_planar, yaw_from_quat
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import OBSERVATION
@@ -118,7 +118,7 @@ class PybulletSimulation:
                 sent = max(0, (self._steps * self.substeps + substep - int(self._late[i])) // self.substeps)
                 body.drive(self._sent[sent - oldest][i], self._limit, strength, top_speed)
                 if push is not None and self._headings is not None:
-                    body.push(push[i], self._headings[i])
+                    body.pull(np.append(rotate_planar(self._headings[i], push[i]), 0.0))
                 if self.world.at_each_step:
                     body.pull(self.trunk_force[i])
                 self._clients[i].stepSimulation()
@@ -203,11 +203,6 @@ class _Body:
             most = np.where(torque * velocity > 0, driving, limit)
         torque = strength * np.clip(torque, -most, most)
         bullet.setJointMotorControlArray(self.id, self.joints, bullet.TORQUE_CONTROL, forces=torque.tolist())
-
-    def push(self, force: Array, heading: float) -> None:
-        """A force (2,) on the trunk's centre of mass, along a heading and to its left, for one physics step."""
-        c, s = np.cos(heading), np.sin(heading)
-        self.pull(np.array([c * force[0] - s * force[1], s * force[0] + c * force[1], 0.0]))
 
     def pull(self, force_w: Array) -> None:
         """A force (3,) on the trunk's centre of mass, world frame, for one physics step."""

@@ -9,9 +9,8 @@ from typing import Any
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import ai4animation, bvh, c3d, csv_motion, deepmimic, glb, keypoints, pose_hdf5, pose_table
-from fastmimic.clips.formats.axes import UP_AXES
 from fastmimic.clips.formats.format import FORMATS, ROBOT_MOTION, Content, Format, ReadOptions, format_of, suffixes
-from fastmimic.clips.formats.points import read_point_map
+from fastmimic.clips.formats.points import UP_AXES, read_point_map
 from fastmimic.clips.formats.text_table import check_positive, check_rate
 from fastmimic.clips.travel import with_travel
 

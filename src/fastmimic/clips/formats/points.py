@@ -1,9 +1,10 @@
-"""An animal's or a robot's points from any file: their names, the vertical axis and the unit. A point map is a JSON
-object that names a file's point for each of the ten of `POINT_NAMES`."""
+"""An animal's or a robot's points from any file: their names, and from the file's axes and unit to the world's, z up
+and metres, by the animal: its hips are above its toes, its left is on the left, and no leg is as long as three metres.
+A point map is a JSON object that names a file's point for each of the ten of `POINT_NAMES`."""
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +15,6 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.rotations import quat_continuous, quat_rotate, rotate_planar
 from fastmimic.clips.clip import POINT_NAMES, Clip, Skeleton
-from fastmimic.clips.formats.axes import check_right_handed, find_axes
 from fastmimic.clips.formats.gaps import Part, mend, part_for
 from fastmimic.clips.formats.point_names import AI4ANIMATION_DOG, BUILT_IN, HIP_NAMES, UNKNOWN, PointMap, guess
 from fastmimic.clips.formats.text_table import check_rate
@@ -24,6 +24,22 @@ _EXAMPLE: Final = json.dumps(AI4ANIMATION_DOG)
 NORM_TOLERANCE: Final = 2e-3  # rounding to three decimals changes a unit quaternion's norm by up to 1e-3
 SHARE_OF_HEIGHT: Final = (0.85, 0.89)  # of shoulders below the withers and of hips below the croup, above the ground
 LEGS_TO_HEIGHT: Final = 1.3  # upper and lower leg, straight, to the mean height of shoulders and hips
+_TO_Z_UP: Final[Mapping[str, tuple[tuple[int, int, int], tuple[int, int, int]]]] = {
+    "y": ((2, 0, 1), (1, 1, 1)),
+    "z": ((0, 1, 2), (1, 1, 1)),
+    "x": ((1, 2, 0), (1, 1, 1)),
+    "-y": ((2, 0, 1), (1, -1, -1)),
+    "-z": ((0, 1, 2), (1, -1, -1)),
+    "-x": ((1, 2, 0), (1, -1, -1)),
+}
+"""Columns and signs that make an axis of the file the vertical one, without a reflection."""
+UP_AXES: Final = tuple(_TO_Z_UP)
+_MIN_UPRIGHT: Final = 0.5  # least vertical share of the mean toe → hip vector; 0.95 in takes in which the dog also sits
+_UNITS: Final = ((3000.0, 0.0, "pixels"), (300.0, 1e-3, "millimetres"), (3.0, 1e-2, "centimetres"))
+"""Units other than metres, with the least distance from toes to hips in the file's numbers (no leg is 3 m)."""
+_STEP_S: Final = 0.4  # within which a toe that walks stands for a moment
+_FLAT: Final = 0.3  # largest thickness of the ground as a share of its width, for a plane to be fitted
+_LEAST_TILT_RAD: Final = np.radians(3.0)
 
 
 def read_point_map(path: str | Path) -> dict[str, str]:
@@ -74,6 +90,106 @@ def choose(names: Sequence[str], given: PointMap | None) -> tuple[list[int | Non
 
 def _indices(names: Sequence[str], points: PointMap) -> list[int | None]:
     return [names.index(points[name]) if name in points else None for name in POINT_NAMES]
+
+
+@dataclass(frozen=True)
+class FileAxes:
+    """`up` is the file's vertical axis, with its sign; `unit` is `factor` metres; `tilt` (3, 3) is what levels the
+    ground; `notes` are for the user."""
+
+    up: str
+    unit: str
+    factor: float
+    tilt: Array | None = None
+    notes: tuple[str, ...] = ()
+
+    def to_world(self, points: Array) -> Array:
+        """Points (..., 3) in the world, m."""
+        columns, signs = _TO_Z_UP[self.up]
+        turned = self.factor * np.ascontiguousarray(points[..., columns]) * np.array(signs)
+        return turned if self.tilt is None else turned @ self.tilt.T
+
+
+def find_axes(points: Array, rate_hz: float, up: str | None, unit_m: float | None, is_level: bool) -> FileAxes:
+    """The axes and unit of the ten points (t, 10, 3) in a file, all finite. `up` and `unit_m` are known unless None;
+    if not `is_level`, the axes are a camera's, and the ground is found under the standing toes. Raises `ClipError`: not
+    upright, or larger than any animal."""
+    notes = []
+    if up is None:
+        vector = _toe_to_hip(points)
+        axis = int(np.argmax(np.abs(vector[[2, 1, 0]])))
+        up = ("" if vector[2 - axis] > 0 else "-") + "zyx"[axis]
+        notes.append(f"{up} is up: the hips lie above the toes along it")
+    factor, unit = (unit_m, "the unit that it names") if unit_m is not None else _unit(points)
+    axes = FileAxes(up, unit, factor)
+    tilt = None if is_level else _levelling(axes.to_world(points), rate_hz)
+    if tilt is not None:
+        degrees = np.degrees(np.arccos(np.clip(tilt[2, 2], -1.0, 1.0)))
+        notes.append(f"the ground under the standing toes is tilted by {degrees:.0f}° in the file: levelled")
+    axes = FileAxes(up, unit, factor, tilt, tuple(notes))
+    _check_upright(axes.to_world(points), up)
+    return axes
+
+
+def _unit(points: Array) -> tuple[float, str]:
+    legs = float(np.mean(np.linalg.norm(points[:, 2:6] - points[:, 6:10], axis=-1)))
+    for least, factor, name in _UNITS:
+        if legs > least:
+            if not factor:
+                raise ClipError(
+                    f"the legs are {legs:.0f} units long, more than any animal's in millimetres; pixels have no unit of"
+                    " length: triangulate in that of the calibration board"
+                )
+            return factor, name
+    return 1.0, "metres"
+
+
+def _toe_to_hip(points: Array) -> Array:
+    """Mean vector from the toes to the hips, (3,)."""
+    return np.asarray(np.mean(points[:, 2:6] - points[:, 6:10], axis=(0, 1)))
+
+
+def _levelling(points: Array, rate_hz: float) -> Array | None:
+    """The rotation (3, 3) that makes level the ground under the standing toes; None if it nearly is. Across a straight
+    path, where a plane is too narrow, the hips lie above the toes."""
+    from scipy.ndimage import minimum_filter1d
+
+    toes = points[:, 6:10]
+    speed = np.linalg.norm(np.gradient(toes, axis=0), axis=2)
+    standing = toes[speed <= minimum_filter1d(speed, 2 * round(_STEP_S * rate_hz / 2) + 1, axis=0)]
+    _, spread, directions = np.linalg.svd(standing - standing.mean(axis=0), full_matrices=False)
+    above = _toe_to_hip(points)
+    along = directions[0]
+    normal = directions[2] if spread[2] < _FLAT * spread[1] else above - (above @ along) * along
+    normal = normal * np.sign(normal @ above) / np.linalg.norm(normal)
+    if np.arccos(np.clip(normal[2], -1.0, 1.0)) < _LEAST_TILT_RAD:
+        return None
+    from scipy.spatial.transform import Rotation
+
+    axis = np.cross(normal, [0.0, 0.0, 1.0])
+    angle = np.arctan2(np.linalg.norm(axis), normal[2])
+    return np.asarray(Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix())
+
+
+def _check_upright(points: Array, up: str) -> None:
+    vector = _toe_to_hip(points)
+    if not vector[2] >= _MIN_UPRIGHT * np.linalg.norm(vector) > 0:
+        raise ClipError(
+            f"the hips do not lie above the toes along {up} (mean offset {vector[2]:.3g} m of"
+            f" {np.linalg.norm(vector):.3g} m); the vertical axis must be one of the file's"
+        )
+
+
+def check_right_handed(points: Array) -> None:
+    """Raises `ClipError` for a mirrored file, which would swap left and right turns."""
+    forward = points[:, 1] - points[:, 0]
+    left = np.cross([0.0, 0.0, 1.0], forward)
+    width = points[:, [3, 5]].sum(axis=1) - points[:, [2, 4]].sum(axis=1)
+    if np.mean(np.sum(left * width, axis=-1)) < 0:
+        raise ClipError(
+            "the left hips lie on the right of the spine: the coordinates are left-handed or the"
+            " points swapped; expected right-handed x, y, z"
+        )
 
 
 def clip_of(
