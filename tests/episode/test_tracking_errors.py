@@ -87,7 +87,7 @@ def test_the_measures_are_their_definitions(robot: Robot, turn: Motion, slippery
         )
         frames = (robots - still)[::17]  # 34 ms, about 30 Hz
         second = np.diff(frames, n=2, axis=0) / (17 / RATE_HZ) ** 2
-        assert got["acceleration_distance_m_s2"] == pytest.approx(np.linalg.norm(second, axis=-1).mean(), rel=1e-3)
+        assert got["acceleration_distance"] == pytest.approx(np.linalg.norm(second, axis=-1).mean(), rel=1e-3)
 
 
 def test_metrics_are_means_over_the_episodes(slippery: Rollout) -> None:

@@ -26,7 +26,7 @@ _FIGURES: Final = (  # label, name in metrics.json, digits, scale
     ("root position error, mm", "root_position_error_m", 1, 1e3),
     ("root heading error, mrad", "root_heading_error_rad", 1, 1e3),
     ("joint velocity error, rad/s", "joint_velocity_error_rad_s", 2, 1.0),
-    ("acceleration distance, m/s²", "acceleration_distance_m_s2", 2, 1.0),
+    ("acceleration distance, m/s²", "acceleration_distance", 2, 1.0),
 )
 
 

@@ -33,7 +33,7 @@ class Metrics:
         stance_slip_m: mean path that a loaded foot slides in a stance.
         foot_x_rmse_m, foot_z_rmse_m: against the demonstration, body frame.
         qp_failures: steps in which the stance QP failed, in all episodes.
-        success, mpjpe_mm, … acceleration_distance_m_s2: the field's measures of motion tracking (`TRACKING_ERRORS`),
+        success, mpjpe_mm, … acceleration_distance: the field's measures of motion tracking (`TRACKING_ERRORS`),
             means over the episodes; `success` is the share of them in [0, 1].
         reward_animal: mean reward against the animal's motion, for a motion that was made executable.
         estimate: errors of the state estimate by name, root mean squares over the episodes, but of the drift the mean
@@ -60,7 +60,7 @@ class Metrics:
     root_position_error_m: float
     root_heading_error_rad: float
     joint_velocity_error_rad_s: float
-    acceleration_distance_m_s2: float
+    acceleration_distance: float
     reward_animal: float | None = None
     estimate: dict[str, float] | None = None
 

@@ -21,7 +21,7 @@ TRACKING_ERRORS: Final = record_dtype(
     [
         ("success", "?"),
         *floats(mpjpe_mm=(), mpbpe_root_mm=(), root_position_error_m=(), root_heading_error_rad=()),
-        *floats(joint_velocity_error_rad_s=(), acceleration_distance_m_s2=()),
+        *floats(joint_velocity_error_rad_s=(), acceleration_distance=()),
     ]
 )
 """Measures of an episode, means over its steps until a fall; NaN without any. `success`: no fall, and never more than
@@ -159,5 +159,5 @@ def tracking_errors(tallies: NDArray[Any]) -> NDArray[Any]:
     found["root_heading_error_rad"] = tallies["heading_error"] / steps
     found["joint_velocity_error_rad_s"] = tallies["joint_speed_error"] / steps
     frames = np.where(tallies["frames"] > 0, tallies["frames"], np.nan)
-    found["acceleration_distance_m_s2"] = tallies["acceleration_error"] / frames
+    found["acceleration_distance"] = tallies["acceleration_error"] / frames
     return found
