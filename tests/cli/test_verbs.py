@@ -13,6 +13,7 @@ import pytest
 
 from cli.running import TINY, Run
 from clips.sample_files import csv_text, keypoint_text, take_text
+from fastmimic.base.registry import Registry
 from fastmimic.clips.catalogue import RECORDED, open_clip
 from fastmimic.clips.data import Dataset
 from fastmimic.clips.synthesis import GAITS, JUMPS
@@ -197,7 +198,7 @@ DATASET = Dataset(
 @pytest.fixture
 def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """A server on this machine that has the dataset of one small file."""
-    monkeypatch.setattr("fastmimic.clips.data.DATASETS", (DATASET,))
+    monkeypatch.setattr("fastmimic.clips.data.DATASETS", Registry("dataset", [DATASET]))
     folder = tmp_path / "served" / DATASET.origin
     folder.mkdir(parents=True)
     (folder / "dog_pace_joint_pos.txt").write_bytes(CONTENT)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from fastmimic.base.errors import DataError
+from fastmimic.base.registry import Registry
 from fastmimic.clips import data
 
 FIRST = b"first file\n" * 500
@@ -80,7 +81,8 @@ def small_dataset(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureReques
     if "real_datasets" in request.fixturenames:
         return
     files = {"a.txt": sha256(FIRST).hexdigest(), "b.txt": sha256(SECOND).hexdigest()}
-    monkeypatch.setattr(data, "DATASETS", (data.Dataset("here", "made up", "there", files),))
+    made_up = [data.Dataset("here", "made up", "there", files)]
+    monkeypatch.setattr(data, "DATASETS", Registry("dataset", made_up, error=DataError))
     monkeypatch.delenv(data.FOLDER_VARIABLE, raising=False)
     monkeypatch.delenv(data.URL_VARIABLE, raising=False)
 

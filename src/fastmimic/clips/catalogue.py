@@ -79,14 +79,13 @@ def motion_names() -> tuple[str, ...]:
 
 def describe(folder: str | Path | None = None) -> list[MotionRow]:
     """One row for each name, the built-in ones first."""
-    licences = {dataset.name: dataset.licence for dataset in DATASETS}
     rows = [
         MotionRow(name, spec.about, _speed(spec), "built in", BUILT_IN_LICENCE, True) for name, spec in GAITS.items()
     ]
     rows += [MotionRow(name, spec.about, "–", "built in", BUILT_IN_LICENCE, True) for name, spec in JUMPS.items()]
     for name, motion in RECORDED.items():
         fetched = find_file(motion.dataset, motion.file, folder) is not None
-        licence = licences[motion.dataset]
+        licence = DATASETS[motion.dataset].licence
         rows.append(MotionRow(name, motion.about, motion.speed, motion.source, licence, fetched))
     return rows
 
@@ -172,7 +171,7 @@ def _file(path: str | Path, options: ReadOptions) -> Clip:
 def _recorded(name: str, options: ReadOptions, folder: str | Path | None) -> Clip:
     motion, path = RECORDED[name], _recording(name, folder)
     clip = read_clip(path, replace(options, robot=None, frames=motion.frames))
-    dataset = next(d for d in DATASETS if d.name == motion.dataset)
+    dataset = DATASETS[motion.dataset]
     assumed = list(clip.meta["assumed"])
     if dataset_of(path) is None:
         assumed.append(f"{path} is not the published file (its SHA-256 differs)")

@@ -118,7 +118,7 @@ class Data:
         return 0
 
     def _put_licence(self, names: list[str] | None) -> None:
-        chosen = [d for d in DATASETS if names is None or d.name in names]
+        chosen = [DATASETS[name] for name in (DATASETS if names is None else names)]
         for licence, credit in dict.fromkeys((d.licence, d.credit) for d in chosen):
             put(f"licence: {licence}", f"credit: {credit}")
 

@@ -16,7 +16,7 @@ fitted motion. It differs from the original in two points:
 The system is linear in g and a: y = rest + pull g + a s. Each term is integrated only once.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -91,17 +91,15 @@ class DiscreteDmp:
             )
         n = max(n_basis, int(np.ceil(_FUNCTIONS_PER_S * duration_s)))
         start_rate = (len(y) - 1) * (-1.5 * y[0] + 2.0 * y[1] - 0.5 * y[2])
-        spring = _spring(alpha, duration_s)
-        rest, pull = _unforced(y[0], start_rate, len(y), spring)
+        found = cls(np.zeros((y.shape[1], n)), y[0], start_rate, y[-1], float(duration_s), alpha)
+        rest, pull = found._unforced(len(y))
         left = y - rest - pull * y[-1]
         every = max(1, len(y) // (_ROWS_PER_FUNCTION * n))
         rows = np.unique(np.append(np.arange(0, len(y), every), len(y) - 1))
-        centres = _centres(n, alpha)
-        response = _response(None, centres, len(y), spring, alpha / 3)[rows]
-        gain = spring**2 + (0.5 * n) ** 2  # forcing grows with the square of a motion's frequency
+        response = _response(None, found.centres, len(y), found.pole, found.decay)[rows]
+        gain = found.pole**2 + (0.5 * n) ** 2  # forcing grows with the square of a motion's frequency
         forces = least_squares(response, left[rows], ridge, gain)
-        weights = (forces / centres[:, None]).T / (duration_s / min(duration_s, MAX_TAU_S)) ** 2
-        return cls(weights, y[0], start_rate, y[-1], float(duration_s), alpha)
+        return replace(found, weights=(forces / found.centres[:, None]).T / (duration_s / found.tau_s) ** 2)
 
     @property
     def n_basis(self) -> int:
@@ -116,10 +114,15 @@ class DiscreteDmp:
     def tau_s(self) -> float:
         return min(self.duration_s, MAX_TAU_S)
 
+    @property
+    def pole(self) -> float:
+        """c of the spring's double pole at −c (since β = α/4), per duration."""
+        return self.alpha / 2 * max(1.0, self.duration_s / MAX_TAU_S)
+
     @cached_property
     def centres(self) -> Array:
         """Centres c (n_basis,) of the basis functions, in x, evenly spaced in time."""
-        return _centres(self.n_basis, self.alpha)
+        return np.exp(-self.alpha / 3 * np.arange(self.n_basis) / max(self.n_basis - 1, 1))
 
     @cached_property
     def widths(self) -> Array:
@@ -133,24 +136,20 @@ class DiscreteDmp:
 
     def course(self, n_samples: int) -> DiscreteTerms:
         """The terms at `n_samples` (at least 2) evenly spaced times from start to end."""
-        spring = _spring(self.alpha, self.duration_s)
-        rest, pull = _unforced(self.start, self.start_rate, n_samples, spring)
+        rest, pull = self._unforced(n_samples)
         weights = self.weights.T * (self.duration_s / self.tau_s) ** 2  # time is in units of T here
-        return DiscreteTerms(rest, pull, _response(weights, self.centres, n_samples, spring, self.decay))
+        return DiscreteTerms(rest, pull, _response(weights, self.centres, n_samples, self.pole, self.decay))
+
+    def _unforced(self, n_samples: int) -> tuple[Array, Array]:
+        """`rest` (t, d) and `pull` (t, 1) of the critically damped spring."""
+        c, s = self.pole, np.linspace(0.0, 1.0, n_samples)[:, None]
+        fading = np.exp(-c * s)
+        return fading * ((1 + c * s) * self.start + s * self.start_rate), 1 - fading * (1 + c * s)
 
     def position(self, n_samples: int, goal: Array | None = None, amplitude: Array | float = 1.0) -> Array:
         """y (t, d) at `n_samples` times from start to end; `goal` and `amplitude` (d,) modulate it."""
         rest, pull, shape = self.course(n_samples)
         return rest + pull * (self.goal if goal is None else goal) + amplitude * shape
-
-
-def _spring(alpha: float, duration_s: float) -> float:
-    """c of the double pole at −c (since β = α/4), per duration."""
-    return alpha / 2 * max(1.0, duration_s / MAX_TAU_S)
-
-
-def _centres(n: int, alpha: float) -> Array:
-    return np.exp(-alpha / 3 * np.arange(n) / max(n - 1, 1))
 
 
 def _widths(centres: Array) -> Array:
@@ -166,13 +165,6 @@ def _basis(x: Array, centres: Array) -> Array:
     exponent = -_widths(centres) * (x[..., None] - centres) ** 2
     psi = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
     return psi / psi.sum(axis=-1, keepdims=True)
-
-
-def _unforced(start: Array, rate: Array, n_samples: int, c: float) -> tuple[Array, Array]:
-    """`rest` (t, d) and `pull` (t, 1) of the critically damped spring with pole −`c`."""
-    s = np.linspace(0.0, 1.0, n_samples)[:, None]
-    fading = np.exp(-c * s)
-    return fading * ((1 + c * s) * start + s * rate), 1 - fading * (1 + c * s)
 
 
 def _response(weights: Array | None, centres: Array, n_samples: int, c: float, decay: float) -> Array:

@@ -59,31 +59,29 @@ def _hierarchy(lines: Iterator[tuple[int, list[str]]]) -> list[_Joint]:
     columns = 0
     for number, words in lines:
         while words:
-            word = words[0]
+            word = words.pop(0)
             if word == KEYWORD and not joints:
-                words = words[1:]
-            elif word in ("ROOT", "JOINT", "End") and opening is None and len(words) >= 2:
+                continue
+            if word in ("ROOT", "JOINT", "End") and opening is None and words:
+                named = words.pop(0)
                 if (word == "ROOT") != (not above):
-                    raise ClipError(f"line {number}: {word} {words[1]} is not where one belongs")
-                name = f"{joints[above[-1]].name}.end" if word == "End" else words[1].rpartition(":")[2]
+                    raise ClipError(f"line {number}: {word} {named} is not where one belongs")
+                name = f"{joints[above[-1]].name}.end" if word == "End" else named.rpartition(":")[2]
                 joints.append(_Joint(name, above[-1] if above else -1))
                 opening = len(joints) - 1
-                words = words[2:]
             elif word == "{" and opening is not None:
                 above.append(opening)
                 opening = None
                 if len(above) > _DEEPEST:
                     raise ClipError(f"line {number}: joints are nested more than {_DEEPEST} deep")
-                words = words[1:]
             elif word == "}" and above and opening is None:
                 above.pop()
-                words = words[1:]
-            elif word == "OFFSET" and above and len(words) >= 4 and all(map(is_number, words[1:4])):
-                joints[above[-1]].offset = np.array([float(w) for w in words[1:4]])
-                words = words[4:]
-            elif word == "CHANNELS" and above and len(words) >= 2 and words[1].isdecimal():
-                count = int(words[1])
-                channels = tuple(words[2 : 2 + count])
+            elif word == "OFFSET" and above and len(words) >= 3 and all(map(is_number, words[:3])):
+                joints[above[-1]].offset = np.array([float(words.pop(0)) for _ in "xyz"])
+            elif word == "CHANNELS" and above and words and words[0].isdecimal():
+                count = int(words.pop(0))
+                channels = tuple(words[:count])
+                del words[:count]
                 if len(channels) != count or not set(channels) <= set(_CHANNELS) or len(set(channels)) != count:
                     raise ClipError(
                         f"line {number}: expected {count} different channels of {', '.join(_CHANNELS)}; found"
@@ -91,11 +89,12 @@ def _hierarchy(lines: Iterator[tuple[int, list[str]]]) -> list[_Joint]:
                     )
                 joints[above[-1]].channels, joints[above[-1]].first = channels, columns
                 columns += count
-                words = words[2 + count :]
             elif word == "MOTION" and joints and not above and opening is None:
                 return joints
             else:
-                raise ClipError(f"line {number}: '{' '.join(words)[:40]}' is not expected in a BVH's hierarchy there")
+                raise ClipError(
+                    f"line {number}: '{' '.join([word, *words])[:40]}' is not expected in a BVH's hierarchy there"
+                )
     raise ClipError("the file ends within the hierarchy: there is no line MOTION")
 
 
