@@ -1,8 +1,4 @@
-"""Libraries of motions that a robot can execute, with their evaluation.
-
-`build_dataset` finds motions in every source, optimises each for each robot and seed, evaluates it under several
-conditions, and keeps one record of each. `MotionDataset` is the folder of the result.
-"""
+"""Libraries of motions that a robot can execute, optimised for each robot and seed, with their evaluation."""
 
 from fastmimic.dataset.build import BuildRequest, build_dataset
 from fastmimic.dataset.folder import BuildSettings, MotionDataset

@@ -14,7 +14,7 @@ from fastmimic.dataset.excerpts import Survey, look_of, save_survey, survey, sur
 from fastmimic.dataset.folder import BuildSettings, DamagedError, MotionDataset, Row
 from fastmimic.dataset.index import Gathered, require_pyarrow
 from fastmimic.dataset.jobs import Job, Neighbours, give_up, now, perform, robot_digest
-from fastmimic.dataset.lock import building as locked
+from fastmimic.dataset.lock import BUILDING, working
 from fastmimic.dataset.records import FAILED, FinishedJobs, Record, load_record, save_record
 from fastmimic.dataset.sources import DatasetSource
 from fastmimic.executors import Executor, Report
@@ -125,7 +125,7 @@ def build_dataset(
     robots = {name: load_robot(name) for name in dict.fromkeys(building.robots)}
     neighbours = None if building.warm is None else Neighbours.of(building.warm)
     tell = progress if progress is not None else lambda step: None
-    with locked(library.path):
+    with working(library.path, BUILDING):
         return _Builder(building, library, executor, tell).build(robots, neighbours, update=update, began=began)
 
 

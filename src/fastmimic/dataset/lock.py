@@ -24,53 +24,41 @@ SILENT_S: Final = 120.0  # s without a touch after which a process counts as dea
 
 
 @contextmanager
-def building(folder: Path) -> Iterator[None]:
-    """Marks a library as being built, and keeps repairs out. Raises `LibraryError` during a repair, `OutputError` if
-    the folder cannot be written to."""
-    with _sign(folder, BUILDING) as own:
-        for what, who in _living(folder, own):
-            if what == MENDING:
-                raise LibraryError(f"{folder}: is being mended now ({who}); build again when that has ended")
-        yield
-
-
-@contextmanager
-def mending(folder: Path) -> Iterator[None]:
-    """Keeps all others out of a library during a repair. Raises `LibraryError` if another process works there,
-    `OutputError` if the folder cannot be written to."""
-    with _sign(folder, MENDING) as own:
-        for what, who in _living(folder, own):
-            raise LibraryError(
-                f"{folder}: is being {'built' if what == BUILDING else 'mended'} now ({who}), and would lose what that"
-                f" has begun; mend it when that has ended, or, if it was killed, {SILENT_S / 60:.0f} minutes later"
-            )
-        yield
-
-
-@contextmanager
-def _sign(folder: Path, what: str) -> Iterator[Path]:
+def working(folder: Path, what: str) -> Iterator[None]:
+    """Marks a library as being built (`BUILDING`), or keeps all others out of it during a repair (`MENDING`). Raises
+    `LibraryError` if a repair, or for a repair any other process, works there, and `OutputError` if the folder cannot
+    be written to."""
     check_folder(folder)
-    path = folder / f"{what}-{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(3)}{SUFFIX}"
+    own = folder / f"{what}-{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(3)}{SUFFIX}"
     try:
-        path.write_text(_machine() or "")
+        own.write_text(_machine() or "")
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from None
+        raise OutputError(f"{own}: cannot be written ({error.strerror or error})") from None
     ended = threading.Event()
 
     def touch() -> None:
         while not ended.wait(BEAT_S):
             with suppress(OSError):
-                path.touch()
+                own.touch()
 
     beating = threading.Thread(target=touch, daemon=True)
     beating.start()
     try:
-        yield path
+        for other, who in _living(folder, own):
+            if what == MENDING:
+                raise LibraryError(
+                    f"{folder}: is being {'built' if other == BUILDING else 'mended'} now ({who}), and would lose what"
+                    " that has begun; mend it when that has ended, or, if it was killed,"
+                    f" {SILENT_S / 60:.0f} minutes later"
+                )
+            if other == MENDING:
+                raise LibraryError(f"{folder}: is being mended now ({who}); build again when that has ended")
+        yield
     finally:
         ended.set()
         beating.join()
         with suppress(OSError):
-            path.unlink(missing_ok=True)
+            own.unlink(missing_ok=True)
 
 
 def _living(folder: Path, own: Path) -> Iterator[tuple[str, str]]:

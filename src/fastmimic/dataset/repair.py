@@ -10,7 +10,7 @@ from fastmimic.base.files import remove_file
 from fastmimic.control.config import controller_config
 from fastmimic.dataset.excerpts import SOURCES, reason_of
 from fastmimic.dataset.folder import INDEX, ROBOTS, SETTINGS, MotionDataset
-from fastmimic.dataset.lock import mending
+from fastmimic.dataset.lock import MENDING, working
 from fastmimic.dataset.records import MOTIONS, RECORDS, damage
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import episode_duration
@@ -107,7 +107,7 @@ def mend(library: MotionDataset, progress: Callable[[int, int], None] | None = N
     its files do not have records yet, and `OutputError` if a file cannot be removed.
     """
     removed = 0
-    with mending(library.path):
+    with working(library.path, MENDING):
         health = check(library, progress)
         for name in sorted({*health.useless, *health.foreign}):
             removed += remove_file(library.path / name)

@@ -228,18 +228,15 @@ def body_states(frames: Frames, robot: Robot) -> dict[str, NDArray[Any]]:
 
     model = robot.spec().compile()
     data = mujoco.MjData(model)
-    joints = [model.joint(name) for name in robot.joint_names]
-    positions = [int(joint.qposadr[0]) for joint in joints]
-    speeds = [int(joint.dofadr[0]) for joint in joints]
+    joints = [model.joint(name).id for name in robot.joint_names]
+    positions, speeds = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
     bodies = range(1, model.nbody)
     t, b = frames.n, model.nbody - 1
     pos, quat, lin, ang = (np.zeros((t, b, k)) for k in (3, 4, 3, 3))
-    velocity = np.zeros(6)
+    velocity, turning, inverse = np.zeros(6), np.zeros(3), np.zeros(4)
     for i in range(t):
         data.qpos[:3], data.qpos[3:7] = frames.root_pos_w[i], frames.root_quat_wxyz[i]
         data.qpos[positions] = frames.joint_pos[i]
-        turning = np.zeros(3)
-        inverse = np.zeros(4)
         mujoco.mju_negQuat(inverse, frames.root_quat_wxyz[i])
         mujoco.mju_rotVecQuat(turning, frames.root_ang_vel_w[i], inverse)
         data.qvel[:3], data.qvel[3:6] = frames.root_lin_vel_w[i], turning

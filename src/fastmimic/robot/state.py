@@ -33,8 +33,8 @@ MEMORY: Final = record_dtype(
         *floats(since_switch=4, unloaded_time=4, liftoff_offset=(4, 3), force=(4, 3)),
         *floats(foot_shift=(4, 2), foot_shift_rate=(4, 2), haste=(), lag=(4, 2), velocity=6, expected=6, disturbance=6),
         *integers(qp_failures=(), failed_in_a_row=(), horizon_failures=()),
-        ("solve_time", "f8"),
-        ("early_touchdowns", "i8"),
+        *floats(solve_time=()),
+        *integers(early_touchdowns=()),
     ]
 )
 """Controller memory of one robot: leg states (stance 1, swing 0), timers, last forces (heading frame), and the time of

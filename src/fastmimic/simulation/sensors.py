@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.configuration import pack, record_fields
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.base.jit import floats, inlined, kernel, record_dtype
+from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix, transposed_times
 from fastmimic.estimation.estimator import turn_by
 from fastmimic.robot import Robot
@@ -21,7 +21,7 @@ _BLOCK: Final = 128  # control steps for which noise is drawn at once
 
 _ERRORS: Final = record_dtype(
     [
-        ("tick", "i8"),
+        *integers(tick=()),
         *floats(gyro_bias=3, accel_bias=3, attitude=3, joint_offset=12, torque_gain=12, foot_gain=4, foot_offset=4),
         *floats(velocity=3, up=3, level=4),
     ]
@@ -41,11 +41,9 @@ _DRAWN: Final = _NOISE.itemsize // 8
 
 _CONFIG: Final = record_dtype(
     [
-        ("dt", "f8"),
-        ("periods", "i8", (3,)),  # control steps between readings of IMU, joints and feet
-        ("delays", "i8", (3,)),  # control steps until they arrive
+        *floats(dt=(), torque_limit=12),
+        *integers(periods=3, delays=3),  # control steps between readings of IMU, joints and feet, and until they arrive
         *record_fields(SensorConfig),
-        ("torque_limit", "f8", (12,)),
     ]
 )
 
