@@ -11,8 +11,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.render.tracks import Animal
 from fastmimic.retargeting.retarget import choose_scale
 from fastmimic.robot import Robot
-from fastmimic.viewer.marks import animal_beside, bone_segments
-from fastmimic.viewer.take import Take
+from fastmimic.viewer.take import Take, animal_beside, bone_segments
 
 
 def test_the_animal_keeps_its_shape_and_the_robots_place(take: Take, trot: Motion, a1: Robot) -> None:

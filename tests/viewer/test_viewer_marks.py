@@ -7,8 +7,10 @@ import numpy as np
 from fastmimic.base.arrays import stretches
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.robot import Robot
-from fastmimic.viewer.marks import (
+from fastmimic.viewer.panel import gait_strip, leg_table, plot_base, plot_data, plot_series, status_line
+from fastmimic.viewer.take import (
     TRAIL_POINTS,
+    Take,
     contact_flags,
     contact_places,
     force_arrows,
@@ -16,8 +18,6 @@ from fastmimic.viewer.marks import (
     friction_use,
     trails,
 )
-from fastmimic.viewer.panel import gait_strip, leg_table, plot_base, plot_data, plot_series, status_line
-from fastmimic.viewer.take import Take
 
 
 def _busy_row(take: Take) -> int:

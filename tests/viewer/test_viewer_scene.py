@@ -11,9 +11,8 @@ from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
 from fastmimic.render.tracks import Animal
 from fastmimic.robot import Robot
-from fastmimic.viewer.marks import smoothed_path
 from fastmimic.viewer.scene import linear
-from fastmimic.viewer.take import Take, motion_take
+from fastmimic.viewer.take import Take, motion_take, smoothed_path
 from fastmimic.viewer.viewer import Viewer
 from fastmimic.viewer.web import default_camera
 

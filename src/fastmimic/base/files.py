@@ -100,12 +100,3 @@ def remove_file(path: Path) -> bool:
     except OSError as error:
         raise OutputError(f"{path}: cannot be removed ({error.strerror or error})") from None
     return True
-
-
-def read_section(path: Path, name: str) -> dict[str, Any] | None:
-    """One object of a JSON file; None without such a file or object."""
-    try:
-        section = read_json(path).get(name)
-    except ConfigError:
-        return None
-    return section if isinstance(section, dict) else None

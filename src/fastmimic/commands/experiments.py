@@ -6,6 +6,7 @@ import platform
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +17,7 @@ from fastmimic.base.machine import available_cores, versions
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import FIRST_USE, KEPT, note, optimisation_progress, put, share_progress, slow_start
 from fastmimic.control.config import controller_config
+from fastmimic.executors import check_workers
 from fastmimic.imitation.methods import METHODS, PAPER_METHODS, RL, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FinalChoice
@@ -73,9 +75,8 @@ class Compare:
         from fastmimic.experiments.comparison_run import ABLATION_TABLE, open_comparison
         from fastmimic.report.comparison_figures import write_comparison
 
-        workers = self.workers if self.workers is not None else available_cores()
-        if workers < 1:
-            raise ConfigError(f"workers must be at least 1, found {workers}")
+        check_workers(self.workers)
+        workers = self.workers or available_cores()
         total = len(plan.runs)
         resume, overwrite = self.folder.resume, self.folder.overwrite
         with open_comparison(self.out, plan.settings.as_dict(), resume=resume, overwrite=overwrite) as folder:
@@ -172,7 +173,7 @@ def _progress(total: int) -> "Iterator[ReportProgress]":
 
         def report(effort: "RunProgress", row: "Row | None") -> None:
             finished = total - len(effort.tasks) + effort.finished
-            left = "" if effort.remaining_s is None else f", {_clock(effort.remaining_s)} left"
+            left = "" if effort.remaining_s is None else f", {timedelta(seconds=round(effort.remaining_s))} left"
             if bar is not None:
                 bar(effort.share, f"{finished}/{total} runs{left}")
             elif row is not None:
@@ -181,12 +182,6 @@ def _progress(total: int) -> "Iterator[ReportProgress]":
                 note(f"{finished}/{total} {row['motion']} {run}: reward {row['reward_mean']:.3f}{fell}{left}")
 
         yield report
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}"
 
 
 ResultsFolder = Annotated[

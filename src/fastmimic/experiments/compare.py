@@ -178,8 +178,6 @@ class Prepared:
     def perform(self, workers: int, report: ReportProgress) -> list[Row]:
         """Performs the remaining runs; returns the rows of all runs of the plan, in its order. Raises
         `FastMimicError` as the first failed run, `KeyboardInterrupt` for Ctrl-C; finished runs stay in the folder."""
-        if workers < 1:
-            raise ConfigError(f"workers must be at least 1, found {workers}")
         for path, motion in self.files.items():
             motion.save(path)
         rows = dict(self.done)

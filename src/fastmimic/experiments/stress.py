@@ -7,7 +7,6 @@ motion's start and the others from random phases, not perturbed otherwise. An ep
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -18,8 +17,8 @@ from fastmimic.base.text import markdown_table
 from fastmimic.episode.metrics import Metrics
 from fastmimic.episode.plan import episode_duration, nominal_start, start_room
 from fastmimic.experiments.comparison_run import Row, check_unique
-from fastmimic.experiments.experiment import Subject, all_parts
-from fastmimic.imitation.methods import METHODS, method_named
+from fastmimic.experiments.experiment import Subject
+from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, Disturbance, known
@@ -129,13 +128,6 @@ def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSett
                 }
             )
     return rows
-
-
-def all_sweeps(out: Path) -> list[Row]:
-    """All finished sweeps' rows, in the order of methods and disturbances; raises `OutputError` for a damaged file."""
-    rows = [{**row, "value": float(row["value"])} for row in all_parts(out / SWEEPS)]  # JSON has no infinity
-    methods, names = list(METHODS), list(DISTURBANCES)
-    return sorted(rows, key=lambda r: (methods.index(r["method"]), names.index(r["disturbance"]), r["value"]))
 
 
 def tolerances(rows: Iterable[Row]) -> list[Tolerance]:

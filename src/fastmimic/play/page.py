@@ -13,9 +13,8 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.play.live_panel import PlayPanel
 from fastmimic.viewer.bodies import Puppet
-from fastmimic.viewer.marks import TRAIL_POINTS, TRAIL_S
 from fastmimic.viewer.scene import RobotScene
-from fastmimic.viewer.take import Take
+from fastmimic.viewer.take import TRAIL_POINTS, TRAIL_S, Take
 from fastmimic.viewer.web import DEFAULT_PORT, FRAMES_PER_S, Cameras, WebPage
 
 if TYPE_CHECKING:

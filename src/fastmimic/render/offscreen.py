@@ -1,4 +1,4 @@
-"""Drawing MuJoCo scenes into memory, with or without a display.
+"""The frames of a video: MuJoCo scenes drawn into memory, with or without a display, and text on them, by Pillow.
 
 MuJoCo's own `Renderer` fixes the OpenGL backend when `mujoco` is first imported, too early to choose one for a machine
 without a display. Here the context is made directly.
@@ -10,6 +10,8 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -17,11 +19,15 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import mujoco
+    from PIL import Image, ImageFont
 
 _LOG = logging.getLogger(__name__)
 _OFF: Final = ("disable", "disabled", "off", "false", "0")
 _NAMED: Final = ("egl", "osmesa", "glfw", "cgl")
 BLANK: Final = (0.93, 0.95, 0.97)  # colour of an empty cell: that of the haze
+_PLATE: Final = (24, 28, 34, 190)
+_WHITE: Final = (255, 255, 255, 255)
+_SOFT: Final = (208, 216, 224, 255)
 
 
 class NoRendererError(Exception):
@@ -112,3 +118,141 @@ def _open(model: "mujoco.MjModel", width: int, height: int) -> tuple[Any, Any]:
         return gl, context
     tried = "; ".join(failures) if failures else f"MUJOCO_GL={os.environ.get('MUJOCO_GL')} switches it off"
     raise NoRendererError(f"no OpenGL here ({tried})")
+
+
+class Overlay:
+    """Text that stays the same for the whole video, blended onto each frame, and a clock.
+
+    Each of the `panels`, in so many `columns`, has a title and a caption. `legend` is the colour (r, g, b, 0 to 1) and
+    name of the translucent robot, `speed_note` such as "slow motion × 0.25" stands with the clock.
+    """
+
+    def __init__(
+        self,
+        width: int,
+        height: int,
+        panels: Sequence[tuple[str, str]],
+        legend: tuple[tuple[float, float, float], str] | None,
+        speed_note: str,
+        *,
+        columns: int,
+        clock: bool,
+    ) -> None:
+        self._note = f"   {speed_note}" if speed_note else ""
+        self._clock = clock
+        cells = grid_cells(len(panels), width, height, columns)
+        self._unit = _unit(width, height, cells[0][3])
+        margin = round(18 * self._unit)
+        self._patches: list[_Patch] = []
+        for (title, caption), (left, top, right, _) in zip(panels, cells, strict=False):
+            plate = _text_plate(title, caption, self._unit, right - left - 2 * margin)
+            if plate is not None:
+                self._patches.append(_Patch(plate, top + margin, left + margin))
+        if legend is not None:
+            plate = _legend_plate(*legend, self._unit)
+            self._patches.append(_Patch(plate, height - plate.height - margin, width - plate.width - margin))
+        half = max(1, round(1.5 * self._unit))  # of the bars between panels
+        self._columns = [slice(at - half, at + half) for at in {left for left, *_ in cells} - {0}]
+        self._rows = [slice(at - half, at + half) for at in {top for _, top, *_ in cells} - {0}]
+        self._clock_at = (margin, height - margin)
+
+    def draw(self, frame: NDArray[np.uint8], time_s: float) -> None:
+        """Draws onto `frame` (height, width, 3) in place."""
+        for bar in self._columns:
+            frame[:, bar] = 255
+        for bar in self._rows:
+            frame[bar] = 255
+        for patch in self._patches:
+            patch.blend(frame)
+        if self._clock:
+            clock = _clock_plate(f"{time_s:.1f} s{self._note}", self._unit)
+            _Patch(clock, self._clock_at[1] - clock.height, self._clock_at[0]).blend(frame)
+
+
+def _unit(width: int, height: int, cell_height: int) -> float:
+    """The letters' size relative to a picture of 1280 × 720: legible in small ones, smaller in low panels."""
+    return min(max(float(np.sqrt(width * height)) / 960, 0.6), max(cell_height / 330, 0.45))
+
+
+class _Patch:
+    """A small RGBA picture at a place, with precomputed blending."""
+
+    def __init__(self, image: "Image.Image", top: int, left: int) -> None:
+        rgba = np.asarray(image, dtype=np.uint32)
+        opaque = (rgba[..., 3:] * 256 + 127) // 255  # of 256, so that blending ends in a shift
+        self._keep = np.broadcast_to(256 - opaque, (*rgba.shape[:2], 3)).astype(np.uint16)
+        self._add = (rgba[..., :3] * opaque).astype(np.uint16)
+        self._place = (slice(top, top + rgba.shape[0]), slice(left, left + rgba.shape[1]))
+
+    def blend(self, frame: NDArray[np.uint8]) -> None:
+        under = frame[self._place]
+        h, w = under.shape[:2]
+        mixed = under * self._keep[:h, :w]
+        mixed += self._add[:h, :w]
+        mixed >>= 8
+        frame[self._place] = mixed
+
+
+@lru_cache(maxsize=16)
+def _font(size: int, bold: bool = False) -> "ImageFont.FreeTypeFont":
+    """DejaVu Sans from matplotlib: the same on every machine."""
+    import matplotlib
+    from PIL import ImageFont
+
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(Path(matplotlib.get_data_path(), "fonts", "ttf", name), size)
+
+
+def _fit(text: str, size: int, bold: bool, width: int) -> "ImageFont.FreeTypeFont":
+    """The font in the largest size up to `size` in which `text` is at most `width` pixels wide."""
+    while size > 8 and _font(size, bold).getlength(text) > width:
+        size -= 1
+    return _font(size, bold)
+
+
+def _text_plate(title: str, caption: str, unit: float, width: int) -> "Image.Image | None":
+    pad = round(12 * unit)
+    lines = [
+        (text, _fit(text, round(size * unit), bold, width - 2 * pad), color)
+        for text, size, bold, color in ((title, 25, True, _WHITE), (caption, 19, False, _SOFT))
+        if text
+    ]
+    return _plate(lines, pad, unit) if lines else None
+
+
+@lru_cache(maxsize=4)
+def _clock_plate(text: str, unit: float) -> "Image.Image":
+    return _plate([(text, _font(round(18 * unit)), _WHITE)], round(8 * unit), unit)
+
+
+def _legend_plate(color: tuple[float, float, float], name: str, unit: float) -> "Image.Image":
+    from PIL import ImageDraw
+
+    pad, swatch = round(8 * unit), round(16 * unit)
+    plate = _plate([(name, _font(round(18 * unit)), _WHITE)], pad, unit, left=swatch + pad)
+    top = (plate.height - swatch) // 2
+    fill = (*(round(255 * c) for c in color), 255)
+    ImageDraw.Draw(plate).rounded_rectangle((pad, top, pad + swatch, top + swatch), radius=round(3 * unit), fill=fill)
+    return plate
+
+
+def _plate(
+    lines: Sequence[tuple[str, "ImageFont.FreeTypeFont", tuple[int, int, int, int]]],
+    pad: int,
+    unit: float,
+    left: int = 0,
+) -> "Image.Image":
+    """A dark rounded plate with lines of text."""
+    from PIL import Image, ImageDraw
+
+    gap = round(5 * unit)
+    heights = [sum(font.getmetrics()) for _, font, _ in lines]
+    width = left + 2 * pad + max(int(np.ceil(font.getlength(text))) for text, font, _ in lines)
+    plate = Image.new("RGBA", (width, sum(heights) + gap * (len(lines) - 1) + 2 * pad), (0, 0, 0, 0))
+    draw = ImageDraw.Draw(plate)
+    draw.rounded_rectangle((0, 0, plate.width - 1, plate.height - 1), radius=round(8 * unit), fill=_PLATE)
+    y = pad
+    for (text, font, color), height in zip(lines, heights, strict=True):
+        draw.text((left + pad, y), text, font=font, fill=color)
+        y += height + gap
+    return plate

@@ -18,8 +18,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import available_cores
 from fastmimic.base.rotations import yaw_from_quat
 from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, PREVIEW, QUALITIES, Quality, VideoFile
-from fastmimic.render.offscreen import NoRendererError, Offscreen, in_any_thread
-from fastmimic.render.overlay import Overlay
+from fastmimic.render.offscreen import NoRendererError, Offscreen, Overlay, in_any_thread
 from fastmimic.render.tracks import AnimalTrack, Track, resample, resample_contact, resample_points, world_feet
 from fastmimic.render.video_scene import TILE_M, CameraView, VideoScene, build_video_scene, ghost_rgba, leg_rgba
 from fastmimic.robot import Robot

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from fastmimic.base.text import csv_text
 from fastmimic.experiments import stress, transfer
-from fastmimic.experiments.experiment import part_file
+from fastmimic.experiments.experiment import all_parts, part_file
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.render.figure_style import INK, MUTED, Line, legend_below, new_figure, save, tidy, write_at
 from fastmimic.runs.work_folder import RESULTS_CSV, TABLE, WorkFolder
@@ -39,7 +39,9 @@ _COLORS: Final = (("#0072b2", ""), ("#56b4e9", "//"), ("#e69f00", "\\\\"), ("#d5
 
 def write_stress(folder: WorkFolder, settings: stress.StressSettings, planned: Sequence[tuple[str, str]]) -> None:
     """Writes tables and figures of all finished sweeps; counts the missing of `planned` (method, disturbance)."""
-    rows = stress.all_sweeps(folder.path)
+    rows = [{**row, "value": float(row["value"])} for row in all_parts(folder.path / stress.SWEEPS)]  # JSON has no inf
+    methods, names = list(METHODS), list(DISTURBANCES)
+    rows.sort(key=lambda row: (methods.index(row["method"]), names.index(row["disturbance"]), row["value"]))
     if not rows:
         return
     missing = sum(not part_file(folder.path / stress.SWEEPS, *one).is_file() for one in planned)

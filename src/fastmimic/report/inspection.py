@@ -10,7 +10,7 @@ from scipy.ndimage import uniform_filter1d
 
 from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
-from fastmimic.base.rotations import matrix_from_quat
+from fastmimic.base.rotations import roll_pitch_from_quat
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.segment import DISCRETE, STAND, TURN, Segment, SegmentConfig, take_of
 from fastmimic.episode.feasibility import SAMPLE_S, use_of_limits
@@ -122,9 +122,7 @@ def _draw_gait(axes: Axes, time: Array, dt: float, contact: NDArray[np.bool_]) -
 
 
 def _draw_tilt(axes: Axes, time: Array, root_quat_wxyz: Array) -> None:
-    R = matrix_from_quat(root_quat_wxyz)
-    pitch = -np.arcsin(np.clip(R[:, 2, 0], -1, 1))
-    roll = np.arctan2(R[:, 2, 1], R[:, 2, 2])
+    roll, pitch = roll_pitch_from_quat(root_quat_wxyz)
     axes.plot(time, np.degrees(pitch), **AFTER._asdict(), label="pitch")
     axes.plot(time, np.degrees(roll), **BEFORE._asdict(), label="roll")
     style.tidy(axes, "base pitch (solid, nose down positive) and roll (dotted)", ylabel="degrees")

@@ -7,7 +7,7 @@ from pathlib import Path, PurePath
 from typing import Any, Final
 
 from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
-from fastmimic.base.files import check_folder, read_json, read_section, remove_file, write_json, write_text
+from fastmimic.base.files import check_folder, read_json, remove_file, write_json, write_text
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import FILE_NAME
 
@@ -144,7 +144,7 @@ class RunFolder:
         if resume or overwrite:
             return
         found = [name for name in (*RESULTS, CONFIG, CHECKPOINT) if (self.path / name).exists()]
-        arguments = read_section(self.path / CONFIG, "arguments")
+        arguments = WorkFolder(self.path, "a run", CONFIG, "arguments", ()).earlier()
         if found and arguments is None:
             raise OutputError(
                 f"{self.path} holds {', '.join(found)} of something else; choose another --out, or --overwrite them"

@@ -10,8 +10,8 @@ from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.conventions import LEGS
 from fastmimic.episode.reward import REWARD_TERMS, reward_weights
 from fastmimic.render.figure_style import INK, LEG_LINES, MUTED
-from fastmimic.viewer.marks import contact_flags, friction_use
 from fastmimic.viewer.scene import LAYERS
+from fastmimic.viewer.take import Take, contact_flags, friction_use
 
 if TYPE_CHECKING:
     import threading
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     import viser
 
     from fastmimic.viewer.scene import RobotScene
-    from fastmimic.viewer.take import Take
     from fastmimic.viewer.viewer import Player, Repeat
     from fastmimic.viewer.web import Cameras
 
@@ -259,7 +258,7 @@ def plot_key() -> str:
     return ", ".join([*terms, f'<b style="color:{INK}">reward</b>'])
 
 
-def plot_base(take: "Take") -> Array:
+def plot_base(take: Take) -> Array:
     """The reward of an episode for the plot (≤ `PLOT_POINTS`, 7): time, five terms, reward."""
     assert take.terms is not None
     assert take.reward is not None
@@ -278,7 +277,7 @@ def plot_data(base: Array, time_s: float) -> tuple[Array, ...]:
     return (*(np.ascontiguousarray(column) for column in rows.T), cursor)
 
 
-def gait_strip(take: "Take", row: int, now: float = 0.5) -> str:
+def gait_strip(take: Take, row: int, now: float = 0.5) -> str:
     """An SVG of wanted (outlined), loaded (filled) and planned (hatched) stance about a row of a take. `now` is the
     place of the present as a share of the strip: 1 shows the past only."""
     samples = round(STRIP_S * take.rate_hz)
@@ -323,7 +322,7 @@ def gait_strip(take: "Take", row: int, now: float = 0.5) -> str:
     return "".join([*parts, "</svg>"])
 
 
-def leg_table(take: "Take", row: int) -> str:
+def leg_table(take: Take, row: int) -> str:
     """An HTML table of the legs: wanted, measured and planned contact, load, and use of the friction pyramid."""
     flags, use = contact_flags(take, row), friction_use(take, row)
     head = "".join(f"<th>{h}</th>" for h in ("", "wanted", "loaded", "state", "f<sub>z</sub>", "friction"))
@@ -342,7 +341,7 @@ def leg_table(take: "Take", row: int) -> str:
     return f'<table style="{style}"><tr>{head}</tr>{"".join(lines)}</table>'
 
 
-def status_line(take: "Take", row: int) -> str:
+def status_line(take: Take, row: int) -> str:
     """HTML: title and caption, the time, and the reward at this step."""
     reward = "" if take.reward is None else f" · reward now <b>{take.reward[row]:.2f}</b>"
     fallen = take.fell_at is not None and row >= take.fell_at

@@ -11,8 +11,9 @@ from fastmimic.base.conventions import LEGS
 from fastmimic.render.video_scene import ghost_rgba, leg_rgba
 from fastmimic.robot import Robot
 from fastmimic.viewer.bodies import Puppet
-from fastmimic.viewer.marks import (
+from fastmimic.viewer.take import (
     TRAIL_POINTS,
+    Take,
     animal_beside,
     bone_segments,
     contact_flags,
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
     from fastmimic.render.tracks import Animal
     from fastmimic.viewer.bodies import BodyMesh, Placed
-    from fastmimic.viewer.take import Take
 
 
 LAYERS: Final = {
@@ -65,7 +65,7 @@ def animal_aside(robot: Robot) -> float:
 
 def line_up(
     server: "viser.ViserServer",
-    takes: "Sequence[Take]",
+    takes: Sequence[Take],
     animal: "Animal | None" = None,
     names: Sequence[str] | None = None,
 ) -> "list[RobotScene]":
@@ -90,7 +90,7 @@ class RobotScene:
         server: "viser.ViserServer",
         name: str,
         puppet: Puppet,
-        take: "Take",
+        take: Take,
         aside: float = 0.0,
         ground: tuple[float, float] = WIDE_GROUND,
         animal: "Animal | None" = None,
@@ -133,12 +133,12 @@ class RobotScene:
             self._add_animal(f"{name}/animal")
         self.set_take(take)
 
-    def set_take(self, take: "Take") -> None:
+    def set_take(self, take: Take) -> None:
         self.take = take
         self._path = self._followed(take)
         self._title.text = take.title
 
-    def _followed(self, take: "Take") -> Array:
+    def _followed(self, take: Take) -> Array:
         """The path (t, 2) that the view follows, m."""
         return smoothed_path(take)
 
