@@ -167,8 +167,7 @@ class Deploy:
         if self.driver == SIM:
             driver = self._simulated(robot, clock)
         else:
-            named = {"interface": self.interface, "domain": self.domain}
-            given = {name: value for name, value in named.items() if value is not None}
+            given = {k: v for k in ("interface", "domain") if (v := getattr(self, k)) is not None}
             driver = make_driver(self.driver, robot, release=not dry, say=note, **given)
             if dry and not _answers(driver):
                 clock = VirtualClock()

@@ -33,10 +33,8 @@ RUNS: Final = Path("runs")
 
 
 def option(metavar: str | None = None, text: str | Callable[[], str] | None = None) -> Any:
-    """An option's placeholder and help text; the text may be a function, which only `--help` calls.
-
-    Its default is shown unless it is None, False or empty: then the text says what happens without the option.
-    """
+    """An option's placeholder and help text; the text may be a function, which only `--help` calls. Its default is
+    shown unless it is None, False or empty: then the text says what happens without the option."""
     help_text: Any = text  # tyro calls functions, but does not declare it
     return arg(metavar=metavar, help=help_text, help_behavior_hint=_shown_default)
 

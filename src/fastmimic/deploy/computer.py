@@ -107,11 +107,9 @@ def _ask_for_real_time(refused: list[str]) -> dict[int, tuple[int, int]]:
 
 
 class StopSwitch:
-    """A context manager that watches the terminal and the process's signals.
-
-    Within it, SIGINT and SIGTERM are counted in `signals` and do not end the program. Keys need no Enter if standard
-    input is a terminal; `key` and `leave` say whether an emergency key and the key to sit down were pressed.
-    """
+    """A context manager that watches the terminal and the process's signals. Within it, SIGINT and SIGTERM are counted
+    in `signals` and do not end the program. Keys need no Enter if standard input is a terminal; `key` and `leave` say
+    whether an emergency key and the key to sit down were pressed."""
 
     def __init__(self, stream: Any = None) -> None:
         """Reads keys from `stream`; standard input if None."""

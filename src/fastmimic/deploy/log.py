@@ -201,11 +201,9 @@ def load_ground_truth(path: str | Path) -> NDArray[Any]:
 
 
 class GroundTruthLog:
-    """Collects rows of `GROUND_TRUTH`.
-
-    The file is an `.npz` without pickles: `format_version`; `time`, `tick`, `damped`, `service` (t,); the fields of
-    `OBSERVATION` under their names, such as `root_pos` (t, 3); those of `COMMAND` prefixed by `command_`.
-    """
+    """Collects rows of `GROUND_TRUTH`. The file is an `.npz` without pickles: `format_version`; `time`, `tick`,
+    `damped`, `service` (t,); the fields of `OBSERVATION` under their names, such as `root_pos` (t, 3); those of
+    `COMMAND` prefixed by `command_`."""
 
     def __init__(self) -> None:
         self._rows: list[NDArray[Any]] = []
@@ -214,10 +212,7 @@ class GroundTruthLog:
         self, time: float, tick: int, observation: NDArray[Any], command: NDArray[Any], damped: bool, service: bool
     ) -> None:
         """Adds a measurement; the arrays are (1,) and copied."""
-        row = np.zeros(1, GROUND_TRUTH)
-        row["time"], row["tick"], row["damped"], row["service"] = time, tick, damped, service
-        row["observation"], row["command"] = observation, command
-        self._rows.append(row)
+        self._rows.append(np.array([(time, tick, observation[0], command[0], damped, service)], GROUND_TRUTH))
 
     def rows(self) -> NDArray[Any]:
         """(t,) of `GROUND_TRUTH`."""

@@ -217,12 +217,10 @@ def run_all(tasks: Sequence[RunTask], workers: int, report: ReportProgress) -> l
 
 
 def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[str], None]) -> Prepared:
-    """Loads robot and motions, and checks them and the finished runs in the folder `out`; writes nothing.
-
-    With `keep`, finished runs in the folder count; otherwise they are about to be replaced. Calls `prepared` with the
-    name of each retargeted motion. Raises `FastMimicError` for a missing robot or motion, or if the folder holds a
-    finished run of other content.
-    """
+    """Loads robot and motions, and checks them and the finished runs in the folder `out`; writes nothing. With `keep`,
+    finished runs in the folder count; otherwise they are about to be replaced. Calls `prepared` with the name of each
+    retargeted motion. Raises `FastMimicError` for a missing robot or motion, or if the folder holds a finished run of
+    other content."""
     robot = load_robot(plan.settings.robot)
     files = {_file(out, *key): motion for key, motion in _demonstrations(plan, robot, prepared)}
     policies = {

@@ -90,12 +90,10 @@ def make_subject(
     policy: tuple[MakeController, str] | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Subject:
-    """A method with its motion; keeps an optimised motion in `folder`, and reads it from there the next time.
-
-    The method that made an optimised motion runs it unchanged; otherwise its demonstration is optimised. `policy` is
-    the controller of a trained policy, and its identifier. Raises `FastMimicError` if the motion cannot be optimised,
-    or the folder holds one of other content. After Ctrl-C the next call continues from the checkpoint.
-    """
+    """A method with its motion; keeps an optimised motion in `folder`, and reads it from there the next time. The
+    method that made an optimised motion runs it unchanged; otherwise its demonstration is optimised. `policy` is the
+    controller of a trained policy, and its identifier. Raises `FastMimicError` if the motion cannot be optimised, or
+    the folder holds one of other content. After Ctrl-C the next call continues from the checkpoint."""
     chosen, demonstration = method_named(method), given.target
     configured = chosen.configure(config)
     if not chosen.optimises:

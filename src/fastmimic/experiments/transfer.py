@@ -108,7 +108,7 @@ def trial_starts(trials: int, seed: int) -> Start:
 def run_trials(
     subject: Subject, robot: Robot, settings: TransferSettings, stages: Sequence[TransferStage] = STAGES
 ) -> list[Row]:
-    """Trials of one method on one motion in some stages, from the same starts; a row for each, see `COLUMNS`."""
+    """Trials of one method on one motion in some stages, from the same starts: `COLUMNS`. Raises `FastMimicError`."""
     motion = subject.motion
     rows: list[Row] = []
     seconds = episode_duration(motion, settings.duration_s)
@@ -132,11 +132,9 @@ def run_trials(
 
 
 def identified_config(subject: Subject, robot: Robot, settings: TransferSettings) -> ControllerConfig:
-    """The controller with friction and payload identified from one run under the conditions of `IDENTIFIED`.
-
-    The run has another start and other sensor errors than the trials. If the robot falls too early for an
-    identification, returns the controller unchanged, with a warning.
-    """
+    """The controller with friction and payload identified from one run under the conditions of `IDENTIFIED`. The run
+    has another start and other sensor errors than the trials. If the robot falls too early for an identification,
+    returns the controller unchanged, with a warning."""
     motion, conditions = subject.motion, IDENTIFIED.conditions(settings.seed)
     start = trial_starts(settings.trials + 1, settings.seed).part(slice(settings.trials, None))
     rollout = subject.run(robot, episode_duration(motion, IDENTIFICATION_S), start, conditions, log=True)

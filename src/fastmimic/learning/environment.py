@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 
 from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, action_bounds
-from fastmimic.learning.episodes import EPISODE_S, Episodes
+from fastmimic.learning.episodes import EPISODE_S, Episodes, Seen
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import parse_range
-
-Seen = NDArray[np.float32]
 
 
 def _prepared(
@@ -47,13 +45,10 @@ def _prepared(
 
 
 class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
-    """A robot that imitates a motion.
-
-    `fastmimic.learning.observation` defines the observation. An action is twelve joint targets relative to the home
-    pose in units of 0.25 rad, the reward the mean of the common reward over the step's control steps. An episode begins
-    at a random phase of the motion, terminates with a fall and is truncated after `duration_s` or at the end of a
-    motion that does not repeat. `info["terms"]` has the reward's terms.
-    """
+    """A robot that imitates a motion. `fastmimic.learning.observation` defines the observation. An action is twelve
+    joint targets relative to the home pose in units of 0.25 rad, the reward the mean of the common reward over the
+    step's control steps. An episode begins at a random phase of the motion, terminates with a fall and is truncated
+    after `duration_s` or at the end of a motion that does not repeat. `info["terms"]` has the reward's terms."""
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
 
@@ -102,11 +97,9 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
 
 
 class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
-    """n robots that imitate the same motion, simulated as one batch; each begins its next episode at once.
-
-    After the end of an episode, `info["final_obs"]` has its last observation and `info["episode"]` its length in steps
-    and its mean reward over the full length (0 after a fall), with masks `_final_obs` and `_episode`.
-    """
+    """n robots that imitate the same motion, simulated as one batch; each begins its next episode at once. After the
+    end of an episode, `info["final_obs"]` has its last observation and `info["episode"]` its length in steps and its
+    mean reward over the full length (0 after a fall), with masks `_final_obs` and `_episode`."""
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
 

@@ -45,11 +45,9 @@ def observe(
     settings: Any, tables: Any, clocks: Any, observations: Any, senses: Any, rotation: Array, out: NDArray[np.float32]
 ) -> None:
     """Reads the robots' states and writes the policies' observations. Call it once per policy step, before `act`.
-
     `settings` are (1,) of `SETTINGS`, `clocks` and `observations` (n,) of `CLOCK` and `OBSERVATION`; robot i follows
     table min(i, k − 1) of `tables` (k, t) of `SAMPLE`. Changes `senses` (n,) of `SENSES` in place and writes `out` (n,
-    `OBSERVATION_SIZE`); `rotation` (3, 3) is scratch.
-    """
+    `OBSERVATION_SIZE`); `rotation` (3, 3) is scratch."""
     for i in range(out.shape[0]):
         table, clock, obs, memory = tables[min(i, tables.shape[0] - 1)], clocks[i], observations[i], senses[i]
         quat_to_matrix(obs.root_quat, rotation)

@@ -43,11 +43,9 @@ _CYCLES: Final = 1.5  # cycles in an episode, if the requested length does not h
 
 @dataclass(frozen=True)
 class Objective:
-    """How a candidate is scored: mean reward of an episode minus the penalty for lost swing clearance.
-
-    A foot is penalised below `clearance_floor`, a share of the demonstration's clearance: above the share that a result
-    must reach, because the realised clearance varies from step to step.
-    """
+    """How a candidate is scored: mean reward of an episode minus the penalty for lost swing clearance. A foot is
+    penalised below `clearance_floor`, a share of the demonstration's clearance: above the share that a result must
+    reach, because the realised clearance varies from step to step."""
 
     duration_s: float = 5.0  # of the episode; at least one and a half cycles, and the whole of a motion without cycle
     clearance_floor: float = 0.87

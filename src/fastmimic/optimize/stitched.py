@@ -174,11 +174,8 @@ def make_problem(
     **settings: Any,
 ) -> Problem:
     """The problem for a motion: its cycle, the whole of a motion that does not repeat, or all segments of a stitched
-    one; `settings` are `objective`, `config` and `workers`.
-
-    Raises `ConfigError` for no such group, or `moved` with a stitched motion, and `MotionError` if DMPs cannot be
-    fitted.
-    """
+    one; `settings` are `objective`, `config` and `workers`. Raises `ConfigError` for no such group, or `moved` with a
+    stitched motion, and `MotionError` if DMPs cannot be fitted."""
     demonstration = motion.target
     if demonstration.cycle is None and demonstration.parts:
         if moved is not None:

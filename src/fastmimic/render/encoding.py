@@ -50,12 +50,10 @@ QUALITIES: Final = Registry("quality", (PREVIEW, HIGH))
 
 
 class VideoFile:
-    """Encodes frames into a temporary file, which replaces `path` on success. A context manager. GIFs repeat.
-
-    Frames of `source_size`, width and height in pixels, are scaled to the video's `size`, which is even but for a GIF;
-    `frames` is their number, if known. Raises `OutputError` if `path` cannot be written or has another ending,
-    `ConfigError` if width or height is odd or not positive, or a GIF would be far too large.
-    """
+    """Encodes frames into a temporary file, which replaces `path` on success. A context manager. GIFs repeat. Frames of
+    `source_size`, width and height in pixels, are scaled to the video's `size`, which is even but for a GIF; `frames`
+    is their number, if known. Raises `OutputError` if `path` cannot be written or has another ending, `ConfigError` if
+    width or height is odd or not positive, or a GIF would be far too large."""
 
     def __init__(
         self,
@@ -110,10 +108,8 @@ class VideoFile:
         return self
 
     def write(self, frame: NDArray[np.uint8]) -> None:
-        """Adds a frame, (height, width, 3), first row on top; raises `OutputError` if the encoder has stopped.
-
-        A frame as OpenGL drew it, last row first in memory, is not copied.
-        """
+        """Adds a frame, (height, width, 3), first row on top; raises `OutputError` if the encoder has stopped. A frame
+        as OpenGL drew it, last row first in memory, is not copied."""
         try:
             self._pipe.write(np.ascontiguousarray(frame[::-1]).data)
         except OSError:

@@ -121,11 +121,9 @@ def _open(model: "mujoco.MjModel", width: int, height: int) -> tuple[Any, Any]:
 
 
 class Overlay:
-    """Text that stays the same for the whole video, blended onto each frame, and a clock.
-
-    Each of the `panels`, in so many `columns`, has a title and a caption. `legend` is the colour (r, g, b, 0 to 1) and
-    name of the translucent robot, `speed_note` such as "slow motion × 0.25" stands with the clock.
-    """
+    """Text that stays the same for the whole video, blended onto each frame, and a clock. Each of the `panels`, in so
+    many `columns`, has a title and a caption. `legend` is the colour (r, g, b, 0 to 1) and name of the translucent
+    robot, `speed_note` such as "slow motion × 0.25" stands with the clock."""
 
     def __init__(
         self,

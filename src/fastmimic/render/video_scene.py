@@ -277,10 +277,8 @@ class CameraView:
         self._shadows: list[tuple[mujoco.MjvGeom, mujoco.MjvGeom]] | None = None
 
     def update(self, robot: Array | None, ghost: Array | None, look_at: Array) -> None:
-        """Poses the robot and the ghost, (19,) each, and points the camera at `look_at` (3,), world.
-
-        The first call settles whether robot and ghost are shown.
-        """
+        """Poses the robot and the ghost, (19,) each, and points the camera at `look_at` (3,), world. The first call
+        settles whether robot and ghost are shown."""
         model, data, video_scene = self._video_scene.model, self._data, self._video_scene
         if robot is not None:
             data.qpos[video_scene.robot_qpos] = robot

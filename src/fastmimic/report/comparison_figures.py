@@ -149,12 +149,10 @@ def _bar(axes: Axes, x: float, width: float, s: Summary, color: str, hatch: str)
 def tracking_bars(
     summaries: Sequence[Summary], courses: Mapping[str, Array], rate_hz: float, start_s: float, title: str
 ) -> Figure:
-    """The paper's tracking figures: foot height and fore-aft position before and after an optimising method.
-
-    Left, the left rear foot on one motion (the paper: pace), from `courses`: `demonstration`, `before` and `after`, (t,
-    4, 3) feet in the body frame, m, NaN after a fall, from `start_s` of the episode on. Right, the error of all feet on
-    every motion, and its change in percent.
-    """
+    """The paper's tracking figures: foot height and fore-aft position before and after an optimising method. Left, the
+    left rear foot on one motion (the paper: pace), from `courses`: `demonstration`, `before` and `after`, (t, 4, 3)
+    feet in the body frame, m, NaN after a fall, from `start_s` of the episode on. Right, the error of all feet on every
+    motion, and its change in percent."""
     figure = style.new_figure(12.0, 6.4, title)
     grid = figure.subplots(2, 2, width_ratios=(3, 2))
     time = start_s + np.arange(len(courses["demonstration"])) / rate_hz

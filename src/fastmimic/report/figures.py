@@ -94,11 +94,9 @@ def tracking_figure(
     window_s: tuple[float, float] | None = None,
 ) -> Figure:
     """Height and fore-aft position of the four feet, wanted and realised, (t, 4, 3) foot centres in the body frame, m.
-
     `wanted` is what the robot is scored against at `time` (t,), s; `before` and `after` are realised with the motion as
     retargeted and optimised, NaN after a fall. `stance` (t, 4), the demonstration's, is shaded. `window_s` are the
-    times to draw, such as two cycles; the errors in the titles are over all samples.
-    """
+    times to draw, such as two cycles; the errors in the titles are over all samples."""
     start, end = window_s if window_s is not None else (time[0], time[-1])
     figure = style.new_figure(14.0, 6.2, title, below=0.85)
     grid = figure.subplots(2, 4, sharex=True)

@@ -53,8 +53,5 @@ def make_report(folder: str | Path, replay: "Callable[[RerunEpisodes], str] | No
 
     if kind == "run":
         return html_run_page.run_page(path, replay)
-    if kind == "comparison":
-        return html_comparison.comparison_page(path)
-    if kind == "results":
-        return html_comparison.results_page(path)
-    return html_deployment.deployment_page(path)
+    pages = {"comparison": html_comparison.comparison_page, "results": html_comparison.results_page}
+    return pages.get(kind, html_deployment.deployment_page)(path)

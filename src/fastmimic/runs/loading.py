@@ -74,11 +74,9 @@ class MotionSource:
 
 
 def find_motion(source: str | Path | Clip | Motion) -> MotionSource:
-    """Finds out the kind of a source, and reads it if it is a robot motion.
-
-    A name precedes a file or a folder of the same name (use ./NAME). Raises `MotionError` if there is no such source, a
-    folder holds no motion, or a robot motion cannot be read.
-    """
+    """Finds out the kind of a source, and reads it if it is a robot motion. A name precedes a file or a folder of the
+    same name (use ./NAME). Raises `MotionError` if there is no such source, a folder holds no motion, or a robot motion
+    cannot be read."""
     if isinstance(source, Motion):
         return MotionSource(source.name, motion=source)
     if isinstance(source, Clip):

@@ -21,12 +21,10 @@ _LYING: Final = 0.6  # share of the height in the home pose
 
 
 class Go2Driver(RobotDriver):
-    """A `RobotDriver`. With `release`, an active motion service lies the robot down and releases the motors.
-
-    It rejects states with a wrong checksum, without an orientation, from a second publisher, not finite, or with a tick
-    not above the last one. For simulators it ignores checksums if the first are 0 (unitree_mujoco in Python), and
-    replaces ticks of 0 by a count. `packets.lost` follows from ticks of 1 ms and states at 500 Hz.
-    """
+    """A `RobotDriver`. With `release`, an active motion service lies the robot down and releases the motors. It rejects
+    states with a wrong checksum, without an orientation, from a second publisher, not finite, or with a tick not above
+    the last one. For simulators it ignores checksums if the first are 0 (unitree_mujoco in Python), and replaces ticks
+    of 0 by a count. `packets.lost` follows from ticks of 1 ms and states at 500 Hz."""
 
     def __init__(self, robot: Robot, *, domain: int = 0, interface: str = LOOPBACK, **options: Any) -> None:
         """`domain` is 0 for robots; network `interface` is `lo` for a simulated one; `options` as for `RobotDriver`."""

@@ -249,11 +249,9 @@ def release_motion_service(
     participant: Participant, lies: Callable[[], bool], say: Callable[[str], None] = lambda text: None
 ) -> str | None:
     """Makes a robot's motion service release the motors, once the robot lies: standing, it would fall. `lies` says
-    whether it lies now, `say` takes lines on progress.
-
-    Returns the mode released; None if none was active, or for a simulator on this computer without such a service.
-    Raises `DriverError`: a robot without such a service, or one that does not answer, lie down or release the motors.
-    """
+    whether it lies now, `say` takes lines on progress. Returns the mode released; None if none was active, or for a
+    simulator on this computer without such a service. Raises `DriverError`: a robot without such a service, or one that
+    does not answer, lie down or release the motors."""
     switcher = ServiceClient(participant, MOTION_SWITCHER)
     here = participant.interface == LOOPBACK
     if not switcher.find(FIND_S if here else FIND_FAR_S):
