@@ -116,7 +116,8 @@ def _contact_points(robot: Robot, q: Array, up_b: Array) -> tuple[Array, Array]:
     jacobian, below = foot_jacobians(robot, q), -robot.foot_radius * up_b
     roll = q.reshape(-1, 4, 3)[..., 0]
     zero = np.zeros_like(roll)
-    forward, across = np.stack([zero + 1.0, zero, zero], axis=-1), np.stack([zero, np.cos(roll), np.sin(roll)], axis=-1)
+    forward = np.stack([zero + 1.0, zero, zero], axis=-1)
+    across = np.stack([zero, np.cos(roll), np.sin(roll)], axis=-1)
     for j, axis in enumerate((forward, across, across)):
         jacobian[..., j] += np.cross(axis, below[:, None])
     return jacobian, foot_positions(robot, q) + below[:, None]

@@ -140,11 +140,8 @@ def stitch(
             group=needed_group(chosen.parameters if chosen.optimises else FOOT_HEIGHT, *starts),
         )
         given = whole.motion(whole.start)
-    if population is not None:
-        settings["population"] = population
     if chosen.optimises and whole is not None:
-        if population is None:
-            settings["population"] = usual_population(len(whole.parameters))
+        settings["population"] = population or usual_population(len(whole.parameters))
         stage("all together")
     elsewhere = parts.passed_s
     checkpoint = checkpoints / CHECKPOINT if checkpoints is not None else None

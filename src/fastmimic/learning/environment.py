@@ -116,13 +116,8 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
         threads: int = 1,
         render_mode: str | None = None,
     ) -> None:
-        """Args:
-            motion, robot, duration_s, perturbed, config, render_mode: as for `ImitationEnv`.
-            randomize: ranges for the robots and their grounds, such as `friction=0.4:1.2`; drawn at a seeded reset.
-            threads: number of threads; the results do not depend on it.
-
-        Raises `FastMimicError` as `ImitationEnv`.
-        """
+        """Arguments and errors as for `ImitationEnv`. Robots and grounds of `randomize` are drawn at a seeded reset; the
+        results do not depend on the number of `threads`."""
         self._make, self.single_observation_space, self.single_action_space = _prepared(
             num_envs, motion, robot, config, randomize, duration_s=duration_s, perturbed=perturbed, threads=threads
         )

@@ -119,10 +119,8 @@ def train(
     The folder also holds `evaluations.csv`, TensorBoard's logs and a checkpoint. A resumed training equals an
     uninterrupted one to the bit on the same machine; a finished one continues if `steps` is greater.
 
-    Args:
-        steps: of the policy, all robots together, rounded up to whole iterations.
-        threads: the result does not depend on their number.
-        evaluate_every: policy steps between evaluations; the last iteration always has one.
+    `steps` are those of the policy, all robots together, rounded up to whole iterations; so are `evaluate_every`, those
+    between evaluations, of which the last iteration always has one. The result does not depend on `threads`.
 
     Raises `ConfigError` for a missing library or as `Learner`, `CheckpointError` for a damaged checkpoint, and
     `OutputError` if a file cannot be written. Ctrl-C leaves a checkpoint of the last minute.

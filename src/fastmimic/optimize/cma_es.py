@@ -93,9 +93,8 @@ def optimize(
     The choice is then among the best candidates and the distribution's means of the last iterations, by longer episodes
     with robots that the search has not met.
 
-    Args:
-        checkpoint: file for the course, written every few iterations.
-        resume: continue from that file; the result is bit for bit that of an uninterrupted run.
+    The file `checkpoint` takes the course every few iterations; with `resume` the search goes on from it, and the
+    result is bit for bit that of an uninterrupted run.
 
     Raises `CheckpointError` if the checkpoint to resume from is missing, damaged, or of another problem, `ConfigError`
     if an episode is too short for its disturbances, and `OutputError` if the checkpoint cannot be written.

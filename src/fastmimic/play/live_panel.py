@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fastmimic.base.errors import FastMimicError
-from fastmimic.play.live_reference import NEUTRAL
+from fastmimic.play.live_reference import FRICTION, NEUTRAL
 from fastmimic.play.session import playable_methods
-from fastmimic.play.world import FRICTION
 from fastmimic.viewer.panel import (
     Panel,
     add_layer_boxes,

@@ -22,8 +22,7 @@ from fastmimic.episode.loop import on_reference
 from fastmimic.episode.reward import REWARD_TERMS, Scorer
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
-from fastmimic.play.live_reference import LiveReference
-from fastmimic.play.world import GettingUp, GettingUpPhase, LiveWorld
+from fastmimic.play.live_reference import GettingUp, GettingUpPhase, LiveReference, LiveWorld
 from fastmimic.reference.motion_set import IN_PLACE, MotionSet, in_place
 from fastmimic.reference.standing import STAND, standing
 from fastmimic.reference.table import CLOCK, SAMPLE
