@@ -116,8 +116,8 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
         threads: int = 1,
         render_mode: str | None = None,
     ) -> None:
-        """Arguments and errors as for `ImitationEnv`. Robots and grounds of `randomize` are drawn at a seeded reset; the
-        results do not depend on the number of `threads`."""
+        """Arguments and errors as for `ImitationEnv`. Robots and grounds of `randomize` are drawn at a seeded reset;
+        the results do not depend on the number of `threads`."""
         self._make, self.single_observation_space, self.single_action_space = _prepared(
             num_envs, motion, robot, config, randomize, duration_s=duration_s, perturbed=perturbed, threads=threads
         )
