@@ -72,10 +72,8 @@ def stitch(
     randomize: int | Randomization | None = None,
     choice: FinalChoice = FinalChoice(),
 ) -> Stitching:
-    """Stitches motions and optimises all their DMPs together, from each motion's own optimum.
-
-    `imitate` first optimises each motion that is not optimised yet. Then the parameters of all segments, separate for
-    each occurrence of a motion, are optimised over the whole episode.
+    """Stitches motions and optimises all their DMPs together, over the whole episode, from each motion's own optimum,
+    which `imitate` finds first if need be. Each occurrence of a motion has its own parameters.
 
     Args:
         sources: two or more, as in `load_motion`. Optimised motions keep their parameters.

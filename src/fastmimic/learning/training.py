@@ -115,7 +115,6 @@ def train(
     progress: Callable[[Advance], None] | None = None,
 ) -> list[Evaluated]:
     """Trains a policy to imitate a motion's demonstration; keeps the best one as `policy.npz` and `policy.onnx`.
-
     The folder also holds `evaluations.csv`, TensorBoard's logs and a checkpoint. A resumed training equals an
     uninterrupted one to the bit on the same machine; a finished one continues if `steps` is greater.
 

@@ -83,11 +83,9 @@ def optimize(
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
 ) -> Optimum:
-    """Maximises the problem's objective.
-
-    Longer episodes from perturbed starts choose the result among the best candidates of all iterations and the
-    unmodulated motion, so that one lucky episode does not decide. Ctrl-C ends the search early and keeps its results so
-    far.
+    """Maximises the problem's objective. Longer episodes from perturbed starts choose the result among the best
+    candidates of all iterations and the unmodulated motion, so that one lucky episode does not decide. Ctrl-C ends the
+    search early and keeps its results so far.
 
     With several robots, different in each iteration, the best scores come from the iterations with the easiest robots.
     The choice is then among the best candidates and the distribution's means of the last iterations, by longer episodes

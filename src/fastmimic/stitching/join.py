@@ -37,11 +37,9 @@ def default_cycles(motion: Motion) -> int:
 
 
 def stitch_motions(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int] | None = None) -> Motion:
-    """Joins two or more cyclic demonstrations of one rate into one that does not repeat.
-
-    Args:
-        cycles: repetitions of each; about `SEGMENT_S` each if None. The last segment ends with its cycle, the others
-            within 0.6 s and half a cycle of it, where they fit the next one best.
+    """Joins two or more cyclic demonstrations of one rate into one that does not repeat. `cycles` are the repetitions
+    of each; about `SEGMENT_S` each if None. The last segment ends with its cycle, the others within 0.6 s and half a
+    cycle of it, where they fit the next one best.
 
     The result's `provenance.stitch` holds the segments, the starts of the cycles and figures of the transitions;
     `parts` holds the motions. Raises `ConfigError` for a wrong number of motions or cycles, or more than `MAX_S`;
