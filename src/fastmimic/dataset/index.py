@@ -92,10 +92,6 @@ class Gathered:
     superseded: list[Superseded]  # the others
     torn: list[str]  # names of files without a whole record
 
-    def column(self, name: str) -> list[Any]:
-        """Values of a column of the table."""
-        return list(self.table.column(name).to_pylist())
-
 
 @dataclass(frozen=True, slots=True)
 class _Brief:

@@ -45,9 +45,9 @@ def check(library: MotionDataset, progress: Callable[[int, int], None] | None = 
     found = library.gathered(plan)
     damaged = [*plan.unreadable, *(f"{RECORDS}/{name}: not a whole record" for name in found.torn)]
     useless = [f"{RECORDS}/{name}" for name in found.torn]
-    motions = found.column("motion_file")
-    columns = (found.column(name) for name in ("id", "status", "motion_sha256"))
-    for i, (identity, status, sha, motion) in enumerate(zip(*columns, motions, strict=True)):
+    columns = ("id", "status", "motion_sha256", "motion_file")
+    *others, motions = (found.table.column(name).to_pylist() for name in columns)
+    for i, (identity, status, sha, motion) in enumerate(zip(*others, motions, strict=True)):
         wrong = damage(library.path, {"motion_file": motion, "motion_sha256": sha, "status": status})
         if wrong is not None:
             damaged.append(f"{identity}: {wrong}")

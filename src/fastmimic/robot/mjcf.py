@@ -155,14 +155,10 @@ def _moving_parent(model: "mujoco.MjModel", body: int) -> int:
 
 def _chain(model: "mujoco.MjModel", root: int) -> list[int]:
     """The three bodies of a leg."""
-    chain = [root]
-    while True:
+    chain, children = [root], [root]
+    while len(children) == 1 and len(chain) <= 3:
         children = [b for b in range(model.nbody) if model.body_jntnum[b] and _moving_parent(model, b) == chain[-1]]
-        if not children:
-            break
-        chain.append(children[0])
-        if len(children) > 1 or len(chain) > 3:
-            break
+        chain += children[:1]
     if len(chain) != 3 or any(model.body_jntnum[b] != 1 for b in chain):
         raise RobotError(f"{_label(model, root)} is not a chain of three links with one joint each")
     return chain

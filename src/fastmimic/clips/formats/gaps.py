@@ -36,7 +36,9 @@ def mend(points: Array, rate_hz: float, confidence: Array | None = None) -> Mend
     a point of `outliers`. Raises `ClipError`: no part is whole."""
     missing = ~np.isfinite(points).all(axis=2)
     doubtful = np.zeros_like(missing) if confidence is None else ~missing & ~(confidence >= LEAST_CONFIDENCE)
-    _check_present(missing | doubtful)
+    for name, column in zip(POINT_NAMES, (missing | doubtful).T, strict=True):
+        if (~column).sum() < 2:
+            raise ClipError(f"the point for {name} is missing in all frames; name another one (--point-map)")
     points = np.where((missing | doubtful)[..., None], np.nan, points)
     astray = outliers(points, rate_hz)
     absent = missing | doubtful | astray
@@ -120,12 +122,6 @@ def _at_fault(wrong: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.b
         found[worst] = True
         wrong = wrong & (ends != worst).all(axis=1)
     return found
-
-
-def _check_present(absent: NDArray[np.bool_]) -> None:
-    for name, column in zip(POINT_NAMES, absent.T, strict=True):
-        if (~column).sum() < 2:
-            raise ClipError(f"the point for {name} is missing in all frames; name another one (--point-map)")
 
 
 def _short(absent: NDArray[np.bool_], rate_hz: float) -> NDArray[np.bool_]:
