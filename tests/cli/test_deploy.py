@@ -1,6 +1,5 @@
 """`fastmimic deploy` with a simulated robot: what it writes and prints, how it ends, and bad input."""
 
-import dataclasses
 import json
 from pathlib import Path
 
@@ -111,10 +110,6 @@ BAD = {
         ["trot", "--driver", "go2", "--robot", "a1", "--yes"],
         "driver 'go2' drives a go2, not 'a1'",
     ),
-    "a motion that does not repeat": (
-        ["{once}", "--driver", "sim"],
-        "does not repeat and cannot be reached from standing",
-    ),
     "both ends": (["trot", *QUICK, "--cycles", "2"], "cycles and duration both say"),
     "no cycles": (["stand", "--driver", "sim", "--cycles", "0"], "at least 1"),
     "duration": (["stand", "--driver", "sim", "--duration", "nan"], "--duration must be above 0"),
@@ -148,9 +143,6 @@ def test_bad_input_is_one_line(case: str, run: Run, in_folder: Path, monkeypatch
     if any("{go1}" in a for a in arguments):
         files["go1"] = in_folder / "go1.npz"
         load_motion("trot", "go1").save(files["go1"])
-    if any("{once}" in a for a in arguments):
-        files["once"] = in_folder / "once.npz"
-        dataclasses.replace(load_motion("trot"), cycle=None).save(files["once"])
     done = run("deploy", *[a.format(**files) for a in arguments])
     assert said in done.error
     assert sorted(path.name for path in taken.iterdir()) == ["thesis.txt"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.rig import Rig, once
-from fastmimic.base.errors import ConfigError, DriverError
+from fastmimic.base.errors import ConfigError, DriverError, MotionError
 from fastmimic.control.config import default_config
 from fastmimic.deploy.computer import VirtualClock
 from fastmimic.deploy.deployment import Deployment, figures, score_log
@@ -155,6 +155,27 @@ def test_a_stitched_motion_is_done_once(a1: Robot, trot: Motion) -> None:
     assert stitched.n_samples - trot.n_samples <= steps <= stitched.n_samples
     speed = np.abs(np.diff(feet, axis=0)).max() * 500.0
     assert speed < 1.2 * a1.joint_speed_limit.min()
+
+
+def test_a_passage_is_entered_and_left_within_its_strides(a1: Robot, trot: Motion) -> None:
+    stitched = stitch_motions(a1, [trot, load_motion("turn", a1)], [3, 3])
+    passage = dataclasses.replace(stitched, parts=())
+    way = make_sequence(a1, passage, default_config())
+    assert way.main.first < trot.n_samples
+    assert passage.n_samples - way.main.last < 1.5 * trot.n_samples
+    assert way.main.text.startswith(f"{passage.name} from 0.")
+    tables = [way.blend_in.table[0], way.main.table[0], way.blend_out.table[0]]
+    ends = (tables[0][way.blend_in.last], tables[1][way.main.first]), (tables[1][way.main.last], tables[2][0])
+    for before, after in ends:
+        np.testing.assert_allclose(before["joint_pos"], after["joint_pos"], atol=1e-9)
+        np.testing.assert_array_equal(before["contact"], after["contact"])
+
+
+def test_a_passage_too_short_is_refused(a1: Robot, trot: Motion) -> None:
+    arrays = {field.name: getattr(trot, field.name) for field in dataclasses.fields(trot)}
+    short = {name: value[:150] for name, value in arrays.items() if np.shape(value)[:1] == (trot.n_samples,)}
+    with pytest.raises(MotionError, match="no transitions lead from"):
+        make_sequence(a1, dataclasses.replace(trot, cycle=None, animal=None, **short), default_config())
 
 
 def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:

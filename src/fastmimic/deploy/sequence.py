@@ -17,6 +17,7 @@ from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
 from fastmimic.control.controller import constant_gains_of, gains_of
+from fastmimic.deploy.passage_ends import first_stride, last_stride
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import CourseTransition, course_of
 from fastmimic.reference.motion_set import MotionSet
@@ -117,8 +118,9 @@ class Follower:
 
 
 def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionSequence:
-    """The sequence of a motion that is cyclic or stitched; `config` is the controller's, which may plan ahead. Raises
-    `MotionError` for another robot or rate, another kind of motion, or without a transition from or to standing."""
+    """The sequence of a motion. A passage is entered and left as the strides at its ends were cycles. `config` is the
+    controller's, which may plan ahead. Raises `MotionError` for another robot or rate, or without a transition from or
+    to standing."""
     (first, first_shift), (last, last_shift) = _ends(robot, motion, config.rate_hz)
     if motion.contact.all():
         return _standing(robot, motion, config)
@@ -140,16 +142,35 @@ def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> Mot
     hops = _way(library, end, STAND)
     n = last.n_samples
     # early enough for a controller that plans ahead to see the transition
-    begins = (hops[0][1].leave - ahead) % n if motion.cycle is not None else (motion.n_samples - 1 - last_shift) % n
-    ends = begins if motion.cycle is not None else motion.n_samples - 1
+    begins = (hops[0][1].leave - ahead) % n
+    ends = begins
+    if motion.target.parts:
+        begins, ends = (motion.n_samples - 1 - last_shift) % n, motion.n_samples - 1
+    elif motion.cycle is None:  # within its last stride
+        begins = max(0, hops[0][1].leave % n - ahead)
+        ends = last_shift + begins
     blend_out = _slices(library, end, hops, begins, 0)
     blend_out.append(_CourseSlice(stand.course, stand.gains, hops[-1][1].arrive, hops[-1][1].arrive + hold + ahead))
     table, gains, at = _table(robot, blend_out, config)
     out = _blending("out of", motion, table, gains, at[-1] + hold)
 
+    text = motion.name
+    if motion.cycle is None and not motion.target.parts:
+        text = _passage(motion, arrive, ends)
     clock = make_clocks(motion, 1)
-    main = SequencePart(motion.name, reference_table(motion, robot)[None], arrive, ends, clock, own[None])
+    main = SequencePart(text, reference_table(motion, robot)[None], arrive, ends, clock, own[None])
     return MotionSequence(motion, into, main, out, np.array(stand.motion.joint_pos[0]))
+
+
+def _passage(motion: Motion, first: int, last: int) -> str:
+    """Which part of a passage is done; `MotionError` if none is left."""
+    begins, ends = first * motion.dt, last * motion.dt
+    if first >= last:
+        raise MotionError(
+            f"motion '{motion.name}' lasts {motion.period_s:.2f} s, too short to be entered from standing by"
+            f" {begins:.2f} s and left at {ends:.2f} s; choose a longer passage, or one that repeats"
+        )
+    return f"{motion.name} from {begins:.2f} s to {ends:.2f} s of {motion.period_s:.2f} s"
 
 
 def _standing(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionSequence:
@@ -183,10 +204,7 @@ def _ends(robot: Robot, motion: Motion, rate_hz: float) -> list[tuple[Motion, in
         return [(motion, 0), (motion, 0)]
     parts = motion.target.parts
     if not parts:
-        raise MotionError(
-            f"motion '{motion.name}' does not repeat and cannot be reached from standing; deploy a motion that repeats,"
-            " or a stitched one"
-        )
+        return [first_stride(motion), last_stride(motion)]
     segments = Layout.of(motion.target).segments
     return [(parts[s.part], s.shift) for s in (segments[0], segments[-1])]
 
