@@ -119,5 +119,5 @@ def test_what_cannot_be_fitted_is_refused() -> None:
     broken[7, 1] = np.nan
     with pytest.raises(MotionError, match="sample 7 of the motion is not finite"):
         DiscreteDmp.fit(broken, SHORT)
-    with pytest.raises(MotionError, match=r"lasts 30 s at most, found 31\.0 s; choose a part \(--frames\)"):
-        DiscreteDmp.fit(piece(SHORT), 31.0)
+    with pytest.raises(MotionError, match=r"lasts 600 s at most, found 601\.0 s; choose a part \(--frames\)"):
+        DiscreteDmp.fit(piece(SHORT), 601.0)

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from fastmimic.primitive.rhythmic import product, solve_positive_definite
+from fastmimic.primitive.rhythmic import in_band, product, solve_banded
 
 
 @pytest.mark.nojit
@@ -24,7 +24,10 @@ def test_solutions_are_numpys() -> None:
     generator = np.random.default_rng(1)
     root, b = generator.normal(size=(8, 8)), generator.normal(size=(8, 3))
     a = root @ root.T + np.eye(8)
-    np.testing.assert_allclose(solve_positive_definite(a, b), np.linalg.solve(a, b), atol=1e-12)
+    np.testing.assert_allclose(solve_banded(in_band(a), b), np.linalg.solve(a, b), atol=1e-12)
+    a[np.abs(np.subtract.outer(np.arange(8), np.arange(8))) > 2] = 0.0
+    a += 8.0 * np.eye(8)
+    np.testing.assert_allclose(solve_banded(in_band(a)[:, -3:], b), np.linalg.solve(a, b), atol=1e-12)
 
 
 FIT = """

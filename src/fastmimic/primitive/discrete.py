@@ -25,13 +25,15 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
 from fastmimic.base.jit import kernel
-from fastmimic.primitive.rhythmic import ALPHA, N_BASIS, RIDGE, checked_samples, least_squares, product
+from fastmimic.primitive.rhythmic import ALPHA, N_BASIS, RIDGE, checked_samples, product, solve_banded
 
-MAX_S: Final = 30.0  # longest motion; memory and time of the fit grow with its square
+MAX_S: Final = 600.0  # longest motion; a search runs all of it for each candidate
 MAX_TAU_S: Final = 1.0
 _FUNCTIONS_PER_S: Final = 40.0  # least number; the knots of retargeted swings lie 25 ms apart
 _ROWS_PER_FUNCTION: Final = 5  # samples of the fit for each function; more do not improve it
 _CHUNK: Final = 256
+_NEAR: Final = 24  # functions beyond which one is less than 1e-16 of the others
+_SETTLED: Final = 35.0  # times 1/c, after which a response has decayed to 1e-14
 _STEPS_PER_FUNCTION: Final = 2  # least number of integration steps
 _NODES: Final = 0.5 + np.array([-np.sqrt(0.15), 0.0, np.sqrt(0.15)])
 _NODE_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18.0  # Gauss–Legendre on [0, 1]
@@ -96,9 +98,10 @@ class DiscreteDmp:
         left = y - rest - pull * y[-1]
         every = max(1, len(y) // (_ROWS_PER_FUNCTION * n))
         rows = np.unique(np.append(np.arange(0, len(y), every), len(y) - 1))
-        response = _response(None, found.centres, len(y), found.pole, found.decay)[rows]
+        band, right = _normal_equations(found, left, rows)
         gain = found.pole**2 + (0.5 * n) ** 2  # forcing grows with the square of a motion's frequency
-        forces = least_squares(response, left[rows], ridge, gain)
+        band[:, -1] += ridge * len(rows) / (n * gain**2)
+        forces = solve_banded(band, right)
         return replace(found, weights=(forces / found.centres[:, None]).T / (duration_s / found.tau_s) ** 2)
 
     @property
@@ -132,13 +135,13 @@ class DiscreteDmp:
     def forcing(self, phase: Array | float) -> Array:
         """f at canonical phases x (...) → (..., d)."""
         x = np.asarray(phase, dtype=np.float64)
-        return x[..., None] * product(_basis(x, self.centres), self.weights.T)
+        return x[..., None] * product(_basis(x, self.centres, self.widths), self.weights.T)
 
     def course(self, n_samples: int) -> DiscreteTerms:
         """The terms at `n_samples` (at least 2) evenly spaced times from start to end."""
         rest, pull = self._unforced(n_samples)
         weights = self.weights.T * (self.duration_s / self.tau_s) ** 2  # time is in units of T here
-        return DiscreteTerms(rest, pull, _response(weights, self.centres, n_samples, self.pole, self.decay))
+        return DiscreteTerms(rest, pull, _course(self, weights, n_samples))
 
     def _unforced(self, n_samples: int) -> tuple[Array, Array]:
         """`rest` (t, d) and `pull` (t, 1) of the critically damped spring."""
@@ -160,28 +163,91 @@ def _widths(centres: Array) -> Array:
     return 0.5 * np.append(gap, gap[-1]) ** -2.0
 
 
-def _basis(x: Array, centres: Array) -> Array:
-    """ψᵢ/Σψ at phases (...) → (..., n); beyond the last function, that function alone."""
-    exponent = -_widths(centres) * (x[..., None] - centres) ** 2
+def _basis(x: Array, centres: Array, widths: Array) -> Array:
+    """ψᵢ/Σψ at phases (...) → (..., n) of functions with centres and widths (n,); beyond the last function, that
+    function alone."""
+    exponent = -widths * (x[..., None] - centres) ** 2
     psi = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
     return psi / psi.sum(axis=-1, keepdims=True)
 
 
-def _response(weights: Array | None, centres: Array, n_samples: int, c: float, decay: float) -> Array:
-    """Response (t, d) from rest to the forcing of weights (n, d); if None, to each function with weight 1/c, (t, n).
-    The spring with pole −`c` is advanced exactly, the forcing by quadrature."""
-    n = len(centres)
+class _Window(NamedTuple):
+    """Steps `first` to `last` of an integration, exclusive: the functions that act in them and `lasting` before them,
+    whose responses have not decayed yet."""
+
+    first: int
+    last: int
+    acting: slice
+    lasting: slice
+
+
+def _windows(dmp: DiscreteDmp, n_samples: int) -> tuple[list[_Window], int]:
+    """Windows of the integration, so that its cost is linear in the duration, and its steps for each sample."""
+    n = dmp.n_basis
     finer = max(1, int(np.ceil(_STEPS_PER_FUNCTION * n / (n_samples - 1))))
     steps = finer * (n_samples - 1)
-    out = np.zeros((steps + 1, n if weights is None else weights.shape[1]))
-    rate = np.zeros(out.shape[1])
+    lasting = int(np.ceil(_SETTLED / dmp.pole * (n - 1)))
+    found = []
     for first in range(0, steps, _CHUNK):
         last = min(first + _CHUNK, steps)
-        x = np.exp(-decay * (np.arange(first, last)[:, None] + _NODES) / steps)
-        basis = _basis(x, centres)
-        forcing = x[..., None] * (basis / centres if weights is None else product(basis, weights))
-        _advance(forcing, 1.0 / steps, c, _NODES, _NODE_WEIGHTS, rate, out[first : last + 1])
+        low = max(0, (first * (n - 1)) // steps - _NEAR)
+        high = min(n, -(-last * (n - 1) // steps) + _NEAR + 1)
+        found.append(_Window(first, last, slice(low, high), slice(max(0, low - lasting), high)))
+    return found, finer
+
+
+def _acting(dmp: DiscreteDmp, window: _Window, steps: int) -> tuple[Array, Array]:
+    """Phases (k, 3) at the quadrature's nodes of the window's k steps, and the normalised functions that act there."""
+    x = np.exp(-dmp.decay * (np.arange(window.first, window.last)[:, None] + _NODES) / steps)
+    return x, _basis(x, dmp.centres[window.acting], dmp.widths[window.acting])
+
+
+def _course(dmp: DiscreteDmp, weights: Array, n_samples: int) -> Array:
+    """Response (t, d) from rest to the forcing of weights (n, d). The spring is advanced exactly, the forcing by
+    quadrature."""
+    windows, finer = _windows(dmp, n_samples)
+    steps = windows[-1].last
+    out, rate = np.zeros((steps + 1, weights.shape[1])), np.zeros(weights.shape[1])
+    for window in windows:
+        x, basis = _acting(dmp, window, steps)
+        forcing = x[..., None] * product(basis, weights[window.acting])
+        part = out[window.first : window.last + 1]
+        _advance(forcing, 1.0 / steps, dmp.pole, _NODES, _NODE_WEIGHTS, rate, part)
     return out[::finer]
+
+
+def _normal_equations(dmp: DiscreteDmp, wanted: Array, rows: Array) -> tuple[Array, Array]:
+    """Band (n, w) and right side (n, d) of the normal equations: what the functions, each with weight 1/c, respond at
+    samples `rows`, as near as possible to `wanted` (t, d). Distant functions do not overlap."""
+    windows, finer = _windows(dmp, len(wanted))
+    steps, n = windows[-1].last, dmp.n_basis
+    band, right = np.zeros((n, max(w.lasting.stop - w.lasting.start for w in windows))), np.zeros((n, wanted.shape[1]))
+    at, rate = np.zeros(n), np.zeros(n)
+    for window in windows:
+        x, basis = _acting(dmp, window, steps)
+        low, acting, lasting = window.lasting.start, window.acting, window.lasting
+        forcing = np.zeros((*x.shape, lasting.stop - low))
+        forcing[..., acting.start - low :] = x[..., None] * basis / dmp.centres[acting]
+        response, moving = np.zeros((len(x) + 1, lasting.stop - low)), rate[lasting]
+        response[0] = at[lasting]
+        _advance(forcing, 1.0 / steps, dmp.pole, _NODES, _NODE_WEIGHTS, moving, response)
+        at[lasting], rate[lasting] = response[-1], moving
+        here = rows[(finer * rows > window.first) & (finer * rows <= window.last)]
+        _add_products(response[finer * here - window.first], wanted[here], low, band, right)
+    return band, right
+
+
+@kernel
+def _add_products(response: Array, wanted: Array, low: int, band: Array, right: Array) -> None:
+    """Adds Aᵀ A to a band and Aᵀ b to a right side, for A (r, m) with columns from `low` on and b (r, d)."""
+    diagonal = band.shape[1] - 1
+    for r in range(response.shape[0]):
+        for i in range(response.shape[1]):
+            value = response[r, i]
+            for j in range(i + 1):
+                band[low + i, diagonal + j - i] += value * response[r, j]
+            for d in range(wanted.shape[1]):
+                right[low + i, d] += value * wanted[r, d]
 
 
 @kernel

@@ -242,7 +242,7 @@ def least_squares(response: Array, wanted: Array, ridge: float, gain: float) -> 
     """Weights (n, d) of n functions with `response` (t, n) nearest to `wanted` (t, d); `gain` is that of the spring."""
     t, n = response.shape
     normal = product(response.T, response) / t + ridge / (n * gain**2) * np.eye(n)
-    return solve_positive_definite(normal, product(response.T, wanted) / t)
+    return solve_banded(in_band(normal), product(response.T, wanted) / t)
 
 
 def product(a: Array, b: Array) -> Array:
@@ -253,9 +253,19 @@ def product(a: Array, b: Array) -> Array:
     return out.reshape(*a.shape[:-1], b.shape[1])
 
 
-def solve_positive_definite(a: Array, b: Array) -> Array:
-    """Solves a x = b for a symmetric positive definite a (n, n) and b (n, m) by Cholesky's method."""
-    factor, x = np.array(a, dtype=np.float64, order="C"), np.array(b, dtype=np.float64, order="C")
+def in_band(a: Array) -> Array:
+    """The lower triangle of a (n, n) in a band of n diagonals, as `solve_banded` takes it."""
+    n = len(a)
+    band = np.zeros((n, n))
+    for i in range(n):
+        band[i, n - 1 - i :] = a[i, : i + 1]
+    return band
+
+
+def solve_banded(band: Array, b: Array) -> Array:
+    """Solves a x = b by Cholesky's method for b (n, m) and a symmetric positive definite a. Row i of `band` (n, w) is
+    a[i, i − w + 1 : i + 1]; what is farther from the main diagonal is zero."""
+    factor, x = np.array(band, dtype=np.float64, order="C"), np.array(b, dtype=np.float64, order="C")
     _solve(factor, x)
     return x
 
@@ -271,23 +281,24 @@ def _product(a: Array, b: Array, out: Array) -> None:
 
 @kernel
 def _solve(a: Array, x: Array) -> None:
-    """Overwrites the lower triangle of `a` with its factor, and `x` with the solution."""
+    """Overwrites the band `a` (n, w) of a matrix with its factor's, and `x` with the solution."""
     n, m = x.shape
+    w = a.shape[1] - 1  # the column of the main diagonal
     for i in range(n):
-        for j in range(i + 1):
-            total = a[i, j]
-            for k in range(j):
-                total -= a[i, k] * a[j, k]
-            a[i, j] = np.sqrt(total) if i == j else total / a[j, j]
+        for j in range(max(0, i - w), i + 1):
+            total = a[i, j - i + w]
+            for k in range(max(0, i - w), j):
+                total -= a[i, k - i + w] * a[j, k - j + w]
+            a[i, j - i + w] = np.sqrt(total) if i == j else total / a[j, w]
     for i in range(n):
         for j in range(m):
             total = x[i, j]
-            for k in range(i):
-                total -= a[i, k] * x[k, j]
-            x[i, j] = total / a[i, i]
+            for k in range(max(0, i - w), i):
+                total -= a[i, k - i + w] * x[k, j]
+            x[i, j] = total / a[i, w]
     for i in range(n - 1, -1, -1):
         for j in range(m):
             total = x[i, j]
-            for k in range(i + 1, n):
-                total -= a[k, i] * x[k, j]
-            x[i, j] = total / a[i, i]
+            for k in range(i + 1, min(n, i + w + 1)):
+                total -= a[k, i - k + w] * x[k, j]
+            x[i, j] = total / a[i, w]
