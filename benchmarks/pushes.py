@@ -1,7 +1,7 @@
 """Pushes of the trunk, in eight directions from eight phases: who stays up, and who is back in the motion.
 
     python benchmarks/pushes.py [--robot a1] [--motions dog:trot …] [--speeds 0.25 0.5 0.75 1.0]
-                                [--variants own-time …] [--minute 8] [--json] [--write]
+                                [--variants no-step-timing …] [--minute 8] [--json] [--write]
 
 A push lasts 0.1 s and changes the trunk's speed by 0.25 to 1 m/s, if its feet do not hold against it; it comes 1 s
 after the start. A robot survives if it has not fallen 4 s later, and has rejoined its motion if it is within 0.15 m/s
@@ -33,7 +33,7 @@ from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "robustness.md"
 MOTIONS = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps", "trot", "walk", "dog:canter")
-VARIANTS = ("own-time", "paper-footholds", "constant-gains")
+VARIANTS = ("no-step-timing", "paper-footholds", "constant-gains")
 DIRECTIONS, PHASES = 8, 8
 PUSHED_AT_S, EPISODE_S, REJOINED_S = 1.0, 5.0, 1.5
 BACK_M_PER_S, BACK_RAD = 0.15, 0.1  # as near as a robot is to its reference again

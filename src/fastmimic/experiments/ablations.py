@@ -41,7 +41,7 @@ _ABLATIONS = (
         lambda config: _swing(foothold="reference")(_stance(feedback="constant")(config)),
     ),
     Ablation("paper-footholds", "footholds shifted by K alone (eq. 3)", _swing(foothold="reference")),
-    Ablation("own-time", "feet step in the motion's own time, even after a push", _with("gait", most_haste=0.0)),
+    Ablation("no-step-timing", "feet step in the motion's own time, even after a push", _with("gait", most_haste=0.0)),
     Ablation("no-disturbance-estimate", "what the model does not explain is left", _stance(disturbance_time=0.0)),
     Ablation("no-state-machine", "legs switch by the schedule alone", _with("gait", planner="schedule")),
     Ablation(
