@@ -172,10 +172,8 @@ def test_a_passage_is_entered_and_left_within_its_strides(a1: Robot, trot: Motio
 
 
 def test_a_passage_too_short_is_refused(a1: Robot, trot: Motion) -> None:
-    arrays = {field.name: getattr(trot, field.name) for field in dataclasses.fields(trot)}
-    short = {name: value[:150] for name, value in arrays.items() if np.shape(value)[:1] == (trot.n_samples,)}
-    with pytest.raises(MotionError, match="no transitions lead from"):
-        make_sequence(a1, dataclasses.replace(trot, cycle=None, animal=None, **short), default_config())
+    with pytest.raises(MotionError, match=r"lasts 0\.50 s, too short to be entered from standing"):
+        make_sequence(a1, dataclasses.replace(trot, cycle=None), default_config())
 
 
 def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.motion.motion import Motion
 
+LEAST_S: Final = 1.0  # of a passage with room for a stride at either end
 _STRIDES_S: Final = (0.3, 1.5)  # shortest and longest stride
 _NEARLY: Final = 1.3
 _ARRAYS: Final = (

@@ -17,7 +17,7 @@ from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
 from fastmimic.control.controller import constant_gains_of, gains_of
-from fastmimic.deploy.passage_ends import first_stride, last_stride
+from fastmimic.deploy.passage_ends import LEAST_S, first_stride, last_stride
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import CourseTransition, course_of
 from fastmimic.reference.motion_set import MotionSet
@@ -167,8 +167,8 @@ def _passage(motion: Motion, first: int, last: int) -> str:
     begins, ends = first * motion.dt, last * motion.dt
     if first >= last:
         raise MotionError(
-            f"motion '{motion.name}' lasts {motion.period_s:.2f} s, too short to be entered from standing by"
-            f" {begins:.2f} s and left at {ends:.2f} s; choose a longer passage, or one that repeats"
+            f"motion '{motion.name}' can be entered from standing by {begins:.2f} s only, and left at {ends:.2f} s at the"
+            " latest; choose a longer passage"
         )
     return f"{motion.name} from {begins:.2f} s to {ends:.2f} s of {motion.period_s:.2f} s"
 
@@ -204,6 +204,11 @@ def _ends(robot: Robot, motion: Motion, rate_hz: float) -> list[tuple[Motion, in
         return [(motion, 0), (motion, 0)]
     parts = motion.target.parts
     if not parts:
+        if motion.period_s < LEAST_S:
+            raise MotionError(
+                f"motion '{motion.name}' does not repeat and lasts {motion.period_s:.2f} s, too short to be entered from"
+                f" standing and left again; choose a passage of {LEAST_S:g} s or more"
+            )
         return [first_stride(motion), last_stride(motion)]
     segments = Layout.of(motion.target).segments
     return [(parts[s.part], s.shift) for s in (segments[0], segments[-1])]
