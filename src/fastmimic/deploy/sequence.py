@@ -167,8 +167,8 @@ def _passage(motion: Motion, first: int, last: int) -> str:
     begins, ends = first * motion.dt, last * motion.dt
     if first >= last:
         raise MotionError(
-            f"motion '{motion.name}' can be entered from standing by {begins:.2f} s only, and left at {ends:.2f} s at the"
-            " latest; choose a longer passage"
+            f"motion '{motion.name}' can be entered from standing by {begins:.2f} s only, and left until {ends:.2f} s;"
+            " choose a longer passage"
         )
     return f"{motion.name} from {begins:.2f} s to {ends:.2f} s of {motion.period_s:.2f} s"
 
@@ -206,8 +206,8 @@ def _ends(robot: Robot, motion: Motion, rate_hz: float) -> list[tuple[Motion, in
     if not parts:
         if motion.period_s < LEAST_S:
             raise MotionError(
-                f"motion '{motion.name}' does not repeat and lasts {motion.period_s:.2f} s, too short to be entered from"
-                f" standing and left again; choose a passage of {LEAST_S:g} s or more"
+                f"motion '{motion.name}' does not repeat and lasts {motion.period_s:.2f} s, too short to be entered"
+                f" from standing and left again; choose a passage of {LEAST_S:g} s or more"
             )
         return [first_stride(motion), last_stride(motion)]
     segments = Layout.of(motion.target).segments
