@@ -68,5 +68,8 @@ def test_a_foot_beyond_reach_keeps_its_height(robot: Robot) -> None:
         keep_in_reach(config, model, tilt, leg, moved)
         assert tilt[2] @ moved == pytest.approx(tilt[2] @ foot, abs=1e-9)
         assert np.linalg.norm(moved - foot) < np.linalg.norm(far - foot)
+        below = np.array([*(robot.geometry[leg][[0, 1]] + [robot.geometry[leg][4], 0.0]), -1.0])
+        keep_in_reach(config, model, np.eye(3), leg, below)
+        assert np.isfinite(below).all()
         knee = leg_inverse(robot.geometry[leg], *moved)[2]
         assert knee == pytest.approx(robot.joint_upper[3 * leg + 2] - default_config().joint_margin, abs=1e-6)

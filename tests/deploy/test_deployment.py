@@ -157,6 +157,17 @@ def test_a_stitched_motion_is_done_once(a1: Robot, trot: Motion) -> None:
     assert speed < 1.2 * a1.joint_speed_limit.min()
 
 
+def test_haste_passes_no_end_of_a_part(way: MotionSequence) -> None:
+    """Two samples in a control step would jump over the one at which the motion is left, for another period."""
+    seen = np.zeros(1, OBSERVATION)
+    for first in range(4):
+        follower = Follower(way)
+        follower.leaving = True
+        while not follower.done:
+            follower.advance(seen, np.full(1, 0.5 if follower.steps >= first else 0.0))
+            assert follower.steps <= way.main.table.shape[1]
+
+
 def test_a_passage_is_entered_and_left_within_its_strides(a1: Robot, trot: Motion) -> None:
     stitched = stitch_motions(a1, [trot, load_motion("turn", a1)], [3, 3])
     passage = dataclasses.replace(stitched, parts=())

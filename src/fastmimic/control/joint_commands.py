@@ -162,7 +162,7 @@ def keep_in_reach(config: Any, model: Any, rotation: Array, leg: int, target: Ar
     up = rotation[2]
     height = up[0] * x + up[1] * y + up[2] * z
     x, y, z = x - height * up[0], y - height * up[1], z - height * up[2]
-    share = np.sqrt(max(longest - height * height, 0.0) / (x * x + y * y + z * z))
+    share = np.sqrt(max(longest - height * height, 0.0) / max(x * x + y * y + z * z, 1e-12))
     target[0] = g[0] + g[4] + share * x + height * up[0]
     target[1] = g[1] + share * y + height * up[1]
     target[2] = g[2] + share * z + height * up[2]

@@ -20,8 +20,8 @@ _RESTS_S: Final = 0.2  # standing on all feet for so long is rest
 
 
 def first_stride(motion: Motion) -> tuple[Motion, int]:
-    """The beginning of a passage as a cycle, and the sample at which it begins: the samples until its pose, contacts
-    and velocity are nearest to those at its start; its first pose, if it begins at rest."""
+    """The beginning of a passage as a cycle, and the sample at which it begins: until joints and contacts are about as
+    near to those at its start as they come; its first pose, if it begins at rest."""
     rest = round(_RESTS_S * motion.rate_hz)
     if motion.contact[:rest].all():
         return _as_cycle(motion, 0, rest), 0

@@ -98,8 +98,9 @@ class Follower:
         way, part = self.sequence, self.part
         if part is way.main:
             self.steps += 1
-        near_end = int(self.clock["sample"][0]) + 2 == part.last
-        advance_clocks(self.clock, part.table, observation["root_pos"], np.zeros(1) if near_end else haste)
+        if (int(self.clock["sample"][0]) + 1) % part.table.shape[1] == part.last:
+            haste = np.zeros(1)
+        advance_clocks(self.clock, part.table, observation["root_pos"], haste)
         sample = int(self.clock["sample"][0])
         if part is way.blend_out:
             self.done = sample >= part.last
