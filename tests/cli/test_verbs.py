@@ -192,6 +192,8 @@ DATASET = Dataset(
     about="a stiff dog",
     origin="retarget_motion/data",
     files={"dog_pace_joint_pos.txt": sha256(CONTENT).hexdigest()},
+    licence="CC BY-NC 4.0",
+    credit="nobody",
 )
 
 

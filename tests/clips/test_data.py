@@ -81,7 +81,7 @@ def small_dataset(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureReques
     if "real_datasets" in request.fixturenames:
         return
     files = {"a.txt": sha256(FIRST).hexdigest(), "b.txt": sha256(SECOND).hexdigest()}
-    made_up = [data.Dataset("here", "made up", "there", files)]
+    made_up = [data.Dataset("here", "made up", "there", files, "CC BY-NC 4.0", "nobody")]
     monkeypatch.setattr(data, "DATASETS", Registry("dataset", made_up, error=DataError))
     monkeypatch.delenv(data.FOLDER_VARIABLE, raising=False)
     monkeypatch.delenv(data.URL_VARIABLE, raising=False)

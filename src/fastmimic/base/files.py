@@ -6,9 +6,11 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, TypeVar
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +23,14 @@ UNREADABLE: Final = (
     TypeError,  # a lone .npy
 )
 """Errors of NumPy and zipfile for a damaged archive."""
+
+
+_Kind = TypeVar("_Kind")
+
+
+def packaged(room: str, name: str, kind: type[_Kind]) -> _Kind:
+    """A table that a room keeps as a JSON file, such as `gaits.json` of `fastmimic.clips`, as typed records."""
+    return msgspec.json.decode(resources.files(room).joinpath(name).read_bytes(), type=kind)
 
 
 def replace_file(path: str | Path, write: Callable[[BinaryIO], Any]) -> None:

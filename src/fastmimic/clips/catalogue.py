@@ -8,56 +8,13 @@ from typing import Any, Final
 
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.data import DATASETS, data_folder, dataset_of, find_file
+from fastmimic.clips.data import DATASETS, RECORDED, data_folder, dataset_of, find_file
 from fastmimic.clips.formats import ReadOptions, read_clip, suffixes, with_scale
 from fastmimic.clips.formats.points import PointMap
 from fastmimic.clips.synthesis import GAITS, JUMPS, GaitSpec, built_in, generate, jump
 from fastmimic.robot.robot import Robot
 
 BUILT_IN_LICENCE: Final = "that of fastmimic"
-
-
-@dataclass(frozen=True)
-class RecordedMotion:
-    """A motion in the public data: `file` of `dataset` (see `fastmimic.clips.data`), with its approximate speed at the
-    source's size and the `frames` (first, end) of the cycle, 0-based, end exclusive; None for the whole file."""
-
-    about: str
-    speed: str
-    dataset: str
-    file: str
-    frames: tuple[int, int] | None = None
-
-    @property
-    def source(self) -> str:
-        cut = "" if self.frames is None else f" frames {self.frames[0]}:{self.frames[1]}"
-        return f"{self.dataset}/{self.file}{cut}"
-
-
-_KEYPOINTS: Final = "dog_keypoints"
-_ROBOT: Final = "deepmimic_motions"
-
-RECORDED: Final = {
-    "dog:pace": RecordedMotion("dog, pace", "1.1 m/s", _KEYPOINTS, "dog_walk00_joint_pos.txt", (162, 201)),
-    "dog:trot": RecordedMotion("dog, trot", "1.8 m/s", _KEYPOINTS, "dog_walk03_joint_pos.txt", (448, 481)),
-    "dog:canter": RecordedMotion("dog, canter", "3.2 m/s", _KEYPOINTS, "dog_run00_joint_pos.txt", (430, 459)),
-    "dog:right-turn": RecordedMotion(
-        "dog, walking turn to the right", "0.84 m/s, -1.06 rad/s", _KEYPOINTS, "dog_walk09_joint_pos.txt", (1085, 1124)
-    ),
-    "dog:left-turn": RecordedMotion(
-        "dog, turn to the left nearly on the spot",
-        "0.36 m/s, +2.3 rad/s",
-        _KEYPOINTS,
-        "dog_walk09_joint_pos.txt",
-        (2404, 2450),
-    ),
-    "dog:spin": RecordedMotion("dog on a Laikago, spin to the left", "0.47 m/s, +2.3 rad/s", _ROBOT, "dog_spin.txt"),
-    "anim:side-steps": RecordedMotion(
-        "animator, side-steps out and back, 6 s", "0.34 m/s sideways", _ROBOT, "sidesteps.txt"
-    ),
-    "anim:turn": RecordedMotion("animator, turn by 180° and back, 4.6 s", "±180°", _ROBOT, "turn.txt"),
-    "anim:in-place": RecordedMotion("animator, steps on the spot, 6.2 s", "0 m/s", _ROBOT, "inplace_steps.txt"),
-}
 
 
 @dataclass(frozen=True)

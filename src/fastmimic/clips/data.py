@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fastmimic.base.errors import DataError
+from fastmimic.base.files import packaged
 from fastmimic.base.registry import Registry
 
 DEFAULT_BASE_URL: Final = (
@@ -16,11 +17,6 @@ DEFAULT_BASE_URL: Final = (
 )
 FOLDER_VARIABLE: Final = "FASTMIMIC_DATA"
 URL_VARIABLE: Final = "FASTMIMIC_DATA_URL"
-LICENCE: Final = "CC BY-NC 4.0 (https://creativecommons.org/licenses/by-nc/4.0/legalcode)"
-CREDIT: Final = (
-    "AI4Animation, Zhang et al. 2018 (mode-adaptive neural networks for quadruped motion control),"
-    " as distributed with motion_imitation, Peng et al. 2020"
-)
 TIMEOUT_S: Final = 30.0
 
 Progress = Callable[[str, int, int], None]  # file name, bytes received, and total bytes (0 if unknown)
@@ -35,44 +31,36 @@ class Dataset:
     about: str
     origin: str
     files: dict[str, str]
-    licence: str = LICENCE
-    credit: str = CREDIT
+    licence: str
+    credit: str
 
 
-DATASETS: Final = Registry(
-    "dataset",
-    [
-        Dataset(
-            name="dog_keypoints",
-            about="motion capture of a dog, 27 keypoints at 60 Hz",
-            origin="retarget_motion/data",
-            files={
-                "LICENSE.txt": "8784f6f1cb8488fc8e2e8af2556e24578df6ccf22d5060dbe640d9f98a6fb28e",
-                "dog_pace_joint_pos.txt": "e56c9b0c90873038f1fa22f447013f09fddd2c768742f873d09852af74010224",
-                "dog_run00_joint_pos.txt": "2a0d09de7d19fd3929dc84dc7ffe195d9c55c46465b8fd15ec2332b120461d96",
-                "dog_trot_joint_pos.txt": "6bc27204d248457cec64104969e6d8c6b93cadcfb7d2d391b45748860b3d9745",
-                "dog_turn00_joint_pos.txt": "91b071b0085f00af3507a3e44559018818e6b5ecdfb83e6e161f32cfef83f25b",
-                "dog_walk00_joint_pos.txt": "1fdedeb3419a545a5090c200edf8d0076ccfe723ecc0eacfe4fa24a0849736dc",
-                "dog_walk03_joint_pos.txt": "c5db797262ae63a131a8a956a75b2697ff7c3b318ebbc0e18f02ad05d2743a3f",
-                "dog_walk09_joint_pos.txt": "8a75d08a3e4ac879c0d9ad8e39a8867d481af4e6c89ab66fa22e60a2174e35d3",
-            },
-        ),
-        Dataset(
-            name="deepmimic_motions",
-            about="the dog and an animator's motions on a Laikago, DeepMimic-style JSON",
-            origin="motion_imitation/data/motions",
-            files={
-                "dog_pace.txt": "2ebff49cc4991eae4ddd9f8b37514956ffcb7dc194a16dba15c5240857e6ed66",
-                "dog_spin.txt": "fce7b861b34103ddffccd0fc31bd078d58ad0240a2740f56780d46a93308fe1f",
-                "dog_trot.txt": "ec304dbbc4e5bfbfc4955074e27a7e0b3038485952ea9847e9ca42594c9e87a6",
-                "inplace_steps.txt": "a9900d6617d22f7a41e314eb9fab204571999468f4a0932c8caf000cf5535454",
-                "sidesteps.txt": "4ec842bceb11df0c887c6ca17e0f5ec29cc9cd37c2544fb67949f092fd7cea4f",
-                "turn.txt": "da0f6b04bc026f350f9f7ab2bdb50dea3d7fe9ed9d0c8f5ad492d615a5109efd",
-            },
-        ),
-    ],
-    error=DataError,
-)
+@dataclass(frozen=True)
+class RecordedMotion:
+    """A motion in the public data: `file` of `dataset`, with its approximate speed at the source's size, and the
+    `frames` (first, end) of the cycle, 0-based, end exclusive; None for the whole file."""
+
+    about: str
+    speed: str
+    dataset: str
+    file: str
+    frames: tuple[int, int] | None = None
+
+    @property
+    def source(self) -> str:
+        cut = "" if self.frames is None else f" frames {self.frames[0]}:{self.frames[1]}"
+        return f"{self.dataset}/{self.file}{cut}"
+
+
+@dataclass(frozen=True)
+class _Recordings:
+    datasets: tuple[Dataset, ...]
+    motions: dict[str, RecordedMotion]
+
+
+_RECORDINGS: Final = packaged("fastmimic.clips", "recordings.json", _Recordings)
+DATASETS: Final = Registry("dataset", _RECORDINGS.datasets, error=DataError)
+RECORDED: Final = _RECORDINGS.motions
 
 
 def data_folder(folder: str | Path | None = None) -> Path:

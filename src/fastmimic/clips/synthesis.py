@@ -14,6 +14,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import FRONT, GRAVITY, LEFT
 from fastmimic.base.errors import ConfigError, unknown
+from fastmimic.base.files import packaged
 from fastmimic.base.rotations import (
     planar_exp,
     quat_from_rotvec,
@@ -59,87 +60,7 @@ class GaitSpec:
     yaw: float = 0.02  # amplitude, once a period, rad
 
 
-_TROT = GaitSpec("trot: diagonal legs together", speed=1.25, duty=0.52, lift=0.07, bob=0.009, roll=0.02, sway=0.002)
-_PRONK = GaitSpec(
-    "pronk: all legs together, off the ground for half of the time",
-    speed=0.6,
-    period=0.44,
-    duty=0.5,
-    phase=(0.0, 0.0, 0.0, 0.0),
-    lift=0.07,
-    bob=0.03,
-    bob_harmonic=1,
-    pitch=0.0,
-    yaw=0.0,
-)
-_CANTER = GaitSpec(
-    "canter: a hind leg, the other one with the front leg across, then the last",
-    speed=2.0,
-    period=0.46,
-    duty=0.36,
-    phase=(0.26, 0.46, 0.0, 0.26),
-    lift=0.07,
-    bob=0.015,
-    bob_harmonic=1,
-    pitch=0.08,
-    yaw=0.0,
-)
-GAITS: Final[dict[str, GaitSpec]] = {
-    "trot": _TROT,
-    "pace": GaitSpec(
-        "pace: legs of a side together",
-        speed=0.95,
-        period=0.6,
-        duty=0.56,
-        phase=(0.0, 0.5, 0.02, 0.52),
-        bob=0.005,
-        sway=0.008,
-        roll=0.03,
-        pitch=0.012,
-    ),
-    "turn": GaitSpec(
-        "trot in a left-hand curve", speed=0.6, yaw_rate=1.1, period=0.55, duty=0.58, bob=0.006, roll=0.015
-    ),
-    "side-step": GaitSpec(
-        "trot sideways, to the left", lateral_speed=0.45, duty=0.56, half_width=0.08, bob=0.005, yaw=0.0
-    ),
-    "walk": GaitSpec(
-        "walk: one leg after another",
-        speed=0.6,
-        period=0.8,
-        duty=0.68,
-        phase=(0.0, 0.5, 0.75, 0.25),
-        lift=0.055,
-        bob=0.005,
-        sway=0.008,
-        roll=0.02,
-    ),
-    "bound": GaitSpec(
-        "bound: front legs together, then hind legs",
-        speed=1.0,
-        period=0.42,
-        duty=0.5,
-        phase=(0.0, 0.0, 0.5, 0.5),
-        bob=0.004,
-        pitch=0.05,
-        bob_harmonic=1,
-        yaw=0.0,
-    ),
-    "backward-trot": replace(_TROT, about="trot backwards", speed=-0.6, duty=0.56, lift=0.06, bob=0.006),
-    "spin": GaitSpec("turn to the left on the spot", yaw_rate=2.0, duty=0.56, half_width=0.06, bob=0.005, yaw=0.0),
-    "canter": _CANTER,
-    "gallop": replace(
-        _CANTER,
-        about="gallop: hind legs one after the other, then front legs, then none",
-        speed=2.2,
-        period=0.4,
-        duty=0.3,
-        phase=(0.4, 0.51, 0.11, 0.0),
-        bob=0.01,
-    ),
-    "pronk": _PRONK,
-    "hop-turn": replace(_PRONK, about="hops on all legs, turning to the left", speed=0.0, yaw_rate=1.5, lift=0.05),
-}
+GAITS: Final = packaged("fastmimic.clips", "gaits.json", dict[str, GaitSpec])
 """The built-in gaits by name."""
 
 

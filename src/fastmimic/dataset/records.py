@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import msgspec
 
-from fastmimic.base.files import write_text
+from fastmimic.base.files import packaged, write_text
 
 Record = dict[str, Any]
 
@@ -190,30 +190,7 @@ class Demand:
         return None
 
 
-_FELL = "share of {} that end in a fall"
-
-GRADES: Final[dict[str, tuple[Demand, ...]]] = {
-    "A": (
-        Demand("reward_mean", least=0.9, says="reward"),
-        Demand("reward_mean_perturbed", least=0.85, says="reward from perturbed starts"),
-        Demand("reward_mean_robots", least=0.8, says="reward on other robots"),
-        Demand("reward_mean_second_simulator", least=0.75, says="reward in the second simulator"),
-        Demand("fell_perturbed", most=0.0, says=_FELL.format("perturbed starts")),
-        Demand("fell_robots", most=0.0, says=_FELL.format("other robots")),
-        Demand("fell_second_simulator", most=0.0, says=_FELL.format("trials in the second simulator")),
-    ),
-    "B": (
-        Demand("reward_mean", least=0.8, says="reward"),
-        Demand("fell_perturbed", most=0.0, says=_FELL.format("perturbed starts")),
-        Demand("fell_robots", most=0.2, says=_FELL.format("other robots")),
-    ),
-    "C": (
-        Demand("fell", most=0.0, says="falls", numbered=False),
-        Demand("reward_mean", least=0.6, says="reward"),
-        Demand("style_distance", most=0.5, says="distance from the demonstration's style"),
-        Demand("swing_clearance_least_share", least=0.5, says="share of the demonstration's swing clearance"),
-    ),
-}
+GRADES: Final = packaged("fastmimic.dataset", "grades.json", dict[str, tuple[Demand, ...]])
 """From the best grade to the lowest; a grade includes the demands of those below it."""
 KEPT: Final = tuple(GRADES)
 RANKS: Final = (FAILURE, REJECTED, *reversed(KEPT))
