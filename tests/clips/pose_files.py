@@ -8,10 +8,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from fastmimic.clips.formats.point_names import AI4ANIMATION_DOG, SUPERANIMAL
+from fastmimic.clips.formats.point_names import BUILT_IN
 
-NAMES = tuple(SUPERANIMAL.values())
-JOINTS = tuple(name.replace(".end", "Site") for name in AI4ANIMATION_DOG.values())
+NAMES = tuple(BUILT_IN["SuperAnimal-Quadruped"].values())
+JOINTS = tuple(name.replace(".end", "Site") for name in BUILT_IN["AI4Animation's dog"].values())
 PARENTS = (-1, 0, 1, 1, 0, 0, 2, 3, 4, 5)
 
 

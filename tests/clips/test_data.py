@@ -201,8 +201,14 @@ def test_list_says_what_is_there(server: Server, tmp_path: Path):
     data.fetch(folder=tmp_path, base_url=server.url)
     ((dataset, present),) = data.list_datasets(tmp_path)
     assert present == ["a.txt", "b.txt"] == list(dataset.files)
-    assert "CC BY-NC 4.0" in dataset.licence
-    assert "AI4Animation" in dataset.credit
+    assert (dataset.licence, dataset.credit) == ("CC BY-NC 4.0", "nobody")
+
+
+def test_the_recordings_have_licence_and_credit(real_datasets: None):
+    assert len(data.DATASETS) == 2
+    for dataset in data.DATASETS.values():
+        assert "CC BY-NC 4.0" in dataset.licence
+        assert "AI4Animation" in dataset.credit
 
 
 def test_a_copy_is_recognised_by_its_content(tmp_path: Path):

@@ -11,7 +11,7 @@ from fastmimic.base.errors import ClipError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import POINT_NAMES, Clip
 from fastmimic.clips.formats import ReadOptions, detect_format, read_clip
-from fastmimic.clips.formats.point_names import AI4ANIMATION_DOG
+from fastmimic.clips.formats.point_names import BUILT_IN
 from fastmimic.clips.segment import find_segments
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import load_robot
@@ -22,7 +22,7 @@ CM = 100.0
 def dog_bvh(clip: Clip, *, root_order: str = "ZYX", unit: float = CM, names: dict[str, str] | None = None) -> str:
     """A clip as a BVH of AI4Animation's joints, y up: legs swing from shoulders and hips, each leg one bone that also
     changes length by a position channel."""
-    names = dict(AI4ANIMATION_DOG) if names is None else names
+    names = dict(BUILT_IN["AI4Animation's dog"]) if names is None else names
     points = clip.points_w[..., [1, 2, 0]] * unit  # x left, y up, z forward
     n = len(points)
     pelvis, neck = points[:, 0], points[:, 1]

@@ -11,10 +11,10 @@ from fastmimic.base.errors import ClipError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import POINT_NAMES, Clip
 from fastmimic.clips.formats import ReadOptions, detect_format, read_clip
-from fastmimic.clips.formats.point_names import VIENNA_HORSE
+from fastmimic.clips.formats.point_names import BUILT_IN
 
 MM = 1000.0
-MARKERS = {source: name for name, source in VIENNA_HORSE.items()}
+MARKERS = {source: name for name, source in BUILT_IN["Vienna's horses"].items()}
 
 
 def vienna(clip: Clip, *, size: float = 1.0, drop: int | None = None) -> str:

@@ -10,7 +10,7 @@ from test_gaps import RATE, walk
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import POINT_NAMES
 from fastmimic.clips.formats import ReadOptions, read_clip
-from fastmimic.clips.formats.point_names import BUILT_IN, SUPERANIMAL, UNKNOWN, guess
+from fastmimic.clips.formats.point_names import BUILT_IN, UNKNOWN, guess
 from fastmimic.clips.formats.points import find_axes
 
 # In the order of POINT_NAMES: pelvis, neck, hips FR FL RR RL, toes FR FL RR RL.
@@ -60,7 +60,7 @@ def test_built_in_maps_name_all_ten() -> None:
     for points in BUILT_IN.values():
         assert tuple(points) in (POINT_NAMES, POINT_NAMES[:2] + POINT_NAMES[6:])
         assert len(set(points.values())) == len(points)
-    assert SUPERANIMAL["RL_hip"] == "back_left_thai"
+    assert BUILT_IN["SuperAnimal-Quadruped"]["RL_hip"] == "back_left_thai"
 
 
 def named(path: Path, names: list[str]) -> Path:

@@ -16,10 +16,10 @@ from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.rotations import quat_continuous, quat_rotate, rotate_planar
 from fastmimic.clips.clip import POINT_NAMES, Clip, Skeleton
 from fastmimic.clips.formats.gaps import Part, mend, part_for
-from fastmimic.clips.formats.point_names import AI4ANIMATION_DOG, BUILT_IN, HIP_NAMES, UNKNOWN, PointMap, guess
+from fastmimic.clips.formats.point_names import BUILT_IN, HIP_NAMES, UNKNOWN, PointMap, guess
 from fastmimic.clips.formats.text_table import check_rate
 
-_EXAMPLE: Final = json.dumps(AI4ANIMATION_DOG)
+_EXAMPLE: Final = json.dumps(BUILT_IN["AI4Animation's dog"])
 
 NORM_TOLERANCE: Final = 2e-3  # rounding to three decimals changes a unit quaternion's norm by up to 1e-3
 SHARE_OF_HEIGHT: Final = (0.85, 0.89)  # of shoulders below the withers and of hips below the croup, above the ground
