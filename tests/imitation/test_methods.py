@@ -13,7 +13,6 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import (
-    FOOT_HEIGHT,
     METHODS,
     NOTHING,
     PAPER_METHODS,
@@ -25,6 +24,7 @@ from fastmimic.imitation.methods import (
 from fastmimic.imitation.stitch import stitch
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import MadeWith, Provenance
+from fastmimic.optimize.parameters import FOOT_HEIGHT
 from fastmimic.primitive import MotionDmp
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion

@@ -8,16 +8,19 @@ controller has the paper's form.
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
+from fastmimic.base.configuration import changed
 from fastmimic.base.errors import ConfigError
+from fastmimic.base.files import packaged
 from fastmimic.base.registry import Registry
 from fastmimic.control.config import CONFIGS, ControllerConfig, controller_config
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import MadeWith, RandomizationRecord
-from fastmimic.optimize.parameters import FEET_AND_TRUNK, FOOT_HEIGHT, FOOT_PATH, PARAMETER_GROUPS
+from fastmimic.optimize.parameters import PARAMETER_GROUPS
 from fastmimic.optimize.randomization import Randomization
 
 if TYPE_CHECKING:  # loads the compiler
@@ -71,108 +74,22 @@ class Method:
         return given if self.change is None else self.change(given)
 
 
-def _raibert(config: ControllerConfig) -> ControllerConfig:
-    # the robot's legs do not receive the animal's ground reaction forces; the regulator would count on its footholds
-    stance = dataclasses.replace(config.stance, leg_momentum=False, feedback="constant")
-    return dataclasses.replace(config, stance=stance, swing=dataclasses.replace(config.swing, foothold="raibert"))
-
-
-def _horizon(config: ControllerConfig) -> ControllerConfig:
-    return dataclasses.replace(config, stance=dataclasses.replace(config.stance, forces="horizon"))
-
-
 RL: Final = "rl"
 
+
+def _built_in(said: dict[str, Any]) -> Method:
+    """A method of `methods.json`, which has `changes` nested like the configuration for `change`."""
+    changes = said.pop("changes", None)
+    change = None if changes is None else partial(changed, changes=changes, where=f"method '{said['name']}'")
+    return Method(**said, change=change)
+
+
 METHODS: Final = Registry(
-    "method",
-    (  # colours of Okabe and Ito, each with a hatch so that bars read in grey
-        Method(
-            RL,
-            "RL",
-            "a policy trained for the motion (Peng et al. 2018, 2020)",
-            own_feet=True,
-            learned=True,
-            color="#009e73",
-            dark_color="#20b98c",
-            hatch="..",
-            symbol="cross",
-        ),
-        Method(
-            "raibert",
-            "Raibert",
-            "the animal's trunk, and feet that swing straight to the Raibert foothold (Kang et al. 2021)",
-            change=_raibert,
-            own_feet=True,
-            playable=True,
-            color="#e69f00",
-            dark_color="#e9b23c",
-            hatch="//",
-            symbol="square",
-        ),
-        Method(
-            "mbc",
-            "MBC",
-            "the model-based controller follows the retargeted motion",
-            playable=True,
-            color="#d55e00",
-            dark_color="#e8792c",
-            hatch="",
-            symbol="triangle-up",
-        ),
-        Method(
-            "lh",
-            "LH",
-            "mbc with long-horizon forces (Di Carlo et al. 2018)",
-            change=_horizon,
-            playable=True,
-            color="#cc79a7",
-            dark_color="#d890b6",
-            hatch="\\\\",
-            symbol="triangle-down",
-        ),
-        Method(
-            "mbc-dmp",
-            "MBC-DMP",
-            "mbc after its motion's DMPs were optimised (the paper's method)",
-            FOOT_HEIGHT,
-            base="mbc",
-            color="#0072b2",
-            dark_color="#3d97d6",
-            hatch="",
-            symbol="diamond",
-        ),
-        Method(
-            "lh-dmp",
-            "LH-DMP",
-            "lh after its motion's DMPs were optimised",
-            FOOT_HEIGHT,
-            _horizon,
-            base="lh",
-            color="#56b4e9",
-            dark_color="#8fd0f5",
-            hatch="xx",
-            symbol="star",
-        ),
-        Method(
-            "mbc-dmp-path",
-            "MBC-DMP, 24",
-            "mbc-dmp that moves the feet's whole paths: 24 parameters",
-            FOOT_PATH,
-            base="mbc",
-            color="#f0e442",
-        ),
-        Method(
-            "mbc-dmp-body",
-            "MBC-DMP, 26",
-            "mbc-dmp-path that also moves the trunk's height and pitch: 26 parameters",
-            FEET_AND_TRUNK,
-            base="mbc",
-            color="#000000",
-            hatch="..",
-        ),
-    ),
+    "method", map(_built_in, packaged("fastmimic.imitation", "methods.json", list[dict[str, Any]]))
 )
-"""All methods. `METHODS.register(Method(…))` adds one."""
+"""All methods; `METHODS.register(Method(…))` adds one. Raibert's stance leaves out two things: the robot's legs do not
+receive the animal's ground reaction forces, and the regulator would count on its footholds. Colours are those of Okabe
+and Ito, each with a hatch so that bars read in grey."""
 PAPER_METHODS: Final = ("raibert", "mbc", "lh", "mbc-dmp", "lh-dmp")
 """Methods that need only the motion, in the order of the paper's figure."""
 
