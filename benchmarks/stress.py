@@ -21,15 +21,17 @@ from fastmimic.experiments.comparison_run import slug
 from fastmimic.report.experiment_figures import SUCCESS_FIGURE
 from fastmimic.runs.work_folder import ENVIRONMENT, TABLE
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
+from fastmimic.simulation.terrain import TERRAINS
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
+EVERY = [*DISTURBANCES, *TERRAINS]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--motions", nargs="+", default=list(PAPER_MOTIONS))
     parser.add_argument("--methods", nargs="+", default=["mbc", "mbc-dmp", "raibert"])
-    parser.add_argument("--disturbances", nargs="+", default=list(DISTURBANCES))
+    parser.add_argument("--disturbances", nargs="+", default=EVERY)
     parser.add_argument("--episodes", type=int, default=20)
     parser.add_argument("--duration", type=float, default=6.0)
     parser.add_argument("--iterations", type=int, default=200)
@@ -49,7 +51,7 @@ def main() -> None:
         tables.append((out / TABLE).read_text(encoding="utf-8").strip())
     if args.write:
         command = f"python benchmarks/stress.py --motions {' '.join(args.motions)} --methods {' '.join(args.methods)}"
-        every = args.disturbances == list(DISTURBANCES)
+        every = args.disturbances == EVERY
         command += "" if every else f" --disturbances {' '.join(args.disturbances)}"
         command += f" --episodes {args.episodes} --duration {args.duration:g} --iterations {args.iterations}"
         put(DOCS / "robustness.md", "stress-all" if every else "stress", "\n\n".join([f"`{command}`", *tables]))

@@ -73,7 +73,6 @@ REFUSED = {
     "two numbers": (["--randomize", "2", "3"], "--randomize takes one number of robots"),
     "unknown": (["--randomize", "--randomize-over", "fricton"], "did you mean 'friction'"),
     "range": (["--randomize", "--randomize-over", "friction=2:1"], "'friction' takes a range within 0.05 to 2"),
-    "not each robot's": (["--randomize", "--randomize-over", "roughness"], "'roughness' cannot differ between robots"),
     "twice": (["--randomize", "--randomize-over", "delay", "delay"], "the range of 'delay' is given twice"),
     "criterion": (["--randomize", "--criterion", "wurst"], "unknown criterion 'wurst'; there are mean, worst"),
     "over without": (["--randomize-over", "friction"], "--randomize-over needs --randomize"),

@@ -60,9 +60,9 @@ class Scoring:
             foot_radius=self.robot.foot_radius,
             threshold=0.2 * LOADED,
             dt=DT,
-            work=np.zeros((2, 3, 3)),
+            work=np.zeros((3, 3, 3)),
         )
-        score_step(context, self.clocks, observation, self.memories, self.tallies)
+        score_step(context, self.clocks, observation, observation, self.memories, self.tallies)
         return self.tallies["reward"].copy()
 
     def advance(self) -> None:

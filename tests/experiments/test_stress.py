@@ -29,6 +29,7 @@ from fastmimic.report.experiment_figures import stress_figure
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, Disturbance, known
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
+from fastmimic.simulation.terrain import TERRAINS
 from searches import QUICK_CHOICE
 
 SETTINGS = StressSettings(episodes=2, duration_s=0.6)
@@ -97,9 +98,9 @@ class TestSweep:
     def test_uneven_ground_is_run_level_by_level(
         self, subject: Subject, robot: Robot, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        kind = dataclasses.replace(DISTURBANCES["roughness"], levels=(0.0, 0.03))
-        monkeypatch.setitem(DISTURBANCES, "roughness", kind)
-        rows = sweep(subject, "roughness", robot, SETTINGS)
+        kind = dataclasses.replace(TERRAINS["rough"], levels=(0.0, 0.03))
+        monkeypatch.setitem(TERRAINS, "rough", kind)
+        rows = sweep(subject, "rough", robot, SETTINGS)
         assert [row["value"] for row in rows] == [0.0, 0.03]
 
     def test_an_episode_must_last_beyond_the_push(self, subject: Subject, robot: Robot) -> None:
@@ -153,7 +154,9 @@ class TestParts:
 
 class TestRefusals:
     def test_disturbances(self) -> None:
-        assert disturbances_of(None, "pybullet") == known("pybullet")
+        there = [name for name, kind in TERRAINS.items() if "pybullet" in kind.simulators]
+        assert disturbances_of(None, "pybullet") == [*known("pybullet"), *there]
+        assert "stairs-up" not in there
         assert "softness" not in known("pybullet")
         with pytest.raises(ConfigError, match="unknown disturbance 'wind'; there are friction"):
             disturbances_of(["wind"], "mujoco")

@@ -12,7 +12,8 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND
-from fastmimic.simulation.mujoco_sim import FLOOR, HeightField, MujocoSimulation, build_model
+from fastmimic.simulation.mujoco_sim import FLOOR, MujocoSimulation, build_model
+from fastmimic.simulation.terrain import HeightField, Terrain
 from robot.mjcf import a1_tree, drop, find, random_joints, random_quat, remove, write
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -374,8 +375,8 @@ class TestUsersOwnRobots:
             shape = {"type": "capsule", "size": "0.015", "fromto": f"0 0 -0.1 0 0 {end}"}
             ElementTree.SubElement(calf, "geom", {"name": name, **shape})
         booted = load_robot(write(tree, tmp_path / "boot.xml"))
-        uneven = HeightField(np.random.default_rng(0).uniform(0.0, 0.04, (8, 8)), 2.0)
-        for ground in (None, uneven):
+        field = Terrain(field=HeightField(np.random.default_rng(0).uniform(0.0, 0.04, (8, 8)), 0.5))
+        for ground in (None, field, Terrain(boxes=np.ones((3, 6)))):
             model, plain = build_model(booted, ground=ground), build_model(robot, ground=ground)
             collide = {model.geom(g).name for g in np.flatnonzero(model.geom_conaffinity)}
             assert collide == {plain.geom(g).name for g in np.flatnonzero(plain.geom_conaffinity)} | {"shin"}

@@ -10,16 +10,23 @@ pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install '
 from control.motions import gait
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.rotations import matrix_from_quat, quat_conjugate, quat_multiply, rotate_planar, rotvec_from_quat
+from fastmimic.base.rotations import (
+    matrix_from_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_rotate_inverse,
+    rotvec_from_quat,
+)
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import nominal_start
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND
-from fastmimic.simulation.conditions import Conditions, Disturbance, parse_disturbance, rough_ground, turns
+from fastmimic.simulation.conditions import Conditions, parse_disturbance
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION, MujocoSimulation
 from fastmimic.simulation.pybullet_sim import PybulletSimulation
 from fastmimic.simulation.simulators import make_simulation
+from fastmimic.simulation.terrain import GroundPlane, TerrainLevel
 from robot.mjcf import a1_tree, find, random_joints, random_quat, write
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -34,12 +41,18 @@ def hold(n: int, joints: np.ndarray, stiffness: float = 200.0, damping: float = 
     return commands
 
 
-def standing(robot: Robot, seconds: float = 0.6, *disturbances: str) -> tuple[PybulletSimulation, np.ndarray]:
-    """A robot that holds its home pose on the ground, and its observation at the end."""
-    simulation = PybulletSimulation(robot, 1, disturbances=[parse_disturbance(d) for d in disturbances])
+def standing(
+    robot: Robot, seconds: float = 0.6, *disturbances: str, slope: float = 0.0
+) -> tuple[PybulletSimulation, np.ndarray]:
+    """A robot that holds its home pose on the ground, and its observation at the end; up a slope in degrees."""
+    ground = Conditions(terrain=TerrainLevel("slope", slope)).ground
+    assert ground is not None
+    simulation = PybulletSimulation(robot, 1, disturbances=[parse_disturbance(d) for d in disturbances], ground=ground)
     home = robot.home_joint_pos
     height = robot.foot_radius - foot_positions(robot, home)[:, 2].min()
-    simulation.reset(np.array([0, 0, height]), LEVEL, home, np.zeros(3), np.zeros(3), np.zeros(12))
+    plane = ground.plane(np.zeros(()), np.zeros(()))
+    position, quat = plane.laid(np.array([0, 0, height]), LEVEL)
+    simulation.reset(position, quat, home, np.zeros(3), np.zeros(3), np.zeros(12))
     for _ in range(round(500 * seconds)):
         simulation.step(hold(1, home))
     return simulation, simulation.observation[0]
@@ -194,8 +207,9 @@ class TestDisturbances:
     @pytest.mark.parametrize("friction", [0.1, 0.4])
     def test_sliding_feet_meet_the_friction_that_was_given(self, robot: Robot, friction: float) -> None:
         """On a slope too steep to stand on; without disturbances it is that of MuJoCo's floor."""
-        _, o = standing(robot, 0.3, "slope=28", f"friction={friction}")
-        force = o["foot_force"].sum(axis=0)
+        _, o = standing(robot, 0.3, f"friction={friction}", slope=28.0)
+        steep = GroundPlane.of(np.zeros(()), np.array([np.tan(np.radians(28)), 0.0]))
+        force = quat_rotate_inverse(steep.quat, o["foot_force"].sum(axis=0))
         assert np.linalg.norm(force[:2]) / force[2] == pytest.approx(friction, rel=0.02)
         simulation = standing(robot, 0.01)[0]
         about, body = simulation._clients[0].getDynamicsInfo, simulation._bodies[0]
@@ -204,20 +218,24 @@ class TestDisturbances:
 
     def test_slippery_ground(self, robot: Robot) -> None:
         """On a slope of 10° a standing robot stays if the friction is above its tangent, 0.18."""
-        creep = [abs(standing(robot, 0.6, "slope=10", f"friction={mu}")[1]["root_pos"][0]) for mu in (0.3, 0.1)]
+        creep = [abs(standing(robot, 0.6, f"friction={mu}", slope=10.0)[1]["root_pos"][0]) for mu in (0.3, 0.1)]
         assert creep[0] < 0.03 < creep[1]
 
     def test_uneven_ground_is_mujocos(self, robot: Robot) -> None:
         """Rays from above hit the same heights at the corners of the cells."""
-        simulation = PybulletSimulation(robot, 2, disturbances=[Disturbance("roughness", (0.05,))], seed=3)
+        ground = Conditions(terrain=TerrainLevel("rough", 0.05), seed=3).ground
+        assert ground is not None
+        simulation = PybulletSimulation(robot, 1, ground=ground)
         at_rest = (LEVEL, robot.home_joint_pos, np.zeros(3), np.zeros(3), np.zeros(12))
         simulation.reset(np.array([0, 0, 0.5]), *at_rest)
-        heights = rough_ground(0.05, 3)
-        for i, turn in enumerate(turns(2, 3)):
-            for row, column in ((210, 230), (150, 260), (300, 90)):
-                x, y = rotate_planar(turn, 0.15 * np.array([column - 200.0, row - 200.0]))
-                hit = simulation._clients[i].rayTest([x, y, 1], [x, y, -1])[0]
-                assert hit[3][2] == pytest.approx(heights[row, column], abs=2e-3)
+        corners = 0.15 * np.array([[30.0, 10.0], [60.0, -50.0], [-110.0, 100.0]])
+        for (x, y), height in zip(corners, ground.height(*corners.T), strict=True):
+            hit = simulation._clients[0].rayTest([x, y, 1], [x, y, -1])[0]
+            assert hit[3][2] == pytest.approx(height, abs=2e-3)
+
+    def test_stairs_are_refused(self) -> None:
+        with pytest.raises(ConfigError, match="'stairs-up' is not realised in pybullet; those that are: slope, side-s"):
+            Conditions("pybullet", terrain=TerrainLevel("stairs-up", 0.05))
 
     def test_a_push_is_an_impulse_along_the_heading(self, robot: Robot) -> None:
         simulation = PybulletSimulation(robot, 1, disturbances=[parse_disturbance("push=6@0.02")])

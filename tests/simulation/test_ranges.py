@@ -18,7 +18,7 @@ from fastmimic.simulation.conditions import (
     usual_range,
     usual_ranges,
 )
-from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S, DisturbanceKind
 
 RANGES = (Range("friction", 0.4, 1.2), Range("payload", 0.0, 3.0), Range("push", -5.0, 5.0))
 
@@ -90,11 +90,12 @@ def test_a_range_is_written_by_name_or_with_its_ends() -> None:
         ("top-speed=20:inf", "takes a range within"),
         ("fricton", "did you mean 'friction'"),
         ("fricton=0.4:1.2", "did you mean 'friction'"),
-        ("roughness", "'roughness' cannot differ between robots"),
-        ("roughness=0:0.01", "'roughness' cannot differ between robots"),
+        ("gusts", "'gusts' cannot differ between robots"),
+        ("gusts=0:0.01", "'gusts' cannot differ between robots"),
     ],
 )
-def test_ranges_that_cannot_be_are_refused(text: str, message: str) -> None:
+def test_ranges_that_cannot_be_are_refused(text: str, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(DISTURBANCES, "gusts", DisturbanceKind("gusts", per_robot=False))
     with pytest.raises(ConfigError, match=message):
         parse_range(text)
 

@@ -79,17 +79,6 @@ class TestIdeal:
         expected = np.einsum("tij,i->tj", halfway, [1.0, 2.0, -3.0 + GRAVITY])
         np.testing.assert_allclose(found["accel"][1:], expected[1:], atol=1e-4)
 
-    def test_on_a_slope_the_imu_knows_the_vertical(self, robot: Robot) -> None:
-        """Simulated slopes are gravity that leans; the IMU's frame is level all the same."""
-        up = np.array([[0.2, -0.1, 1.0]])
-        up /= np.linalg.norm(up)
-        truth = level(1, robot)
-        sensors = Sensors(robot, 1, RATE, ideal_sensors(), -up)
-        found = sensors.reset(generators(1), truth)[0]
-        np.testing.assert_allclose(found["accel"], GRAVITY * up[0], atol=1e-12)
-        np.testing.assert_allclose(matrix_from_quat(found["quat"]) @ up[0], [0.0, 0.0, 1.0], atol=1e-12)
-        assert np.linalg.norm(rotvec_from_quat(found["quat"])) == pytest.approx(np.arccos(up[0, 2]))
-
     def test_it_feels_nothing_in_free_fall(self, robot: Robot) -> None:
         truth = np.repeat(level(1, robot), 5)
         truth["lin_vel"][:, 2] = -GRAVITY * DT * np.arange(5)

@@ -18,6 +18,7 @@ from fastmimic.deploy.log import DeploymentLog, is_deployment_log, load_ground_t
 from fastmimic.episode.run_log import RunLog
 from fastmimic.robot import ROBOT_CHOICES, ROBOT_NAMES, load_robot
 from fastmimic.simulation.conditions import parse_disturbance
+from fastmimic.simulation.terrain import parse_terrain
 
 if TYPE_CHECKING:
     from fastmimic.identification.identify import Identification
@@ -47,6 +48,7 @@ class Evaluate:
     observe: opt.Observation = "truth"
     simulator: opt.Simulator = "mujoco"
     disturb: opt.Disturbances = ()
+    terrain: opt.TerrainName = None
     log: Annotated[Path | None, opt.option("FILE.npz")] = None
     """Log sensor readings, commands and estimates of episode 0 (no ground truth), for 'fastmimic identify'. Needs
     --observe sensors."""
@@ -69,6 +71,7 @@ class Evaluate:
             observe=self.observe,
             seed=self.seed,
             disturbances=tuple(parse_disturbance(text) for text in opt.joined(self.disturb)),
+            terrain=None if self.terrain is None else parse_terrain(self.terrain),
         )
         if self.log is not None:
             opt.check_writable(self.log, ".npz")
@@ -94,14 +97,16 @@ class Evaluate:
         figures = evaluation.as_dict() | {
             "simulator": conditions.simulator,
             "disturbances": {d.name: d.values[0] for d in conditions.disturbances},
+            "terrain": self.terrain,
         }
         if self.json:
             put_json(figures)
             return 0
         note(provenance(motion))
         put_figures(figures, robot.name)
-        if conditions.simulator != "mujoco" or conditions.disturbances:
-            put(f"in {conditions.simulator}; disturbances: {', '.join(map(str, conditions.disturbances)) or 'none'}")
+        if conditions.simulator != "mujoco" or conditions.disturbances or conditions.terrain is not None:
+            said = f"in {conditions.simulator}; disturbances: {', '.join(map(str, conditions.disturbances)) or 'none'}"
+            put(said if conditions.terrain is None else f"{said}; ground: {conditions.terrain}")
         if self.log is not None:
             put(f"log in {self.log}")
         return 0

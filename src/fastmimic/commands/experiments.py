@@ -25,6 +25,7 @@ from fastmimic.robot import ROBOT_NAMES, Robot
 from fastmimic.runs.work_folder import MOTIONS, TABLE, WorkFolder
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
+from fastmimic.simulation.terrain import TERRAINS
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.loop import MakeController
@@ -259,7 +260,9 @@ class Stress(ExperimentOptions):
     """Methods to run."""
     disturbances: Annotated[
         tuple[str, ...] | None,
-        opt.option("NAME ...", lambda: f"Disturbances: {', '.join(DISTURBANCES)}. Default: all."),
+        opt.option(
+            "NAME ...", lambda: f"Names, also of terrains: {', '.join([*DISTURBANCES, *TERRAINS])}. Default: all."
+        ),
     ] = None
     episodes: int = 20
     """Episodes at each level: the first starts at the motion's start, the others at random phases."""

@@ -23,6 +23,7 @@ from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
 from fastmimic.runs.loading import MotionSource, find_motion
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 from fastmimic.simulation.simulators import SIMULATORS
+from fastmimic.simulation.terrain import TERRAINS
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.loop import MakeController
@@ -96,6 +97,16 @@ Disturbances = Annotated[
     option(
         "NAME=VALUE ...",
         lambda: f"Disturbances unknown to the controller, e.g. payload=2 (kg). Names: {', '.join(DISTURBANCES)}.",
+    ),
+]
+TerrainName = Annotated[
+    str | None,
+    option(
+        "NAME=LEVEL|FILE",
+        lambda: (
+            f"Ground in place of the flat one: {', '.join(TERRAINS)}, e.g. stairs-up=0.05 (m); or a height field,"
+            " hills.png=0.3@0.05 or hills.npy@0.05 (heights and cells in m)."
+        ),
     ),
 ]
 Quality = Annotated[str, option("preview|high", "Video quality: fast, or with shadows, reflections and anti-aliasing.")]

@@ -15,7 +15,7 @@ from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage, damping_
 from fastmimic.reference.standing import rising_path, smooth, standing_gains
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, READING
-from fastmimic.simulation.conditions import Conditions, episode_generator, make_world
+from fastmimic.simulation.conditions import Conditions, episode_generator
 from fastmimic.simulation.sensors import Sensors
 from fastmimic.simulation.simulators import make_simulation
 
@@ -258,8 +258,7 @@ class SimDriver(RobotDriver):
         self._faults = faults if faults is not None else LinkFaults()
         self._dt = 1.0 / rate_hz
         simulation = make_simulation(robot, 1, chosen, control_rate_hz=rate_hz)
-        gravity = make_world(chosen.disturbances, 1, chosen.simulator).gravity
-        sensors = Sensors(robot, 1, rate_hz, chosen.sensors, gravity)
+        sensors = Sensors(robot, 1, rate_hz, chosen.sensors)
         self.body = SimulatedBody(robot, simulation, sensors, rate_hz, start)
         self._is_open = False
         self._truth: list[NDArray[Any]] = []

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,12 @@ from fastmimic.reference.table import (
 )
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
-from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.conditions import Conditions, episode_generator
 from fastmimic.simulation.simulators import Placement, Simulation, make_simulation
+from fastmimic.simulation.terrain import Terrain
+
+_START_PURPOSE: Final = 72  # number of the random stream
+_TRAVELS: Final = 0.05  # m/s, mean speed of a motion that leads somewhere
 
 
 class LoopController(Protocol):
@@ -94,6 +98,7 @@ class ClosedLoop:
         self.simulation: Simulation = make_simulation(
             robot, n, self.conditions, control_rate_hz=config.rate_hz, threads=threads
         )
+        self.terrain = self.conditions.ground
         self.observer = (
             Observer(robot, n, config.rate_hz, self.conditions) if self.conditions.observe == "sensors" else None
         )
@@ -163,10 +168,12 @@ class ClosedLoop:
         if start.n != self.n:
             raise ConfigError(f"this loop holds {self.n} robots; {start.n} starts were given")
         self.controller.tables = self._tables(references)
-        place_clocks(self.clocks, start.sample, self.table, np.zeros((self.n, 3)))
+        place_clocks(self.clocks, start.sample, self.table, self._begin(start))
         place = on_reference(self.table, start.sample, self.clocks["origin"])
         joints = np.clip(place.joint_pos + start.joint_offset, self.robot.joint_lower, self.robot.joint_upper)
-        place.root_pos[:, 2] += _lift_to_ground(self.robot, place.root_pos, place.root_quat, joints)
+        if self.terrain is not None:
+            place = _on_terrain(self.terrain, self.robot, place)
+        place.root_pos[:, 2] += _lift_to_ground(self.robot, self.terrain, place.root_pos, place.root_quat, joints)
         self.simulation.reset(*place._replace(joint_pos=joints, lin_vel=place.lin_vel + start.velocity_offset))
         self.controller.reset(start.sample)
         self.scorer.reset()
@@ -193,12 +200,24 @@ class ClosedLoop:
     def score(self) -> None:
         """Scores the robots' true states against the demonstration, synchronised to the truth."""
         advance_clocks(self.clocks, self.controller.tables, self._truth["root_pos"], self.controller.memory["haste"])
-        self.scorer.score(self.clocks, self._truth, self.controller.memory)
+        truth = seen = self._truth
+        if self.terrain is not None:
+            seen = self.terrain.plane(truth["root_pos"][:, 0], truth["root_pos"][:, 1]).seen(truth)
+        self.scorer.score(self.clocks, truth, self.controller.memory, seen)
         if self._animal_scorer is not None:
             self._animal_scorer.tallies["fallen"] |= self.scorer.tallies["fallen"]
-            self._animal_scorer.score(self.clocks, self._truth, self.controller.memory)
+            self._animal_scorer.score(self.clocks, truth, self.controller.memory, seen)
         if self.observer is not None:
-            self.observer.compare(self._truth, self.scorer.tallies)
+            self.observer.compare(seen, self.scorer.tallies)
+
+    def _begin(self, start: Start) -> Array:
+        """Where episodes begin, (n, 3) x, y, m, and heading, rad: on a terrain they lead along the world's x axis but
+        for the terrain's own spread."""
+        if self.terrain is None:
+            return np.zeros((self.n, 3))
+        seed = self.conditions.seed
+        draws = [episode_generator(seed, int(i), _START_PURPOSE).uniform(-1.0, 1.0, 3) for i in start.streams]
+        return np.array(draws) * self.terrain.spread - [0.0, 0.0, _travel(self.table)]
 
     def _first_look(self, observer: Observer, start: Start) -> tuple[NDArray[Any], NDArray[Any]]:
         """First sensor readings, as estimates, of robots that start as the demonstration does, and the controller's own
@@ -241,10 +260,30 @@ class ClosedLoop:
         return tables
 
 
-def _lift_to_ground(robot: Robot, position: Array, quat: Array, joints: Array) -> Array:
+def _travel(table: NDArray[Any]) -> float:
+    """Direction of a table's (t,) mean velocity from the heading, rad; 0 for a motion that stays where it is."""
+    x, y = rotate_planar(-yaw_from_quat(table["root_quat"]), table["lin_vel"][:, :2]).mean(axis=0)
+    return float(np.arctan2(y, x)) if np.hypot(x, y) > _TRAVELS else 0.0
+
+
+def _feet(robot: Robot, position: Array, quat: Array, joints: Array) -> Array:
+    """(n, 4, 3) centres of the feet, world, m."""
+    return np.asarray(position[:, None] + quat_rotate(quat[:, None], foot_positions(robot, joints)))
+
+
+def _on_terrain(terrain: Terrain, robot: Robot, place: Placement) -> Placement:
+    """Lays states above level ground on the plane through the ground under their feet."""
+    feet = _feet(robot, place.root_pos, place.root_quat, place.joint_pos)
+    plane = terrain.plane_through(place.root_pos, feet, robot.foot_radius)
+    position, quat = plane.laid(place.root_pos, place.root_quat)
+    return place._replace(root_pos=position, root_quat=quat, lin_vel=quat_rotate(plane.quat, place.lin_vel))
+
+
+def _lift_to_ground(robot: Robot, terrain: Terrain | None, position: Array, quat: Array, joints: Array) -> Array:
     """How far to raise each base (n,) so that no foot starts below the ground, m."""
-    feet = position[:, None] + quat_rotate(quat[:, None], foot_positions(robot, joints))
-    return np.maximum(0.0, robot.foot_radius - feet[..., 2].min(axis=1))
+    feet = _feet(robot, position, quat, joints)
+    ground = 0.0 if terrain is None else terrain.support(feet[..., 0], feet[..., 1], robot.foot_radius)
+    return np.maximum(0.0, (ground + robot.foot_radius - feet[..., 2]).max(axis=1))
 
 
 class _Recorder:
@@ -264,6 +303,12 @@ class _Recorder:
     def log(self) -> Log:
         kept = dict(self._kept)
         demonstration = demonstration_in_world(self._loop.table, kept.pop("sample"), kept.pop("origin"))
+        if self._loop.terrain is not None:
+            plane = self._loop.terrain.plane(*np.moveaxis(demonstration["root_pos"][..., :2], -1, 0))
+            laid = plane.laid(demonstration["root_pos"], demonstration["root_quat"])
+            demonstration["root_pos"], demonstration["root_quat"] = laid
+            for name in ("lin_vel", "ang_vel", "lin_acc", "ang_acc"):
+                demonstration[name] = quat_rotate(plane.quat, demonstration[name])
         wanted = demonstration["contact"].astype(bool)
         rate_hz = self._loop.controller.config.rate_hz
         return Log(rate_hz=rate_hz, wanted=wanted, demonstration=demonstration, **kept)

@@ -12,7 +12,7 @@ from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.estimation.estimator import Estimator
 from fastmimic.reference.table import advance_clocks
 from fastmimic.robot import Robot
-from fastmimic.simulation.conditions import Conditions, episode_generator, make_world
+from fastmimic.simulation.conditions import Conditions, episode_generator
 from fastmimic.simulation.sensors import Sensors
 
 MIN_DISTANCE: Final = 0.5  # m; a robot that stays where it is has no drift per distance
@@ -65,8 +65,7 @@ class Observer:
     """Sensors and estimator of n robots, and their controllers' clocks."""
 
     def __init__(self, robot: Robot, n: int, rate_hz: float, conditions: Conditions) -> None:
-        world = make_world(conditions.disturbances, n, conditions.simulator)
-        self.sensors = Sensors(robot, n, rate_hz, conditions.sensors, world.gravity)
+        self.sensors = Sensors(robot, n, rate_hz, conditions.sensors)
         self.estimator = Estimator(robot, n, rate_hz, conditions.estimator)
         self._seed = conditions.seed
         self._errors = np.zeros(n, _ERRORS)

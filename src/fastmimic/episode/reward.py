@@ -109,7 +109,7 @@ TALLY: Final = record_dtype(
 class ScoringContext(NamedTuple):
     """Inputs of the scoring besides the robots' states: the demonstration's `table` (t,) of `SAMPLE`, the legs'
     `geometry` (4, 12), the feet's radius, m, the vertical force above which one is loaded, N, the control step, s, and
-    scratch memory (2, 3, 3)."""
+    scratch memory (3, 3, 3)."""
 
     table: NDArray[Any]
     geometry: Array
@@ -120,8 +120,11 @@ class ScoringContext(NamedTuple):
 
 
 @kernel
-def score_step(context: ScoringContext, clocks: Any, observations: Any, memories: Any, tallies: Any) -> None:
-    """Scores the present state of all robots (records (n,)) against the demonstration and adds to their tallies."""
+def score_step(
+    context: ScoringContext, clocks: Any, observations: Any, truths: Any, memories: Any, tallies: Any
+) -> None:
+    """Scores the present state of all robots (records (n,)) against the demonstration and adds to their tallies.
+    `observations` are as seen from the ground (`GroundPlane.seen`), `truths` in the world: the same on level ground."""
     for i in range(observations.shape[0]):
         if tallies[i].fallen == 0:
             tally, clock = tallies[i], clocks[i]
@@ -129,11 +132,11 @@ def score_step(context: ScoringContext, clocks: Any, observations: Any, memories
             tally.jump = clock.jump
             tally.early_touchdowns = memories[i].early_touchdowns
             tally.qp_failures = memories[i].qp_failures
-            _score_robot(context, context.table[clock.sample], clock, observations[i], tally)
+            _score_robot(context, context.table[clock.sample], clock, observations[i], truths[i], tally)
 
 
 @kernel
-def _score_robot(context: ScoringContext, ref: Any, clock: Any, obs: Any, tally: Any) -> None:
+def _score_robot(context: ScoringContext, ref: Any, clock: Any, obs: Any, truth: Any, tally: Any) -> None:
     rotation, reference = context.work[0], context.work[1]
     quat_to_matrix(obs.root_quat, rotation)
     quat_to_matrix(ref.root_quat, reference)
@@ -171,7 +174,7 @@ def _score_robot(context: ScoringContext, ref: Any, clock: Any, obs: Any, tally:
         tally.fallen = 1
         return
     count_tracking(context.geometry, context.dt, ref, clock, obs, tally, context.work, (x, y, z, angle))
-    feet = _score_feet(context, ref, obs, tally, rotation, reference)
+    feet = _score_feet(context, ref, obs, truth, tally)
     tally.reward[0] = np.exp(-5.0 * pose)
     tally.reward[1] = np.exp(-0.1 * velocity)
     tally.reward[2] = np.exp(-40.0 * feet)
@@ -184,9 +187,11 @@ def _score_robot(context: ScoringContext, ref: Any, clock: Any, obs: Any, tally:
 
 
 @inlined
-def _score_feet(context: ScoringContext, ref: Any, obs: Any, tally: Any, rotation: Array, reference: Array) -> float:
-    """Squared end-effector error, relative to the root in each one's heading frame, height in the world, m²."""
+def _score_feet(context: ScoringContext, ref: Any, obs: Any, truth: Any, tally: Any) -> float:
+    """Squared end-effector error, relative to the root in each one's heading frame, height over the ground, m²."""
     total, foot_radius, dt = 0.0, context.foot_radius, context.dt
+    rotation, reference, world = context.work[0], context.work[1], context.work[2]
+    quat_to_matrix(truth.root_quat, world)
     yaw, yaw_ref = np.arctan2(rotation[1, 0], rotation[0, 0]), np.arctan2(reference[1, 0], reference[0, 0])
     c, s = np.cos(yaw), np.sin(yaw)
     cr, sr = np.cos(yaw_ref), np.sin(yaw_ref)
@@ -210,10 +215,11 @@ def _score_feet(context: ScoringContext, ref: Any, obs: Any, tally: Any, rotatio
         # the sphere rolls: its centre moves on by ω × r without any slip
         pitching = obs.joint_vel[3 * leg + 1] + obs.joint_vel[3 * leg + 2]
         ex, ey, ez = obs.joint_vel[3 * leg], pitching * np.cos(q[0]), pitching * np.sin(q[0])
-        turn_x = obs.ang_vel[0] + rotation[0, 0] * ex + rotation[0, 1] * ey + rotation[0, 2] * ez
-        turn_y = obs.ang_vel[1] + rotation[1, 0] * ex + rotation[1, 1] * ey + rotation[1, 2] * ez
+        turn_x = truth.ang_vel[0] + world[0, 0] * ex + world[0, 1] * ey + world[0, 2] * ez
+        turn_y = truth.ang_vel[1] + world[1, 0] * ex + world[1, 1] * ey + world[1, 2] * ez
         loaded = obs.foot_force[leg, 2] > context.threshold
-        x, y = obs.root_pos[0] + wx, obs.root_pos[1] + wy
+        x = truth.root_pos[0] + (world[0, 0] * px + world[0, 1] * py + world[0, 2] * pz)
+        y = truth.root_pos[1] + (world[1, 0] * px + world[1, 1] * py + world[1, 2] * pz)
         roll_x, roll_y = foot_radius * turn_y * dt, -foot_radius * turn_x * dt
         _count_foot(tally, leg, ref.contact[leg] == 1, loaded, height - foot_radius, x, y, roll_x, roll_y)
     return total
@@ -267,7 +273,7 @@ class Scorer:
             foot_radius=robot.foot_radius,
             threshold=config.gait.contact_threshold * robot.mass * GRAVITY,
             dt=1.0 / rate_hz,
-            work=np.zeros((2, 3, 3)),
+            work=np.zeros((3, 3, 3)),
         )
         self._added: list[RewardTerm] = [term for term in REWARD_TERMS.values() if term.function is not None]
         self._weights = reward_weights()
@@ -278,10 +284,14 @@ class Scorer:
         self.tallies[rows] = np.zeros((), TALLY)
         self._own[rows] = self._own_sums[rows] = 0.0
 
-    def score(self, clocks: NDArray[Any], observations: NDArray[Any], memories: NDArray[Any]) -> None:
+    def score(
+        self, clocks: NDArray[Any], truths: NDArray[Any], memories: NDArray[Any], seen: NDArray[Any] | None = None
+    ) -> None:
         """Scores the robots' states, (n,) of `OBSERVATION`, after a control step. `clocks` (n,) of `CLOCK` give the due
-        sample of the demonstration and its place; `memories` (n,) of `MEMORY` are the controller's."""
-        score_step(self.context, clocks, observations, memories, self.tallies)
+        sample of the demonstration and its place; `memories` (n,) of `MEMORY` are the controller's; `seen` are the
+        states as seen from the ground, None if it is level."""
+        observations = truths if seen is None else seen
+        score_step(self.context, clocks, observations, truths, memories, self.tallies)
         if self._added:
             self._add_own_terms(clocks, observations)
 

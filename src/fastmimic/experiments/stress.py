@@ -1,6 +1,6 @@
-"""Robustness of a motion: success and reward over the range of each disturbance.
+"""Robustness of a motion: success and reward over the range of each disturbance, and of each terrain.
 
-A sweep runs one method under one disturbance, over all its levels. Every level has the same episodes, one from the
+A sweep runs one method under one of them, over all its levels. Every level has the same episodes, one from the
 motion's start and the others from random phases, not perturbed otherwise. An episode without a fall is a success.
 """
 
@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.configuration import check, parameter
-from fastmimic.base.errors import ConfigError
+from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.base.text import markdown_table
 from fastmimic.episode.metrics import Metrics
 from fastmimic.episode.plan import episode_duration, nominal_start, start_room
@@ -22,7 +22,8 @@ from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, Disturbance, known
-from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S, DisturbanceKind
+from fastmimic.simulation.terrain import TERRAINS, TerrainLevel
 
 SUCCESS: Final = 0.95  # least share of episodes without a fall for a tolerated level
 AT_ONCE: Final = 120  # greatest number of robots in a batch
@@ -53,8 +54,8 @@ class StressSettings:
         check(self, "")
         self.conditions()
 
-    def conditions(self, *disturbances: Disturbance) -> Conditions:
-        return Conditions(self.simulator, self.observe, self.seed, disturbances)
+    def conditions(self, *disturbances: Disturbance, terrain: TerrainLevel | None = None) -> Conditions:
+        return Conditions(self.simulator, self.observe, self.seed, disturbances, terrain)
 
 
 @dataclass(frozen=True)
@@ -71,12 +72,13 @@ class Tolerance:
 
 
 def disturbances_of(names: Sequence[str] | None, simulator: str) -> list[str]:
-    """The given disturbances, or all that the simulator has; raises `ConfigError` for an unknown or repeated one."""
-    there = known(simulator)
+    """The given disturbances and terrains, or all that the simulator has; raises `ConfigError` for an unknown or
+    repeated one."""
+    there = [*known(simulator), *(name for name, kind in TERRAINS.items() if kind.realized_in(simulator))]
     if names is None:
         return there
     for name in names:
-        DISTURBANCES[name]
+        swept(name)
         if name not in there:
             raise ConfigError(
                 f"disturbance '{name}' is not realised in {simulator}; those that are: {', '.join(there)}"
@@ -85,10 +87,17 @@ def disturbances_of(names: Sequence[str] | None, simulator: str) -> list[str]:
     return list(names)
 
 
+def swept(name: str) -> DisturbanceKind:
+    """A disturbance or a terrain; raises `ConfigError` if there is none of this name."""
+    if name not in DISTURBANCES and name not in TERRAINS:
+        raise unknown("disturbance", name, [*DISTURBANCES, *TERRAINS])
+    return TERRAINS[name] if name in TERRAINS else DISTURBANCES[name]
+
+
 def check_length(motion: Motion, names: Sequence[str], settings: StressSettings) -> float:
     """Length of the motion's episodes, s; raises `ConfigError` if they end before a disturbance begins."""
     seconds = episode_duration(motion, settings.duration_s)
-    late = [name for name in names if DISTURBANCES[name].timed]
+    late = [name for name in names if swept(name).timed]
     if late and seconds <= PUSH_TIME_S:
         raise ConfigError(
             f"an episode of {seconds:g} s ends before the push at {PUSH_TIME_S:g} s; leave out"
@@ -98,8 +107,9 @@ def check_length(motion: Motion, names: Sequence[str], settings: StressSettings)
 
 
 def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSettings) -> list[Row]:
-    """Runs all levels of a disturbance; a row for each, see `COLUMNS`. Raises `FastMimicError` for an unfit motion."""
-    kind, motion = DISTURBANCES[disturbance], subject.motion
+    """Runs all levels of a disturbance or a terrain; a row for each, see `COLUMNS`. Raises `FastMimicError` for an
+    unfit motion."""
+    kind, motion = swept(disturbance), subject.motion
     seconds = check_length(motion, [disturbance], settings)
     start = nominal_start(settings.episodes)
     random = np.random.default_rng(settings.seed)
@@ -109,7 +119,10 @@ def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSett
     for first in range(0, len(kind.levels), at_once):
         levels = kind.levels[first : first + at_once]
         values = tuple(float(v) for v in np.repeat(levels, settings.episodes)) if kind.per_robot else levels
-        conditions = settings.conditions(Disturbance(disturbance, values))
+        if disturbance in TERRAINS:
+            conditions = settings.conditions(terrain=TerrainLevel(disturbance, *levels))
+        else:
+            conditions = settings.conditions(Disturbance(disturbance, values))
         repeated = start.part(np.tile(np.arange(settings.episodes), len(levels)))
         rollout = subject.run(robot, seconds, repeated, conditions)
         for i, level in enumerate(levels):
@@ -141,7 +154,7 @@ def tolerances(rows: Iterable[Row]) -> list[Tolerance]:
 def _tolerance(method: str, disturbance: str, rows: list[Row]) -> Tolerance:
     values = [float(row["value"]) for row in rows]
     holds = [1.0 - row["fell"] >= SUCCESS - 1e-9 for row in rows]
-    nominal = values.index(DISTURBANCES[disturbance].nominal)
+    nominal = values.index(swept(disturbance).nominal)
     first = last = nominal
     while first > 0 and holds[first - 1]:
         first -= 1
@@ -158,7 +171,7 @@ def stress_table(rows: Sequence[Row], settings: StressSettings, missing: int) ->
     by = {(t.method, t.disturbance): t for t in found}
     body = []
     for name in dict.fromkeys(t.disturbance for t in found):
-        kind = DISTURBANCES[name]
+        kind = swept(name)
         cells = [by.get((method, name)) for method in methods]
         tried = next(t for t in cells if t is not None)
         unit = f", {kind.unit}" if kind.unit else ""
@@ -167,7 +180,7 @@ def stress_table(rows: Sequence[Row], settings: StressSettings, missing: int) ->
     said = []
     for m in methods:
         own = [row for row in rows if row["method"] == m]
-        nominal = [row["reward_mean"] for row in own if row["value"] == DISTURBANCES[row["disturbance"]].nominal]
+        nominal = [row["reward_mean"] for row in own if row["value"] == swept(row["disturbance"]).nominal]
         success = max(t.nominal_success for t in found if t.method == m)
         said.append(f"{method_named(m).label} {float(np.mean(nominal)):.3f}, {success:.0%} without a fall")
     first = rows[0]

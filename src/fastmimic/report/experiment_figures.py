@@ -17,6 +17,7 @@ from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.render.figure_style import INK, MUTED, Line, legend_below, new_figure, save, tidy, write_at
 from fastmimic.runs.work_folder import RESULTS_CSV, TABLE, WorkFolder
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
+from fastmimic.simulation.terrain import TERRAINS
 
 SUCCESS_FIGURE: Final = "success.png"
 REWARD_FIGURE: Final = "reward.png"
@@ -40,7 +41,7 @@ _COLORS: Final = (("#0072b2", ""), ("#56b4e9", "//"), ("#e69f00", "\\\\"), ("#d5
 def write_stress(folder: WorkFolder, settings: stress.StressSettings, planned: Sequence[tuple[str, str]]) -> None:
     """Writes tables and figures of all finished sweeps; counts the missing of `planned` (method, disturbance)."""
     rows = [{**row, "value": float(row["value"])} for row in all_parts(folder.path / stress.SWEEPS)]  # JSON has no inf
-    methods, names = list(METHODS), list(DISTURBANCES)
+    methods, names = list(METHODS), [*DISTURBANCES, *TERRAINS]
     rows.sort(key=lambda row: (methods.index(row["method"]), names.index(row["disturbance"]), row["value"]))
     if not rows:
         return
@@ -71,7 +72,7 @@ def stress_figure(rows: Sequence[dict[str, Any]], curve: str, title: str) -> Fig
 
 
 def _panel(axes: Axes, rows: Sequence[dict[str, Any]], methods: Sequence[str], curve: str) -> None:
-    kind = DISTURBANCES[rows[0]["disturbance"]]
+    kind = stress.swept(rows[0]["disturbance"])
     finite = [row["value"] for row in rows if math.isfinite(row["value"])]
     beyond = 1.2 * max(finite)  # where a value without bound is drawn
     for i, method in enumerate(methods):

@@ -20,16 +20,11 @@ from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.simulation.config import SensorConfig
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S, DisturbanceKind, EachStep
 from fastmimic.simulation.simulators import SIMULATORS
+from fastmimic.simulation.terrain import TERRAINS, Terrain, TerrainLevel, parse_terrain
 
 OBSERVED: Final = ("truth", "sensors")
 
-CELL_M: Final = 0.15
-CELLS: Final = 400  # on each side: 60 m; episodes begin in the middle, and a robot that leaves the field falls
-HALF_SIDE_M: Final = CELL_M * CELLS / 2
-_FLAT_RADIUS_M: Final = 0.45
-_FULL_RADIUS_M: Final = 0.9
-_GROUND_PURPOSE: Final = 71  # of the random stream
-_TURN_PURPOSE: Final = 72
+GROUND_PURPOSE: Final = 71  # of the random stream
 PUSH_WINDOW_S: Final = 1.0  # length of the window of push times after the usual time: any phase of the gait
 
 
@@ -109,13 +104,6 @@ class World:
         """What acts at each control step, with its values."""
         kinds = [kind for kind in DISTURBANCES.values() if kind.name in self.given]
         return [(kind.each_step, self.values[kind.name]) for kind in kinds if kind.each_step is not None]
-
-    @property
-    def gravity(self) -> Array:
-        """(n, 3) unit vectors of gravity in the ground's frame, z normal to it."""
-        x, y = (np.tan(np.radians(self.values[name])) for name in ("slope", "side-slope"))
-        down = -np.column_stack([x, y, np.ones(self.n)])
-        return down / np.linalg.norm(down, axis=1, keepdims=True)
 
     def push(self, elapsed_s: float) -> Array | None:
         """(n, 2) present push on the trunks, forwards and to the left, N; None without any."""
@@ -275,6 +263,7 @@ class Conditions:
         observe: "truth" for the simulator's state, "sensors" for an estimate from noisy, biased and late sensors.
         seed: of sensors and disturbances. Each episode has its own random stream, independent of the others in a batch.
         disturbances: deviations from robot and ground of the optimisation, as objects or texts such as "payload=2".
+        terrain: the ground in place of the flat one, as an object or a text such as "stairs-up=0.05".
         sensors, estimator: used where `observe` is "sensors".
     """
 
@@ -282,6 +271,7 @@ class Conditions:
     observe: str = "truth"
     seed: int = 0
     disturbances: tuple[Disturbance, ...] = ()
+    terrain: TerrainLevel | None = None
     sensors: SensorConfig = field(default_factory=SensorConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
 
@@ -294,22 +284,20 @@ class Conditions:
         given: tuple[Any, ...] = self.disturbances
         read = tuple(parse_disturbance(d) if isinstance(d, str) else d for d in given)
         object.__setattr__(self, "disturbances", read)
+        terrain: Any = parse_terrain(self.terrain) if isinstance(self.terrain, str) else self.terrain
+        object.__setattr__(self, "terrain", terrain)
+        if terrain is not None and not terrain.is_file and not terrain.kind.realized_in(self.simulator):
+            there = [name for name, kind in TERRAINS.items() if kind.realized_in(self.simulator)]
+            raise ConfigError(
+                f"terrain '{terrain.name}' is not realised in {self.simulator}; those that are: {', '.join(there)}"
+            )
+
+    @cached_property
+    def ground(self) -> Terrain | None:
+        """The ground, None if it is flat; raises `ConfigError` for a file that holds no heights."""
+        return None if self.terrain is None else self.terrain.make(episode_generator(self.seed, 0, GROUND_PURPOSE))
 
 
 def episode_generator(seed: int, episode: int, purpose: int) -> np.random.Generator:
     """The random stream of one episode for one purpose (each user of randomness has its own number)."""
     return np.random.default_rng(np.random.SeedSequence([seed, episode, purpose]))
-
-
-def rough_ground(roughness: float, seed: int) -> Array:
-    """Uneven ground: heights (m) at the corners of the cells, (CELLS + 1, CELLS + 1), rows along y, columns along x.
-    Uniform in ± `roughness`; zero within 0.45 m of the middle, where episodes begin, rising to full height at 0.9 m."""
-    heights = episode_generator(seed, 0, _GROUND_PURPOSE).uniform(-roughness, roughness, (CELLS + 1, CELLS + 1))
-    along = np.linspace(-HALF_SIDE_M, HALF_SIDE_M, CELLS + 1)
-    radius = np.hypot(along[:, None], along[None])
-    return heights * np.clip((radius - _FLAT_RADIUS_M) / (_FULL_RADIUS_M - _FLAT_RADIUS_M), 0.0, 1.0)
-
-
-def turns(n: int, seed: int) -> Array:
-    """Turn of the field about its middle for each episode, (n,) rad: each crosses different ground."""
-    return np.array([episode_generator(seed, i, _TURN_PURPOSE).uniform(-np.pi, np.pi) for i in range(n)])

@@ -16,7 +16,6 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.registry import Registry
 from fastmimic.base.rotations import matrix_from_quat
 from fastmimic.robot.robot import combined
@@ -78,11 +77,6 @@ def _contact(simulation: Any, _: Array) -> None:
     simulation.batch.expand("geom_solref")[:] = -np.column_stack([stiffness, damping])[:, None]
 
 
-def _slope(simulation: Any, _: Array) -> None:
-    simulation.batch.expand("opt.gravity")[:] = GRAVITY * simulation.world.gravity
-    simulation.constants_changed = True
-
-
 def _joints(field: str, simulation: Any, values: Array) -> None:
     simulation.batch.expand(field)[:, simulation.joint_dofs] = values[:, None]
     simulation.constants_changed = True
@@ -116,27 +110,18 @@ def loaded(mass: float, com: Array, inertia: Array, payload: float) -> tuple[flo
     return combined([(mass, com, inertia + cube), (payload, at, np.zeros((3, 3)))])
 
 
-def _both(*levels: float) -> tuple[float, ...]:
+def symmetric(*levels: float) -> tuple[float, ...]:
+    """Levels to both sides of 0."""
     return (*(-level for level in reversed(levels)), 0.0, *levels)
 
 
-_SLOPE: Final = DisturbanceKind(
-    "slope",
-    unit="deg",
-    lower=-30.0,
-    upper=30.0,
-    about="of the ground along the world's x axis, positive uphill; frames turn with the ground: gravity tilts",
-    levels=_both(2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0),
-    usual=(-4.0, 4.0),
-    apply={"mujoco": _slope},
-)
 _COM_X: Final = DisturbanceKind(
     "com-x",
     unit="m",
     lower=-0.15,
     upper=0.15,
     about="shift of the trunk's centre of mass forwards",
-    levels=_both(0.02, 0.04, 0.06, 0.08, 0.1),
+    levels=symmetric(0.02, 0.04, 0.06, 0.08, 0.1),
     usual=(-0.03, 0.03),
     randomized=True,
     apply={"mujoco": _trunk_load},
@@ -148,7 +133,7 @@ _PUSH: Final = DisturbanceKind(
     upper=100.0,
     about=f"impulse on the trunk within {PUSH_DURATION_S:g} s along its heading, {PUSH_TIME_S:g} s after the start"
     " unless a time is given (@time)",
-    levels=_both(2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 18.0, 24.0),
+    levels=symmetric(2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 18.0, 24.0),
     usual=(-5.0, 5.0),
     timed=True,
 )
@@ -187,23 +172,6 @@ DISTURBANCES: Final = Registry(
             usual=(0.02, 0.04),
             apply={"mujoco": _contact},
         ),
-        _SLOPE,
-        replace(
-            _SLOPE,
-            name="side-slope",
-            about="of the ground along the world's y axis, positive if it rises to the left",
-            usual=(-2.0, 2.0),
-        ),
-        DisturbanceKind(
-            "roughness",
-            unit="m",
-            lower=0.0,
-            upper=0.1,
-            about="greatest height and depth of uneven ground: a random height field of 0.15 m cells, flat at the"
-            " start",
-            levels=(0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04),
-            per_robot=False,
-        ),
         DisturbanceKind(
             "payload",
             unit="kg",
@@ -220,7 +188,7 @@ DISTURBANCES: Final = Registry(
             _COM_X,
             name="com-y",
             about="shift of the trunk's centre of mass to the left",
-            levels=_both(0.01, 0.02, 0.03, 0.04, 0.05, 0.06),
+            levels=symmetric(0.01, 0.02, 0.03, 0.04, 0.05, 0.06),
             usual=(-0.015, 0.015),
         ),
         DisturbanceKind(
@@ -281,7 +249,7 @@ DISTURBANCES: Final = Registry(
             _PUSH,
             name="side-push",
             about="the same to the left of its heading",
-            levels=_both(2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 18.0),
+            levels=symmetric(2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 18.0),
             usual=(-1.5, 1.5),
         ),
     ],

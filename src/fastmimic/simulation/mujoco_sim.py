@@ -1,4 +1,4 @@
-"""MuJoCo: n robots on flat ground, stepped as one batch on native threads; also with disturbances
+"""MuJoCo: n robots on the ground, stepped as one batch on native threads; also with disturbances
 (`fastmimic.simulation.disturbance_kinds`).
 
 The motor law τ + k_p (q* − q) + k_d (q̇* − q̇), clipped to the torque limit, runs at physics rate inside MuJoCo: each
@@ -6,7 +6,7 @@ joint has an affine actuator with the gains in its bias, per robot and per step.
 """
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -19,9 +19,10 @@ from fastmimic.base.jit import kernel
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, OBSERVATION
-from fastmimic.simulation.conditions import HALF_SIDE_M, Disturbance, driving_limit, make_world, rough_ground, turns
+from fastmimic.simulation.conditions import Disturbance, driving_limit, make_world
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, Placement, substeps_of
+from fastmimic.simulation.terrain import Terrain
 
 FLOOR: Final = "fastmimic_floor"
 GROUND_FRICTION: Final = 0.8
@@ -30,15 +31,8 @@ STANDING_LEANS_DEG: Final = (-60.0, -30.0, 0.0, 30.0, 60.0)  # of the calf from 
 SLIDING: Final = 3  # MuJoCo's condim: a normal force and friction against slipping
 
 
-class HeightField(NamedTuple):
-    """Uneven ground: heights (rows along y, columns along x) in m over a square of 2 `half_side` m about the origin."""
-
-    heights: Array
-    half_side: float
-
-
 def build_model(
-    robot: Robot, physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ, ground: HeightField | None = None
+    robot: Robot, physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ, ground: Terrain | None = None
 ) -> mujoco.MjModel:
     """The robot on a floor (`ground`; None for flat), with motors that take stiffness and damping, and foot sensors.
 
@@ -57,9 +51,8 @@ def build_model(
         if geom.name in robot.foot_geoms:
             geom.condim, geom.margin, geom.gap = SLIDING, 0.0, 0.0
             geom.solref, geom.solimp = plain.solref, plain.solimp
-    spec.worldbody.add_geom(
-        name=FLOOR, friction=[GROUND_FRICTION, 0.005, 0.0001], contype=1, conaffinity=0, **_floor_shape(spec, ground)
-    )
+    for name, shape in floor_shapes(spec, ground).items():
+        spec.worldbody.add_geom(name=name, friction=[GROUND_FRICTION, 0.005, 0.0001], contype=1, conaffinity=0, **shape)
     for joint, limit in zip(robot.joint_names, robot.torque_limit, strict=True):
         actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
@@ -73,8 +66,8 @@ def build_model(
         spec.add_sensor(
             name=f"{leg}_ground_force",
             type=mujoco.mjtSensor.mjSENS_CONTACT,
-            objtype=mujoco.mjtObj.mjOBJ_GEOM,
-            objname=FLOOR,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            objname="world",
             reftype=mujoco.mjtObj.mjOBJ_GEOM,
             refname=geom,
             intprm=[wanted, 3, 1],  # 3: the net force
@@ -91,7 +84,8 @@ def build_model(
     if ground is None:
         model.geom_conaffinity[_before_feet(model, robot)] = 0
     else:
-        model.geom_conaffinity[:] = build_model(robot).geom_conaffinity  # there the floor is level
+        level = build_model(robot)
+        model.geom_conaffinity[model.geom_bodyid > 0] = level.geom_conaffinity[level.geom_bodyid > 0]
     return model
 
 
@@ -121,20 +115,24 @@ def _before_feet(model: mujoco.MjModel, robot: Robot) -> list[int]:
     return sorted(found)
 
 
-def _floor_shape(spec: mujoco.MjSpec, ground: HeightField | None) -> dict[str, Any]:
-    """The floor's geom: a plane, or a height field, which is added to the model's assets."""
-    if ground is None:
-        return {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0, 0, 0.05]}
-    lowest, highest = float(ground.heights.min()), float(ground.heights.max())
-    rows, columns = ground.heights.shape
+def floor_shapes(spec: mujoco.MjSpec, ground: Terrain | None) -> dict[str, dict[str, Any]]:
+    """The floor's geoms by name; a height field is added to the model's assets."""
+    if ground is not None and len(ground.boxes):
+        kind = {"type": mujoco.mjtGeom.mjGEOM_BOX}
+        return {f"{FLOOR}{i}": {**kind, "pos": box[:3], "size": box[3:]} for i, box in enumerate(ground.boxes)}
+    if ground is None or ground.field is None:
+        tilt = {} if ground is None else {"quat": ground.plane(np.zeros(()), np.zeros(())).quat}
+        return {FLOOR: {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0, 0, 0.05], **tilt}}
+    heights = ground.field.heights
+    lowest, rise = float(heights.min()), max(float(np.ptp(heights)), 1e-6)
     spec.add_hfield(
         name=FLOOR,
-        size=[ground.half_side, ground.half_side, max(highest - lowest, 1e-6), 0.1],
-        nrow=rows,
-        ncol=columns,
-        userdata=((ground.heights - lowest) / max(highest - lowest, 1e-6)).ravel(),
+        size=[*ground.field.half, rise, 0.1],
+        nrow=heights.shape[0],
+        ncol=heights.shape[1],
+        userdata=((heights - lowest) / rise).ravel(),
     )
-    return {"type": mujoco.mjtGeom.mjGEOM_HFIELD, "hfieldname": FLOOR, "pos": [0, 0, lowest]}
+    return {FLOOR: {"type": mujoco.mjtGeom.mjGEOM_HFIELD, "hfieldname": FLOOR, "pos": [0, 0, lowest]}}
 
 
 @kernel
@@ -186,7 +184,7 @@ class MujocoSimulation:
         control_rate_hz: float = 500.0,
         physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
         threads: int = 1,
-        ground: HeightField | None = None,
+        ground: Terrain | None = None,
     ) -> None:
         """Raises `ConfigError` if the physics rate is not a multiple of the control rate."""
         self.substeps = substeps_of(physics_rate_hz, control_rate_hz)
@@ -250,21 +248,14 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         n: int,
         disturbances: Sequence[Disturbance],
         *,
-        seed: int = 0,
         control_rate_hz: float = 500.0,
         threads: int = 1,
+        ground: Terrain | None = None,
     ) -> None:
-        """`robot` is without the disturbances; `seed` is for uneven ground; the rest as for `MujocoSimulation`. Raises
-        `ConfigError` as `make_world`, or if the control rate does not divide the physics rate."""
+        """`robot` is without the disturbances; the rest as for `MujocoSimulation`. Raises `ConfigError` as
+        `make_world`, or if the control rate does not divide the physics rate."""
         self.world = make_world(disturbances, n, "mujoco")
-        rough = self.world.has("roughness")
-        super().__init__(
-            robot,
-            n,
-            control_rate_hz=control_rate_hz,
-            threads=threads,
-            ground=HeightField(rough_ground(self.world["roughness"][0], seed), HALF_SIDE_M) if rough else None,
-        )
+        super().__init__(robot, n, control_rate_hz=control_rate_hz, threads=threads, ground=ground)
         self.joint_dofs = self._index[12:]
         self.trunk = int(self.model.jnt_bodyid[0])
         self.trunk_force = np.zeros((n, 3))
@@ -273,10 +264,6 @@ class DisturbedMujocoSimulation(MujocoSimulation):
             change = DISTURBANCES[name].apply.get("mujoco")
             if change is not None and self.world.has(name):
                 change(self, self.world[name])
-        if rough:
-            floor, half = self.model.geom(FLOOR).id, turns(n, seed) / 2  # about the origin
-            self.batch.expand("geom_quat")[:, floor] = np.column_stack([np.cos(half), np.zeros((n, 2)), np.sin(half)])
-            self.batch.expand("geom_sameframe")[:, floor] = 0  # it is no longer parallel to the world
         if self.constants_changed:
             self.batch.set_const()
         self._limit = robot.torque_limit

@@ -24,9 +24,10 @@ from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate,
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import OBSERVATION
-from fastmimic.simulation.conditions import CELL_M, Disturbance, driving_limit, make_world, rough_ground, turns
+from fastmimic.simulation.conditions import Disturbance, driving_limit, make_world
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M
 from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, PYBULLET_URDFS, substeps_of
+from fastmimic.simulation.terrain import Terrain
 
 _TRUNK: Final = "trunk"
 _JOINTS: Final = tuple(f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "upper", "lower"))
@@ -43,21 +44,21 @@ class PybulletSimulation:
         n: int,
         *,
         disturbances: Sequence[Disturbance] = (),
-        seed: int = 0,
+        ground: Terrain | None = None,
         control_rate_hz: float = 500.0,
         physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
     ) -> None:
-        """Bullet and the motor law step at `physics_rate_hz`; `seed` is for uneven ground; a disturbance has one value,
-        or one for each robot. Raises `ConfigError` if PyBullet is missing, the robot (of `PYBULLET_URDFS`) or a
-        disturbance is not supported, or the physics rate is not a multiple of the control rate."""
+        """Bullet and the motor law step at `physics_rate_hz`; `ground` is a plane or a height field, flat if None; a
+        disturbance has one value, or one for each robot. Raises `ConfigError` if PyBullet is missing, the robot (of
+        `PYBULLET_URDFS`) or a disturbance is not supported, or the physics rate is not a multiple of the control
+        rate."""
         pybullet, BulletClient = require_pybullet()
         description = read_description(robot)
         self.substeps = substeps_of(physics_rate_hz, control_rate_hz)
         self.observation = np.zeros(n, OBSERVATION)
         self._rate = physics_rate_hz
         self.world = world = make_world(disturbances, n, "pybullet")
-        self._heights = rough_ground(float(world["roughness"][0]), seed) if world.has("roughness") else None
-        self._turns = turns(n, seed)
+        self._ground = ground
         self._clients: list[Any] = []
         for _ in range(n):
             with quiet():  # it tells its arguments
@@ -131,10 +132,10 @@ class PybulletSimulation:
         bullet, world = self._clients[i], self.world
         bullet.resetSimulation()
         bullet.setTimeStep(1.0 / self._rate)
-        bullet.setGravity(*(GRAVITY * world.gravity[i]))
+        bullet.setGravity(0.0, 0.0, -GRAVITY)
         bullet.setPhysicsEngineParameter(deterministicOverlappingPairs=1)
         self._bodies[i] = body = _Body(bullet, self._descriptions[i])
-        body.ground = _ground(bullet, self._heights, float(self._turns[i]))
+        body.ground = _ground(bullet, self._ground)
         # Bullet multiplies the coefficients of the two bodies: the ground has them, the robot 1
         bullet.changeDynamics(body.ground, -1, lateralFriction=float(world["friction"][i]))
         body.prepare(float(world["joint-friction"][i]), float(world["joint-damping"][i]))
@@ -255,19 +256,22 @@ def _check_fit(body: _Body, robot: Robot) -> None:
             )
 
 
-def _ground(bullet: Any, heights: Array | None, turn: float) -> int:
-    """A plane, or a height field turned about its middle."""
-    if heights is None:
-        return int(bullet.createMultiBody(0, bullet.createCollisionShape(bullet.GEOM_PLANE)))
+def _ground(bullet: Any, ground: Terrain | None) -> int:
+    """A plane, or a height field."""
+    if ground is None or ground.field is None:
+        quat = [1.0, 0.0, 0.0, 0.0] if ground is None else ground.plane(np.zeros(()), np.zeros(())).quat
+        plane = bullet.createCollisionShape(bullet.GEOM_PLANE)
+        return int(bullet.createMultiBody(0, plane, -1, [0.0, 0.0, 0.0], np.roll(quat, -1)))
+    heights = ground.field.heights
     shape = bullet.createCollisionShape(
         bullet.GEOM_HEIGHTFIELD,
-        meshScale=[CELL_M, CELL_M, 1.0],
+        meshScale=[ground.field.cell, ground.field.cell, 1.0],
         heightfieldData=heights.ravel().tolist(),
         numHeightfieldRows=heights.shape[1],
         numHeightfieldColumns=heights.shape[0],
     )
     middle = [0.0, 0.0, float(heights.max() + heights.min()) / 2]  # Bullet centres the heights about their range
-    return int(bullet.createMultiBody(0, shape, -1, middle, bullet.getQuaternionFromEuler([0, 0, turn])))
+    return int(bullet.createMultiBody(0, shape, -1, middle))
 
 
 def _wxyz(quat: Sequence[float]) -> Array:

@@ -23,12 +23,11 @@ _ERRORS: Final = record_dtype(
     [
         *integers(tick=()),
         *floats(gyro_bias=3, accel_bias=3, attitude=3, joint_offset=12, torque_gain=12, foot_gain=4, foot_offset=4),
-        *floats(velocity=3, up=3, level=4),
+        *floats(velocity=3),
     ]
 )
 """One robot's lasting errors, and its velocity at the last IMU reading. `attitude` is the error of the IMU's
-orientation, a small rotation vector in the world frame. `up` is the vertical in the simulation's frame, and `level` the
-rotation from there to a frame with z vertical."""
+orientation, a small rotation vector in the world frame."""
 
 _NOISE: Final = record_dtype(
     [
@@ -74,8 +73,8 @@ def _measure_imu(c: Any, errors: Any, noise: Any, truth: Any, out: Any, rotation
     span = c.dt * c.periods[0]
     for k in range(3):
         work[k] = (truth.lin_vel[k] - errors.velocity[k]) / span if errors.tick > 0 else 0.0
-        work[k] += GRAVITY * errors.up[k]
         errors.velocity[k] = truth.lin_vel[k]
+    work[2] += GRAVITY
     transposed_times(rotation, work, out.accel)
     half, g, f = 0.5 * span if errors.tick > 0 else 0.0, out.gyro, out.accel
     tx = half * (g[1] * f[2] - g[2] * f[1])
@@ -87,14 +86,8 @@ def _measure_imu(c: Any, errors: Any, noise: Any, truth: Any, out: Any, rotation
     for k in range(3):
         g[k] += errors.gyro_bias[k] + c.gyro_noise * noise.gyro[k]
     # an attitude filter takes its vertical from the accelerometer: u × ε = b / g for the vertical u in the body frame
-    b, u, e, s = errors.accel_bias, work, errors.attitude, c.orientation_noise
-    transposed_times(rotation, errors.up, u)
-    w, x, y, z = errors.level[0], errors.level[1], errors.level[2], errors.level[3]
-    q = truth.root_quat
-    out.quat[0] = w * q[0] - x * q[1] - y * q[2] - z * q[3]
-    out.quat[1] = w * q[1] + x * q[0] + y * q[3] - z * q[2]
-    out.quat[2] = w * q[2] - x * q[3] + y * q[0] + z * q[1]
-    out.quat[3] = w * q[3] + x * q[2] - y * q[1] + z * q[0]
+    b, u, e, s = errors.accel_bias, rotation[2], errors.attitude, c.orientation_noise
+    out.quat = truth.root_quat
     turn_by(
         out.quat,
         (b[1] * u[2] - b[2] * u[1]) / GRAVITY,
@@ -175,14 +168,10 @@ def _measure(
 class Sensors:
     """The sensors of n robots. A robot's noise depends on its own generator alone."""
 
-    def __init__(
-        self, robot: Robot, n: int, rate_hz: float, config: SensorConfig | None = None, gravity: Array | None = None
-    ) -> None:
-        """`gravity` (n, 3) are its directions in the simulation's frame, unit vectors; downwards if None."""
+    def __init__(self, robot: Robot, n: int, rate_hz: float, config: SensorConfig | None = None) -> None:
         self.config = config if config is not None else SensorConfig()
         self._config = _pack(self.config, robot, rate_hz)
         self._errors = np.zeros(n, _ERRORS)
-        self._up = -gravity if gravity is not None else np.tile([0.0, 0.0, 1.0], (n, 1))
         self._ring = np.zeros((n, 1 + int(self._config["delays"].max())), READING)
         self._noise = np.zeros((n, _BLOCK), _NOISE)
         self._normals = self._noise.view(np.float64).reshape(n, _BLOCK, _DRAWN)
@@ -201,10 +190,6 @@ class Sensors:
         self._generators, self._step = generators, 0
         errors, config = self._errors, self.config
         errors[...] = np.zeros((), _ERRORS)
-        errors["up"] = self._up
-        # the smallest rotation from up to z: (1 + up·z, up × z), normalised
-        level = np.column_stack([1.0 + self._up[:, 2], self._up[:, 1], -self._up[:, 0], np.zeros(len(errors))])
-        errors["level"] = level / np.linalg.norm(level, axis=1, keepdims=True)
         for i, rng in enumerate(generators):
             errors["gyro_bias"][i] = config.gyro_bias * rng.standard_normal(3)
             errors["accel_bias"][i] = config.accel_bias * rng.standard_normal(3)

@@ -70,18 +70,17 @@ class Simulator:
 def _mujoco(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: float, threads: int) -> Simulation:
     from fastmimic.simulation.mujoco_sim import DisturbedMujocoSimulation, MujocoSimulation
 
+    options: dict[str, Any] = {"ground": conditions.ground, "control_rate_hz": control_rate_hz, "threads": threads}
     if not conditions.disturbances:
-        return MujocoSimulation(robot, n, control_rate_hz=control_rate_hz, threads=threads)
-    return DisturbedMujocoSimulation(
-        robot, n, conditions.disturbances, seed=conditions.seed, control_rate_hz=control_rate_hz, threads=threads
-    )
+        return MujocoSimulation(robot, n, **options)
+    return DisturbedMujocoSimulation(robot, n, conditions.disturbances, **options)
 
 
 def _pybullet(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: float, threads: int) -> Simulation:
     from fastmimic.simulation.pybullet_sim import PybulletSimulation
 
     return PybulletSimulation(
-        robot, n, disturbances=conditions.disturbances, seed=conditions.seed, control_rate_hz=control_rate_hz
+        robot, n, disturbances=conditions.disturbances, ground=conditions.ground, control_rate_hz=control_rate_hz
     )
 
 
@@ -97,14 +96,14 @@ _PUSHES: Final = ("push", "side-push")
 SIMULATORS: Final = Registry(
     "simulator",
     [
-        Simulator("mujoco", "where motions are optimised", _mujoco, realizes=("roughness", *_MOTORS, *_PUSHES)),
+        Simulator("mujoco", "where motions are optimised", _mujoco, realizes=(*_MOTORS, *_PUSHES)),
         Simulator(
             "pybullet",
             "slower, with the manufacturer's URDF",
             _pybullet,
             _check_pybullet,
             realizes=(
-                *("friction", "slope", "side-slope", "roughness", "payload", "com-x", "com-y"),
+                *("friction", "payload", "com-x", "com-y"),
                 *(*_MOTORS, "joint-friction", "joint-damping", *_PUSHES),
             ),
             needs=("pybullet", "pybullet_data", "pybullet_utils"),
@@ -119,9 +118,9 @@ FIRST_SIMULATOR, SECOND_SIMULATOR = list(SIMULATORS)[:2]
 def make_simulation(
     robot: Robot, n: int, conditions: "Conditions", *, control_rate_hz: float, threads: int = 1
 ) -> Simulation:
-    """n robots in the simulator of the conditions (only `simulator`, `disturbances` and `seed` count). `threads` is an
-    upper bound; PyBullet has one. Raises `ConfigError` as `Simulator.check`, for a disturbance that is not realised, or
-    for rates that do not fit."""
+    """n robots in the simulator of the conditions (only `simulator`, `disturbances`, `terrain` and `seed` count).
+    `threads` is an upper bound; PyBullet has one. Raises `ConfigError` as `Simulator.check`, for a disturbance that is
+    not realised, or for rates that do not fit."""
     return SIMULATORS[conditions.simulator].make(robot, n, conditions, control_rate_hz, threads)
 
 

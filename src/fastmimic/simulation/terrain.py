@@ -1,0 +1,326 @@
+"""Terrains, as legged_gym and mjlab have them, each an entry of a registry. To add one, register one entry:
+
+    TERRAINS.register(TerrainKind("bumps", unit="m", lower=0.0, upper=0.1, about="…", make=make_bumps))
+
+A terrain is a plane, boxes with exact edges, or a height field, under real gravity. Episodes begin on it at different
+places and lead along the world's x axis, on irregular ground in any direction. On the command line: `name=level`, or a
+file: `hills.png=0.3@0.05` for 0.3 m from black to white and pixels of 0.05 m, `hills.npy@0.05` for heights in m.
+"""
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.registry import Registry
+from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate, quat_rotate_inverse
+from fastmimic.simulation.disturbance_kinds import DisturbanceKind, symmetric
+
+FOOTPRINT_M: Final = 0.25  # half the edge of the ground that counts as under a robot
+TREAD_M: Final = 0.3
+REACH_M: Final = 20.0  # to which stairs go in each direction: more than 10 s at 1.5 m/s
+STONE_M: Final = 0.4  # edge of a stepping stone
+HOLE_M: Final = 0.2  # depth below the plane through the ground; a foot does not begin in a hole
+CELL_M: Final = 0.15
+FIELD_M: Final = 60.0  # edge of a height field; a robot that leaves it falls
+WAVE_M: Final = 1.0
+FILE_CELL_M: Final = 0.05
+FILES: Final = (".png", ".npy")
+_ACROSS: Final = np.linspace(-FOOTPRINT_M, FOOTPRINT_M, 5)
+_UNDER: Final = np.stack(np.meshgrid(_ACROSS, _ACROSS), axis=-1).reshape(-1, 2)  # points under a robot
+
+
+class GroundPlane(NamedTuple):
+    """Planes through the ground: their heights (…) under robots, m, and the smallest rotations (…, 4) from a frame with
+    z along the normal to the world."""
+
+    height: Array
+    quat: Array
+
+    @classmethod
+    def of(cls, height: Array, gradient: Array) -> "GroundPlane":
+        """From heights (…) and gradients (…, 2)."""
+        x, y = gradient[..., 0], gradient[..., 1]
+        quat = np.stack([1.0 + np.sqrt(1.0 + x * x + y * y), y, -x, np.zeros_like(x)], axis=-1)
+        return cls(height, quat / np.linalg.norm(quat, axis=-1, keepdims=True))
+
+    @property
+    def normal(self) -> Array:
+        """(…, 3) unit vectors, upwards."""
+        return quat_rotate(self.quat, np.array([0.0, 0.0, 1.0]))
+
+    def laid(self, position: Array, quat: Array) -> tuple[Array, Array]:
+        """Positions (…, 3) and orientations (…, 4) above level ground as they are above this one, with their x and
+        y."""
+        above = position.copy()
+        above[..., 2] = self.height + position[..., 2] / self.normal[..., 2]
+        return above, quat_multiply(self.quat, quat)
+
+    def seen(self, observation: NDArray[Any]) -> NDArray[Any]:
+        """States (…) of `OBSERVATION` as from the ground: height along the normal, orientation and velocities in the
+        plane's frame; x, y and forces are left."""
+        out = observation.copy()
+        out["root_pos"][..., 2] = (out["root_pos"][..., 2] - self.height) * self.normal[..., 2]
+        out["root_quat"] = quat_multiply(quat_conjugate(self.quat), out["root_quat"])
+        for name in ("lin_vel", "ang_vel"):
+            out[name] = quat_rotate_inverse(self.quat, out[name])
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class HeightField:
+    """Heights (rows along y, columns along x) in m at points `cell` m apart, about the origin. The ground between them
+    consists of triangles, as in MuJoCo."""
+
+    heights: Array
+    cell: float
+
+    @property
+    def half(self) -> Array:
+        """Half of its edges along x and y, m."""
+        return self.cell * (np.array(self.heights.shape)[::-1] - 1) / 2
+
+    def height(self, x: Array, y: Array) -> Array:
+        """Heights (…) at (…), m; beyond an edge those at it."""
+        rows, columns = self.heights.shape
+        column = np.clip((x + self.half[0]) / self.cell, 0.0, columns - 1.0)
+        row = np.clip((y + self.half[1]) / self.cell, 0.0, rows - 1.0)
+        j, i = np.minimum(column.astype(int), columns - 2), np.minimum(row.astype(int), rows - 2)
+        u, v, low, high = column - j, row - i, self.heights[i, j], self.heights[i + 1, j + 1]
+        beside = np.where(u >= v, self.heights[i, j + 1], self.heights[i + 1, j])  # the triangle's third corner
+        return low + np.maximum(u, v) * (beside - low) + np.minimum(u, v) * (high - beside)
+
+
+@dataclass(frozen=True, eq=False)
+class Terrain:
+    """The ground of episodes, world frame.
+
+    Attributes:
+        gradient: (2,) of the plane through the origin that it is, or that its boxes follow.
+        boxes: (k, 6) centres and half edges of boxes along the axes, m.
+        field: of irregular ground.
+        spread: (3,) greatest x and y, m, and heading, rad, at which episodes begin.
+    """
+
+    gradient: tuple[float, float] = (0.0, 0.0)
+    boxes: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    field: HeightField | None = None
+    spread: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def height(self, x: Array, y: Array) -> Array:
+        """Heights (…) of the ground at (…), m; beside all boxes that of the lowest underside."""
+        if self.field is not None:
+            return self.field.height(x, y)
+        if not len(self.boxes):
+            return self.gradient[0] * x + self.gradient[1] * y
+        at, half = self.boxes[:, :3], self.boxes[:, 3:]
+        inside = (np.abs(x[..., None] - at[:, 0]) <= half[:, 0]) & (np.abs(y[..., None] - at[:, 1]) <= half[:, 1])
+        tops = np.where(inside, at[:, 2] + half[:, 2], (at[:, 2] - half[:, 2]).min())
+        return np.asarray(tops.max(axis=-1), dtype=np.float64)
+
+    def plane(self, x: Array, y: Array) -> GroundPlane:
+        """The plane through the ground under robots at (…), m: of a field, that nearest to their footprint."""
+        if self.field is None:
+            gradient = np.broadcast_to(self.gradient, (*np.shape(x), 2))
+            return GroundPlane.of(gradient[..., 0] * x + gradient[..., 1] * y, gradient)
+        under = self.field.height(x[..., None] + _UNDER[:, 0], y[..., None] + _UNDER[:, 1])
+        return GroundPlane.of(under.mean(axis=-1), under @ _UNDER / np.sum(_ACROSS**2) / len(_ACROSS))
+
+    def support(self, x: Array, y: Array, radius: float) -> Array:
+        """Heights (…) on which feet of a radius, m, stand at (…), m: on an edge if it is that near."""
+        around = radius * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        return np.asarray(self.height(x[..., None] + around[:, 0], y[..., None] + around[:, 1]).max(axis=-1))
+
+    def plane_through(self, root: Array, feet: Array, radius: float) -> GroundPlane:
+        """The planes nearest to the ground under feet (n, 4, ≥2) of robots at (n, ≥2), world, m; holes are left
+        out."""
+        away = feet[..., :2] - root[:, None, :2]
+        ground, mean = self.support(feet[..., 0], feet[..., 1], radius), self.plane(feet[..., 0], feet[..., 1]).height
+        ground = np.where(ground < mean - HOLE_M, mean, ground)
+        fit = np.linalg.pinv(np.concatenate([np.ones_like(away[..., :1]), away], axis=-1)) @ ground[..., None]
+        return GroundPlane.of(fit[:, 0, 0], fit[:, 1:, 0])
+
+
+@dataclass(frozen=True)
+class TerrainKind(DisturbanceKind):
+    """A kind of terrain, with `levels` instead of values; `make` returns it from a level and the ground's random
+    numbers."""
+
+    make: Callable[[float, np.random.Generator], Terrain] = lambda level, rng: Terrain()
+    per_robot: bool = False
+    simulators: tuple[str, ...] = ("mujoco", "pybullet")
+
+    def realized_in(self, simulator: str) -> bool:
+        return simulator in self.simulators
+
+
+@dataclass(frozen=True)
+class TerrainLevel:
+    """A terrain with its level: `name` is one of `TERRAINS`, or the path of a height field with points `cell` m apart.
+    A `.png` rises by `level` m from black to white, its upper edge has the greatest y; an `.npy` has heights in m."""
+
+    name: str
+    level: float = 0.0
+    cell: float = FILE_CELL_M
+
+    def __post_init__(self) -> None:
+        if self.is_file:
+            if not (math.isfinite(self.level) and 0 < self.cell < math.inf):
+                raise ConfigError(f"terrain {self.name}: heights must be finite and cells positive")
+        elif not self.kind.lower <= self.level <= self.kind.upper:
+            kind = self.kind
+            raise ConfigError(
+                f"terrain '{self.name}' takes {kind.show(kind.lower)} to {kind.show(kind.upper)}, found"
+                f" {self.level:g}: {kind.about}"
+            )
+
+    @property
+    def is_file(self) -> bool:
+        return Path(self.name).suffix.lower() in FILES
+
+    @property
+    def kind(self) -> TerrainKind:
+        return TERRAINS[self.name]
+
+    def make(self, rng: np.random.Generator) -> Terrain:
+        """The terrain; raises `ConfigError` for a file that holds no heights."""
+        if not self.is_file:
+            return self.kind.make(self.level, rng)
+        ground = HeightField(_read_heights(Path(self.name), self.level), self.cell)
+        return Terrain(field=ground, spread=(ground.half[0] / 4, ground.half[1] / 4, np.pi))
+
+    def __str__(self) -> str:
+        return self.name if self.is_file else f"{self.name} {self.kind.show(self.level)}"
+
+
+def parse_terrain(text: str) -> TerrainLevel:
+    """A terrain from `name=level`, `file.png=height@cell` or `file.npy@cell`; raises `ConfigError` for another text."""
+    name, level, cell = re.fullmatch(r"\s*([^=@]*)(?:=([^=@]*))?(?:@(.*))?", text, re.DOTALL).groups()  # type: ignore
+    ending = Path(name).suffix.lower()
+    try:
+        if (level is None) != (ending == ".npy") or (cell is not None and ending not in FILES):
+            raise ValueError
+        return TerrainLevel(name, float(level or 0.0), float(cell or FILE_CELL_M))
+    except ValueError:
+        raise ConfigError(
+            "a terrain is written name=level, such as stairs-up=0.05, or as a height field, hills.png=0.3@0.05 or"
+            f" hills.npy@0.05 (heights and cells in m); found '{text}'. There are {', '.join(TERRAINS)}"
+        ) from None
+
+
+def _read_heights(path: Path, rise: float) -> Array:
+    from PIL import Image
+
+    try:
+        if path.suffix.lower() == ".npy":
+            heights = np.load(path, allow_pickle=False).astype(np.float64)
+        else:
+            with Image.open(path) as image:
+                white = 65535 if image.mode.startswith("I") else 255
+                heights = np.asarray(image.convert("F"), dtype=np.float64)[::-1] * (rise / white)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: cannot be read as a height field: {error}") from None
+    if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all():
+        raise ConfigError(f"{path}: a height field has rows and columns of finite heights; found {heights.shape}")
+    return np.ascontiguousarray(heights)
+
+
+def _plane(x: float, y: float, degrees: float, _: np.random.Generator) -> Terrain:
+    slope = math.tan(math.radians(degrees))
+    return Terrain((x * slope, y * slope))
+
+
+def _stairs(sign: float, rise: float, _: np.random.Generator) -> Terrain:
+    """Steps across the x axis; the plane through the middles of their treads goes through the origin."""
+    steps, slope = round(REACH_M / TREAD_M), sign * rise / TREAD_M
+    boxes = np.zeros((2 * steps, 6))
+    boxes[:, 0] = (np.arange(-steps, steps) + 0.5) * TREAD_M
+    boxes[:, 2] = slope * boxes[:, 0] - 0.5
+    boxes[:, 3:] = TREAD_M / 2, REACH_M, 0.5
+    return Terrain((slope, 0.0), boxes, spread=(TREAD_M / 2, 1.0, 0.0))
+
+
+def _stones(gap: float, _: np.random.Generator) -> Terrain:
+    """A path of stones from 3 m behind the origin to 18 m before it, 6 m wide, and the ground 0.3 m below."""
+    pitch = STONE_M + gap
+    x, y = np.meshgrid(np.arange(-3.0, 18.0, pitch), np.arange(-3.0, 3.0, pitch))
+    boxes = np.zeros((x.size + 1, 6))
+    boxes[1:, 0], boxes[1:, 1], boxes[1:, 2] = x.ravel(), y.ravel(), -0.25
+    boxes[1:, 3:] = STONE_M / 2, STONE_M / 2, 0.25
+    boxes[0] = 0.0, 0.0, -0.8, REACH_M, REACH_M, 0.5
+    return Terrain(boxes=boxes, spread=(pitch / 2, pitch / 2, 0.0))
+
+
+def _rough(height: float, rng: np.random.Generator) -> Terrain:
+    points = round(FIELD_M / CELL_M) + 1
+    heights = rng.uniform(-height, height, (points, points))
+    return Terrain(field=HeightField(heights, CELL_M), spread=(5.0, 5.0, np.pi))
+
+
+def _waves(amplitude: float, _: np.random.Generator) -> Terrain:
+    cell = WAVE_M / 10
+    along = amplitude / 2 * np.sin(2 * np.pi / WAVE_M * cell * np.arange(round(FIELD_M / cell) + 1))
+    return Terrain(field=HeightField(along[:, None] + along, cell), spread=(5.0, 5.0, np.pi))
+
+
+_HEIGHT: Final[dict[str, Any]] = {"unit": "m", "lower": 0.0, "upper": 0.3}
+_ANGLE: Final[dict[str, Any]] = {"unit": "deg", "lower": -30.0, "upper": 30.0}
+_BOXES: Final[dict[str, Any]] = {**_HEIGHT, "simulators": ("mujoco",)}
+_UP: Final = TerrainKind(
+    "stairs-up",
+    **_BOXES,
+    levels=(0.0, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.12, 0.15),
+    about=f"rise of stairs that go up, with treads of {TREAD_M:g} m",
+    make=partial(_stairs, 1.0),
+)
+TERRAINS: Final = Registry(
+    "terrain",
+    [
+        _UP,
+        replace(_UP, name="stairs-down", about="the same down", make=partial(_stairs, -1.0)),
+        TerrainKind(
+            "slope",
+            **_ANGLE,
+            levels=symmetric(5.0, 10.0, 15.0, 20.0, 25.0),
+            about="of the ground along the way, positive uphill",
+            make=partial(_plane, 1.0, 0.0),
+        ),
+        TerrainKind(
+            "side-slope",
+            **_ANGLE,
+            levels=symmetric(2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0),
+            about="of the ground across the way, positive if it rises to the left",
+            make=partial(_plane, 0.0, 1.0),
+        ),
+        TerrainKind(
+            "rough",
+            **_HEIGHT,
+            levels=(0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.07, 0.1),
+            about=f"greatest height and depth of random ground, with points {CELL_M:g} m apart",
+            make=_rough,
+        ),
+        TerrainKind(
+            "waves",
+            **_HEIGHT,
+            levels=(0.0, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1),
+            about=f"greatest height and depth of waves of {WAVE_M:g} m along both axes",
+            make=_waves,
+        ),
+        TerrainKind(
+            "stones",
+            **_BOXES,
+            levels=(0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2),
+            about=f"gap between stepping stones of {STONE_M:g} m, 0.3 m above the ground",
+            make=_stones,
+        ),
+    ],
+)
+"""All terrains that have a level."""
