@@ -26,7 +26,7 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.plan import episode_duration, nominal_start
 from fastmimic.experiments.experiment import Subject
-from fastmimic.experiments.transfer import LAST, STAGES, TransferSettings, run_trials
+from fastmimic.experiments.transfer import STAGES, TransferSettings, run_trials
 from fastmimic.imitation.methods import controller_for
 
 MOTIONS: Final = ("dog:trot", "anim:side-steps", "dog:pace", "dog:right-turn")
@@ -73,8 +73,7 @@ def measured(motion: fm.Motion, settings: Settings) -> dict[str, Any]:
     conditions = fm.Conditions(disturbances=fm.Randomization(settings.robots).held_out(HELD_OUT))
     start = nominal_start(HELD_OUT)
     others = run_episodes(robot, motion, start=start, duration_s=seconds, config=config, conditions=conditions)
-    last = [stage for stage in STAGES if stage.name == LAST]
-    trials = run_trials(Subject(method, motion, config), robot, TransferSettings(duration_s=DURATION_S), last)
+    trials = run_trials(Subject(method, motion, config), robot, TransferSettings(duration_s=DURATION_S), STAGES[-1:])
     share = nominal.clearance[0] / swing_clearance(motion.target, robot.foot_radius)
     return {
         "nominal": float(nominal.reward[0]),

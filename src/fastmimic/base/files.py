@@ -61,9 +61,9 @@ def write_text(path: str | Path, text: str) -> None:
     replace_file(path, lambda file: file.write(text.encode()))
 
 
-def write_json(path: str | Path, value: Any, *, indent: int | None = 2) -> None:
+def write_json(path: str | Path, value: Any) -> None:
     """Replaces a file by a value as JSON (`fastmimic.base.text.plain`); raises `OutputError`."""
-    write_text(path, json.dumps(plain(value), indent=indent, ensure_ascii=False, allow_nan=False) + "\n")
+    write_text(path, json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def read_json(path: str | Path, error: type[FastMimicError] = ConfigError) -> dict[str, Any]:

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from scipy.spatial import KDTree
+from numpy.typing import NDArray
 
-from fastmimic.base.arrays import fingerprint
+from fastmimic.base.arrays import Array, fingerprint
 from fastmimic.base.errors import CheckpointError, FastMimicError, LibraryError, OutputError
 from fastmimic.base.machine import versions
 from fastmimic.base.text import plain
@@ -53,7 +53,7 @@ YAW_RAD_S: Final = 0.6
 OTHER_FOOTFALL: Final = 1.0
 """Distances of one unit: of the logarithm of the period, speed, turning; and the distance for another footfall."""
 FARTHEST: Final = 6.0  # greatest distance of a useful excerpt
-_ROUNDING: Final = 1e-9
+_DIGITS: Final = 9  # of a distance, in which equally near excerpts agree
 _STARTS: Final = ("id", "piece", "robot", "robot_file", "best", "repeats", "parameters", "motion_file")
 
 
@@ -265,12 +265,8 @@ def _what_it_is(motion: Motion) -> Record:
 
 def distance(a: Excerpt, b: Excerpt) -> float:
     """Difference of two excerpts, 0 for the same."""
-    apart = math.hypot(
-        math.log(a.period_s / b.period_s) / TEMPO,
-        (a.speed_m_per_s - b.speed_m_per_s) / SPEED_M_S,
-        (a.yaw_rate_rad_per_s - b.yaw_rate_rad_per_s) / YAW_RAD_S,
-    )
-    return apart + _other(a.footfall, b.footfall)
+    other = None not in (a.footfall, b.footfall) and a.footfall != b.footfall
+    return math.dist(_place(a), _place(b)) + OTHER_FOOTFALL * other
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,42 +295,29 @@ class Neighbours:
         return cls(library.path.resolve(), pieces, best)
 
     def nearest(self, piece: Excerpt, robot: str) -> WarmStart | None:
-        """The start of a search for an excerpt on a robot (name or MJCF); None if no excerpt on that robot is near."""
-        rows = self._near(piece, robot) if piece.repeats else []
-        near = min(rows, key=lambda row: (distance(piece, self.pieces[row["piece"]]), row["id"]), default=None)
-        if near is None or distance(piece, self.pieces[near["piece"]]) > FARTHEST:
+        """The start of a search for an excerpt on a robot (name or MJCF), of equally near ones that with the first id;
+        None if no excerpt on that robot is near."""
+        if not piece.repeats or robot not in self._places:
             return None
-        return WarmStart(near["id"], self.library / near["motion_file"])
-
-    def _near(self, piece: Excerpt, robot: str) -> list[Row]:
-        """A few rows that include the nearest."""
-        groups = {footfall: group for (name, footfall), group in self._groups.items() if name == robot}
-        at = _place(piece)
-        apart = {footfall: _other(piece.footfall, footfall) for footfall in groups}
-        least = min((tree.query(at)[0] + apart[f] for f, (tree, _) in groups.items()), default=math.inf)
-        if least > FARTHEST + _ROUNDING:
-            return []
-        return [
-            rows[i]
-            for footfall, (tree, rows) in groups.items()
-            if least >= apart[footfall]
-            for i in tree.query_ball_point(at, least - apart[footfall] + _ROUNDING)
-        ]
+        rows, places, footfalls = self._places[robot]
+        other = (footfalls != "") & (footfalls != (piece.footfall or footfalls))
+        apart = np.linalg.norm(places - _place(piece), axis=1) + OTHER_FOOTFALL * other
+        near = int(np.argmin(np.round(apart, _DIGITS)))
+        if apart[near] > FARTHEST:
+            return None
+        return WarmStart(rows[near]["id"], self.library / rows[near]["motion_file"])
 
     @cached_property
-    def _groups(self) -> dict[tuple[str, str | None], tuple[KDTree, list[Row]]]:
-        """The rows of each robot and footfall, with a tree of their places."""
-        found: dict[tuple[str, str | None], list[Row]] = {}
-        for robot, rows in self.best.items():
-            for row in rows:
-                found.setdefault((robot, self.pieces[row["piece"]].footfall), []).append(row)
-        return {key: (KDTree([_place(self.pieces[row["piece"]]) for row in rows]), rows) for key, rows in found.items()}
+    def _places(self) -> dict[str, tuple[list[Row], Array, NDArray[np.str_]]]:
+        """The rows of each robot by id, with their coordinates and footfalls."""
+        found = {}
+        for robot, given in self.best.items():
+            rows = sorted(given, key=lambda row: str(row["id"]))
+            pieces = [self.pieces[row["piece"]] for row in rows]
+            found[robot] = rows, np.array([_place(p) for p in pieces]), np.array([p.footfall or "" for p in pieces])
+        return found
 
 
 def _place(piece: Excerpt) -> tuple[float, float, float]:
     """Coordinates of an excerpt; their distance is `distance` without the footfall."""
     return math.log(piece.period_s) / TEMPO, piece.speed_m_per_s / SPEED_M_S, piece.yaw_rate_rad_per_s / YAW_RAD_S
-
-
-def _other(a: str | None, b: str | None) -> float:
-    return OTHER_FOOTFALL if a is not None and b is not None and a != b else 0.0

@@ -70,7 +70,6 @@ STAGES: Final = (
     TransferStage("robot", "(c) all", SECOND_SIMULATOR, "sensors", (*ACTUATORS, FLOOR)),
 )
 """From the simulator of the optimisation to a robot that differs in everything."""
-LAST: Final = STAGES[-1].name
 
 IDENTIFIED: Final = replace(STAGES[-1], name="identified", label="(c) identified")
 """The last stage, with friction and payload identified from a run in it."""

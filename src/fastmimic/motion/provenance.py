@@ -113,8 +113,10 @@ class ClipOrigin(msgspec.Struct, frozen=True):
     assumed: str | tuple[str, ...] = ()  # in reading it, as sentences
 
 
-class RetargetBound(msgspec.Struct, frozen=True):
-    """A bound within which a motion counts as the animal's; no value where it could not be measured."""
+@dataclass(frozen=True)
+class RetargetBound:
+    """A bound within which a motion counts as the animal's, and why it is not kept; a file has no value where it could
+    not be measured."""
 
     name: str
     value: float | None

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.text import plain
+from fastmimic.motion.provenance import RetargetBound
 from fastmimic.retargeting.contact_schedule import ScheduleChanges
 from fastmimic.trajectory.executable import ExecutableFigures
 
@@ -21,17 +22,6 @@ MAX_DUTY_CHANGE: Final = 0.1
 MAX_SLIP_M: Final = 1e-3
 MAX_CLOSURE_M: Final = 1e-3
 MAX_CLOSURE_DEG: Final = 0.1
-
-
-@dataclass(frozen=True)
-class Bound:
-    """A bound within which the result counts as the animal's motion; `reason` says why it does not hold."""
-
-    name: str
-    value: float
-    limit: float
-    met: bool
-    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -101,7 +91,7 @@ class RetargetReport:
     joint_speed_peak: Floats
     joint_speed_limit: Floats
     heading_aligned_deg: float
-    bounds: tuple[Bound, ...] = ()
+    bounds: tuple[RetargetBound, ...] = ()
     executable: ExecutableFigures | None = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -161,7 +151,9 @@ def with_bounds(report: RetargetReport, turning_radius_m: float) -> RetargetRepo
         _at_most("cycle closure, deg", after.closure_deg, MAX_CLOSURE_DEG, ""),
         _at_most("speed change, share", speed, MAX_SPEED_CHANGE, "the path was smoothed"),
         _at_most("yaw change, deg", yaw, MAX_YAW_CHANGE_DEG, ""),
-        Bound("swing clearance, share of the animal's", clearance, MIN_CLEARANCE_SHARE, not low, held if low else ""),
+        RetargetBound(
+            "swing clearance, share of the animal's", clearance, MIN_CLEARANCE_SHARE, not low, held if low else ""
+        ),
         _at_most("duty change", duty, MAX_DUTY_CHANGE, ", ".join(report.changes.reasons())),
         _at_most(_JOINT_SPEED, joint_speed, 1.0, "the animal's legs move faster than the motors can"),
     ]
@@ -175,12 +167,12 @@ def with_executable(report: RetargetReport, figures: ExecutableFigures) -> Retar
     return replace(report, bounds=bounds, executable=figures)
 
 
-def _at_most(name: str, value: float, limit: float, reason: str) -> Bound:
+def _at_most(name: str, value: float, limit: float, reason: str) -> RetargetBound:
     met = value <= limit
-    return Bound(name, value, limit, met, "" if met else reason)
+    return RetargetBound(name, value, limit, met, "" if met else reason)
 
 
-def _bound_line(bound: Bound) -> str:
+def _bound_line(bound: RetargetBound) -> str:
     why = f" ({bound.reason})" if bound.reason else ""
     return f"{'ok ' if bound.met else 'NOT MET'} {bound.name}: {bound.value:.3g} of {bound.limit:.3g}{why}"
 

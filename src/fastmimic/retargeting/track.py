@@ -179,23 +179,6 @@ class TrunkTrack:
             cycle=None if motion.cycle is None else np.array(motion.cycle),
         )
 
-    def deviated(self, deviation: Array) -> "TrunkTrack":
-        """The trunk moved by (t, 6): x, y, z in the heading frame, m; roll, pitch, yaw, rad. The toes stay."""
-        root_xy = self.root_xy + rotate_planar(self.heading, deviation[:, :2])
-        heading = self.heading + deviation[:, 5]
-        cycle = None
-        if self.cycle is not None:
-            end = self.moved(root_xy[:1], 1)[0] - root_xy[0]
-            cycle = np.array([*rotate_planar(-heading[0], end), self.cycle[2]])
-        return replace(
-            self,
-            root_xy=root_xy,
-            root_z=self.root_z + deviation[:, 2],
-            heading=heading,
-            tilt=self.tilt + deviation[:, 3:5],
-            cycle=cycle,
-        )
-
     def heading_at(self, sample: Indices) -> Array:
         """Heading (k,) at samples (k,), also outside [0, n) of a cycle."""
         if self.cycle is None:
