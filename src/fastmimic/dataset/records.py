@@ -23,47 +23,19 @@ FINISHED: Final = "work/seen.json"
 DONE: Final = "done"
 FAILED: Final = "failed"
 
-_IDENTITY: Final = {
-    **dict.fromkeys(("id", "name", "source"), str),
-    **dict.fromkeys(("first_frame", "end_frame"), int),
-    **dict.fromkeys(("piece", "gait", "footfall"), str),
-    "confidence": float,
-    **dict.fromkeys(("robot", "robot_file", "robot_digest", "method"), str),
-    "seed": int,
-    **dict.fromkeys(("recipe", "licence", "credit", "status", "reason"), str),
+_TYPES: Final = {"text": str, "whole": int, "number": float, "truth": bool}
+_GROUPS: Final = {
+    group: {name: _TYPES[kind] for name, kind in columns.items()}
+    for group, columns in packaged("fastmimic.dataset", "columns.json", dict[str, dict[str, str]]).items()
 }
-"""Columns of every record; `source` is its place, `piece` the digest of the excerpt's content, `robot_file` a user's
-MJCF, `robot_digest` that of the robot's description, `reason` that of a failure."""
-
-_REWARDS: Final = (
-    *("reward_animal", "reward_animal_before", "reward_animal_perturbed"),
-    *("reward_mean", "reward_mean_before", "reward_mean_perturbed", "reward_std_perturbed"),
-    *("reward_mean_robots", "reward_worst_robots", "reward_mean_second_simulator"),
-)
-_FALLS: Final = ("fell", "fell_before", "fell_perturbed", "fell_robots", "fell_second_simulator")
-_MEASURES: Final = (
-    *("style_distance", "style_distance_realised"),
-    *("mean_clearance_m", "swing_clearance_least_share", "early_contacts_per_s", "stance_slip_m", "drift_m_per_s"),
-    *("success", "success_perturbed", "mpjpe_mm", "mpbpe_root_mm"),
-    *("joint_speed_share", "torque_share", "friction_needed", "flight_share"),
-)
-_PACKAGES: Final = ("fastmimic", "python", "mujoco", "daqp", "cma", "numba", "numpy")
-FIGURES: Final = {
-    **dict.fromkeys(("period_s", "speed_m_per_s", "yaw_rate_rad_per_s", "duty_factor"), float),
-    "repeats": bool,
-    **dict.fromkeys((*_REWARDS, *_FALLS, *_MEASURES), float),
-    **dict.fromkeys(("limits_exceeded", "warm_start", "parameters"), str),
-    **dict.fromkeys(("iterations", "evaluations"), int),
-    "simulated_s": float,
-    **dict.fromkeys(("motion_file", "motion_sha256", *(f"{name}_version" for name in _PACKAGES)), str),
-}
-"""Further columns of a finished motion; figures of episodes have the names of `Metrics`, of the nominal episode where a
-name says no more. `limits_exceeded` is from `fastmimic.episode.feasibility.reasons`; `warm_start` is the record that
-the search began from."""
-COSTS: Final = {"wall_s": float, "cpu_s": float, "finished": str}  # differ between repetitions
-
-COLUMNS: Final = {**_IDENTITY, **FIGURES, **COSTS}
-"""Name → type. A record has a value or None in each."""
+FIGURES: Final = _GROUPS["figures"]
+"""Columns of a finished motion; figures of episodes have the names of `Metrics`, of the nominal episode where a name
+says no more. `limits_exceeded` is from `fastmimic.episode.feasibility.reasons`; `warm_start` is the record that the
+search began from."""
+COSTS: Final = _GROUPS["costs"]  # differ between repetitions
+COLUMNS: Final[dict[str, type]] = {**_GROUPS["identity"], **FIGURES, **COSTS}
+"""Name → type. A record has a value or None in each. `source` is a record's place, `piece` the digest of the excerpt's
+content, `robot_file` a user's MJCF, `robot_digest` that of the robot's description, `reason` that of a failure."""
 _KINDS: Final[dict[type, Any]] = {str: str, int: int, float: (int, float), bool: (bool, int, float)}  # as JSON has them
 _NEEDED: Final = ("name", "piece", "robot", "robot_digest", "seed", "recipe", "status")
 

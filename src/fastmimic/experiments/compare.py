@@ -107,32 +107,19 @@ class ComparisonPlan:
 
 @dataclass
 class RunProgress:
-    """Progress, and the remaining time by the pace of each method so far."""
+    """Progress in simulated time, and the remaining time at the pace so far."""
 
     tasks: Sequence[RunTask]
-    workers: int
     finished: int = 0
-    _began: dict[int, float] = field(default_factory=dict)
-    _first: dict[int, tuple[float, int]] = field(default_factory=dict)
+    _began: float = field(default_factory=time.perf_counter)
     _done_s: dict[int, float] = field(default_factory=dict)
-    _pace: dict[int, tuple[float, float]] = field(default_factory=dict)  # seconds, and simulated seconds
-
-    def begin(self, index: int) -> None:
-        self._began[index] = time.perf_counter()
 
     def advance(self, index: int, iteration: int) -> None:
-        """Records an iteration of a run's search; the first one starts its clock, after the preparations."""
-        now, task = time.perf_counter(), self.tasks[index]
-        at, first = self._first.setdefault(index, (now, iteration))
-        self._done_s[index] = task.searched_s(iteration)
-        if iteration > first:
-            self._pace[index] = (now - at, task.searched_s(iteration - first))
+        """Records an iteration of a run's search."""
+        self._done_s[index] = self.tasks[index].searched_s(iteration)
 
     def finish(self, index: int) -> None:
-        now, task = time.perf_counter(), self.tasks[index]
-        self._done_s[index] = task.simulated_s
-        if index not in self._pace:
-            self._pace[index] = (now - self._began.get(index, now), task.simulated_s)
+        self._done_s[index] = self.tasks[index].simulated_s
         self.finished += 1
 
     @property
@@ -143,21 +130,9 @@ class RunProgress:
 
     @property
     def remaining_s(self) -> float | None:
-        """None before the pace of a search is known, if there is one to do."""
-        pace: dict[str, float] = {}
-        for method in {task.run.method for task in self.tasks}:
-            seen = [self._pace[i] for i, task in enumerate(self.tasks) if task.run.method == method and i in self._pace]
-            if seen:
-                pace[method] = sum(took for took, _ in seen) / max(1e-9, sum(simulated for _, simulated in seen))
-        long = {task.run.method for task in self.tasks if method_named(task.run.method).optimises}
-        known = [pace[method] for method in long or pace if method in pace]
-        if not known:
-            return None
-        left = sum(
-            (task.simulated_s - self._done_s.get(i, 0.0)) * pace.get(task.run.method, max(known))
-            for i, task in enumerate(self.tasks)
-        )
-        return max(0.0, left) / self.workers
+        """None before anything is done."""
+        share = self.share
+        return (time.perf_counter() - self._began) * (1.0 - share) / share if share > 0 else None
 
 
 ReportProgress = Callable[[RunProgress, Row | None], None]
@@ -195,15 +170,13 @@ def run_all(tasks: Sequence[RunTask], workers: int, report: ReportProgress) -> l
     """Performs all tasks; returns the rows in their order. One worker runs them in this process. Raises
     `FastMimicError` as the first failed run, and stops the others. Results and checkpoints survive that and Ctrl-C."""
     executor = LocalExecutor(max(1, min(workers, len(tasks))))
-    effort = RunProgress(tasks, executor.workers)
+    effort = RunProgress(tasks)
     rows: list[Row | None] = [None] * len(tasks)
 
     def progress(index: int, share: float) -> None:
         if share > 0.0:
             effort.advance(index, round(share * tasks[index].settings.iterations))
             report(effort, None)
-        else:
-            effort.begin(index)
 
     outcomes = executor.run(perform, tasks, progress)
     with closing(outcomes):
