@@ -112,7 +112,7 @@ def sample(motion: Motion, fps: float, duration_s: float | None = None, *, loopi
     at = np.arange(count) / fps * motion.rate_hz
     before = np.floor(at + 1e-9).astype(np.int64)
     share = np.clip(at - before, 0.0, 1.0)
-    first, second = _at(motion, before), _at(motion, before + (share > 0))
+    first, second = at_samples(motion, before), at_samples(motion, before + (share > 0))
     mixed = [(1 - share[:, None]) * a + share[:, None] * b for a, b in zip(first, second, strict=True)]
     quat = np.where(np.sum(first[1] * second[1], axis=1, keepdims=True) < 0, -second[1], second[1])
     mixed[1] = (1 - share[:, None]) * first[1] + share[:, None] * quat  # neighbours at the motion's rate
@@ -120,8 +120,8 @@ def sample(motion: Motion, fps: float, duration_s: float | None = None, *, loopi
     return Frames(fps, *mixed)
 
 
-def _at(motion: Motion, index: NDArray[np.int64]) -> list[Array]:
-    """The motion at samples that may lie in later cycles, in the order of `Frames`."""
+def at_samples(motion: Motion, index: NDArray[np.int64]) -> list[Array]:
+    """The motion (t, …) at samples (t,) that may lie in later cycles, in the order of `Frames`."""
     n = motion.n_samples
     if motion.cycle is None:
         lap, index = np.zeros_like(index), np.minimum(index, n - 1)

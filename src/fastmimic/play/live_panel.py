@@ -47,15 +47,6 @@ _STICK: Final = "steer"  # first word of the stick's field, which identifies it
 IDLE: Final = f"{_STICK} +0.00 +0.00"
 _HIDDEN: Final = ("ghost", "names")  # at first; the ghost of a good follower is inside the robot
 
-_HELP: Final = """\
-<div style="font-size:12px;line-height:1.6;padding:0 10px">
-<b>← →</b> or <b>A D</b>, held: turn · <b>↑ ↓</b> or <b>W S</b>, held: faster, slower<br>
-<b>1 … 9, 0</b>: a motion · <b>PageUp, PageDown</b>: the one before, the next<br>
-<b>P</b> push · <b>X</b> motors off · <b>space</b> pause<br>
-<b>Gamepad</b>: left stick turn and speed · A push · B motors off · shoulder buttons the motion before, the next ·
-Start pause
-</div>"""
-
 
 class PlayPanel(Panel):
     """viser's GUI elements and their effects on the session that `pacer` runs."""
@@ -231,7 +222,7 @@ class PlayPanel(Panel):
         gui, session = self._gui, self._session
         with gui.add_folder("Keys and gamepad"):
             self._field = gui.add_text("stick", IDLE, hint="what held keys and the gamepad's left stick ask for")
-            gui.add_html(_HELP + steering_script())
+            gui.add_html(_beside("help.html") + steering_script())
 
         @self._field.on_update
         def _(_event: Any) -> None:
@@ -275,9 +266,12 @@ class PlayPanel(Panel):
 def steering_script() -> str:
     """HTML that starts `steering.js` once; needed because an inserted script element would not run."""
     pixel = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw=="
-    script = Path(__file__).with_name("steering.js").read_text(encoding="utf-8")
-    code = html.escape(script.replace("FIELD", _STICK), quote=True)
+    code = html.escape(_beside("steering.js").replace("FIELD", _STICK), quote=True)
     return f'<img src="{pixel}" alt="" width="1" height="1" style="position:absolute" onload="{code}">'
+
+
+def _beside(name: str) -> str:
+    return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
 def read_steering(text: str) -> tuple[float, float] | None:

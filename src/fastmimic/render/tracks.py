@@ -14,9 +14,11 @@ from fastmimic.base.rotations import (
     quat_multiply,
     quat_rotate,
     rotate_planar,
+    turned_about_z,
     yaw_from_quat,
 )
 from fastmimic.clips.clip import Clip, Skeleton
+from fastmimic.motion.export import at_samples
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.retarget import choose_scale
@@ -135,19 +137,12 @@ def motion_track(
     n = max(1, round(duration_s * motion.rate_hz))
     if motion.cycle is None:
         n = min(n, motion.n_samples)
-    cycle, sample = np.divmod(np.arange(n), motion.n_samples)
-    origins = np.zeros((int(cycle[-1]) + 1, 3))  # x, y, yaw at the start of each cycle
-    for k in range(1, len(origins)):
-        assert motion.cycle is not None
-        origins[k, :2] = origins[k - 1, :2] + rotate_planar(origins[k - 1, 2], motion.cycle[:2])
-        origins[k, 2] = origins[k - 1, 2] + motion.cycle[2]
-    origin = origins[cycle]
-    yaw0 = float(yaw_from_quat(motion.root_quat_wxyz[0]))
-    first = motion.root_pos_w[0]
-    position = motion.root_pos_w[sample] - np.array([first[0], first[1], 0.0])
-    position[:, :2] = origin[:, :2] + rotate_planar(origin[:, 2] - yaw0, position[:, :2])
-    quat = quat_multiply(quat_from_yaw(origin[:, 2] - yaw0), motion.root_quat_wxyz[sample])
-    return Track(position, quat, motion.joint_pos[sample], title, caption, ghost, motion.contact[sample])
+    sample = np.arange(n)
+    position, quat, joint_pos, *_ = at_samples(motion, sample)
+    back = -float(yaw_from_quat(quat[0]))
+    position = turned_about_z(position - np.array([*position[0, :2], 0.0]), back)
+    quat = quat_multiply(quat_from_yaw(np.array([back])), quat)
+    return Track(position, quat, joint_pos, title, caption, ghost, motion.contact[sample % motion.n_samples])
 
 
 def world_feet(robot: Robot, pose: Array) -> Array:

@@ -20,25 +20,6 @@ from fastmimic.report.html_plots import Figure, Key, Plot, bar_marker, layout_of
 from fastmimic.runs.work_folder import ENVIRONMENT, RESULTS_CSV, TABLE
 
 _TEXT: Final = ("motion", "method", "variant", "robot", "config", "parameters", "digest")
-_EACH: Final = (  # column of results.csv, heading, digits, scale
-    ("reward_animal", "against the animal", 4, 1.0),
-    ("reward_mean", "reward", 4, 1.0),
-    ("reward_mean_perturbed", "perturbed starts", 4, 1.0),
-    ("reward_mean_before", "before", 4, 1.0),
-    ("fell", "fell, %", 0, 100.0),
-    ("fell_perturbed", "fell, perturbed, %", 0, 100.0),
-    ("success_perturbed", "success, perturbed, %", 0, 100.0),
-    ("mpjpe_mm", "mpjpe, mm", 1, 1.0),
-    ("mpbpe_root_mm", "relative to the root, mm", 1, 1.0),
-    ("swing_clearance_least_share", "least clearance, %", 0, 100.0),
-    ("style_distance_realised", "style, realised", 3, 1.0),
-    ("foot_z_rmse_m", "foot z, mm", 2, 1e3),
-    ("foot_x_rmse_m", "foot x, mm", 2, 1e3),
-    ("drift_m_per_s", "drift, m/s", 3, 1.0),
-    ("stance_slip_m", "slip, mm", 2, 1e3),
-    ("cpu_s", "processor time, s", 1, 1.0),
-    ("evaluations", "episodes", 0, 1.0),
-)
 _BAR: Final = 0.84  # share of a group's width taken by bars
 _ALIKE: Final = 0.005  # rewards closer than this are called alike
 _SEED: Final = Key("each seed", "var(--ink)", symbol="circle-open")
@@ -99,7 +80,6 @@ def comparison_page(path: Path) -> HtmlReport:
         settings=settings,
         parts=parts,
         rows=rows,
-        columns=[column for column in _EACH if any(row.get(column[0]) is not None for row in rows)],
     )
 
 

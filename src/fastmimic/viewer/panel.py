@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -38,20 +39,6 @@ _LEFT: Final = 62
 _ROW: Final = 9
 _LEG_GAP: Final = 5
 _KINDS: Final = (("wanted", "wanted"), ("measured", "loaded"), ("stance", "stance"))
-
-_KEY: Final = """\
-<div style="font-size:12px;line-height:1.5;padding:0 10px">
-<b style="color:#009e73">green, translucent</b> the demonstration; its paths are dashed<br>
-<b>◯</b> ring under a foot: the schedule wants it down · <b>●</b> disc: it is loaded · <b>☐</b> square: the planner
-has it in stance<br>
-<b style="color:#b2182b">arrow</b> ground's force · <b>black line</b> force asked for ·
-<b style="color:#785ef0">pyramid</b> friction: the arrow's tip stays in its square<br>
-<b style="color:#d21e8c">ball, cross +</b> centre of mass, and where it is above the ground · <b>cube, cross ×</b> the
-demonstration's<br>
-legs: <b style="color:#d55e00">FR</b> <b style="color:#0072b2">FL</b> <b style="color:#e69f00">RR</b>
-<b style="color:#56b4e9">RL</b><br>
-reward: {terms}
-</div>"""
 
 
 class Panel:
@@ -99,7 +86,7 @@ class ViewerPanel(Panel):
         with charts_window(gui, "Charts"):
             self._charts = [_TakeCharts(gui, scene, alone=len(robots) == 1) for scene in robots]
         with gui.add_folder("Key", expand_by_default=False):
-            gui.add_html(_KEY.format(terms=plot_key()))
+            gui.add_html(Path(__file__).with_name("key.html").read_text(encoding="utf-8").format(terms=plot_key()))
 
     def show(self, row: int) -> None:
         player = self._player
