@@ -145,10 +145,10 @@ def _share_of_falls(falls: Callable[[Robot, Motion], float], robot: Robot, motio
     return float(found["fell"])
 
 
-def executable_between(robot: Robot, guess: Motion) -> Executable:
+def executable_between(robot: Robot, guess: Motion, config: TrajectoryConfig | None = None) -> Executable:
     """The motion nearest to `guess` that joins the two executable motions of which its first and last samples are
     parts, in the same time. `guess` does not repeat. Raises `MotionError` as `nearest_executable` does."""
-    config = TrajectoryConfig(keep_time=True, keep_speed=True)
+    config = replace(config or TrajectoryConfig(), keep_time=True, keep_speed=True)
     return _within_limits(Program(robot, guess, config, joins=True), {})
 
 
