@@ -123,7 +123,7 @@ class TestTolerance:
     def test_the_table_and_the_file_say_so(self) -> None:
         rows = made_up("mbc", "top-speed", [0, 0, 0, 1, 1, 1, 1, 1, 1]) + made_up("raibert", "top-speed", [0.0] * 9)
         table = stress_table(rows, StressSettings(), 1)
-        assert "| top-speed, rad/s | 15 … ∞ | 22 … ∞ | none |" in table
+        assert "| top-speed | 0.5 … ∞ | 0.8 … ∞ | none |" in table
         assert "**Unfinished: 1 sweeps are missing.**" in table
         assert "MBC 0.900, 100% without a fall; Raibert 0.000, 0% without a fall" in table
         assert len(csv_text(COLUMNS, rows).splitlines()) == 1 + 18

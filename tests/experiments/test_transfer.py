@@ -62,7 +62,7 @@ class TestTrials:
         assert (last.simulator, last.observe) == ("pybullet", "sensors")
         given = {d.name: d.values[0] for d in last.disturbances}
         assert given["friction"] == 0.6
-        assert {"top-speed", "delay", "joint-friction"} < set(given)
+        assert {"delay", "joint-friction"} < set(given)
 
     def test_trials_begin_at_the_motions_start_but_not_quite(self) -> None:
         start = trial_starts(3, 0)

@@ -71,19 +71,38 @@ class Plain:
         self.qpos, self.dofs = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]
 
     def torque(self, command: np.ndarray) -> np.ndarray:
-        """τ + k_p (q* − q) + k_d (q̇* − q̇), clipped to the torque limit."""
+        """τ + k_p (q* − q) + k_d (q̇* − q̇), clipped to what the motors have at the speed of the control step's start."""
         raw = (
             command["torque"]
             + command["stiffness"] * (command["joint_pos"] - self.data.qpos[self.qpos])
             + command["damping"] * (command["joint_vel"] - self.data.qvel[self.dofs])
         )
-        return np.clip(raw, -self.robot.torque_limit, self.robot.torque_limit)
+        return np.clip(raw, self.least, self.most)
 
     def control_step(self, command: np.ndarray, at_physics_rate: bool) -> None:
+        speed = 2 * self.data.qvel[self.dofs] / self.robot.joint_speed_limit
+        self.least = -self.robot.torque_limit * np.clip(2 + speed, 0, 1)
+        self.most = self.robot.torque_limit * np.clip(2 - speed, 0, 1)
         for substep in range(2):
             if at_physics_rate or substep == 0:
                 self.data.qfrc_applied[self.dofs] = self.torque(command)
             mujoco.mj_step(self.model, self.data)
+
+
+class TestLegs:
+    def test_they_do_not_pass_through_each_other(self, robot: Robot) -> None:
+        """Front legs swung inwards in the air: they stop each other, which is no contact with the ground."""
+        inwards = robot.home_joint_pos.copy()
+        inwards[[0, 3]] = 0.75, -0.75
+        apart = []
+        for ideal in (False, True):
+            simulation = MujocoSimulation(robot, 1, ideal=ideal)
+            place(simulation, np.array([0, 0, 5.0]), robot.home_joint_pos)
+            for _ in range(100):
+                seen = simulation.step(hold(1, inwards))[0]
+            assert seen["other_contact"] == 0
+            apart.append(inwards[0] - seen["joint_pos"][0])
+        assert apart[0] > 0.05 > 0.01 > abs(apart[1])
 
 
 class TestMotors:
@@ -113,6 +132,16 @@ class TestMotors:
         simulated, plain, largest = self.fall(robot, 2000.0, at_physics_rate=True)
         assert largest == robot.torque_limit.max()
         np.testing.assert_allclose(simulated, plain, atol=1e-9)
+
+    def test_a_fast_joint_is_not_driven_faster(self, robot: Robot) -> None:
+        fastest = []
+        for ideal in (False, True):
+            simulation = MujocoSimulation(robot, 1, ideal=ideal)
+            place(simulation, np.array([0, 0, 5.0]), robot.home_joint_pos)
+            command = np.zeros(1, COMMAND)
+            command["torque"][:, 2] = 20.0
+            fastest.append(max(simulation.step(command)["joint_vel"][0, 2] for _ in range(12)))
+        assert fastest[0] < robot.joint_speed_limit[2] < fastest[1]
 
     def test_a_reset_forgets_gains_and_torques(self, robot: Robot) -> None:
         simulation = MujocoSimulation(robot, 1)

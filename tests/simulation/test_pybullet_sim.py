@@ -248,7 +248,7 @@ class TestDisturbances:
     def test_delay_and_weakness_reach_the_motors(self, robot: Robot) -> None:
         """Falling with joint commands ahead: later, weaker and braked motors have moved less."""
         moved = []
-        for text in ((), ("delay=0.01",), ("motor-strength=0.5",), ("joint-friction=5",), ("top-speed=6",)):
+        for text in ((), ("delay=0.01",), ("motor-strength=0.5",), ("joint-friction=5",), ("top-speed=0.3",)):
             simulation = PybulletSimulation(robot, 1, disturbances=[parse_disturbance(t) for t in text])
             home = robot.home_joint_pos
             simulation.reset(np.array([0, 0, 5.0]), LEVEL, home, np.zeros(3), np.zeros(3), np.zeros(12))

@@ -1,16 +1,17 @@
 """The expressions of one instant, and their derivatives."""
 
 import casadi as ca
+import mujoco
 import numpy as np
 import pytest
 
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate_inverse
-from fastmimic.robot import load_robot
+from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.dynamics import inverse_dynamics
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.node import GIVEN, N_GIVEN, N_ROWS, N_VARIABLES, VARIABLES, node_functions
-from fastmimic.trajectory.symbolic import instant
+from fastmimic.trajectory.symbolic import NEIGHBOURS, instant
 
 
 def _quaternion(angles: np.ndarray) -> np.ndarray:
@@ -40,7 +41,7 @@ def test_inverse_dynamics_are_mujocos(name: str) -> None:
             [rng.normal(size=3), 0.4 * rng.normal(size=3), robot.home_joint_pos + 0.3 * rng.normal(size=12)]
         )
         dx, ddx = rng.normal(size=18), 5 * rng.normal(size=18)
-        wrench, torque, feet, knees, level = (np.array(y).ravel() for y in now(x, dx, ddx, np.zeros(12)))
+        wrench, torque, feet, knees, level, apart = (np.array(y).ravel() for y in now(x, dx, ddx, np.zeros(12)))
         angles, rates = x[3:6], dx[3:6]
         omega = _body_rate(angles, rates)
         h = 1e-5
@@ -60,6 +61,8 @@ def test_inverse_dynamics_are_mujocos(name: str) -> None:
         feet_b = foot_positions(robot, x[6:])
         np.testing.assert_allclose(quat_rotate_inverse(quat, feet.reshape(4, 3) - x[:3]), feet_b, atol=1e-9)
         assert knees.shape == (4,)
+        least = _least_distances(robot, x)
+        assert np.all((apart > least - 0.01) & (apart < least + 1e-5)), (apart, least)
         np.testing.assert_allclose(level.reshape(4, 3)[:, 2], feet.reshape(4, 3)[:, 2] - x[2], atol=1e-9)
 
 
@@ -117,3 +120,16 @@ def test_a_nodes_derivatives_are_those_of_its_rows_and_cost() -> None:
         return factor * np.array(functions.gradient(x, p)).ravel() + multipliers @ full
 
     close(hessian, slope(lagrangian_gradient))
+
+
+def _least_distances(robot: Robot, x: np.ndarray) -> np.ndarray:
+    """Between points on the calves of two legs, (4,) m, by MuJoCo's kinematics."""
+    model = robot.model()
+    data = mujoco.MjData(model)
+    data.qpos[[model.joint(name).qposadr[0] for name in robot.joint_names]] = x[6:]
+    data.qpos[3] = 1.0
+    mujoco.mj_kinematics(model, data)
+    knees = np.array([data.xanchor[model.joint(name).id] for name in robot.joint_names[2::3]])
+    feet = np.array([data.geom(name).xpos for name in robot.foot_geoms])
+    points = knees[:, None] + np.array([0.25, 0.5, 0.75, 1.0])[:, None] * (feet - knees)[:, None]
+    return np.array([np.linalg.norm(points[a][:, None] - points[b][None], axis=-1).min() for a, b in NEIGHBOURS])

@@ -49,6 +49,7 @@ class Evaluate:
     simulator: opt.Simulator = "mujoco"
     disturb: opt.Disturbances = ()
     terrain: opt.TerrainName = None
+    ideal: opt.Ideal = False
     log: Annotated[Path | None, opt.option("FILE.npz")] = None
     """Log sensor readings, commands and estimates of episode 0 (no ground truth), for 'fastmimic identify'. Needs
     --observe sensors."""
@@ -72,6 +73,7 @@ class Evaluate:
             seed=self.seed,
             disturbances=tuple(parse_disturbance(text) for text in opt.joined(self.disturb)),
             terrain=None if self.terrain is None else parse_terrain(self.terrain),
+            ideal=self.ideal,
         )
         if self.log is not None:
             opt.check_writable(self.log, ".npz")

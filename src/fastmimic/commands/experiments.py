@@ -270,6 +270,7 @@ class Stress(ExperimentOptions):
     """Length of an episode."""
     simulator: opt.Simulator = "mujoco"
     observe: opt.Observation = "truth"
+    ideal: opt.Ideal = False
     out: ResultsFolder = opt.RUNS / "stress"
 
     def run(self) -> int:
@@ -285,6 +286,7 @@ class Stress(ExperimentOptions):
             robot=robot.name,
             simulator=self.simulator,
             observe=self.observe,
+            ideal=self.ideal,
             episodes=self.episodes,
             duration_s=self.duration,
             seed=self.seed,
@@ -327,7 +329,7 @@ class Transfer(ExperimentOptions):
     and more.
 
     (a) MuJoCo with sensors and an estimator; (b) PyBullet with the true state; (c) PyBullet with sensors, an estimator,
-    motors with delay, friction and a torque-speed curve, and ground friction 0.6. Writes results.csv, table.md and
+    motors with delay and friction, and ground friction 0.6. Writes results.csv, table.md and
     transfer.png. The trials of each motion and method are kept: after Ctrl-C, --resume runs the others.
     """
 

@@ -109,6 +109,7 @@ TerrainName = Annotated[
         ),
     ),
 ]
+Ideal = Annotated[bool, option(text="Motors with full torque at any speed; legs pass through each other.")]
 Quality = Annotated[str, option("preview|high", "Video quality: fast, or with shadows, reflections and anti-aliasing.")]
 Workers = Annotated[
     int | None, option("N", "Parallel workers. Default: one per core. The results do not depend on it.")

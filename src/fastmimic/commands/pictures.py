@@ -333,6 +333,7 @@ class Play:
     port: opt.Port = 8080
     method: Annotated[str, opt.option("NAME", lambda: f"Controller at the start: {opt.controllers()}.")] = "mbc"
     config: opt.ConfigName = "default"
+    ideal: opt.Ideal = False
 
     def run(self) -> int:
         require_viser()
@@ -352,7 +353,7 @@ class Play:
             with slow_start():
                 motions = load_motions(sources, robot)
                 library = MotionSet(robot, motions, executor=executor, source=name, regulator=config.regulator)
-                session = LiveSession(robot, library, method=self.method, config=config)
+                session = LiveSession(robot, library, method=self.method, config=config, ideal=self.ideal)
             try:
                 with PlayPage(session, f"{robot.name}, live", self.port) as page:
                     return serve(page, ", ".join(library.names), self.port)

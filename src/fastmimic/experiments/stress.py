@@ -43,6 +43,7 @@ class StressSettings:
     robot: str = "a1"  # its name, or the path of its MJCF
     simulator: str = "mujoco"  # as in `Conditions`
     observe: str = "truth"
+    ideal: bool = False
     episodes: int = parameter(20, low=1)
     duration_s: float = 6.0  # of an episode, s; at most a motion that does not repeat
     seed: int = 0  # of the starting phases, sensors and uneven ground
@@ -55,7 +56,7 @@ class StressSettings:
         self.conditions()
 
     def conditions(self, *disturbances: Disturbance, terrain: TerrainLevel | None = None) -> Conditions:
-        return Conditions(self.simulator, self.observe, self.seed, disturbances, terrain)
+        return Conditions(self.simulator, self.observe, self.seed, disturbances, terrain, self.ideal)
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """Zero-shot transfer: a motion optimised in one simulator, run under other conditions.
 
 The paper runs its motions on a real robot and reports three trials each. Here a simulated robot differs in what a real
-one differs in: another engine's contacts, the manufacturer's masses and inertias, motors with delay, friction and a
-torque–speed curve, a more slippery floor, and sensors in place of the true state.
+one differs in: another engine's contacts, the manufacturer's masses and inertias, motors with delay and friction, a
+more slippery floor, and sensors in place of the true state.
 """
 
 import logging
@@ -53,7 +53,6 @@ class TransferStage:
 
 
 ACTUATORS: Final = (
-    Disturbance("top-speed", (28.6,)),
     Disturbance("delay", (0.002,)),
     Disturbance("joint-friction", (0.2,)),
     Disturbance("joint-damping", (0.02,)),

@@ -95,8 +95,9 @@ class LiveSession:
     """One robot in an endless simulation. One thread at a time.
 
     `motions` are cyclic ones by name, `start` is the first of them ("stand" if None), `method` the controller, one of
-    `playable_methods()`, `config` its parameters, or the name of a set. Raises `ConfigError` if there is no such
-    motion, controller or configuration, `MotionError` for a motion that cannot be played.
+    `playable_methods()`, `config` its parameters, or the name of a set; `ideal` as in `Conditions`. Raises
+    `ConfigError` if there is no such motion, controller or configuration, `MotionError` for a motion that cannot be
+    played.
 
     Example:
         session = LiveSession(load_robot("a1"), {"trot": load_motion("trot", "a1")})
@@ -113,6 +114,7 @@ class LiveSession:
         start: str | None = None,
         method: str = "mbc",
         config: ControllerConfig | str = "default",
+        ideal: bool = False,
     ) -> None:
         self.robot = robot
         self._given = controller_config(config) if isinstance(config, str) else config
@@ -123,7 +125,7 @@ class LiveSession:
             if isinstance(motions, MotionSet)
             else MotionSet(robot, motions, self.rate_hz, regulator=self._given.regulator)
         )
-        self.simulation = MujocoSimulation(robot, 1, control_rate_hz=self.rate_hz)
+        self.simulation = MujocoSimulation(robot, 1, control_rate_hz=self.rate_hz, ideal=ideal)
         self.world = LiveWorld(self.simulation)
         name = start if start is not None else STAND
         self.reference = LiveReference(robot, self.library, self.rate_hz, name)

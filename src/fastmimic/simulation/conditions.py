@@ -141,11 +141,9 @@ def known(simulator: str) -> list[str]:
 
 
 def driving_limit(limit: Array, top_speed: Array, joint_vel: Array) -> Array:
-    """Motor torque (n, 12) available in the direction of motion, N·m: full to half the top speed, then linear to 0.
-    `limit` is (12,) N·m, `top_speed` (n, 1) rad/s, `joint_vel` (n, 12) rad/s."""
-    with np.errstate(invalid="ignore"):
-        share = 2.0 * (1.0 - np.abs(joint_vel) / top_speed)
-    return limit * np.clip(share, 0.0, 1.0)
+    """Motor torque (12,) available in the direction of motion, N·m: full to half the top speed, then linear to 0.
+    `limit` is (12,) N·m, `top_speed` and `joint_vel` (12,) rad/s."""
+    return limit * np.clip(2.0 - 2.0 * np.abs(joint_vel) / top_speed, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -264,6 +262,7 @@ class Conditions:
         seed: of sensors and disturbances. Each episode has its own random stream, independent of the others in a batch.
         disturbances: deviations from robot and ground of the optimisation, as objects or texts such as "payload=2".
         terrain: the ground in place of the flat one, as an object or a text such as "stairs-up=0.05".
+        ideal: motors give their torque at any speed, and legs pass through each other.
         sensors, estimator: used where `observe` is "sensors".
     """
 
@@ -272,6 +271,7 @@ class Conditions:
     seed: int = 0
     disturbances: tuple[Disturbance, ...] = ()
     terrain: TerrainLevel | None = None
+    ideal: bool = False
     sensors: SensorConfig = field(default_factory=SensorConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
 

@@ -203,13 +203,12 @@ DISTURBANCES: Final = Registry(
         ),
         DisturbanceKind(
             "top-speed",
-            unit="rad/s",
-            lower=5.0,
-            about="of the motors without load: the available driving torque falls linearly from the limit at half this"
-            " speed to nothing at it",
-            nominal=math.inf,
-            levels=(15.0, 18.0, 20.0, 22.0, 25.0, 30.0, 40.0, 60.0, math.inf),
-            usual=(24.0, 40.0),
+            lower=0.3,
+            about="of the motors, share of the robot's joint speed limits: their driving torque falls linearly from the"
+            " torque limit at half of it to nothing",
+            nominal=1.0,
+            levels=(0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5, math.inf),
+            usual=(0.9, 1.1),
             randomized=True,
         ),
         DisturbanceKind(

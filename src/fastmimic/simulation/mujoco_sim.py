@@ -15,16 +15,17 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY, LEGS
-from fastmimic.base.jit import kernel
+from fastmimic.base.jit import floats, kernel, record_dtype
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, OBSERVATION
-from fastmimic.simulation.conditions import Disturbance, driving_limit, make_world
+from fastmimic.simulation.conditions import Disturbance, make_world
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, Placement, substeps_of
 from fastmimic.simulation.terrain import Terrain
 
 FLOOR: Final = "fastmimic_floor"
+WORLD: Final = "world"  # the body that the floor belongs to
 GROUND_FRICTION: Final = 0.8
 FOOT_FIRST: Final = 0.3  # foot radii by which the rest of its link has to be higher than a standing foot
 STANDING_LEANS_DEG: Final = (-60.0, -30.0, 0.0, 30.0, 60.0)  # of the calf from the vertical, in stance
@@ -32,11 +33,16 @@ SLIDING: Final = 3  # MuJoCo's condim: a normal force and friction against slipp
 
 
 def build_model(
-    robot: Robot, physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ, ground: Terrain | None = None
+    robot: Robot,
+    physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
+    ground: Terrain | None = None,
+    *,
+    ideal: bool = False,
 ) -> mujoco.MjModel:
     """The robot on a floor (`ground`; None for flat), with motors that take stiffness and damping, and foot sensors.
 
-    Only the floor collides with the robot. Feet are hard points with the file's sliding friction. Two other contact
+    The floor collides with the robot and, unless `ideal`, thighs, calves and feet with those of other legs. Feet are
+    hard points with the file's sliding friction. Two other contact
     properties of the file are left out, as a controller cannot count on such feet: resistance to rolling (in one
     elliptic cone, a foot that rolls at a calf's rate has little friction left against slipping) and softness (feet sink
     by up to their radius). Geoms of the last link that would touch the ground before a standing foot do not collide.
@@ -51,6 +57,8 @@ def build_model(
         if geom.name in robot.foot_geoms:
             geom.condim, geom.margin, geom.gap = SLIDING, 0.0, 0.0
             geom.solref, geom.solimp = plain.solref, plain.solimp
+    if not ideal:
+        _collide_legs(spec, robot)
     for name, shape in floor_shapes(spec, ground).items():
         spec.worldbody.add_geom(name=name, friction=[GROUND_FRICTION, 0.005, 0.0001], contype=1, conaffinity=0, **shape)
     for joint, limit in zip(robot.joint_names, robot.torque_limit, strict=True):
@@ -67,11 +75,18 @@ def build_model(
             name=f"{leg}_ground_force",
             type=mujoco.mjtSensor.mjSENS_CONTACT,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
-            objname="world",
+            objname=WORLD,
             reftype=mujoco.mjtObj.mjOBJ_GEOM,
             refname=geom,
             intprm=[wanted, 3, 1],  # 3: the net force
         )
+    spec.add_sensor(
+        name="ground_contacts",
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        objname=WORLD,
+        intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND), 3, 1],
+    )
     spec.compiler.discardvisual = True  # geoms that only decorate would be moved at every step
     spec.option.gravity = [0, 0, -GRAVITY]
     spec.option.timestep = 1.0 / physics_rate_hz
@@ -84,9 +99,18 @@ def build_model(
     if ground is None:
         model.geom_conaffinity[_before_feet(model, robot)] = 0
     else:
-        level = build_model(robot)
+        level = build_model(robot, ideal=ideal)
         model.geom_conaffinity[model.geom_bodyid > 0] = level.geom_conaffinity[level.geom_bodyid > 0]
     return model
+
+
+def _collide_legs(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Thighs, calves and feet collide with those of other legs: bit 0 is the floor's, 1 to 4 are the legs'."""
+    for leg, hip in enumerate(robot.joint_names[1::3]):
+        for geom in spec.joint(hip).parent.find_all("geom"):
+            if geom.conaffinity:
+                geom.contype = 2 << leg
+                geom.conaffinity = 0b11111 ^ geom.contype
 
 
 def _before_feet(model: mujoco.MjModel, robot: Robot) -> list[int]:
@@ -136,7 +160,7 @@ def floor_shapes(spec: mujoco.MjSpec, ground: Terrain | None) -> dict[str, dict[
 
 
 @kernel
-def _observe(qpos: Array, qvel: Array, sensors: Array, contacts: Any, index: Any, out: Any) -> None:
+def _observe(qpos: Array, qvel: Array, sensors: Array, index: Any, out: Any) -> None:
     """From MuJoCo's state to observations; `index` is (24,): addresses of the joints in qpos, then in qvel."""
     for i in range(out.shape[0]):
         o = out[i]
@@ -159,18 +183,27 @@ def _observe(qpos: Array, qvel: Array, sensors: Array, contacts: Any, index: Any
             found += sensors[i, 4 * leg]
             for k in range(3):
                 o.foot_force[leg, k] = sensors[i, 4 * leg + 1 + k]
-        o.other_contact = contacts[i] - found
+        o.other_contact = sensors[i, 16] - found
 
 
 @kernel
-def actuate(commands: Any, ctrl: Array, bias: Array) -> None:
-    """Writes joint commands as the affine actuators' control and gains."""
+def actuate(commands: Any, qvel: Array, index: Any, motors: Any, ctrl: Array, bias: Array, torques: Array) -> None:
+    """Writes joint commands as the affine actuators' control and gains, and the torques (n, 12, 2) that their `motors`,
+    (n,) of `MOTORS`, can give at the present speed: all to half of their top speed, then linearly less to none."""
     for i in range(commands.shape[0]):
-        c = commands[i]
+        c, motor = commands[i], motors[i]
         for j in range(12):
             ctrl[i, j] = c.torque[j] + c.stiffness[j] * c.joint_pos[j] + c.damping[j] * c.joint_vel[j]
-            bias[i, j, 1] = -c.stiffness[j]
-            bias[i, j, 2] = -c.damping[j]
+            ctrl[i, j] *= motor.strength
+            bias[i, j, 1] = -motor.strength * c.stiffness[j]
+            bias[i, j, 2] = -motor.strength * c.damping[j]
+            most, speed = motor.strength * motor.limit[j], 2.0 * qvel[i, index[12 + j]] / motor.top_speed[j]
+            torques[i, j, 0] = -most * min(max(2.0 + speed, 0.0), 1.0)
+            torques[i, j, 1] = most * min(max(2.0 - speed, 0.0), 1.0)
+
+
+MOTORS: Final = record_dtype(floats(strength=(), limit=12, top_speed=12))
+"""One robot's motors: share of the commanded torque that they give, torque limits, N·m, and top speeds, rad/s."""
 
 
 class MujocoSimulation:
@@ -185,18 +218,23 @@ class MujocoSimulation:
         physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
         threads: int = 1,
         ground: Terrain | None = None,
+        ideal: bool = False,
     ) -> None:
-        """Raises `ConfigError` if the physics rate is not a multiple of the control rate."""
+        """With `ideal`, motors have their torque at any speed, and legs pass through each other. Raises `ConfigError`
+        if the physics rate is not a multiple of the control rate."""
         self.substeps = substeps_of(physics_rate_hz, control_rate_hz)
-        self.model = build_model(robot, physics_rate_hz, ground)
+        self.model = build_model(robot, physics_rate_hz, ground, ideal=ideal)
         self.batch = Batch(self.model, n, nthread=threads)
         self.observation = np.zeros(n, OBSERVATION)
         self._qpos = self.batch.bind("qpos")
         self._qvel = self.batch.bind("qvel")
         self._ctrl = self.batch.bind("ctrl")
         self._sensors = self.batch.bind("sensordata")
-        self._contacts = self.batch.bind("ncon")
         self._bias = self.batch.expand("actuator_biasprm")
+        self._torques = self.batch.expand("actuator_forcerange")
+        self.motors = np.zeros(n, MOTORS)
+        self.motors["strength"], self.motors["limit"] = 1.0, robot.torque_limit
+        self.motors["top_speed"] = np.inf if ideal else robot.joint_speed_limit
         joints = [self.model.joint(name).id for name in robot.joint_names]
         self._index = np.concatenate([self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]]).astype(np.int64)
 
@@ -227,13 +265,17 @@ class MujocoSimulation:
 
     def observe(self) -> NDArray[Any]:
         """The present states, (n,) of `OBSERVATION`; contact forces are those of the last substep."""
-        _observe(self._qpos, self._qvel, self._sensors, self._contacts, self._index, self.observation)
+        _observe(self._qpos, self._qvel, self._sensors, self._index, self.observation)
         return self.observation
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
-        actuate(commands, self._ctrl, self._bias)
+        self.drive(commands)
         self.batch.step(nstep=self.substeps)
         return self.observe()
+
+    def drive(self, commands: NDArray[Any]) -> None:
+        """Sends the motors their commands."""
+        actuate(commands, self._qvel, self._index, self.motors, self._ctrl, self._bias, self._torques)
 
 
 class DisturbedMujocoSimulation(MujocoSimulation):
@@ -251,11 +293,12 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         control_rate_hz: float = 500.0,
         threads: int = 1,
         ground: Terrain | None = None,
+        ideal: bool = False,
     ) -> None:
         """`robot` is without the disturbances; the rest as for `MujocoSimulation`. Raises `ConfigError` as
         `make_world`, or if the control rate does not divide the physics rate."""
         self.world = make_world(disturbances, n, "mujoco")
-        super().__init__(robot, n, control_rate_hz=control_rate_hz, threads=threads, ground=ground)
+        super().__init__(robot, n, control_rate_hz=control_rate_hz, threads=threads, ground=ground, ideal=ideal)
         self.joint_dofs = self._index[12:]
         self.trunk = int(self.model.jnt_bodyid[0])
         self.trunk_force = np.zeros((n, 3))
@@ -266,11 +309,9 @@ class DisturbedMujocoSimulation(MujocoSimulation):
                 change(self, self.world[name])
         if self.constants_changed:
             self.batch.set_const()
-        self._limit = robot.torque_limit
+        self.motors["strength"] = self.world["motor-strength"]
+        self.motors["top_speed"] *= self.world["top-speed"][:, None]
         self._forces = self.batch.bind("xfrc_applied")
-        self._range = (
-            self.batch.expand("actuator_forcerange") if self.world.has("motor-strength", "top-speed") else None
-        )
         late = np.round(self.world["delay"] * DEFAULT_PHYSICS_RATE_HZ).astype(np.int64)
         self._late = late if late.any() else None
         self._sent = np.zeros((int(late.max()) // self.substeps + 2, n), COMMAND)
@@ -289,37 +330,19 @@ class DisturbedMujocoSimulation(MujocoSimulation):
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
         self._push()
         self._sent[self._steps % len(self._sent)] = commands
-        if self._late is None and not self.world.has("top-speed"):
-            self._drive(commands)
+        if self._late is None:
+            self.drive(commands)
             self.batch.step(nstep=self.substeps)
         else:
             for substep in range(self.substeps):
-                self._drive(self._arrived(substep))
+                self.drive(self._arrived(substep, self._late))
                 self.batch.step(nstep=1)
         self._steps += 1
         return self.observe()
 
-    def _drive(self, commands: NDArray[Any]) -> None:
-        """Sends the motors their commands, limited by motor strength and top speed."""
-        actuate(commands, self._ctrl, self._bias)
-        if self._range is None:
-            return
-        strength = self.world["motor-strength"][:, None]
-        self._ctrl *= strength
-        self._bias[:, :, 1:3] *= strength[..., None]
-        most = np.broadcast_to(self._limit, self._ctrl.shape)
-        driving = most
-        joint_vel = self._qvel[:, self._index[12:]]
-        if self.world.has("top-speed"):
-            driving = driving_limit(self._limit, self.world["top-speed"][:, None], joint_vel)
-        self._range[:, :, 0] = -strength * np.where(joint_vel < 0, driving, most)
-        self._range[:, :, 1] = strength * np.where(joint_vel > 0, driving, most)
-
-    def _arrived(self, substep: int) -> NDArray[Any]:
+    def _arrived(self, substep: int, late: NDArray[np.int64]) -> NDArray[Any]:
         """The commands (n,) that have reached the motors by now; the first ones are there from the start."""
-        if self._late is None:
-            return self._sent[self._steps % len(self._sent)]
-        sent = np.maximum(0, (self._steps * self.substeps + substep - self._late) // self.substeps)
+        sent = np.maximum(0, (self._steps * self.substeps + substep - late) // self.substeps)
         self._due[:] = self._sent[sent % len(self._sent), np.arange(len(self._due))]
         return self._due
 

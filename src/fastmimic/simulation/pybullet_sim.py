@@ -7,6 +7,7 @@ our MJCF's; it has no rotor inertia. Contacts are Bullet's: rigid, by sequential
 import contextlib
 import ctypes
 import io
+import itertools
 import os
 import tempfile
 import xml.etree.ElementTree as ElementTree
@@ -47,16 +48,17 @@ class PybulletSimulation:
         ground: Terrain | None = None,
         control_rate_hz: float = 500.0,
         physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
+        ideal: bool = False,
     ) -> None:
         """Bullet and the motor law step at `physics_rate_hz`; `ground` is a plane or a height field, flat if None; a
-        disturbance has one value, or one for each robot. Raises `ConfigError` if PyBullet is missing, the robot (of
-        `PYBULLET_URDFS`) or a disturbance is not supported, or the physics rate is not a multiple of the control
-        rate."""
+        disturbance has one value, or one for each robot; `ideal` as in `Conditions`. Raises `ConfigError` if PyBullet
+        is missing, the robot (of `PYBULLET_URDFS`) or a disturbance is not supported, or the physics rate is not a
+        multiple of the control rate."""
         pybullet, BulletClient = require_pybullet()
         description = read_description(robot)
         self.substeps = substeps_of(physics_rate_hz, control_rate_hz)
         self.observation = np.zeros(n, OBSERVATION)
-        self._rate = physics_rate_hz
+        self._rate, self._ideal = physics_rate_hz, ideal
         self.world = world = make_world(disturbances, n, "pybullet")
         self._ground = ground
         self._clients: list[Any] = []
@@ -68,8 +70,11 @@ class PybulletSimulation:
             self._clients.append(bullet)
         loads = np.column_stack([world[name] for name in ("payload", "com-x", "com-y")])
         self._descriptions = [changed_description(description, *load) for load in loads.tolist()]
-        self._bodies = [_Body(bullet, text) for bullet, text in zip(self._clients, self._descriptions, strict=True)]
+        self._bodies = [
+            _Body(bullet, text, ideal) for bullet, text in zip(self._clients, self._descriptions, strict=True)
+        ]
         self._limit = np.minimum(self._bodies[0].torque_limit, robot.torque_limit)
+        self._top_speed = np.full(12, np.inf) if ideal else robot.joint_speed_limit
         _check_fit(self._bodies[0], robot)
         self._sent: list[NDArray[Any]] = []
         self._late = np.round(world["delay"] * physics_rate_hz).astype(np.int64)
@@ -114,7 +119,7 @@ class PybulletSimulation:
             act(self, values, time_s)
         oldest = self._steps + 1 - len(self._sent)
         for i, body in enumerate(self._bodies):
-            strength, top_speed = self.world["motor-strength"][i], self.world["top-speed"][i]
+            strength, top_speed = self.world["motor-strength"][i], self._top_speed * self.world["top-speed"][i]
             for substep in range(self.substeps):
                 sent = max(0, (self._steps * self.substeps + substep - int(self._late[i])) // self.substeps)
                 body.drive(self._sent[sent - oldest][i], self._limit, strength, top_speed)
@@ -134,7 +139,7 @@ class PybulletSimulation:
         bullet.setTimeStep(1.0 / self._rate)
         bullet.setGravity(0.0, 0.0, -GRAVITY)
         bullet.setPhysicsEngineParameter(deterministicOverlappingPairs=1)
-        self._bodies[i] = body = _Body(bullet, self._descriptions[i])
+        self._bodies[i] = body = _Body(bullet, self._descriptions[i], self._ideal)
         body.ground = _ground(bullet, self._ground)
         # Bullet multiplies the coefficients of the two bodies: the ground has them, the robot 1
         bullet.changeDynamics(body.ground, -1, lateralFriction=float(world["friction"][i]))
@@ -144,20 +149,26 @@ class PybulletSimulation:
 class _Body:
     """One robot in its client."""
 
-    def __init__(self, bullet: Any, description: str) -> None:
+    def __init__(self, bullet: Any, description: str, ideal: bool) -> None:
+        """Thighs, calves and feet collide with those of other legs, unless `ideal`."""
         self._bullet = bullet
+        flags = bullet.URDF_USE_INERTIA_FROM_FILE | (0 if ideal else bullet.URDF_USE_SELF_COLLISION)
         self.ground = -1
         with tempfile.TemporaryDirectory() as folder:  # PyBullet reads files only
             path = Path(folder) / "robot.urdf"
             path.write_text(description, encoding="utf-8")
             with quiet():
-                self.id = bullet.loadURDF(str(path), useFixedBase=False, flags=bullet.URDF_USE_INERTIA_FROM_FILE)
+                self.id = bullet.loadURDF(str(path), useFixedBase=False, flags=flags)
         about = [bullet.getJointInfo(self.id, index) for index in range(bullet.getNumJoints(self.id))]
         joints = [joint[1].decode() for joint in about]
         links = [joint[12].decode() for joint in about]
         self.joints = [joints.index(name) for name in _JOINTS]
         self.toes = [links.index(name) for name in _TOES]
         self.torque_limit = np.array([about[joint][10] for joint in self.joints])
+        parts = {links.index(f"{leg}_{part}"): leg for leg in LEGS for part in ("upper", "lower", "toe")}
+        for a, b in itertools.combinations(range(-1, len(links)), 2):
+            apart = not ideal and a in parts and b in parts and parts[a] != parts[b]
+            bullet.setCollisionFilterPair(self.id, self.id, a, b, int(apart))
         trunk = bullet.getDynamicsInfo(self.id, -1)
         # the base is reported as the trunk's inertial frame, given here in the trunk's own
         self.com_b = np.array(trunk[3])
@@ -187,7 +198,7 @@ class _Body:
         for joint, angle, speed in zip(self.joints, joint_pos, joint_vel, strict=True):
             bullet.resetJointState(self.id, joint, angle, speed)
 
-    def drive(self, command: Any, limit: Array, strength: float, top_speed: float) -> None:
+    def drive(self, command: Any, limit: Array, strength: float, top_speed: Array) -> None:
         """The motor law for one physics step."""
         bullet = self._bullet
         states = bullet.getJointStates(self.id, self.joints)
@@ -198,10 +209,7 @@ class _Body:
             + command["stiffness"] * (command["joint_pos"] - position)
             + command["damping"] * (command["joint_vel"] - velocity)
         )
-        most = limit
-        if np.isfinite(top_speed):
-            driving = driving_limit(limit, np.array([[top_speed]]), velocity[None])[0]
-            most = np.where(torque * velocity > 0, driving, limit)
+        most = np.where(torque * velocity > 0, driving_limit(limit, top_speed, velocity), limit)
         torque = strength * np.clip(torque, -most, most)
         bullet.setJointMotorControlArray(self.id, self.joints, bullet.TORQUE_CONTROL, forces=torque.tolist())
 

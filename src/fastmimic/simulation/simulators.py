@@ -70,7 +70,8 @@ class Simulator:
 def _mujoco(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: float, threads: int) -> Simulation:
     from fastmimic.simulation.mujoco_sim import DisturbedMujocoSimulation, MujocoSimulation
 
-    options: dict[str, Any] = {"ground": conditions.ground, "control_rate_hz": control_rate_hz, "threads": threads}
+    options: dict[str, Any] = {"ground": conditions.ground, "ideal": conditions.ideal}
+    options |= {"control_rate_hz": control_rate_hz, "threads": threads}
     if not conditions.disturbances:
         return MujocoSimulation(robot, n, **options)
     return DisturbedMujocoSimulation(robot, n, conditions.disturbances, **options)
@@ -80,7 +81,12 @@ def _pybullet(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: f
     from fastmimic.simulation.pybullet_sim import PybulletSimulation
 
     return PybulletSimulation(
-        robot, n, disturbances=conditions.disturbances, ground=conditions.ground, control_rate_hz=control_rate_hz
+        robot,
+        n,
+        disturbances=conditions.disturbances,
+        ground=conditions.ground,
+        control_rate_hz=control_rate_hz,
+        ideal=conditions.ideal,
     )
 
 
@@ -118,9 +124,8 @@ FIRST_SIMULATOR, SECOND_SIMULATOR = list(SIMULATORS)[:2]
 def make_simulation(
     robot: Robot, n: int, conditions: "Conditions", *, control_rate_hz: float, threads: int = 1
 ) -> Simulation:
-    """n robots in the simulator of the conditions (only `simulator`, `disturbances`, `terrain` and `seed` count).
-    `threads` is an upper bound; PyBullet has one. Raises `ConfigError` as `Simulator.check`, for a disturbance that is
-    not realised, or for rates that do not fit."""
+    """n robots in the simulator of the conditions (not its observation). `threads` is an upper bound; PyBullet has one.
+    Raises `ConfigError` as `Simulator.check`, for a disturbance that is not realised, or for rates that do not fit."""
     return SIMULATORS[conditions.simulator].make(robot, n, conditions, control_rate_hz, threads)
 
 

@@ -46,6 +46,12 @@ class TrajectoryConfig:
         0.02, unit="m", scale="length", about="a swinging foot is this high, or half as high as the animal's if less"
     )
     knee_m: float = parameter(0.03, unit="m", scale="length", about="least height of the knees above the ground")
+    apart_m: float = parameter(
+        0.004,
+        unit="m",
+        scale="length",
+        about="least gap between two legs' calves, were they as thick as feet",
+    )
     tilt_rad: float = parameter(1.2, unit="rad", above=0.0, high=1.5, about="greatest roll and pitch")
     keep_time: bool = parameter(False, about="the contact modes keep the animal's durations")
     keep_speed: bool = parameter(False, about="the motion keeps the animal's distance a cycle")

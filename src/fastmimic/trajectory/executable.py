@@ -197,6 +197,7 @@ _LIMITS = {
     "speed": "joint speed",
     "friction": "friction",
     "knees": "height of the knees",
+    "apart": "distance between two legs",
     "turning": "angular acceleration",
 }
 
@@ -209,7 +210,7 @@ def _worst(program: Program, solution: Solution) -> str:
     node, row = np.unravel_index(int(np.argmax(excess)), excess.shape)
     name = next(name for name, part in ROWS.items() if part.start <= row < part.stop)
     amount = float(excess[node, row])
-    size = f"{1e3 * amount / METRES:.0f} mm" if name in ("feet", "knees") else f"{100 * amount:.0f} %"
+    size = f"{1e3 * amount / METRES:.0f} mm" if name in ("feet", "knees", "apart") else f"{100 * amount:.0f} %"
     return f"{_LIMITS[name]} by {size} at {solution.time[node]:.2f} s"
 
 

@@ -60,12 +60,13 @@ ROWS: Final = _slices(
         "speed": 12,
         "friction": 16,
         "knees": 4,
+        "apart": 4,
         "turning": 3,
     }
 )
 """Constraint rows of a node, each about 1 at its limit: missing wrench; feet against their footholds, m × 10 (z above
-the ground); torque, and torque and speed together, share of the limits; speed; friction pyramid; heights of the knees,
-m × 10; accelerations of roll, pitch and yaw."""
+the ground); torque, and torque and speed together, share of the limits; speed; friction pyramid; heights of the knees
+and distances of calves, m × 10; accelerations of roll, pitch and yaw."""
 
 N_VARIABLES: Final = VARIABLES["stride"].stop
 N_GIVEN: Final = GIVEN["weight"].stop
@@ -157,6 +158,7 @@ def _expressions(robot: Robot, config: TrajectoryConfig, z: Expression, p: Expre
         leaving[6:] / ca.DM(robot.joint_speed_limit),
         *pyramid,
         METRES * now.knees,
+        METRES * now.apart,
         acceleration[3:6] / config.turn_rad_per_s2,
     )
 

@@ -215,12 +215,13 @@ class Program:
         return p
 
     def bounds_of_rows(self) -> tuple[Array, Array]:
-        """Lower and upper bounds (N, 89) of the rows; infinite where a row does not apply."""
+        """Lower and upper bounds (N, 93) of the rows; infinite where a row does not apply."""
         robot, config, modes = self.robot, self.config, self.modes
         shape = (modes.n_nodes, N_ROWS)
         low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
         size = robot.leg_length / 0.4
         low[:, ROWS["knees"]] = METRES * config.knee_m * size
+        low[:, ROWS["apart"]] = METRES * (2 * robot.foot_radius + config.apart_m * size)
         moves = modes.moves
         low[moves, ROWS["dynamics"]] = high[moves, ROWS["dynamics"]] = 0.0
         low[moves, ROWS["torque"]], high[moves, ROWS["torque"]] = -1.0, 1.0
@@ -249,7 +250,7 @@ class Program:
             standing = np.repeat(modes.stands[inner], 2, axis=1)
             for bound, none in ((low, -np.inf), (high, np.inf)):
                 foothold = np.where(standing, bound[np.ix_(inner, planar)], none)
-                bound[kept, ROWS["feet"]] = bound[kept, ROWS["knees"]] = none
+                bound[kept, ROWS["feet"]] = bound[kept, ROWS["knees"]] = bound[kept, ROWS["apart"]] = none
                 bound[np.ix_(inner, planar)] = foothold
         return low, high
 
@@ -339,7 +340,7 @@ class Program:
         )
 
     def rows(self, variables: Array) -> Array:
-        """(N, 89) constraint rows for variables (n,)."""
+        """(N, 93) constraint rows for variables (n,)."""
         return np.array(self.functions.rows.map(self.modes.n_nodes)(variables[self.index].T, self.given.T)).T
 
 

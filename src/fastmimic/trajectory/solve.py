@@ -59,7 +59,7 @@ def _answer(
     rows: tuple[Array, Array],
 ) -> dict[str, Array]:
     """The solver's answer for some nodes (k,), or what it answered to the same problem before. `start` and `bounds`
-    are of all variables (n,), `rows` of all nodes (N, 89); the answer has the variables that the nodes use."""
+    are of all variables (n,), `rows` of all nodes (N, 93); the answer has the variables that the nodes use."""
     used = _used(problem, nodes)
     index = np.searchsorted(used, problem.index[nodes])
     first, low, high = start[used], bounds[0][used], bounds[1][used]

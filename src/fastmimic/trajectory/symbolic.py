@@ -6,7 +6,7 @@ yaw with R = Rz(yaw) Ry(pitch) Rx(roll), and 12 joints (rad).
 """
 
 from functools import reduce
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,7 @@ class Instant(NamedTuple):
         feet: (12,) centres of the feet, world, m.
         knees: (4,) heights of the knees above the ground, m.
         feet_level: (12,) centres of the feet from the base's origin in the heading frame, m.
+        apart: (4,) least distances between the calves' middle lines of `NEIGHBOURS`, m, by a smooth minimum.
     """
 
     wrench: Expression
@@ -34,6 +35,13 @@ class Instant(NamedTuple):
     feet: Expression
     knees: Expression
     feet_level: Expression
+    apart: Expression
+
+
+NEIGHBOURS: Final = ((0, 1), (2, 3), (0, 2), (1, 3))
+"""Legs that can meet: those of a pair, and those of a side."""
+_ON_CALF: Final = (0.25, 0.5, 0.75, 1.0)  # from knee to foot: points whose distances count
+_SHARPNESS: Final = 200.0  # of the smooth minimum, 1/m: it is below the least distance by some millimetres
 
 
 def rotation(axis: int, angle: Expression) -> Expression:
@@ -66,7 +74,7 @@ def instant(robot: Robot, q: Expression, v: Expression, a: Expression, force: Ex
     total = mass * _accelerated(base, alpha, omega, com)
     moment = inertia @ alpha + ca.cross(omega, inertia @ omega) + ca.cross(com, total)
     below = turn.T @ ca.DM([0, 0, robot.foot_radius])
-    torques, feet, knees, level = [], [], [], []
+    torques, feet, knees, level, calves = [], [], [], [], []
     for leg in range(4):
         joint = slice(6 + 3 * leg, 9 + 3 * leg)
         origins = _leg_origins(robot, leg, q)
@@ -86,8 +94,20 @@ def instant(robot: Robot, q: Expression, v: Expression, a: Expression, force: Ex
         total, moment = total + carried_force, moment + carried_moment
         feet.append(q[:3] + turn @ origins[3])
         knees.append((q[:3] + turn @ origins[2])[2])
+        calves.append([origins[2] + s * (origins[3] - origins[2]) for s in _ON_CALF])
         level.append(rotation(1, q[4]) @ rotation(0, q[3]) @ origins[3])
-    return Instant(ca.vertcat(total, moment), *(ca.vertcat(*x) for x in (torques, feet, knees, level)))
+    apart = [_least_distance(calves[a], calves[b]) for a, b in NEIGHBOURS]
+    return Instant(ca.vertcat(total, moment), *(ca.vertcat(*x) for x in (torques, feet, knees, level, apart)))
+
+
+def _least_distance(points: list[Expression], others: list[Expression]) -> Expression:
+    import casadi as ca
+
+    near = 0
+    for a in points:
+        for b in others:
+            near += ca.exp(-_SHARPNESS * ca.sqrt(ca.sumsqr(a - b) + 1e-6))
+    return -ca.log(near) / _SHARPNESS
 
 
 def _orientation(q: Expression) -> Expression:

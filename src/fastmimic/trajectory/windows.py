@@ -25,7 +25,7 @@ class Window:
     ends_s: float
 
     def held(self, problem: "Program", found: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Bounds of all variables (n,) and of all rows (N, 89), with what is solved held at `found` (n,); the stride,
+        """Bounds of all variables (n,) and of all rows (N, 93), with what is solved held at `found` (n,); the stride,
         which belongs to the whole, is the animal's."""
         modes, at = problem.modes, problem.at
         (low, high), (least, most) = problem.bounds_of_variables(), problem.bounds_of_rows()
