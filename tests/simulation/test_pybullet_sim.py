@@ -22,11 +22,11 @@ from fastmimic.episode.plan import nominal_start
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND
-from fastmimic.simulation.conditions import Conditions, parse_disturbance
+from fastmimic.simulation.conditions import Conditions, TerrainLevel, parse_disturbance
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION, MujocoSimulation
 from fastmimic.simulation.pybullet_sim import PybulletSimulation
 from fastmimic.simulation.simulators import make_simulation
-from fastmimic.simulation.terrain import GroundPlane, TerrainLevel
+from fastmimic.simulation.terrain import GroundPlane
 from robot.mjcf import a1_tree, find, random_joints, random_quat, write
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -45,7 +45,7 @@ def standing(
     robot: Robot, seconds: float = 0.6, *disturbances: str, slope: float = 0.0
 ) -> tuple[PybulletSimulation, np.ndarray]:
     """A robot that holds its home pose on the ground, and its observation at the end; up a slope in degrees."""
-    ground = Conditions(terrain=TerrainLevel("slope", slope)).ground
+    ground = Conditions(terrain=TerrainLevel("slope", (slope,))).ground
     assert ground is not None
     simulation = PybulletSimulation(robot, 1, disturbances=[parse_disturbance(d) for d in disturbances], ground=ground)
     home = robot.home_joint_pos
@@ -223,7 +223,7 @@ class TestDisturbances:
 
     def test_uneven_ground_is_mujocos(self, robot: Robot) -> None:
         """Rays from above hit the same heights at the corners of the cells."""
-        ground = Conditions(terrain=TerrainLevel("rough", 0.05), seed=3).ground
+        ground = Conditions(terrain=TerrainLevel("rough", (0.05,)), seed=3).ground
         assert ground is not None
         simulation = PybulletSimulation(robot, 1, ground=ground)
         at_rest = (LEVEL, robot.home_joint_pos, np.zeros(3), np.zeros(3), np.zeros(12))
@@ -235,7 +235,7 @@ class TestDisturbances:
 
     def test_stairs_are_refused(self) -> None:
         with pytest.raises(ConfigError, match="'stairs-up' is not realised in pybullet; those that are: slope, side-s"):
-            Conditions("pybullet", terrain=TerrainLevel("stairs-up", 0.05))
+            Conditions("pybullet", terrain=TerrainLevel("stairs-up", (0.05,)))
 
     def test_a_push_is_an_impulse_along_the_heading(self, robot: Robot) -> None:
         simulation = PybulletSimulation(robot, 1, disturbances=[parse_disturbance("push=6@0.02")])

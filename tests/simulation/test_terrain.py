@@ -17,9 +17,9 @@ from fastmimic.episode.plan import nominal_start, perturbed_start
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND, OBSERVATION
-from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.conditions import Conditions, TerrainLevel, parse_terrain
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
-from fastmimic.simulation.terrain import TERRAINS, GroundPlane, HeightField, Terrain, TerrainLevel, parse_terrain
+from fastmimic.simulation.terrain import TERRAINS, GroundPlane, HeightField, Terrain
 
 EVERY = ("stairs-up=0.06", "stairs-down=0.05", "slope=15", "side-slope=-10", "rough=0.05", "waves=0.05", "stones=0.1")
 
@@ -32,10 +32,10 @@ def made(text: str, seed: int = 0) -> Terrain:
 
 class TestWriting:
     def test_name_and_level(self) -> None:
-        assert parse_terrain(" stairs-up=0.05") == TerrainLevel("stairs-up", 0.05)
+        assert parse_terrain(" stairs-up=0.05") == TerrainLevel("stairs-up", (0.05,))
         assert str(parse_terrain("slope=-10")) == "slope -10 deg"
-        assert parse_terrain("my hills.PNG=0.3@0.1") == TerrainLevel("my hills.PNG", 0.3, 0.1)
-        assert parse_terrain("hills.npy").cell == 0.05
+        assert parse_terrain("my hills.PNG@0.1 = 0.3") == TerrainLevel("my hills.PNG@0.1", (0.3,))
+        assert parse_terrain("hills.npy").values == (1.0,)
 
     @pytest.mark.parametrize(
         ("text", "said"),
@@ -46,9 +46,9 @@ class TestWriting:
             ("slope=31", r"'slope' takes -30 deg to 30 deg, found 31: of the ground along the way"),
             ("rough=nan", r"'rough' takes 0 m to 0.3 m"),
             ("rough=0.1@0.2", r"written name=level"),
-            ("hills.png", r"written name=level"),
-            ("hills.npy=2", r"written name=level"),
-            ("hills.npy@0", r"terrain hills.npy: heights must be finite and cells positive"),
+            ("hills.npy=inf", r"terrain 'hills.npy' takes -1000 to 1000"),
+            ("hills.npy@0", r"terrain 'hills.npy@0': the distance of points after @ must be positive"),
+            ("hills.npy@x=2", r"terrain 'hills.npy@x': the distance of points after @ must be positive"),
         ],
     )
     def test_what_is_refused(self, text: str, said: str) -> None:
@@ -64,7 +64,7 @@ class TestWriting:
     def test_every_range_holds_what_is_tried(self, kind: object) -> None:
         levels = TERRAINS[kind.name].levels  # type: ignore[attr-defined]
         assert 0.0 in levels
-        assert [TerrainLevel(kind.name, level).level for level in levels] == sorted(levels)  # type: ignore[attr-defined]
+        assert [TerrainLevel(kind.name, (level,)).values[0] for level in levels] == sorted(levels)  # type: ignore[attr-defined]
 
 
 class TestGround:
@@ -111,7 +111,7 @@ class TestGround:
         Image.fromarray((255 * hills).round().astype(np.uint8)).save(tmp_path / "low.png")
         Image.fromarray((65535 * hills).round().astype(np.uint16)).save(tmp_path / "deep.png")
         np.save(tmp_path / "hills.npy", 0.2 * hills[::-1])
-        for name in ("low.png=0.2@0.1", "deep.png=0.2@0.1", "hills.npy@0.1"):
+        for name in ("low.png@0.1=0.2", "deep.png@0.1=0.2", "hills.npy@0.1"):
             ground = made(f"{tmp_path / name}")
             top = ground.height(np.array([-0.15, 0.15]), np.array([0.1, -0.1]))
             np.testing.assert_allclose(top, [0.0, 0.2], atol=1e-9)
@@ -175,7 +175,7 @@ class TestEpisodes:
         """The same states, laid on a slope, have the same reward, up to the way, which is measured in the world."""
         motion = gait(robot, (0.0, 0.0))
         flat = ClosedLoop(robot, motion, 1)
-        ramp = ClosedLoop(robot, motion, 1, conditions=Conditions(terrain=TerrainLevel("slope", 12.0)))
+        ramp = ClosedLoop(robot, motion, 1, conditions=Conditions(terrain=TerrainLevel("slope", (12.0,))))
         for loop in (flat, ramp):
             loop.place(nominal_start(1))
         ground, state = ramp.terrain, flat.simulation.observation.copy()

@@ -17,8 +17,7 @@ from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.deploy.log import DeploymentLog, is_deployment_log, load_ground_truth
 from fastmimic.episode.run_log import RunLog
 from fastmimic.robot import ROBOT_CHOICES, ROBOT_NAMES, load_robot
-from fastmimic.simulation.conditions import parse_disturbance
-from fastmimic.simulation.terrain import parse_terrain
+from fastmimic.simulation.conditions import parse_disturbance, parse_terrain
 
 if TYPE_CHECKING:
     from fastmimic.identification.identify import Identification

@@ -102,10 +102,10 @@ Disturbances = Annotated[
 TerrainName = Annotated[
     str | None,
     option(
-        "NAME=LEVEL|FILE",
+        "NAME=LEVEL|FILE[@CELL][=FACTOR]",
         lambda: (
-            f"Ground in place of the flat one: {', '.join(TERRAINS)}, e.g. stairs-up=0.05 (m); or a height field,"
-            " hills.png=0.3@0.05 or hills.npy@0.05 (heights and cells in m)."
+            f"Ground in place of the flat one: {', '.join(TERRAINS)}, e.g. stairs-up=0.05 (m); or a file of heights,"
+            " such as hills.npy (m) or hills.png@0.05=0.3 (points every 0.05 m, white at 0.3 m)."
         ),
     ),
 ]

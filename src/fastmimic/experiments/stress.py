@@ -21,9 +21,9 @@ from fastmimic.experiments.experiment import Subject
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.simulation.conditions import Conditions, Disturbance, known
+from fastmimic.simulation.conditions import Conditions, Disturbance, TerrainLevel, known
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S, DisturbanceKind
-from fastmimic.simulation.terrain import TERRAINS, TerrainLevel
+from fastmimic.simulation.terrain import TERRAINS
 
 SUCCESS: Final = 0.95  # least share of episodes without a fall for a tolerated level
 AT_ONCE: Final = 120  # greatest number of robots in a batch
@@ -55,8 +55,10 @@ class StressSettings:
         check(self, "")
         self.conditions()
 
-    def conditions(self, *disturbances: Disturbance, terrain: TerrainLevel | None = None) -> Conditions:
-        return Conditions(self.simulator, self.observe, self.seed, disturbances, terrain, self.ideal)
+    def conditions(self, *disturbances: Disturbance) -> Conditions:
+        ground = next((d for d in disturbances if isinstance(d, TerrainLevel)), None)
+        others = tuple(d for d in disturbances if d is not ground)
+        return Conditions(self.simulator, self.observe, self.seed, others, ground, self.ideal)
 
 
 @dataclass(frozen=True)
@@ -75,15 +77,10 @@ class Tolerance:
 def disturbances_of(names: Sequence[str] | None, simulator: str) -> list[str]:
     """The given disturbances and terrains, or all that the simulator has; raises `ConfigError` for an unknown or
     repeated one."""
-    there = [*known(simulator), *(name for name, kind in TERRAINS.items() if kind.realized_in(simulator))]
     if names is None:
-        return there
+        return [*known(simulator), *known(simulator, TERRAINS)]
     for name in names:
-        swept(name)
-        if name not in there:
-            raise ConfigError(
-                f"disturbance '{name}' is not realised in {simulator}; those that are: {', '.join(there)}"
-            )
+        at_level(name, swept(name).nominal).check_realized(simulator)
     check_unique("disturbance", names)
     return list(names)
 
@@ -93,6 +90,11 @@ def swept(name: str) -> DisturbanceKind:
     if name not in DISTURBANCES and name not in TERRAINS:
         raise unknown("disturbance", name, [*DISTURBANCES, *TERRAINS])
     return TERRAINS[name] if name in TERRAINS else DISTURBANCES[name]
+
+
+def at_level(name: str, *values: float) -> Disturbance:
+    """A disturbance with these values, or a terrain with this level."""
+    return TerrainLevel(name, values) if name in TERRAINS else Disturbance(name, values)
 
 
 def check_length(motion: Motion, names: Sequence[str], settings: StressSettings) -> float:
@@ -120,10 +122,7 @@ def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSett
     for first in range(0, len(kind.levels), at_once):
         levels = kind.levels[first : first + at_once]
         values = tuple(float(v) for v in np.repeat(levels, settings.episodes)) if kind.per_robot else levels
-        if disturbance in TERRAINS:
-            conditions = settings.conditions(terrain=TerrainLevel(disturbance, *levels))
-        else:
-            conditions = settings.conditions(Disturbance(disturbance, values))
+        conditions = settings.conditions(at_level(disturbance, *values))
         repeated = start.part(np.tile(np.arange(settings.episodes), len(levels)))
         rollout = subject.run(robot, seconds, repeated, conditions)
         for i, level in enumerate(levels):

@@ -7,20 +7,21 @@ each robot of a batch.
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, did_you_mean, unknown
+from fastmimic.base.registry import Registry
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.simulation.config import SensorConfig
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S, DisturbanceKind, EachStep
 from fastmimic.simulation.simulators import SIMULATORS
-from fastmimic.simulation.terrain import TERRAINS, Terrain, TerrainLevel, parse_terrain
+from fastmimic.simulation.terrain import TERRAINS, Terrain, TerrainKind, terrain_kind
 
 OBSERVED: Final = ("truth", "sensors")
 
@@ -36,19 +37,20 @@ class Disturbance:
     name: str
     values: tuple[float, ...]
     at_s: float | None = None
+    among: ClassVar[Registry[Any]] = DISTURBANCES
 
     def __post_init__(self) -> None:
-        kind = DISTURBANCES[self.name]
+        kind = self.kind
         if not self.values:
             raise ConfigError(f"disturbance '{self.name}' has no value")
         for value in self.values:
             if math.isnan(value) or not kind.lower <= value <= kind.upper:
                 raise ConfigError(
-                    f"disturbance '{self.name}' takes {kind.show(kind.lower)} to {kind.show(kind.upper)},"
+                    f"{self.among.kind} '{self.name}' takes {kind.show(kind.lower)} to {kind.show(kind.upper)},"
                     f" found {value:g}: {kind.about}"
                 )
         if len(self.values) > 1 and not kind.per_robot:
-            raise ConfigError(f"disturbance '{self.name}' has one value for all robots, found {len(self.values)}")
+            raise ConfigError(f"{self.among.kind} '{self.name}' has one value for all robots, found {len(self.values)}")
         if kind.timed:
             if self.at_s is None:
                 object.__setattr__(self, "at_s", PUSH_TIME_S)
@@ -60,6 +62,14 @@ class Disturbance:
     @property
     def kind(self) -> DisturbanceKind:
         return DISTURBANCES[self.name]
+
+    def check_realized(self, simulator: str) -> None:
+        """Raises `ConfigError` if a simulator does not have it."""
+        if not self.kind.realized_in(simulator):
+            raise ConfigError(
+                f"{self.among.kind} '{self.name}' is not realised in {simulator}; those that are:"
+                f" {', '.join(known(simulator, self.among))}"
+            )
 
     def __str__(self) -> str:
         shown = self.kind.show(self.values[0]) if len(self.values) == 1 else f"{len(self.values)} values"
@@ -80,6 +90,29 @@ def parse_disturbance(text: str) -> Disturbance:
         return Disturbance(name, (float(value),), None if at is None else float(at))
     except ValueError:
         raise ConfigError(f"'{text}' is not a number{f' of {kind.unit}' if kind.unit else ''}: {kind.about}") from None
+
+
+@dataclass(frozen=True)
+class TerrainLevel(Disturbance):
+    """A terrain with its level, the one of its `values`; `name` is one of `TERRAINS` or a file (`terrain_kind`)."""
+
+    among: ClassVar[Registry[Any]] = TERRAINS
+
+    @property
+    def kind(self) -> TerrainKind:
+        return terrain_kind(self.name)
+
+
+def parse_terrain(text: str) -> TerrainLevel:
+    """A terrain from `name=level`, or `file`, `file@cell`, `file@cell=factor`; raises `ConfigError` for other texts."""
+    name, _, level = (part.strip() for part in text.partition("="))
+    try:
+        return TerrainLevel(name, (float(level or terrain_kind(name).given),))
+    except ValueError:
+        raise ConfigError(
+            "a terrain is written name=level, such as stairs-up=0.05, or as a file of heights, such as hills.npy or"
+            f" hills.png@0.05=0.3; found '{text}'. There are {', '.join(TERRAINS)}"
+        ) from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,10 +156,7 @@ def make_world(disturbances: Sequence[Disturbance], n: int, simulator: str) -> W
     for d in disturbances:
         if d.name in given:
             raise ConfigError(f"disturbance '{d.name}' is given twice")
-        if not d.kind.realized_in(simulator):
-            raise ConfigError(
-                f"disturbance '{d.name}' is not realised in {simulator}; those that are: {', '.join(known(simulator))}"
-            )
+        d.check_realized(simulator)
         if len(d.values) not in (1, n):
             raise ConfigError(f"disturbance '{d.name}' has {len(d.values)} values for {n} robots; expected 1 or {n}")
         values[d.name][:] = d.values
@@ -135,9 +165,9 @@ def make_world(disturbances: Sequence[Disturbance], n: int, simulator: str) -> W
     return World(n, frozenset(given), values, times)
 
 
-def known(simulator: str) -> list[str]:
-    """Names of the disturbances that a simulator realises."""
-    return [name for name, kind in DISTURBANCES.items() if kind.realized_in(simulator)]
+def known(simulator: str, among: Mapping[str, DisturbanceKind] = DISTURBANCES) -> list[str]:
+    """Names of the disturbances, or of the terrains, that a simulator realises."""
+    return [name for name, kind in among.items() if kind.realized_in(simulator)]
 
 
 def driving_limit(limit: Array, top_speed: Array, joint_vel: Array) -> Array:
@@ -286,16 +316,15 @@ class Conditions:
         object.__setattr__(self, "disturbances", read)
         terrain: Any = parse_terrain(self.terrain) if isinstance(self.terrain, str) else self.terrain
         object.__setattr__(self, "terrain", terrain)
-        if terrain is not None and not terrain.is_file and not terrain.kind.realized_in(self.simulator):
-            there = [name for name, kind in TERRAINS.items() if kind.realized_in(self.simulator)]
-            raise ConfigError(
-                f"terrain '{terrain.name}' is not realised in {self.simulator}; those that are: {', '.join(there)}"
-            )
+        if terrain is not None:
+            terrain.check_realized(self.simulator)
 
     @cached_property
     def ground(self) -> Terrain | None:
         """The ground, None if it is flat; raises `ConfigError` for a file that holds no heights."""
-        return None if self.terrain is None else self.terrain.make(episode_generator(self.seed, 0, GROUND_PURPOSE))
+        if self.terrain is None:
+            return None
+        return self.terrain.kind.make(self.terrain.values[0], episode_generator(self.seed, 0, GROUND_PURPOSE))
 
 
 def episode_generator(seed: int, episode: int, purpose: int) -> np.random.Generator:

@@ -3,17 +3,15 @@
     TERRAINS.register(TerrainKind("bumps", unit="m", lower=0.0, upper=0.1, about="…", make=make_bumps))
 
 A terrain is a plane, boxes with exact edges, or a height field, under real gravity. Episodes begin on it at different
-places and lead along the world's x axis, on irregular ground in any direction. On the command line: `name=level`, or a
-file: `hills.png=0.3@0.05` for 0.3 m from black to white and pixels of 0.05 m, `hills.npy@0.05` for heights in m.
+places and lead along the world's x axis, on irregular ground in any direction.
 """
 
 import math
-import re
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,74 +147,44 @@ class Terrain:
         return GroundPlane.of(fit[:, 0, 0], fit[:, 1:, 0])
 
 
+Make: TypeAlias = Callable[[float, np.random.Generator], Terrain]
+
+
 @dataclass(frozen=True)
 class TerrainKind(DisturbanceKind):
-    """A kind of terrain, with `levels` instead of values; `make` returns it from a level and the ground's random
-    numbers."""
+    """A kind of terrain: its value is the level from which, with the ground's random numbers, `make` makes it."""
 
-    make: Callable[[float, np.random.Generator], Terrain] = lambda level, rng: Terrain()
     per_robot: bool = False
+    make: Make = lambda level, rng: Terrain()
     simulators: tuple[str, ...] = ("mujoco", "pybullet")
+    given: str = ""  # the level if it is left out
 
     def realized_in(self, simulator: str) -> bool:
         return simulator in self.simulators
 
 
-@dataclass(frozen=True)
-class TerrainLevel:
-    """A terrain with its level: `name` is one of `TERRAINS`, or the path of a height field with points `cell` m apart.
-    A `.png` rises by `level` m from black to white, its upper edge has the greatest y; an `.npy` has heights in m."""
-
-    name: str
-    level: float = 0.0
-    cell: float = FILE_CELL_M
-
-    def __post_init__(self) -> None:
-        if self.is_file:
-            if not (math.isfinite(self.level) and 0 < self.cell < math.inf):
-                raise ConfigError(f"terrain {self.name}: heights must be finite and cells positive")
-        elif not self.kind.lower <= self.level <= self.kind.upper:
-            kind = self.kind
-            raise ConfigError(
-                f"terrain '{self.name}' takes {kind.show(kind.lower)} to {kind.show(kind.upper)}, found"
-                f" {self.level:g}: {kind.about}"
-            )
-
-    @property
-    def is_file(self) -> bool:
-        return Path(self.name).suffix.lower() in FILES
-
-    @property
-    def kind(self) -> TerrainKind:
-        return TERRAINS[self.name]
-
-    def make(self, rng: np.random.Generator) -> Terrain:
-        """The terrain; raises `ConfigError` for a file that holds no heights."""
-        if not self.is_file:
-            return self.kind.make(self.level, rng)
-        ground = HeightField(_read_heights(Path(self.name), self.level), self.cell)
-        return Terrain(field=ground, spread=(ground.half[0] / 4, ground.half[1] / 4, np.pi))
-
-    def __str__(self) -> str:
-        return self.name if self.is_file else f"{self.name} {self.kind.show(self.level)}"
-
-
-def parse_terrain(text: str) -> TerrainLevel:
-    """A terrain from `name=level`, `file.png=height@cell` or `file.npy@cell`; raises `ConfigError` for another text."""
-    name, level, cell = re.fullmatch(r"\s*([^=@]*)(?:=([^=@]*))?(?:@(.*))?", text, re.DOTALL).groups()  # type: ignore
-    ending = Path(name).suffix.lower()
+def terrain_kind(name: str) -> TerrainKind:
+    """One of `TERRAINS`, or a height field, `FILE` or `FILE@CELL`: an `.npy` array of heights in m, or a `.png` from
+    black at 0 to white at 1 m, with points CELL m apart. Its level is a factor. Raises `ConfigError`."""
+    file, _, cell = name.partition("@")
+    if not file.lower().endswith(FILES):
+        return TERRAINS[name]
     try:
-        if (level is None) != (ending == ".npy") or (cell is not None and ending not in FILES):
-            raise ValueError
-        return TerrainLevel(name, float(level or 0.0), float(cell or FILE_CELL_M))
+        apart = float(cell or FILE_CELL_M)
     except ValueError:
-        raise ConfigError(
-            "a terrain is written name=level, such as stairs-up=0.05, or as a height field, hills.png=0.3@0.05 or"
-            f" hills.npy@0.05 (heights and cells in m); found '{text}'. There are {', '.join(TERRAINS)}"
-        ) from None
+        apart = 0.0
+    if not 0 < apart < math.inf:
+        raise ConfigError(f"terrain '{name}': the distance of points after @ must be positive, in m")
+    make = partial(_from_file, Path(file), apart)
+    return TerrainKind(name, "", -1e3, 1e3, "factor of the file's heights", make=make, given="1")
 
 
-def _read_heights(path: Path, rise: float) -> Array:
+def _from_file(path: Path, cell: float, factor: float, _: np.random.Generator) -> Terrain:
+    ground = HeightField(factor * _read_heights(path), cell)
+    return Terrain(field=ground, spread=(ground.half[0] / 4, ground.half[1] / 4, np.pi))
+
+
+def _read_heights(path: Path) -> Array:
     from PIL import Image
 
     try:
@@ -225,7 +193,7 @@ def _read_heights(path: Path, rise: float) -> Array:
         else:
             with Image.open(path) as image:
                 white = 65535 if image.mode.startswith("I") else 255
-                heights = np.asarray(image.convert("F"), dtype=np.float64)[::-1] * (rise / white)
+                heights = np.asarray(image.convert("F"), dtype=np.float64)[::-1] / white
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: cannot be read as a height field: {error}") from None
     if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all():
@@ -271,56 +239,28 @@ def _waves(amplitude: float, _: np.random.Generator) -> Terrain:
     return Terrain(field=HeightField(along[:, None] + along, cell), spread=(5.0, 5.0, np.pi))
 
 
-_HEIGHT: Final[dict[str, Any]] = {"unit": "m", "lower": 0.0, "upper": 0.3}
-_ANGLE: Final[dict[str, Any]] = {"unit": "deg", "lower": -30.0, "upper": 30.0}
-_BOXES: Final[dict[str, Any]] = {**_HEIGHT, "simulators": ("mujoco",)}
-_UP: Final = TerrainKind(
-    "stairs-up",
-    **_BOXES,
-    levels=(0.0, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.12, 0.15),
-    about=f"rise of stairs that go up, with treads of {TREAD_M:g} m",
-    make=partial(_stairs, 1.0),
-)
+_ANY: Final = ("mujoco", "pybullet")
+_HEIGHTS: Final = (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.12, 0.15)
+_ANGLES: Final = symmetric(2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 25.0)
+
+
+def _kind(name: str, about: str, make: Make, simulators: tuple[str, ...] = _ANY, *, angle: bool = False) -> TerrainKind:
+    unit, least, most = ("deg", -30.0, 30.0) if angle else ("m", 0.0, 0.3)
+    levels = _ANGLES if angle else _HEIGHTS
+    return TerrainKind(name, unit, least, most, about, levels=levels, make=make, simulators=simulators)
+
+
+_TREADS: Final = f"rise of stairs that go {{}}, with treads of {TREAD_M:g} m"
 TERRAINS: Final = Registry(
     "terrain",
     [
-        _UP,
-        replace(_UP, name="stairs-down", about="the same down", make=partial(_stairs, -1.0)),
-        TerrainKind(
-            "slope",
-            **_ANGLE,
-            levels=symmetric(5.0, 10.0, 15.0, 20.0, 25.0),
-            about="of the ground along the way, positive uphill",
-            make=partial(_plane, 1.0, 0.0),
-        ),
-        TerrainKind(
-            "side-slope",
-            **_ANGLE,
-            levels=symmetric(2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0),
-            about="of the ground across the way, positive if it rises to the left",
-            make=partial(_plane, 0.0, 1.0),
-        ),
-        TerrainKind(
-            "rough",
-            **_HEIGHT,
-            levels=(0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.07, 0.1),
-            about=f"greatest height and depth of random ground, with points {CELL_M:g} m apart",
-            make=_rough,
-        ),
-        TerrainKind(
-            "waves",
-            **_HEIGHT,
-            levels=(0.0, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1),
-            about=f"greatest height and depth of waves of {WAVE_M:g} m along both axes",
-            make=_waves,
-        ),
-        TerrainKind(
-            "stones",
-            **_BOXES,
-            levels=(0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2),
-            about=f"gap between stepping stones of {STONE_M:g} m, 0.3 m above the ground",
-            make=_stones,
-        ),
+        _kind("stairs-up", _TREADS.format("up"), partial(_stairs, 1.0), ("mujoco",)),
+        _kind("stairs-down", _TREADS.format("down"), partial(_stairs, -1.0), ("mujoco",)),
+        _kind("slope", "of the ground along the way, positive uphill", partial(_plane, 1.0, 0.0), angle=True),
+        _kind("side-slope", "of the ground, positive if it rises to the left", partial(_plane, 0.0, 1.0), angle=True),
+        _kind("rough", f"greatest height and depth of random ground, points {CELL_M:g} m apart", _rough),
+        _kind("waves", f"greatest height and depth of waves of {WAVE_M:g} m along both axes", _waves),
+        _kind("stones", f"gap between stones of {STONE_M:g} m, 0.3 m above the ground", _stones, ("mujoco",)),
     ],
 )
 """All terrains that have a level."""
