@@ -27,6 +27,7 @@ from fastmimic.reference.table import SAMPLE, reference_table
 from fastmimic.render.tracks import world_feet
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion
+from fastmimic.simulation.conditions import Conditions, parse_terrain
 
 
 @pytest.fixture(scope="module")
@@ -397,3 +398,19 @@ def test_a_dog_is_played(a1: Robot) -> None:
     reach(session, "dog:trot")
     session.run(3.0)
     assert session.falls == 0
+
+
+def test_on_a_terrain_it_stands_gets_up_and_is_scored_from_the_ground(library: MotionSet, a1: Robot) -> None:
+    ground = Conditions(terrain=parse_terrain("side-slope=8")).ground
+    assert ground is not None
+    session = LiveSession(a1, library, terrain=ground)
+    session.run(0.1)
+    assert session.snapshot().reward > 0.8
+    session.fall()
+    session.run(5.0)
+    assert session.state == STAND
+    now = session.snapshot()
+    assert now.reward > 0.5
+    above = now.pose[2] - float(ground.height(now.pose[0], now.pose[1]))
+    assert above == pytest.approx(a1.home_height, abs=0.05)
+    assert now.reference[2] - float(ground.height(now.reference[0], now.reference[1])) == pytest.approx(above, abs=0.05)

@@ -9,6 +9,7 @@ import pytest
 from fastmimic.render.encoding import HIGH, PREVIEW
 from fastmimic.render.video_scene import GHOST_GROUP, build_video_scene, ghost_rgba
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
+from fastmimic.simulation.conditions import Conditions, parse_terrain
 
 FLOOR = np.array([[0.0, 0.0], [5.0, 1.0]])
 
@@ -129,3 +130,16 @@ def test_only_high_quality_pays_for_a_shadow_map(a1: Robot) -> None:
     assert high.vis.quality.shadowsize > 0
     assert high.vis.quality.offsamples > 1
     assert high.light_castshadow.all()
+
+
+@pytest.mark.parametrize("text", ["stairs-up=0.1", "side-slope=10", "waves=0.05"])
+def test_a_terrain_is_drawn_where_it_is(text: str, a1: Robot) -> None:
+    ground = Conditions(terrain=parse_terrain(text)).ground
+    assert ground is not None
+    model = build_video_scene(a1, ghost=False, width=64, height=48, floor=FLOOR, terrain=ground).model
+    data, hit = mujoco.MjData(model), np.zeros(1, np.int32)
+    mujoco.mj_forward(model, data)
+    for x, y in np.random.default_rng(0).uniform(-4.0, 4.0, (20, 2)):
+        start, down = np.array([x, y, 5.0]), np.array([0.0, 0.0, -1.0])
+        found = 5.0 - mujoco.mj_ray(model, data, start, down, None, 1, int(model.jnt_bodyid[0]), hit)
+        assert found == pytest.approx(float(ground.height(x, y)), abs=1e-3)

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from fastmimic.clips.catalogue import open_clip
+from fastmimic.control.config import default_config
+from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion
 from fastmimic.render.tracks import Animal
 from fastmimic.robot import Robot
+from fastmimic.simulation.conditions import Conditions, parse_terrain
 from fastmimic.viewer.scene import linear
-from fastmimic.viewer.take import Take, motion_take, smoothed_path
+from fastmimic.viewer.take import Take, contact_places, motion_take, rollout_take, smoothed_path
 from fastmimic.viewer.viewer import Viewer
 from fastmimic.viewer.web import default_camera
 
@@ -104,3 +107,16 @@ def test_the_camera_keeps_all_in_the_picture(a1: Robot) -> None:
 
 def test_colours_are_decoded_to_linear_light() -> None:
     np.testing.assert_array_equal(linear(np.array([0, 188, 255])), [0, 128, 255])  # 188 is half the light
+
+
+def test_on_a_terrain_the_view_climbs_and_the_marks_lie_on_it(opened: "Open", trot: Motion, a1: Robot) -> None:
+    conditions = Conditions(terrain=parse_terrain("rough=0.03"), seed=2)
+    rollout = evaluate(trot, a1, duration_s=0.3, conditions=conditions, log=True).rollout
+    take = rollout_take(rollout, trot, a1, default_config(), "trot")
+    assert take.terrain is conditions.ground
+    scene = opened([[take]]).robots[0]
+    scene.show(take.rows - 1, follow=True)
+    assert scene.root.position[2] == pytest.approx(-float(take.ground(smoothed_path(take)[-1])))
+    marks = contact_places(take, 5)
+    np.testing.assert_allclose(marks[:, 2], conditions.ground.height(*take.feet[5, :, :2].T) + 0.004)  # type: ignore[union-attr]
+    assert np.ptp(marks[:, 2]) > 1e-3

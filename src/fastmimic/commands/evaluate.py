@@ -17,7 +17,7 @@ from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.deploy.log import DeploymentLog, is_deployment_log, load_ground_truth
 from fastmimic.episode.run_log import RunLog
 from fastmimic.robot import ROBOT_CHOICES, ROBOT_NAMES, load_robot
-from fastmimic.simulation.conditions import parse_disturbance, parse_terrain
+from fastmimic.simulation.conditions import parse_disturbance
 
 if TYPE_CHECKING:
     from fastmimic.identification.identify import Identification
@@ -71,7 +71,7 @@ class Evaluate:
             observe=self.observe,
             seed=self.seed,
             disturbances=tuple(parse_disturbance(text) for text in opt.joined(self.disturb)),
-            terrain=None if self.terrain is None else parse_terrain(self.terrain),
+            terrain=opt.ground_of(self.terrain),
             ideal=self.ideal,
         )
         if self.log is not None:

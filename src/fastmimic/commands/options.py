@@ -21,6 +21,7 @@ from fastmimic.optimize.randomization import Randomization
 from fastmimic.render.encoding import QUALITIES
 from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
 from fastmimic.runs.loading import MotionSource, find_motion
+from fastmimic.simulation.conditions import TerrainLevel, parse_terrain
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 from fastmimic.simulation.simulators import SIMULATORS
 from fastmimic.simulation.terrain import TERRAINS
@@ -322,6 +323,11 @@ def policy_controller(path: Path, robot: Robot, motion: Motion) -> "MakeControll
     except PolicyError as error:
         raise PolicyError(f"{path}: {error}") from None
     return controlled_by(policy)
+
+
+def ground_of(terrain: str | None) -> TerrainLevel | None:
+    """The terrain of an option; raises `ConfigError`."""
+    return None if terrain is None else parse_terrain(terrain)
 
 
 def check_duration(seconds: float | None) -> None:

@@ -24,6 +24,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.render.encoding import ENDINGS, QUALITIES
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import MotionSource, find_motion
+from fastmimic.simulation.conditions import Conditions
 from fastmimic.viewer.web import free_port, require_viser
 
 if TYPE_CHECKING:  # loads the compiler
@@ -64,6 +65,7 @@ class Render:
         ),
     ] = ()
     config: opt.FoundConfig = None
+    terrain: opt.TerrainName = None
     size: Annotated[str | None, opt.option("WxH")] = None
     """Width and height in pixels. Default: 800x450; 1280x720 for high quality; 640x360 for a GIF."""
     frame_rate: Annotated[float | None, opt.option("HZ")] = None
@@ -121,7 +123,7 @@ class Render:
             )
         for name in self.method:
             method_named(name)
-        opt.check_kinematic(self, "method", "config")
+        opt.check_kinematic(self, "method", "config", "terrain")
 
     def _tracks(self) -> "tuple[Robot, list[tuple[Track, float]]]":
         """The robot, and a panel with its rate for each motion."""
@@ -145,8 +147,17 @@ class Render:
         from fastmimic.imitation.evaluate import evaluate
         from fastmimic.render.tracks import rollout_track
 
+        conditions = Conditions(terrain=opt.ground_of(self.terrain))
         with slow_start():
-            found = evaluate(motion, robot, duration_s=seconds, method=method, config=self.config, log=True)
+            found = evaluate(
+                motion,
+                robot,
+                duration_s=seconds,
+                method=method,
+                config=self.config,
+                conditions=conditions,
+                log=True,
+            )
         caption = METHODS[found.method].label + (f" ({found.config.name})" if found.config.name != "default" else "")
         track = rollout_track(
             found.rollout, found.config.release_force(robot), f"{motion.name} on {robot.name}", note=caption
@@ -238,11 +249,12 @@ class View:
     robot: opt.RobotChoice = None
     method: opt.FoundMethod = None
     config: opt.FoundConfig = None
+    terrain: opt.TerrainName = None
     reading: opt.ClipReading
 
     def run(self) -> int:
         opt.check_duration(self.duration)
-        opt.check_kinematic(self, "episodes", "method", "config")
+        opt.check_kinematic(self, "episodes", "method", "config", "terrain")
         from fastmimic.viewer.viewer import Viewer
 
         require_viser()
@@ -313,6 +325,7 @@ class View:
                 seed=self.seed,
                 method=method.name,
                 config=config,
+                conditions=Conditions(seed=self.seed, terrain=opt.ground_of(self.terrain)),
                 log=True,
             ).rollout
         return [rollout_take(rollout, motion, robot, config, title, episode) for episode in range(episodes)]
@@ -334,6 +347,7 @@ class Play:
     method: Annotated[str, opt.option("NAME", lambda: f"Controller at the start: {opt.controllers()}.")] = "mbc"
     config: opt.ConfigName = "default"
     ideal: opt.Ideal = False
+    terrain: opt.TerrainName = None
 
     def run(self) -> int:
         require_viser()
@@ -343,7 +357,7 @@ class Play:
         from fastmimic.reference.motion_set import MotionSet, warm_up
 
         check_method(self.method)
-        config = controller_config(self.config)
+        config, terrain = controller_config(self.config), Conditions(terrain=opt.ground_of(self.terrain)).ground
         sources = [find_motion(source) for source in self.motions or DEFAULTS]
         name = opt.robot_name(self.robot, *sources)
         robot = load_robot(name)
@@ -353,7 +367,9 @@ class Play:
             with slow_start():
                 motions = load_motions(sources, robot)
                 library = MotionSet(robot, motions, executor=executor, source=name, regulator=config.regulator)
-                session = LiveSession(robot, library, method=self.method, config=config, ideal=self.ideal)
+                session = LiveSession(
+                    robot, library, method=self.method, config=config, ideal=self.ideal, terrain=terrain
+                )
             try:
                 with PlayPage(session, f"{robot.name}, live", self.port) as page:
                     return serve(page, ", ".join(library.names), self.port)

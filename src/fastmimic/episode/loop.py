@@ -171,10 +171,8 @@ class ClosedLoop:
         place_clocks(self.clocks, start.sample, self.table, self._begin(start))
         place = on_reference(self.table, start.sample, self.clocks["origin"])
         joints = np.clip(place.joint_pos + start.joint_offset, self.robot.joint_lower, self.robot.joint_upper)
-        if self.terrain is not None:
-            place = _on_terrain(self.terrain, self.robot, place)
-        place.root_pos[:, 2] += _lift_to_ground(self.robot, self.terrain, place.root_pos, place.root_quat, joints)
-        self.simulation.reset(*place._replace(joint_pos=joints, lin_vel=place.lin_vel + start.velocity_offset))
+        place = on_ground(self.terrain, self.robot, place._replace(joint_pos=joints))
+        self.simulation.reset(*place._replace(lin_vel=place.lin_vel + start.velocity_offset))
         self.controller.reset(start.sample)
         self.scorer.reset()
         if self._animal_scorer is not None:
@@ -266,24 +264,25 @@ def _travel(table: NDArray[Any]) -> float:
     return float(np.arctan2(y, x)) if np.hypot(x, y) > _TRAVELS else 0.0
 
 
-def _feet(robot: Robot, position: Array, quat: Array, joints: Array) -> Array:
+def _feet(robot: Robot, place: Placement) -> Array:
     """(n, 4, 3) centres of the feet, world, m."""
-    return np.asarray(position[:, None] + quat_rotate(quat[:, None], foot_positions(robot, joints)))
+    feet = quat_rotate(place.root_quat[:, None], foot_positions(robot, place.joint_pos))
+    return np.asarray(place.root_pos[:, None] + feet)
 
 
-def _on_terrain(terrain: Terrain, robot: Robot, place: Placement) -> Placement:
-    """Lays states above level ground on the plane through the ground under their feet."""
-    feet = _feet(robot, place.root_pos, place.root_quat, place.joint_pos)
-    plane = terrain.plane_through(place.root_pos, feet, robot.foot_radius)
-    position, quat = plane.laid(place.root_pos, place.root_quat)
-    return place._replace(root_pos=position, root_quat=quat, lin_vel=quat_rotate(plane.quat, place.lin_vel))
-
-
-def _lift_to_ground(robot: Robot, terrain: Terrain | None, position: Array, quat: Array, joints: Array) -> Array:
-    """How far to raise each base (n,) so that no foot starts below the ground, m."""
-    feet = _feet(robot, position, quat, joints)
-    ground = 0.0 if terrain is None else terrain.support(feet[..., 0], feet[..., 1], robot.foot_radius)
-    return np.maximum(0.0, (ground + robot.foot_radius - feet[..., 2]).max(axis=1))
+def on_ground(terrain: Terrain | None, robot: Robot, place: Placement) -> Placement:
+    """Lays states above level ground on the plane through a terrain's ground under their feet, and raises them so that
+    no foot begins in the ground."""
+    ground: Array | float = 0.0
+    if terrain is not None:
+        plane = terrain.plane_through(place.root_pos, _feet(robot, place), robot.foot_radius)
+        position, quat = plane.laid(place.root_pos, place.root_quat)
+        place = place._replace(root_pos=position, root_quat=quat, lin_vel=quat_rotate(plane.quat, place.lin_vel))
+        feet = _feet(robot, place)
+        ground = terrain.support(feet[..., 0], feet[..., 1], robot.foot_radius)
+    lift = (ground + robot.foot_radius - _feet(robot, place)[..., 2]).max(axis=1)
+    place.root_pos[:, 2] += np.maximum(0.0, lift)
+    return place
 
 
 class _Recorder:
@@ -311,7 +310,7 @@ class _Recorder:
                 demonstration[name] = quat_rotate(plane.quat, demonstration[name])
         wanted = demonstration["contact"].astype(bool)
         rate_hz = self._loop.controller.config.rate_hz
-        return Log(rate_hz=rate_hz, wanted=wanted, demonstration=demonstration, **kept)
+        return Log(rate_hz, wanted=wanted, demonstration=demonstration, terrain=self._loop.terrain, **kept)
 
     def _present(self) -> dict[str, NDArray[Any]]:
         """What is kept of each step: fields of `Log`, and the clocks' `sample` and `origin`."""

@@ -12,6 +12,7 @@ from fastmimic.episode.observer import EstimationErrors
 from fastmimic.episode.reward import REWARD_TERMS, Counted, reward_weights
 from fastmimic.episode.run_log import RunLog
 from fastmimic.episode.tracking_errors import tracking_errors
+from fastmimic.simulation.terrain import Terrain
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +31,7 @@ class Log:
         demonstration: (n, t) of `SAMPLE`, the demonstration in force, its root and feet in the world and body frame.
         estimate: (n, t) of `OBSERVATION`, the controller's observation after each step, with sensors only.
         reading: (n, t) of `READING`, the sensors' latest by then, with sensors only.
+        terrain: the ground; None if it is flat.
         weights: (k,) of the terms.
     """
 
@@ -44,6 +46,7 @@ class Log:
     demonstration: NDArray[Any]
     estimate: NDArray[Any] | None = None
     reading: NDArray[Any] | None = None
+    terrain: Terrain | None = None
     weights: Array = field(default_factory=reward_weights)
 
     @property

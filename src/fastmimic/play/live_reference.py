@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError, unknown
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
+from fastmimic.episode.loop import on_ground
 from fastmimic.reference.course import CourseTransition
 from fastmimic.reference.modulation import Limits
 from fastmimic.reference.motion_set import Entry, MotionSet
@@ -23,6 +24,8 @@ from fastmimic.reference.stream import MODULATION, Stream, make_place
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION, MujocoSimulation
+from fastmimic.simulation.simulators import Placement
+from fastmimic.simulation.terrain import Terrain
 
 RATES: Final = {"speed": 0.5, "turn": 1.2, "lift": 0.8}  # rates of modulation: 1/s, rad/s², 1/s
 NEUTRAL: Final = {"speed": 1.0, "turn": 0.0, "lift": 1.0}  # leaves the motion unchanged
@@ -291,8 +294,16 @@ class GettingUpPhase(Enum):
 class GettingUp:
     """Attempts to get up, until the robot stands with joints `stand`, (12,) rad, and base `height`, m."""
 
-    def __init__(self, robot: Robot, simulation: MujocoSimulation, stand: Array, height: float, dt: float) -> None:
-        self._simulation, self._dt = simulation, dt
+    def __init__(
+        self,
+        robot: Robot,
+        simulation: MujocoSimulation,
+        stand: Array,
+        height: float,
+        dt: float,
+        terrain: Terrain | None = None,
+    ) -> None:
+        self._robot, self._simulation, self._dt, self._terrain = robot, simulation, dt, terrain
         self._stand, self._height = stand, height
         self._path, self._folded_height = rising_path(robot, stand)
         self._stiffness, self._damping = standing_gains(robot)
@@ -343,7 +354,8 @@ class GettingUp:
         """Places the robot on its belly with folded legs, in the same place and heading."""
         position = np.array([[xy[0], xy[1], self._folded_height]])
         zero = np.zeros((1, 3))
-        self._simulation.reset(position, quat_from_yaw(np.array([yaw])), self._path[:1], zero, zero, np.zeros((1, 12)))
+        place = Placement(position, quat_from_yaw(np.array([yaw])), self._path[:1], zero, zero, np.zeros((1, 12)))
+        self._simulation.reset(*on_ground(self._terrain, self._robot, place))
         self._tries = 0
         self._go(GettingUpPhase.RISE, self._simulation.observation[0])
 

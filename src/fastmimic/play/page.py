@@ -157,6 +157,7 @@ class LiveHistory:
             stacked("reference"),
             **{name: stacked(name) for name in ("measured", "stance", "force", "asked", "terms", "reward")},
             friction=session.controller.config.stance.friction,
+            terrain=session.terrain,
         )
 
     def plot(self) -> tuple[Array, ...]:

@@ -18,7 +18,7 @@ from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar
 from fastmimic.clips.synthesis import GAITS
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.control.controller import Controller
-from fastmimic.episode.loop import on_reference
+from fastmimic.episode.loop import on_ground, on_reference
 from fastmimic.episode.reward import REWARD_TERMS, Scorer
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
@@ -29,6 +29,7 @@ from fastmimic.reference.table import CLOCK, SAMPLE
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import MotionSource, find_motion
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
+from fastmimic.simulation.terrain import Terrain
 
 DEFAULTS: Final = (STAND, IN_PLACE, "walk", "trot", "pace", "turn", "side-step", "spin", "backward-trot", "bound")
 _MADE: Final = {STAND: standing, IN_PLACE: in_place}
@@ -95,9 +96,9 @@ class LiveSession:
     """One robot in an endless simulation. One thread at a time.
 
     `motions` are cyclic ones by name, `start` is the first of them ("stand" if None), `method` the controller, one of
-    `playable_methods()`, `config` its parameters, or the name of a set; `ideal` as in `Conditions`. Raises
-    `ConfigError` if there is no such motion, controller or configuration, `MotionError` for a motion that cannot be
-    played.
+    `playable_methods()`, `config` its parameters, or the name of a set; `ideal` as in `Conditions`; `terrain` is the
+    ground, flat if None. Raises `ConfigError` if there is no such motion, controller or configuration, `MotionError`
+    for a motion that cannot be played.
 
     Example:
         session = LiveSession(load_robot("a1"), {"trot": load_motion("trot", "a1")})
@@ -115,6 +116,7 @@ class LiveSession:
         method: str = "mbc",
         config: ControllerConfig | str = "default",
         ideal: bool = False,
+        terrain: Terrain | None = None,
     ) -> None:
         self.robot = robot
         self._given = controller_config(config) if isinstance(config, str) else config
@@ -125,7 +127,8 @@ class LiveSession:
             if isinstance(motions, MotionSet)
             else MotionSet(robot, motions, self.rate_hz, regulator=self._given.regulator)
         )
-        self.simulation = MujocoSimulation(robot, 1, control_rate_hz=self.rate_hz, ideal=ideal)
+        self.simulation = MujocoSimulation(robot, 1, control_rate_hz=self.rate_hz, ideal=ideal, ground=terrain)
+        self.terrain = terrain
         self.world = LiveWorld(self.simulation)
         name = start if start is not None else STAND
         self.reference = LiveReference(robot, self.library, self.rate_hz, name)
@@ -133,7 +136,9 @@ class LiveSession:
         self._truth = np.zeros(1, SAMPLE)
         self._scorer = Scorer(robot, self._truth, 1, self._given, self.rate_hz)
         stand = self.library.entry(STAND).motion
-        self._recovery = GettingUp(robot, self.simulation, stand.joint_pos[0], float(stand.root_pos_w[0, 2]), self.dt)
+        self._recovery = GettingUp(
+            robot, self.simulation, stand.joint_pos[0], float(stand.root_pos_w[0, 2]), self.dt, terrain
+        )
         self.falls = 0
         self.steps = 0
         self._control_s: deque[float] = deque(maxlen=_TIMINGS)
@@ -224,6 +229,9 @@ class LiveSession:
             pose = np.concatenate([[0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0], self._recovery.command["joint_pos"][0]])
         x, y, turned = self.reference.place["pose"][0]
         orientation = quat_multiply(quat_from_yaw(turned), truth["root_quat"])
+        place = np.array([x, y, truth["root_pos"][2]])
+        if self.terrain is not None:
+            place, orientation = self.terrain.plane(x, y).laid(place, orientation)
         force, asked = np.nan_to_num(obs["foot_force"]), np.array(memory["force"])
         asked[:, :2] = rotate_planar(yaw, asked[:, :2])
         velocity = np.array(obs["lin_vel"])
@@ -231,7 +239,7 @@ class LiveSession:
         return Snapshot(
             time_s=self.time_s,
             pose=pose,
-            reference=np.concatenate([[x, y, truth["root_pos"][2]], orientation, truth["joint_pos"]]),
+            reference=np.concatenate([place, orientation, truth["joint_pos"]]),
             force=force,
             asked=asked if up else np.zeros((4, 3)),
             wanted=truth["contact"].astype(bool),
@@ -259,7 +267,8 @@ class LiveSession:
         x, y = obs["root_pos"][:2] if known else (0.0, 0.0)
         self.reference.put(x, y, yaw)
         self._fill()
-        self.simulation.reset(*on_reference(self._tables[0], np.zeros(1, np.int64), self.reference.place["pose"]))
+        place = on_reference(self._tables[0], np.zeros(1, np.int64), self.reference.place["pose"])
+        self.simulation.reset(*on_ground(self.terrain, self.robot, place))
         self._recovery.phase = GettingUpPhase.DONE
         self._begin_control()
 
@@ -291,9 +300,15 @@ class LiveSession:
         self.reference.fill(self._truth, scored=True)
         self._clock["origin"] = self.reference.place["pose"]
         self._clock["jump"] = self.reference.place["jump"]
-        self._scorer.score(self._clock, observation, self.controller.memory)
+        self._scorer.score(self._clock, observation, self.controller.memory, self._seen(observation))
         if self._scorer.tallies["fallen"][0]:
             self._has_fallen()
+
+    def _seen(self, observation: NDArray[Any]) -> NDArray[Any]:
+        """The state (1,) as seen from the ground."""
+        if self.terrain is None:
+            return observation
+        return self.terrain.plane(observation["root_pos"][:, 0], observation["root_pos"][:, 1]).seen(observation)
 
     def _fill(self) -> None:
         """Fills the reference: the present sample, and when a plan is due also its horizon."""
@@ -306,7 +321,7 @@ class LiveSession:
         self._recovery.begin()
 
     def _get_up(self) -> None:
-        observation = self.simulation.step(self._recovery.step(self.simulation.observation))
+        observation = self.simulation.step(self._recovery.step(self._seen(self.simulation.observation)))
         if self._recovery.phase is not GettingUpPhase.DONE:
             return
         obs = observation[0]

@@ -25,6 +25,7 @@ from fastmimic.retargeting.retarget import choose_scale
 from fastmimic.retargeting.track import extract
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
+from fastmimic.simulation.terrain import Terrain
 
 if TYPE_CHECKING:
     from fastmimic.episode.rollout import Rollout
@@ -41,6 +42,7 @@ class Track:
     caption: str = ""  # second line, such as "reward 0.84"
     ghost: "Track | None" = None  # the demonstration at the same times, drawn as a translucent robot; None for no ghost
     contact: NDArray[np.bool_] | None = None  # (t, 4) bool, feet marked as loaded; None for no marks
+    terrain: Terrain | None = None  # None for flat ground
 
     @property
     def pose(self) -> Array:
@@ -127,6 +129,7 @@ def rollout_track(rollout: "Rollout", loaded_n: float, title: str = "", episode:
         caption=caption,
         ghost=Track(ghost["root_pos"], ghost["root_quat"], ghost["joint_pos"], title="demonstration"),
         contact=robot["foot_force"][..., 2] > loaded_n,  # False for the NaN after a fall
+        terrain=log.terrain,
     )
 
 

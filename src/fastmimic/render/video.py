@@ -22,6 +22,7 @@ from fastmimic.render.offscreen import NoRendererError, Offscreen, Overlay, in_a
 from fastmimic.render.tracks import AnimalTrack, Track, resample, resample_contact, resample_points, world_feet
 from fastmimic.render.video_scene import TILE_M, CameraView, VideoScene, build_video_scene, ghost_rgba, leg_rgba
 from fastmimic.robot import Robot
+from fastmimic.simulation.terrain import Terrain
 
 if TYPE_CHECKING:
     import mujoco
@@ -155,7 +156,8 @@ def render_video(
     frames = _frames(times, window_s)
     video = VideoFile(path, drawn_size, size, fps, quality, frames=len(frames))
     shown = [_shown(robot, track, rate_hz, times, marks) for track in tracks]
-    video_scene = _build(robot, shown, drawn_size, quality, loop_m)
+    terrain = next((t.terrain for t in tracks if isinstance(t, Track) and t.terrain is not None), None)
+    video_scene = _build(robot, shown, drawn_size, quality, loop_m, terrain)
     overlay = _overlay(tracks, drawn_size, slow_motion, columns, clock)
 
     try:
@@ -252,7 +254,12 @@ def _shown(robot: Robot, track: AnyTrack, rate_hz: float, times: Array, marks: b
 
 
 def _build(
-    robot: Robot, shown: list[_Shown], size: tuple[int, int], quality: Quality, loop_m: float | None
+    robot: Robot,
+    shown: list[_Shown],
+    size: tuple[int, int],
+    quality: Quality,
+    loop_m: float | None,
+    terrain: Terrain | None,
 ) -> VideoScene:
     paths = np.concatenate([path[:, :2] for s in shown for path in (s.root, s.ghost) if path is not None])
     tile = TILE_M
@@ -266,6 +273,7 @@ def _build(
         floor=np.array([paths.min(axis=0), paths.max(axis=0)]),
         quality=quality,
         tile=tile,
+        terrain=terrain,
     )
 
 
@@ -295,7 +303,7 @@ def _panels(
     panels = []
     for each in shown:
         look_at = _low_pass(each.root, _CAMERA_SMOOTHING_S / dt)
-        look_at[:, 2] = height
+        look_at[:, 2] = height if video_scene.terrain is None else look_at[:, 2] - 0.4 * robot.home_height
         panels.append(
             _Panel(CameraView(video_scene, azimuth, distance), each, look_at, _TRAIL_WIDTH * max(size[1] / 720, 0.5))
         )

@@ -2,7 +2,7 @@
 with a shadow under the robot."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -13,6 +13,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.render.encoding import PREVIEW, Quality
 from fastmimic.render.figure_style import DEMONSTRATION, LEG_LINES
 from fastmimic.robot import Robot
+from fastmimic.simulation.terrain import Terrain
 
 Rgba = tuple[float, float, float, float]
 
@@ -74,6 +75,7 @@ class VideoScene:
     quality: Quality = PREVIEW
     tiles: tuple[int, ...] = ()  # geoms of the ground's pattern, which follow the camera; none with a texture
     tile: float = TILE_M  # edge of a tile, m
+    terrain: Terrain | None = None  # in place of the flat ground
 
 
 def build_video_scene(
@@ -85,12 +87,17 @@ def build_video_scene(
     floor: Array,
     quality: Quality = PREVIEW,
     tile: float = TILE_M,
+    terrain: Terrain | None = None,
 ) -> VideoScene:
     """Puts a robot, and a translucent ghost of it if wanted, on a checkered ground with tiles of `tile` m, in a picture
-    of `width` x `height` pixels. `floor` are the lowest and highest x and y that the robots reach, (2, 2) m."""
+    of `width` x `height` pixels. `floor` are the lowest and highest x and y that the robots reach, (2, 2) m; `terrain`
+    is the ground, flat if None."""
     spec = mujoco.MjSpec()
     _set_visual(spec, width, height, quality)
-    _add_ground(spec, floor, quality, tile)
+    if terrain is None:
+        _add_ground(spec, floor, quality, tile)
+    else:
+        _add_terrain(spec, terrain, tile)
     spec.worldbody.add_light(
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
         dir=LIGHT_DIR,
@@ -106,8 +113,10 @@ def build_video_scene(
     if ghost:
         ghost_qpos, ghost_geoms = _find(model, robot, _GHOST)
         _make_ghost(model, ghost_geoms)
-    tiles = () if quality.textured else tuple(int(model.geom(name).id) for name in _TILES)
-    return VideoScene(model, robot_qpos, ghost_qpos, _main_geoms(model, robot_geoms), quality, tiles, tile)
+    follow = terrain is None and not quality.textured
+    tiles = tuple(int(model.geom(name).id) for name in _TILES) if follow else ()
+    casts_shadow = _main_geoms(model, robot_geoms) & (terrain is None)
+    return VideoScene(model, robot_qpos, ghost_qpos, casts_shadow, quality, tiles, tile, terrain)
 
 
 def _set_visual(spec: mujoco.MjSpec, width: int, height: int, quality: Quality) -> None:
@@ -146,20 +155,46 @@ def _add_ground(spec: mujoco.MjSpec, floor: Array, quality: Quality, tile: float
         vertices, faces = _checkered(tile, _TILED_M, parity)
         if parity == 0:
             vertices, faces = _framed(vertices, faces)
-        spec.add_mesh(
-            name=name,
-            uservert=vertices.ravel(),
-            userface=faces.ravel(),
-            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-        )
-        spec.worldbody.add_geom(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=name,
-            rgba=[*rgb, 1],
-            contype=0,
-            conaffinity=0,
-        )
+        _add_mesh(spec, name, vertices, faces, rgb)
+
+
+def _add_terrain(spec: mujoco.MjSpec, terrain: Terrain, tile: float) -> None:
+    """Its surface, in two colours by turns: tiles, steps or stones; and a sky, as the ground may not fill the
+    picture."""
+    sky, plain = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_FLAT
+    spec.add_texture(name="sky", type=sky, builtin=plain, rgb1=_HAZE, rgb2=_HAZE, width=8, height=48)
+    if terrain.field is None and not len(terrain.boxes):
+        _add_checker(spec, tile, 0.0)
+        tilt, size = terrain.plane(np.zeros(()), np.zeros(())).quat, [_GROUND_M] * 3
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, quat=tilt, size=size, material=_CHECKER)
+        return
+    vertices, faces = terrain.surface()
+    corners = vertices[faces]
+    middle = corners.mean(axis=1)
+    if len(terrain.boxes):
+        dark = np.repeat(np.arange(len(terrain.boxes)) % 2, len(faces) // len(terrain.boxes))
+    else:
+        dark = (np.floor(middle[:, 0] / tile) + np.floor(middle[:, 1] / tile)) % 2
+    for parity, (name, rgb) in enumerate(zip(_TILES, (_LIGHT_TILE, _DARK_TILE), strict=True)):
+        own = corners[dark == parity]  # unshared vertices have sharp edges
+        _add_mesh(spec, name, own, np.arange(3 * len(own)), rgb)
+
+
+def _add_mesh(spec: mujoco.MjSpec, name: str, vertices: Array, faces: NDArray[Any], rgb: tuple[float, ...]) -> None:
+    spec.add_mesh(
+        name=name,
+        uservert=vertices.ravel(),
+        userface=faces.ravel(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    spec.worldbody.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=name,
+        rgba=[*rgb, 1],
+        contype=0,
+        conaffinity=0,
+    )
 
 
 def _add_checker(spec: mujoco.MjSpec, tile: float, reflectance: float) -> None:
@@ -269,7 +304,8 @@ class CameraView:
         self.scene = mujoco.MjvScene(video_scene.model, maxgeom=2 * video_scene.model.ngeom + _MAX_MARKS)
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = video_scene.quality.shadow_map > 0
         self.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = video_scene.quality.reflectance > 0
-        self.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = 1
+        # it is by vertex, and steps are long
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = video_scene.terrain is None
         self._option = mujoco.MjvOption()
         self._camera = mujoco.MjvCamera()
         self._camera.azimuth, self._camera.elevation = azimuth_deg, _ELEVATION_DEG
@@ -301,7 +337,9 @@ class CameraView:
 
     def disc(self, centre: Array, rgba: Rgba) -> None:
         """Adds the mark of a loaded foot on the ground under `centre` (3,), world."""
-        at = np.array([centre[0], centre[1], _MARK_HEIGHT])
+        terrain = self._video_scene.terrain
+        ground = 0.0 if terrain is None else float(terrain.height(centre[0], centre[1]))
+        at = np.array([centre[0], centre[1], ground + _MARK_HEIGHT])
         size = np.array([_MARK_RADIUS, 0.001, 0.0])
         geom = self._add(mujoco.mjtGeom.mjGEOM_CYLINDER, size, at, rgba)
         geom.emission, geom.specular = 0.2, 0.0

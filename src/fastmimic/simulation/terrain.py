@@ -32,6 +32,11 @@ FIELD_M: Final = 60.0  # edge of a height field; a robot that leaves it falls
 WAVE_M: Final = 1.0
 FILE_CELL_M: Final = 0.05
 FILES: Final = (".png", ".npy")
+SEEN_M: Final = 16.0
+_CUBE: Final = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij"), axis=-1).reshape(-1, 3)
+_CUBE_FACES: Final = np.array(
+    [0, 1, 3, 0, 3, 2, 4, 7, 5, 4, 6, 7, 0, 4, 5, 0, 5, 1, 2, 7, 6, 2, 3, 7, 0, 2, 6, 0, 6, 4, 1, 7, 3, 1, 5, 7]
+).reshape(12, 3)  # outwards
 _ACROSS: Final = np.linspace(-FOOTPRINT_M, FOOTPRINT_M, 5)
 _UNDER: Final = np.stack(np.meshgrid(_ACROSS, _ACROSS), axis=-1).reshape(-1, 2)  # points under a robot
 
@@ -123,6 +128,19 @@ class Terrain:
         inside = (np.abs(x[..., None] - at[:, 0]) <= half[:, 0]) & (np.abs(y[..., None] - at[:, 1]) <= half[:, 1])
         tops = np.where(inside, at[:, 2] + half[:, 2], (at[:, 2] - half[:, 2]).min())
         return np.asarray(tops.max(axis=-1), dtype=np.float64)
+
+    def surface(self) -> tuple[Array, NDArray[np.int32]]:
+        """Vertices (v, 3), m, and triangles (f, 3), to be drawn, of what is within `SEEN_M` of the origin."""
+        if len(self.boxes):
+            corners = self.boxes[:, None, :3] + _CUBE * self.boxes[:, None, 3:]
+            faces = _CUBE_FACES + 8 * np.arange(len(self.boxes))[:, None, None]
+            return corners.reshape(-1, 3), faces.reshape(-1, 3).astype(np.int32)
+        half, cell = (SEEN_M, 1.0) if self.field is None else (min(SEEN_M, *self.field.half), self.field.cell)
+        x, y = np.meshgrid(*2 * [np.arange(-round(half / cell), round(half / cell) + 1) * cell])
+        n = len(x)
+        corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()[:, None, None]
+        faces = corner + np.array([[0, 1, n + 1], [0, n + 1, n]])
+        return np.stack([x, y, self.height(x, y)], axis=-1).reshape(-1, 3), faces.reshape(-1, 3).astype(np.int32)
 
     def plane(self, x: Array, y: Array) -> GroundPlane:
         """The plane through the ground under robots at (…), m: of a field, that nearest to their footprint."""

@@ -45,6 +45,7 @@ LAYERS: Final = {
 
 WIDE_GROUND: Final = (24.0, 24.0)
 _CELL_M: Final = 0.25
+_TERRAIN_RGB: Final = (205, 210, 215)
 _FORCE_RGB: Final = (178, 24, 43)
 _ASKED_RGB: Final = (20, 20, 20)
 _PYRAMID_RGB: Final = (120, 94, 240)
@@ -117,6 +118,10 @@ class RobotScene:
             fade_distance=14.0,
             position=(0.0, 0.0, -0.001),
         )
+        if take.terrain is not None:
+            self._grid.visible = False
+            surface = take.terrain.surface()
+            server.scene.add_mesh_simple(f"{name}/terrain", *surface, color=_TERRAIN_RGB, flat_shading=True)
         self._bodies = self._add_bodies(f"{name}/robot", puppet.bodies, None)
         self._ghost = self._add_bodies(f"{name}/ghost", puppet.ghost_bodies, ghost_rgba()[3])
         self._contacts = {
@@ -160,7 +165,8 @@ class RobotScene:
         reference = None if take.reference is None else take.reference[row]
         placed, ghost = self._puppet.place(take.pose[row], reference)
         shift = -self._path[row] if follow else np.zeros(2)
-        self.root.position = (float(shift[0]), float(shift[1]) + self.aside, 0.0)
+        height = float(take.ground(self._path[row])) if follow else 0.0
+        self.root.position = (float(shift[0]), float(shift[1]) + self.aside, -height)
         x, y = np.round(self._path[row] / _CELL_M) * _CELL_M
         self._grid.position = (float(x), float(y), -0.001)
         _move(self._bodies, placed)
@@ -270,12 +276,12 @@ class RobotScene:
         _set_lines(nodes["asked"], force_arrows(take, row, take.asked))
         _set_lines(nodes["pyramid"], friction_pyramids(take, row))
         _set_lines(nodes["path"], trails(take.feet, row, take.rate_hz))
-        drops = [_drop(placed.com, upright=True)]
+        drops = [_drop(placed.com, float(take.ground(placed.com)), upright=True)]
         nodes["com"].position = placed.com
         if ghost is not None and take.reference_feet is not None:
             _set_lines(nodes["reference_path"], trails(take.reference_feet, row, take.rate_hz, dashed=True))
             nodes["reference_com"].position = ghost.com
-            drops.append(_drop(ghost.com, upright=False))
+            drops.append(_drop(ghost.com, float(take.ground(ghost.com)), upright=False))
         nodes["com_drop"].points = np.concatenate(drops).astype(np.float32)
         for kind in ("reference_path", "reference_com"):
             nodes[kind].visible = ghost is not None
@@ -306,8 +312,8 @@ def _set_lines(node: Any, points: Array) -> None:
     node.visible = len(points) > 0
 
 
-def _drop(com: Array, *, upright: bool) -> Array:
-    """The centre of mass on the ground: a line down to an upright or a diagonal cross (3, 2, 3)."""
-    foot = np.array([com[0], com[1], 0.003])
+def _drop(com: Array, ground: float, *, upright: bool) -> Array:
+    """The centre of mass on the `ground`'s height: a line down to an upright or a diagonal cross (3, 2, 3)."""
+    foot = np.array([com[0], com[1], ground + 0.003])
     arms = 0.04 * np.array([[1.0, 0, 0], [0, 1.0, 0]] if upright else [[0.7, 0.7, 0], [0.7, -0.7, 0]])
     return np.array([[com, foot], *([foot - arm, foot + arm] for arm in arms)])

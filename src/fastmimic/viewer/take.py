@@ -19,6 +19,7 @@ from fastmimic.clips.clip import KEYPOINTS
 from fastmimic.motion.motion import Motion
 from fastmimic.render.tracks import Animal, motion_track, rollout_track, world_feet
 from fastmimic.robot import Robot
+from fastmimic.simulation.terrain import Terrain
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -57,6 +58,7 @@ class Take:
     reward: Array | None = None  # (t,)
     friction: float = 0.0  # μ that the controller assumes
     fell_at: int | None = None  # row; None if the robot stays up
+    terrain: Terrain | None = None  # None for flat ground
 
     @property
     def rows(self) -> int:
@@ -81,6 +83,10 @@ class Take:
     def heading(self) -> Array:
         """Heading of the robot (t,), rad."""
         return np.asarray(yaw_from_quat(self.pose[:, 3:7]))
+
+    def ground(self, at: Array) -> Array:
+        """Heights (…) of the ground at (…, ≥2), m."""
+        return np.zeros(at.shape[:-1]) if self.terrain is None else self.terrain.height(at[..., 0], at[..., 1])
 
     def clamp(self, row: int) -> int:
         """The nearest existing row, for takes of different length."""
@@ -116,6 +122,7 @@ def rollout_take(
         reward=log.reward[episode],
         friction=config.stance.friction,
         fell_at=steps if rollout.fell[episode] and steps < len(pose) else None,
+        terrain=log.terrain,
     )
 
 
@@ -165,7 +172,8 @@ def contact_meshes(size: float) -> "dict[str, Trimesh]":
 
 def contact_places(take: Take, row: int) -> Array:
     """Places of the marks (4, 3): on the ground under the feet, world, m."""
-    return np.column_stack([take.feet[row, :, :2], np.full(4, _GROUND_Z)])
+    feet = take.feet[row]
+    return np.column_stack([feet[:, :2], take.ground(feet) + _GROUND_Z])
 
 
 def contact_flags(take: Take, row: int) -> dict[str, NDArray[np.bool_]]:
