@@ -33,8 +33,8 @@ from fastmimic.clips.data import data_folder
 from fastmimic.dataset import BuildRequest, BuildSettings, DatasetSource, MotionDataset, build_dataset, find_sources
 from fastmimic.dataset.build import BuildStep
 from fastmimic.dataset.excerpts import Survey, look_of, survey
+from fastmimic.dataset.index import DONE, FIGURES, record_file, sha256
 from fastmimic.dataset.jobs import Job, distance, perform, robot_digest
-from fastmimic.dataset.records import DONE, FIGURES, record_file, sha256
 from fastmimic.executors import Executor, Report, make_executor
 from fastmimic.executors.local import LocalExecutor
 from fastmimic.imitation.imitate import imitate

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from cli.conftest import in_folder, run, start
 from fastmimic.dataset import BuildRequest, BuildSettings, DatasetSource, MotionDataset
-from fastmimic.dataset.records import COSTS, Record
+from fastmimic.dataset.index import COSTS, Record
 from made_once import made_once
 from searches import QUICK_CHOICE
 

@@ -16,8 +16,8 @@ from fastmimic.base.errors import LibraryError, OutputError, WorkerError
 from fastmimic.dataset import BuildRequest, DatasetSource, MotionDataset, build_dataset, find_sources
 from fastmimic.dataset.build import Built
 from fastmimic.dataset.excerpts import survey
+from fastmimic.dataset.index import COLUMNS, load_record, read_record
 from fastmimic.dataset.jobs import Job, give_up, perform, robot_digest
-from fastmimic.dataset.records import COLUMNS, load_record, read_record
 from fastmimic.dataset.repair import check, mend, rerun
 from fastmimic.executors import make_executor
 from fastmimic.imitation.evaluate import evaluate

@@ -150,7 +150,7 @@ class _Choice:
 
     def chosen(self, rows: "Sequence[Row]") -> "list[Row]":
         """The rows that were asked for."""
-        from fastmimic.dataset.records import FAILURE, GRADES, REJECTED
+        from fastmimic.dataset.index import FAILURE, GRADES, REJECTED
 
         known = (*GRADES, REJECTED, FAILURE)
         for name in self.grade:
@@ -335,7 +335,7 @@ def _second_simulator(robots: Sequence[str]) -> bool:
 def _progress(said: str) -> "Iterator[Callable[[BuildStep], None]]":
     """Prints what is built, each finished motion and failure, and how to continue; on a terminal also a bar."""
     from fastmimic.dataset.build import describe_failure
-    from fastmimic.dataset.records import FAILED, grade
+    from fastmimic.dataset.index import FAILED, grade
 
     started_building = False
     with slow_start() as started, share_progress("building") as bar:
@@ -367,7 +367,7 @@ def _progress(said: str) -> "Iterator[Callable[[BuildStep], None]]":
 
 def put_summary(library: "MotionDataset") -> None:
     """Prints the number of records by grade, by version if there are several, and those outside the index."""
-    from fastmimic.dataset.records import FAILURE, GRADES, REJECTED
+    from fastmimic.dataset.index import FAILURE, GRADES, REJECTED
 
     rows = library.index(("id", "grade", "fastmimic_version"))
     counted = Counter(row["grade"] for row in rows)

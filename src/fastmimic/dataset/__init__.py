@@ -2,7 +2,7 @@
 
 from fastmimic.dataset.build import BuildRequest, build_dataset
 from fastmimic.dataset.folder import BuildSettings, MotionDataset
-from fastmimic.dataset.records import GRADES
+from fastmimic.dataset.index import GRADES
 from fastmimic.dataset.sources import DatasetSource, find_sources
 
 __all__ = ["GRADES", "BuildRequest", "BuildSettings", "DatasetSource", "MotionDataset", "build_dataset", "find_sources"]

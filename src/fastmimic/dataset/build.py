@@ -12,10 +12,9 @@ from fastmimic.base.errors import ConfigError, LibraryError, OutputError, Worker
 from fastmimic.base.files import remove_file
 from fastmimic.dataset.excerpts import Survey, look_of, save_survey, survey, survey_file
 from fastmimic.dataset.folder import BuildSettings, DamagedError, MotionDataset, Row
-from fastmimic.dataset.index import Gathered, require_pyarrow
+from fastmimic.dataset.index import FAILED, FinishedJobs, Gathered, Record, load_record, require_pyarrow, save_record
 from fastmimic.dataset.jobs import Job, Neighbours, give_up, now, perform, robot_digest
 from fastmimic.dataset.lock import BUILDING, working
-from fastmimic.dataset.records import FAILED, FinishedJobs, Record, load_record, save_record
 from fastmimic.dataset.sources import DatasetSource
 from fastmimic.executors import Executor, Report
 from fastmimic.robot import Robot, load_robot

@@ -28,8 +28,7 @@ from fastmimic.base.files import replace_file, write_text
 from fastmimic.base.text import csv_text
 from fastmimic.control.config import CONFIGS, controller_config
 from fastmimic.dataset.excerpts import SOURCES, Excerpt, Survey
-from fastmimic.dataset.index import GRADED, Gathered, Membership, gather, require_pyarrow
-from fastmimic.dataset.records import COLUMNS, RECORDS, read_record
+from fastmimic.dataset.index import COLUMNS, GRADED, RECORDS, Gathered, Membership, gather, read_record, require_pyarrow
 from fastmimic.imitation.methods import RL, method_named
 from fastmimic.motion.export import DEFAULT_FPS, EXPORTS, export_motion
 from fastmimic.motion.motion import Motion

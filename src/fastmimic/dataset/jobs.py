@@ -24,8 +24,7 @@ from fastmimic.base.machine import versions
 from fastmimic.base.text import plain
 from fastmimic.dataset.excerpts import Excerpt, reason_of
 from fastmimic.dataset.folder import SETTINGS, BuildSettings, MotionDataset, Row
-from fastmimic.dataset.index import robot_of
-from fastmimic.dataset.records import DONE, FAILED, MOTIONS, Record, empty, load_record, save_record, sha256
+from fastmimic.dataset.index import DONE, FAILED, MOTIONS, Record, empty, load_record, robot_of, save_record, sha256
 from fastmimic.episode.feasibility import demands, describe_fall, reasons
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import Metrics

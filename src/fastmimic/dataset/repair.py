@@ -10,8 +10,8 @@ from fastmimic.base.files import remove_file
 from fastmimic.control.config import controller_config
 from fastmimic.dataset.excerpts import SOURCES, reason_of
 from fastmimic.dataset.folder import INDEX, ROBOTS, SETTINGS, MotionDataset
+from fastmimic.dataset.index import MOTIONS, RECORDS, damage
 from fastmimic.dataset.lock import MENDING, working
-from fastmimic.dataset.records import MOTIONS, RECORDS, damage
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import episode_duration
 from fastmimic.imitation.methods import method_named

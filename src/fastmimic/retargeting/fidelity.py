@@ -17,9 +17,8 @@ from fastmimic.base.rotations import (
 )
 from fastmimic.motion.contacts import Stances, duty_factors, swings_of
 from fastmimic.motion.motion import Motion
-from fastmimic.retargeting.fit import Fitted
 from fastmimic.retargeting.report import MotionFigures, RetargetReport, with_bounds
-from fastmimic.retargeting.steps import Retargeting
+from fastmimic.retargeting.steps import Fitted, Retargeting
 from fastmimic.retargeting.track import ScaledClip, TrunkTrack, WorldPath, closing_error, cycle_displacement
 
 
